@@ -1,0 +1,1 @@
+"""From activation to the twelve-lead ECG."""

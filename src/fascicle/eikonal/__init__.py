@@ -1,0 +1,1 @@
+"""Activation times of tissue and trees together."""

@@ -1,0 +1,1 @@
+"""The heart: tissue, endocardia, electrodes, and their validation."""

@@ -1,0 +1,1 @@
+"""Endocardium to unit disk: the chart in which trees grow."""

@@ -1,0 +1,1 @@
+"""Approximate Bayesian computation informed by the surrogate."""

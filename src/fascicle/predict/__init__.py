@@ -1,0 +1,1 @@
+"""Scenarios over a posterior: what pacing would do."""

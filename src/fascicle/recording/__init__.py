@@ -1,0 +1,1 @@
+"""From a recording to a target: beats, their mean and spread, the QRS window."""

@@ -1,0 +1,67 @@
+"""What the inference is asked to explain: aligned beats and the QRS window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
+
+
+@dataclass(frozen=True)
+class Target:
+    """Beats of one recording, aligned at R, detrended, and where their QRS lies.
+
+    Attributes
+    ----------
+    beats : (n_beats, 12, n_time) array
+        Potential (mV), leads in the order of `fascicle.leads.LEADS`, isoelectric level removed.
+    time : (n_time,) array
+        Time from the R peak (ms), every `SAMPLING_STEP`.
+    qrs_onset, qrs_offset : float
+        QRS window (ms from the R peak).
+    heart_rate : float
+        Beats per minute.
+    provenance : dict
+        Text about where this came from: source file, its hash, choices made.
+    """
+
+    beats: NDArray[np.float64]
+    time: NDArray[np.float64]
+    qrs_onset: float
+    qrs_offset: float
+    heart_rate: float
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean beat (mV), shape (12, n_time)."""
+        return np.asarray(self.beats.mean(axis=0))
+
+    @property
+    def standard_deviation(self) -> NDArray[np.float64]:
+        """Beat-to-beat standard deviation (mV), shape (12, n_time)."""
+        return np.asarray(self.beats.std(axis=0, ddof=1))
+
+    @property
+    def qrs_duration(self) -> float:
+        """Length of the QRS window (ms)."""
+        return self.qrs_offset - self.qrs_onset
+
+    @property
+    def qrs_samples(self) -> slice:
+        """Samples of `time` inside the QRS window, both ends included."""
+        inside = np.flatnonzero((self.time >= self.qrs_onset) & (self.time <= self.qrs_offset))
+        return slice(int(inside[0]), int(inside[-1]) + 1)
+
+    @property
+    def qrs(self) -> NDArray[np.float64]:
+        """Mean QRS (mV), shape (12, n_qrs)."""
+        return np.asarray(self.mean[:, self.qrs_samples])
+
+    @property
+    def qrs_beats(self) -> NDArray[np.float64]:
+        """QRS of every beat (mV), shape (n_beats, 12, n_qrs)."""
+        return np.asarray(self.beats[:, :, self.qrs_samples])

@@ -1,0 +1,1 @@
+"""Purkinje trees: growth from parameters, junctions."""
