@@ -1,0 +1,91 @@
+"""The heart as the forward model sees it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.geometry.endocardium import Endocardium
+
+
+@dataclass(frozen=True)
+class Heart:
+    """Ventricular tissue, endocardia and electrodes, in one frame, in mm.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    tetrahedra : (m, 4) array
+        Vertex indices, positively oriented.
+    fibres : (m, 3) array
+        Unit fibre direction of each tetrahedron.
+    lv, rv : Endocardium
+        The two endocardia.
+    electrodes : (9, 3) array
+        Positions (mm), in the order of `fascicle.leads.ELECTRODES`.
+    name : str
+        What to call the heart in messages and figures.
+    """
+
+    vertices: NDArray[np.float64]
+    tetrahedra: NDArray[np.int64]
+    fibres: NDArray[np.float64]
+    lv: Endocardium
+    rv: Endocardium
+    electrodes: NDArray[np.float64]
+    name: str = "heart"
+
+    @property
+    def endocardia(self) -> Iterator[Endocardium]:
+        """Left, then right."""
+        yield self.lv
+        yield self.rv
+
+    @cached_property
+    def volumes(self) -> NDArray[np.float64]:
+        """Volume of each tetrahedron (mm³), shape (m,)."""
+        return signed_volumes(self.vertices, self.tetrahedra)
+
+    @cached_property
+    def boundary(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Boundary triangles (b, 3) and the tetrahedron each belongs to (b,)."""
+        triangles, owner, _ = igl.boundary_facets(self.tetrahedra)
+        return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
+
+    @cached_property
+    def edge_length(self) -> float:
+        """Mean edge length (mm)."""
+        pairs = self.tetrahedra[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
+        pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+        difference = self.vertices[pairs[:, 0]] - self.vertices[pairs[:, 1]]
+        return float(np.linalg.norm(difference, axis=1).mean())
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything that the forward model depends on."""
+        digest = hashlib.sha256()
+        arrays = [self.vertices, self.tetrahedra, self.fibres, self.electrodes]
+        for endocardium in self.endocardia:
+            seeds = np.array([endocardium.root, endocardium.direction])
+            arrays += [endocardium.vertices, endocardium.triangles, seeds]
+        for array in arrays:
+            digest.update(str(array.shape).encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+
+def signed_volumes(
+    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Signed volume of each tetrahedron, shape (m,)."""
+    origin, a, b, c = (vertices[tetrahedra[:, k]] for k in range(4))
+    return np.asarray(
+        np.einsum("ij,ij->i", a - origin, np.cross(b - origin, c - origin)) / 6, dtype=float
+    )

@@ -1,0 +1,87 @@
+"""Local solver of the anisotropic eikonal equation: earliest arrival from a face, edge or vertex.
+
+For a point and the others at relative positions eᵢ, with A_ij = eᵢᵀD⁻¹eⱼ, the arrival time is the
+minimum of Σλᵢτᵢ + √(λᵀAλ) over the simplex. In its interior it is
+
+    μ = (b + √(b² − a(c − 1))) / a,   a = 1ᵀQ1,  b = 1ᵀQτ,  c = τᵀQτ,  Q = A⁻¹,
+
+accepted when Q(μ1 − τ) ≥ 0; otherwise the minimum lies on an edge, by the same formula in two
+unknowns, or at a vertex.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+# A determinant below this fraction of the product of the diagonal is a flat element: the minimum
+# is then on its edges to within rounding.
+FLAT = 1e-14
+
+
+@njit(cache=True, nogil=True, inline="always")
+def from_edge(a11, a12, a22, t1, t2):
+    """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end."""
+    det = a11 * a22 - a12 * a12
+    if det <= FLAT * a11 * a22:
+        return np.inf
+    q11, q12, q22 = a22, -a12, a11  # det·Q, so that a, b, c carry a factor det
+    s1, s2 = q11 + q12, q12 + q22
+    a = s1 + s2
+    base = min(t1, t2)
+    d1, d2 = t1 - base, t2 - base
+    b = s1 * d1 + s2 * d2
+    c = q11 * d1 * d1 + 2.0 * q12 * d1 * d2 + q22 * d2 * d2
+    disc = b * b - a * (c - det)
+    if disc < 0.0:
+        return np.inf
+    mu = (b + math.sqrt(disc)) / a
+    r1, r2 = mu - d1, mu - d2
+    if q11 * r1 + q12 * r2 < 0.0 or q12 * r1 + q22 * r2 < 0.0:
+        return np.inf
+    return base + mu
+
+
+@njit(cache=True, nogil=True, inline="always")
+def from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
+    """Earliest arrival (ms) through the inside of a face; inf where the minimum is on its rim."""
+    q11 = a22 * a33 - a23 * a23
+    q12 = a13 * a23 - a12 * a33
+    q13 = a12 * a23 - a13 * a22
+    det = a11 * q11 + a12 * q12 + a13 * q13
+    if det <= FLAT * a11 * a22 * a33:
+        return np.inf
+    q22 = a11 * a33 - a13 * a13
+    q23 = a12 * a13 - a11 * a23
+    q33 = a11 * a22 - a12 * a12
+    base = min(t1, t2, t3)
+    d1, d2, d3 = t1 - base, t2 - base, t3 - base
+    s1, s2, s3 = q11 + q12 + q13, q12 + q22 + q23, q13 + q23 + q33
+    v1 = q11 * d1 + q12 * d2 + q13 * d3
+    v2 = q12 * d1 + q22 * d2 + q23 * d3
+    v3 = q13 * d1 + q23 * d2 + q33 * d3
+    a = s1 + s2 + s3
+    b = s1 * d1 + s2 * d2 + s3 * d3
+    c = v1 * d1 + v2 * d2 + v3 * d3
+    disc = b * b - a * (c - det)
+    if disc < 0.0:
+        return np.inf
+    mu = (b + math.sqrt(disc)) / a
+    if mu * s1 < v1 or mu * s2 < v2 or mu * s3 < v3:
+        return np.inf
+    return base + mu
+
+
+@njit(cache=True, nogil=True)
+def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
+    """Earliest arrival (ms) from a face with its edges and vertices; times may be inf."""
+    best = min(t1 + math.sqrt(a11), t2 + math.sqrt(a22), t3 + math.sqrt(a33))
+    if t1 < np.inf and t2 < np.inf:
+        best = min(best, from_edge(a11, a12, a22, t1, t2))
+        if t3 < np.inf:
+            best = min(best, from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3))
+    if t1 < np.inf and t3 < np.inf:
+        best = min(best, from_edge(a11, a13, a33, t1, t3))
+    if t2 < np.inf and t3 < np.inf:
+        best = min(best, from_edge(a22, a23, a33, t2, t3))
+    return best

@@ -1,0 +1,65 @@
+"""The isoelectric level, read in the still PR segment of every beat."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.recording.window import spatial_velocity
+
+KNOT = 20  # samples; one period of 50 Hz mains, so that hum averages out
+EARLIEST = 60  # samples before the QRS; further back is the P wave
+
+
+def quiet_start(mean: NDArray[np.float64], onset: int, step: float) -> int:
+    """First sample of the stillest `KNOT` samples just before the QRS.
+
+    Parameters
+    ----------
+    mean : (12, n) array
+        Mean beat (mV).
+    onset : int
+        First sample of the QRS.
+    step : float
+        Sampling step (ms).
+    """
+    earliest = max(onset - EARLIEST, 0)
+    velocity = spatial_velocity(mean, step)[earliest : max(onset, earliest + KNOT)]
+    speed = np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid")
+    return int(earliest + np.argmin(speed))
+
+
+def subtract_drift(
+    signal: NDArray[np.float64], knots: NDArray[np.int64], peaks: NDArray[np.int64], before: int, n: int
+) -> NDArray[np.float64]:
+    """Beats with a straight line removed from each lead.
+
+    The line of a beat runs from the isoelectric level before its QRS to that before the next QRS;
+    both points are of one kind, and neither T nor U waves enter. The last beat uses the line that
+    ends at it.
+
+    Parameters
+    ----------
+    signal : (12, n_samples) array
+        Potential (mV).
+    knots : (n_beats,) array
+        First sample of the isoelectric stretch of each beat, increasing.
+    peaks : (n_beats,) array
+        R peaks.
+    before, n : int
+        Samples before the peak, and in all, of the window.
+
+    Returns
+    -------
+    (n_beats, 12, n) array
+        Potential (mV), zero on average over each isoelectric stretch.
+    """
+    level = np.stack([signal[:, k : k + KNOT].mean(axis=1) for k in knots])
+    slope = np.diff(level, axis=0) / np.diff(knots)[:, None]
+    slope = np.concatenate([slope, slope[-1:]])
+    beats = np.empty((len(peaks), signal.shape[0], n))
+    for i, (peak, knot) in enumerate(zip(peaks, knots, strict=True)):
+        start = peak - before
+        since = np.arange(start, start + n) - (knot + (KNOT - 1) / 2)
+        beats[i] = signal[:, start : start + n] - level[i][:, None] - slope[i][:, None] * since
+    return beats
