@@ -20,6 +20,7 @@ from fascicle.geometry.heart import Heart
 from fascicle.harmonic.chart import build_chart
 from fascicle.leads import LEADS
 from fascicle.parameters import NETWORK_SPACE, check_names
+from fascicle.recording.window import qrs_window
 from fascicle.tree.grow import GrowthRules, find_seed, grow_from_parameters
 from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 
@@ -49,6 +50,12 @@ class Simulation:
     def total_activation_time(self) -> float:
         """From the first to the last activation in the myocardium (ms)."""
         return float(self.activation.max() - self.activation.min())
+
+    @property
+    def qrs_duration(self) -> float:
+        """QRS duration (ms), found in the ECG by the rule that finds it in recordings."""
+        onset, offset = qrs_window(self.ecg.to_numpy(), STEP)
+        return (offset - onset) * STEP
 
 
 class ForwardModel:

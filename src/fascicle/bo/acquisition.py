@@ -64,7 +64,7 @@ def maximise(
     best_points: NDArray[np.float64],
     known: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The best point found for an acquisition function, shape (d,).
+    """Find the best point for an acquisition function, shape (d,).
 
     Uniform raw points and perturbations of `best_points` (k, d), the best few of each polished by
     L-BFGS-B; the winner keeps away from the `known` points (n, d).
@@ -107,8 +107,6 @@ def _values(
         return np.array(acquisition(to_tensor(points)[:, None, :]).numpy())
 
 
-def _best(
-    acquisition: FeasibleLogImprovement, points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _best(acquisition: FeasibleLogImprovement, points: NDArray[np.float64]) -> NDArray[np.float64]:
     order = np.argsort(-_values(acquisition, points), kind="stable")
     return points[order[:RESTARTS]]

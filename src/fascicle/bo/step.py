@@ -35,15 +35,19 @@ class State:
     feasibility: Hyperparameters | None = None
 
     def hyperparameters_to_json(self) -> str:
-        """The hyper-parameters as text; every float comes back exactly."""
+        """Give the hyper-parameters as text; every float comes back exactly."""
         both = {"loss": self.loss, "feasibility": self.feasibility}
-        return json.dumps({name: h.to_json() if h is not None else None for name, h in both.items()})
+        return json.dumps(
+            {name: h.to_json() if h is not None else None for name, h in both.items()}
+        )
 
     @classmethod
     def from_json(cls, observations: Observations, text: str | None) -> State:
-        """The state with hyper-parameters from text; None for a cold start."""
+        """Make the state with hyper-parameters from text; None for a cold start."""
         both = json.loads(text) if text is not None else {"loss": None, "feasibility": None}
-        known = {k: Hyperparameters.from_json(v) if v is not None else None for k, v in both.items()}
+        known = {
+            k: Hyperparameters.from_json(v) if v is not None else None for k, v in both.items()
+        }
         return cls(observations, **known)
 
 
@@ -53,9 +57,7 @@ def refit(state: State) -> tuple[State, LossGP, FeasibilityGP]:
     feasibility = FeasibilityGP.fit(
         state.observations, state.feasibility, _iterations(state.feasibility)
     )
-    fitted = replace(
-        state, loss=loss.gp.hyperparameters, feasibility=feasibility.hyperparameters
-    )
+    fitted = replace(state, loss=loss.gp.hyperparameters, feasibility=feasibility.hyperparameters)
     return fitted, loss, feasibility
 
 

@@ -8,6 +8,29 @@ import numpy as np
 from numba import njit
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _inverse(x):
+    return 1.0 / x if x > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _passed(t, t0, t1, t2, t3, i10, i20, i30, i21, i31, i32):
+    """`passed`, with the inverse knot distances given (i31 is 1/(t3 − t1)); t0 < t < t3."""
+    if t < t1:
+        x = t - t0
+        return (x * i10) * (x * i20) * (x * i30)
+    if t >= t2:
+        x = t3 - t
+        return 1.0 - (x * i32) * (x * i31) * (x * i30)
+    # middle piece: its start, and the integral of the density from there, exact by Simpson's rule
+    share = ((t1 - t0) * i20) * ((t1 - t0) * i30)
+    s = 0.5 * (t1 + t)
+    first = (t1 - t0) * i20
+    middle = ((s - t0) * i20) * ((t2 - s) * i21) + ((t3 - s) * i31) * ((s - t1) * i21)
+    last = ((t - t0) * i20) * ((t2 - t) * i21) + ((t3 - t) * i31) * ((t - t1) * i21)
+    return share + (first + 4.0 * middle + last) * 0.5 * (t - t1) * i30
+
+
 @njit(cache=True, nogil=True)
 def passed(t, t0, t1, t2, t3):
     """Share of a tetrahedron's volume with τ < t, for sorted nodal times t0 ≤ t1 ≤ t2 ≤ t3.
@@ -19,21 +42,11 @@ def passed(t, t0, t1, t2, t3):
         return 0.0
     if t >= t3:
         return 1.0
-    if t < t1:
-        x = t - t0
-        return (x / (t1 - t0)) * (x / (t2 - t0)) * (x / (t3 - t0))
-    if t >= t2:
-        x = t3 - t
-        return 1.0 - (x / (t3 - t2)) * (x / (t3 - t1)) * (x / (t3 - t0))
-    # middle piece: its start, and the integral of the density from there, exact by Simpson's rule
-    share = ((t1 - t0) / (t2 - t0)) * ((t1 - t0) / (t3 - t0))
-    total = 0.0
-    for k in range(3):
-        s = t1 + 0.5 * k * (t - t1)
-        rising = ((s - t0) / (t2 - t0)) * ((t2 - s) / (t2 - t1))
-        falling = ((t3 - s) / (t3 - t1)) * ((s - t1) / (t2 - t1))
-        total += (4.0 if k == 1 else 1.0) * (rising + falling)
-    return share + total * (t - t1) / (2.0 * (t3 - t0))
+    return _passed(
+        t, t0, t1, t2, t3,
+        _inverse(t1 - t0), _inverse(t2 - t0), _inverse(t3 - t0),
+        _inverse(t2 - t1), _inverse(t3 - t1), _inverse(t3 - t2),
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -79,8 +92,12 @@ def deposit(time, corners, weights, bin_width, bins):
             b, c = c, b
         first, last = int(a / bin_width), int(d / bin_width)
         before = 0.0
+        i10, i20, i30 = _inverse(b - a), _inverse(c - a), _inverse(d - a)
+        i21, i31, i32 = _inverse(c - b), _inverse(d - b), _inverse(d - c)
         for i in range(first, last + 1):
-            after = 1.0 if i == last else passed((i + 1) * bin_width, a, b, c, d)
+            after = 1.0
+            if i < last:
+                after = _passed((i + 1) * bin_width, a, b, c, d, i10, i20, i30, i21, i31, i32)
             share = after - before
             before = after
             for k in range(channels):

@@ -39,13 +39,11 @@ def cut(
 def complete(
     peaks: NDArray[np.int64], n_samples: int, before: int, after: int
 ) -> NDArray[np.int64]:
-    """The peaks around which the whole window is recorded."""
+    """Keep the peaks around which the whole window is recorded."""
     return peaks[(peaks >= before) & (peaks + after < n_samples)]
 
 
-def correlations(
-    beats: NDArray[np.float64], template: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def correlations(beats: NDArray[np.float64], template: NDArray[np.float64]) -> NDArray[np.float64]:
     """Correlation of each beat (n_beats, 12, n_time), all leads together, with one (12, n_time)."""
     x = _centred(beats).reshape(len(beats), -1)
     y = _centred(template).ravel()

@@ -30,7 +30,11 @@ def quiet_start(mean: NDArray[np.float64], onset: int, step: float) -> int:
 
 
 def subtract_drift(
-    signal: NDArray[np.float64], knots: NDArray[np.int64], peaks: NDArray[np.int64], before: int, n: int
+    signal: NDArray[np.float64],
+    knots: NDArray[np.int64],
+    peaks: NDArray[np.int64],
+    before: int,
+    n: int,
 ) -> NDArray[np.float64]:
     """Beats with a straight line removed from each lead.
 

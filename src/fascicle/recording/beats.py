@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ BEFORE_SHARE, AFTER_SHARE = 0.4, 0.6  # of the RR interval, at fast rates
 FIDUCIAL_REACH = 60  # samples about the first guess in which the R peak of the typical beat lies
 LARGEST_QRS, SMALLEST_QRS = 20.0, 0.05  # mV peak to peak; outside, the unit is wrong
 SHORTEST_WINDOW = 20.0  # ms
+MINUTE = 60000.0  # ms
 NOISY = 0.2  # beat-to-beat spread over QRS height
 FEW_ALIKE = 0.7  # share of the beats that should be alike
 
@@ -47,7 +49,7 @@ def make_target(
     InputError
         When fewer than two regular beats are found or the window is impossible.
     """
-    source = recording.source
+    _check_given(onset, offset, recording.source)
     signal = alignment.resample(recording.signal, recording.sampling_rate)
     found = r_peaks(signal, alignment.TARGET_RATE)
     _need_two(len(found), recording, "beats found")
@@ -57,27 +59,40 @@ def make_target(
     raw = alignment.cut(signal, peaks, before, after)
     kept = alignment.regular(raw)
     _need_two(int(kept.sum()), recording, "beats alike")
-    time = np.arange(-before, after + 1) * SAMPLING_STEP
     beats = _levelled(signal, peaks[kept], raw[kept], before, onset)
-    _check_height(beats.mean(axis=0), source)
-    window = _window(beats.mean(axis=0), time, onset, offset, source)
-    provenance = dict(recording.provenance) | {
-        "source": source,
+    _check_height(beats.mean(axis=0), recording.source)
+    time = SAMPLING_STEP * np.arange(-before, after + 1, dtype=np.float64)
+    window = _window(beats.mean(axis=0), time, onset, offset, recording.source)
+    provenance = _provenance(recording, len(found), len(beats), onset, offset)
+    target = Target(beats, time, *window, MINUTE / interval, provenance)
+    warnings = _warnings(recording, target, len(peaks))
+    return replace(target, provenance=provenance | warnings)
+
+
+def _provenance(
+    recording: Recording, n_found: int, n_used: int, onset: float | None, offset: float | None
+) -> dict[str, str]:
+    return recording.provenance | {
+        "source": recording.source,
         "sampling_rate_hz": f"{recording.sampling_rate:g}",
         "recording_duration_s": f"{recording.duration:.3f}",
-        "beats_found": str(len(found)),
-        "beats_used": str(len(beats)),
+        "beats_found": str(n_found),
+        "beats_used": str(n_used),
         "qrs_onset_from": "detected" if onset is None else "given",
         "qrs_offset_from": "detected" if offset is None else "given",
     }
-    warnings = _warnings(recording, len(peaks), len(beats), beats, time, window)
-    if warnings:
-        provenance["warnings"] = "; ".join(warnings)
-    return Target(beats, time, *window, 60000.0 / interval, provenance)
+
+
+def _check_given(onset: float | None, offset: float | None, source: str) -> None:
+    for name, value in (("onset", onset), ("offset", offset)):
+        if value is not None and not math.isfinite(value):
+            raise InputError(
+                f"{source}: QRS window {name} is {value} ms; give a number of ms from the R peak"
+            )
 
 
 def _extent(interval: float) -> tuple[int, int]:
-    """Samples before and after R, from the median RR interval (ms)."""
+    """Return the samples before and after R for a median RR interval (ms)."""
     before = min(BEFORE, BEFORE_SHARE * interval)
     after = min(AFTER, AFTER_SHARE * interval)
     return round(before / SAMPLING_STEP), round(after / SAMPLING_STEP)
@@ -139,7 +154,7 @@ def _window(
     first, last = qrs_window(mean, SAMPLING_STEP)
     start = float(time[first]) if onset is None else float(onset)
     end = float(time[last]) if offset is None else float(offset)
-    if not (math.isfinite(start) and math.isfinite(end) and end - start >= SHORTEST_WINDOW):
+    if end - start < SHORTEST_WINDOW:
         raise InputError(
             f"{source}: QRS window {start:g} to {end:g} ms; the offset must be at least "
             f"{SHORTEST_WINDOW:g} ms after the onset (both in ms from the R peak)"
@@ -161,29 +176,22 @@ def _check_height(mean: NDArray[np.float64], source: str) -> None:
         )
 
 
-def _warnings(
-    recording: Recording,
-    n_complete: int,
-    n_used: int,
-    beats: NDArray[np.float64],
-    time: NDArray[np.float64],
-    window: tuple[float, float],
-) -> list[str]:
-    """What the user should know about this target."""
+def _warnings(recording: Recording, target: Target, n_complete: int) -> dict[str, str]:
+    """Collect what the user should know, under the key ``warnings``; {} if nothing."""
     warnings = []
     einthoven = einthoven_warning(recording.signal)
     if einthoven is not None:
         warnings.append(einthoven)
+    n_used = len(target.beats)
     if n_used < FEW_ALIKE * n_complete:
         warnings.append(
             f"only {n_used} of {n_complete} beats are alike and were used; look at the rhythm"
         )
-    inside = (time >= window[0]) & (time <= window[1])
-    level = float(magnitude(beats.std(axis=0, ddof=1)[:, inside]).mean())
-    height = float(magnitude(beats.mean(axis=0)[:, inside]).max())
-    if level > NOISY * height:
+    spread = float(magnitude(target.standard_deviation[:, target.qrs_samples]).mean())
+    height = float(magnitude(target.qrs).max())
+    if spread > NOISY * height:
         warnings.append(
-            f"the QRS varies by {level:.3f} mV from beat to beat, {level / height:.0%} of its "
+            f"the QRS varies by {spread:.3f} mV from beat to beat, {spread / height:.0%} of its "
             "height; the recording is noisy"
         )
-    return warnings
+    return {"warnings": "; ".join(warnings)} if warnings else {}

@@ -28,8 +28,8 @@ def remove_baseline(signal: NDArray[np.float64], sampling_rate: float) -> NDArra
 def r_peaks(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int64]:
     """R peaks of a recording.
 
-    The detector of Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) as in NeuroKit2 works on
-    the root mean square of the leads; each mark then moves to the top of the smoothed root mean
+    The detector of Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) as in NeuroKit2 works
+    on the root mean square of the leads; each mark then moves to the top of the smoothed root mean
     square, which is the same point of every beat to within a few ms.
 
     Parameters
@@ -57,7 +57,7 @@ def r_peaks(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int
 
 
 def _pan_tompkins(height: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int64]:
-    """Marks of the detector, after it has learnt on the mirrored start of the recording."""
+    """Run the detector after it has learnt on the mirrored start of the recording."""
     import neurokit2
 
     learning = min(round(LEARNING * sampling_rate), len(height) - 1)

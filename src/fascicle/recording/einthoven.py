@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-
 LARGEST_MISFIT = 0.05  # mV
 LARGEST_SHARE = 0.05  # of the limb leads' largest deflection
 
 
 def einthoven_misfit(signal: NDArray[np.float64]) -> tuple[float, float]:
-    """How far I + III is from II.
+    r"""How far I + III is from II.
 
     Parameters
     ----------
@@ -21,7 +20,7 @@ def einthoven_misfit(signal: NDArray[np.float64]) -> tuple[float, float]:
     Returns
     -------
     misfit, height : float
-        99th percentile of \\|I + III - II\\|, and of the largest \\|limb lead\\| (mV), each less
+        99th percentile of \|I + III - II\|, and of the largest \|limb lead\| (mV), each less
         its median: a constant offset of a lead is no misfit.
     """
     lead_i, lead_ii, lead_iii = signal[:3]

@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 from fascicle.recording.detection import INDEPENDENT
 
-SMOOTHING = 3.0  # ms; standard deviation of the Gaussian derivative
+SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
 CORE = 0.2  # of the highest velocity: surely QRS
 CORE_GAP = 60.0  # ms; a slower stretch between two fast ones belongs to the QRS
 # Fractions of the highest velocity that count as moving. The QRS leaves a still PR segment slowly,
 # and runs into an ST segment that is not still, hence two levels.
-ONSET_LEVEL = 0.025
+ONSET_LEVEL = 0.02
 OFFSET_LEVEL = 0.05
-QUIET = 12.0  # ms; how long the leads must be still
+QUIET = 10.0  # ms; how long the leads must be still
 REACH = 80.0  # ms; the slow start or end of a QRS is not longer
 ESCALATION = 1.25  # by which the level rises where the leads never are still
-NOISE_FACTOR = 2.0  # a level this far above the stillest stretch is not noise
+NOISE_FACTOR = 1.5  # a level this far above the stillest stretch is not noise
 
 
 def spatial_velocity(signal: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -49,7 +49,7 @@ def qrs_window(signal: NDArray[np.float64], step: float) -> tuple[int, int]:
 
     The fastest stretches of the beat are its core; from there outward the QRS lasts until the leads
     have been still for `QUIET` ms. Still means slower than a fraction of the highest velocity,
-    or than twice the noise where that is more.
+    or than 1.5 times the noise where that is more.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def qrs_window(signal: NDArray[np.float64], step: float) -> tuple[int, int]:
 
 
 def _core(velocity: NDArray[np.float64], highest: float, gap: int) -> tuple[int, int]:
-    """Ends of the fast stretch around the highest velocity, joined over short gaps."""
+    """Find the ends of the fast stretch around the highest velocity, joined over short gaps."""
     fast = np.flatnonzero(velocity > CORE * highest)
     groups = np.split(fast, np.flatnonzero(np.diff(fast) > gap) + 1)
     peak = int(np.argmax(velocity))
@@ -89,12 +89,13 @@ def _core(velocity: NDArray[np.float64], highest: float, gap: int) -> tuple[int,
 
 
 def _still_after(outward: NDArray[np.float64], level: float, step: float) -> int:
-    """Samples, going outward from the core, until the leads are still.
+    """Count the samples, going outward from the core, until the leads are still.
 
     Beyond the end of the array everything is still. When nothing is below the level within `REACH`,
     the level rises.
     """
     quiet, reach = max(round(QUIET / step), 1), round(REACH / step)
+    end = len(outward) - 1
     outward = np.append(outward, np.zeros(quiet))[: reach + quiet]
     stretches = np.lib.stride_tricks.sliding_window_view(outward, quiet)
     recorded = stretches[: max(len(stretches) - quiet, 1)]
@@ -102,5 +103,5 @@ def _still_after(outward: NDArray[np.float64], level: float, step: float) -> int
     while True:
         still = np.flatnonzero(stretches.max(axis=1) < level)
         if still.size:
-            return int(still[0])
+            return min(int(still[0]), end)
         level *= ESCALATION

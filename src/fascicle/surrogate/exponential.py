@@ -48,7 +48,7 @@ class Hyperparameters:
 
     @classmethod
     def default(cls, dimension: int) -> Hyperparameters:
-        """The modes of the priors."""
+        """Take the modes of the priors."""
         scale = math.exp(_length_scale_centre(dimension))
         return cls((scale,) * dimension, math.exp(VARIANCE_PRIOR[0]), math.exp(NOISE_PRIOR[0]))
 
@@ -64,7 +64,7 @@ class Hyperparameters:
 
     def to_logarithms(self) -> NDArray[np.float64]:
         """Vector (d + 2,) of logarithms: length scales, variance, noise."""
-        return np.log(np.array([*self.length_scales, self.variance, self.noise]))
+        return np.asarray(np.log([*self.length_scales, self.variance, self.noise]))
 
     @classmethod
     def from_logarithms(cls, vector: NDArray[np.float64]) -> Hyperparameters:
@@ -84,6 +84,7 @@ def to_tensor(array: NDArray[np.float64]) -> Tensor:
 
 def _cholesky(matrix: Tensor) -> Tensor:
     """Lower Cholesky factor; the diagonal is raised, tenfold each time, until there is one."""
+    factor: Tensor
     factor, failed = torch.linalg.cholesky_ex(matrix)
     jitter = 1e-10 * float(matrix.diagonal().mean())
     eye = torch.eye(len(matrix), dtype=matrix.dtype)
@@ -94,7 +95,8 @@ def _cholesky(matrix: Tensor) -> Tensor:
 
 
 def _distances(a: Tensor, b: Tensor) -> Tensor:
-    return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")
+    r: Tensor = torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")
+    return r
 
 
 def log_marginal_likelihood(
@@ -231,7 +233,8 @@ class ExponentialGP:
         """Variance η² − |L⁻¹k|² for the rows k of `kernel` (m, n)."""
         v = torch.linalg.solve_triangular(self.factor, kernel.mT, upper=False)
         floor = 1e-12 * self.hyperparameters.variance
-        return (self.hyperparameters.variance - (v * v).sum(0)).clamp_min(floor)
+        variance: Tensor = (self.hyperparameters.variance - (v * v).sum(0)).clamp_min(floor)
+        return variance
 
     def predict(
         self, points: NDArray[np.float64]

@@ -66,7 +66,8 @@ class FeasibilityGP:
             return torch.zeros(len(points), dtype=points.dtype)
         mean, variance = self.gp.moments(points)
         z = (self.offset + mean) / torch.sqrt(variance + self.gp.hyperparameters.noise)
-        return torch.special.log_ndtr(z)
+        logarithm: Tensor = torch.special.log_ndtr(z)
+        return logarithm
 
     def probability(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Probability that each of `points` (m, d) gives a tree, shape (m,)."""

@@ -42,7 +42,7 @@ class LossGP:
         return cls(ExponentialGP.condition(points, z, hyperparameters), offset, scale)
 
     def with_guess(self, observations: Observations, point: NDArray[np.float64]) -> LossGP:
-        """The process that believes its own mean at a pending `point` (d,) (kriging believer).
+        """Believe the mean at a pending `point` (d,) (kriging believer).
 
         Hyper-parameters, offset and scale stay.
         """

@@ -41,5 +41,5 @@ class Observations:
         return np.isfinite(self.losses)
 
     def with_guess(self, point: NDArray[np.float64], loss: float) -> Observations:
-        """The same observations and one more, at `point` of shape (d,)."""
+        """Add one more, at `point` of shape (d,)."""
         return Observations(np.vstack([self.points, point]), np.append(self.losses, loss))

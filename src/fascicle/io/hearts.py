@@ -1,0 +1,274 @@
+"""Heart folders: a `heart.toml` manifest, a tetrahedral mesh, two endocardia, nine electrodes."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from fascicle.errors import InputError
+from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
+from fascicle.geometry.fibres import average_to_tetrahedra, match_by_position
+from fascicle.geometry.heart import Heart
+from fascicle.geometry.seeds import septal_seeds
+from fascicle.geometry.validate import (
+    check_electrodes,
+    check_endocardium_in_place,
+    check_fibres,
+    check_tetrahedra,
+    check_units,
+)
+from fascicle.io.atomic import atomic_folder
+from fascicle.io.electrodes import read_electrodes, write_electrodes
+from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh, write_grid, write_surface
+
+MANIFEST = "heart.toml"
+DEFAULT_HEART = "default"
+FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
+
+
+class Seeds(BaseModel):
+    """Where one bundle starts and heads for: vertices of its endocardium."""
+
+    model_config = ConfigDict(extra="forbid")
+    root: int
+    direction: int
+
+
+class Manifest(BaseModel):
+    """Contents of `heart.toml`; file names are relative to the folder."""
+
+    model_config = ConfigDict(extra="forbid")
+    format: str
+    name: str
+    units: str
+    mesh: str
+    lv_endocardium: str
+    rv_endocardium: str
+    electrodes: str
+    lv: Seeds
+    rv: Seeds
+
+
+def load_heart(path: Path | str) -> Heart:
+    """Load and validate a heart folder.
+
+    Parameters
+    ----------
+    path : path
+        The folder, or ``"default"`` for the packaged heart.
+
+    Raises
+    ------
+    InputError
+        If anything about it would make the physics wrong; the message names file and remedy.
+    """
+    if str(path) == DEFAULT_HEART and not Path(path).exists():
+        with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as folder:
+            return load_heart(folder)
+    folder = Path(path)
+    manifest = _read_manifest(folder)
+    sides = {
+        side: (folder / getattr(manifest, f"{side}_endocardium"), getattr(manifest, side))
+        for side in ("lv", "rv")
+    }
+    mesh_path = folder / manifest.mesh
+    return assemble_heart(
+        mesh=read_mesh(mesh_path, "mesh"),
+        fibres=None,
+        surfaces={side: read_mesh(file, f"{side.upper()} endocardium") for side, (file, _) in sides.items()},
+        seeds={side: (seeds.root, seeds.direction) for side, (_, seeds) in sides.items()},
+        electrodes=folder / manifest.electrodes,
+        name=manifest.name,
+    )
+
+
+def _read_manifest(folder: Path) -> Manifest:
+    path = folder / MANIFEST
+    if not folder.exists():
+        raise InputError(f"{folder}: no such heart folder; make one with 'fascicle heart import'")
+    if not path.is_file():
+        raise InputError(
+            f"{folder}: not a heart folder (no {MANIFEST}); make one with 'fascicle heart import'"
+        )
+    try:
+        return Manifest.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid TOML ({error}); import the heart again") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path}: '{key}': {first['msg']}; import the heart again") from None
+
+
+def assemble_heart(
+    *,
+    mesh: Mesh,
+    fibres: Mesh | None,
+    surfaces: dict[str, Mesh],
+    seeds: dict[str, tuple[int | None, int | None]],
+    electrodes: Path,
+    name: str,
+) -> Heart:
+    """Build and validate a heart from files that were read.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Tetrahedra, and the fibres too if `fibres` is None.
+    fibres : Mesh or None
+        The file that holds the fibres, per point or per tetrahedron.
+    surfaces : dict of side to Mesh
+        Endocardia.
+    seeds : dict of side to (root, direction)
+        Vertices of the endocardia; None where they are to be found.
+    electrodes : Path
+        File of electrode positions.
+    name : str
+        What to call the heart.
+    """
+    tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
+    check_units(str(mesh.path), mesh.points)
+    direction = _fibres_per_tetrahedron(mesh, tetrahedra, fibres if fibres is not None else mesh)
+    used, compact = np.unique(tetrahedra, return_inverse=True)
+    vertices, tetrahedra = mesh.points[used], compact.reshape(-1, 4).astype(np.int64)
+    check_tetrahedra(str(mesh.path), vertices, tetrahedra)
+    opened = {side: _surface(side, surface) for side, surface in surfaces.items()}
+    for side, (points, _) in opened.items():
+        check_endocardium_in_place(f"{surfaces[side].path}", points, vertices)
+    endocardia = {}
+    for side, other in (("lv", "rv"), ("rv", "lv")):
+        points, triangles = opened[side]
+        found = _seeds(side, seeds[side], points, triangles, opened[other][0])
+        endocardia[side] = Endocardium(side, points, triangles, *found)
+    heart = Heart(
+        vertices=vertices,
+        tetrahedra=tetrahedra,
+        fibres=direction,
+        lv=endocardia["lv"],
+        rv=endocardia["rv"],
+        electrodes=read_electrodes(electrodes),
+        name=name,
+    )
+    check_electrodes(str(electrodes), heart.electrodes, heart)
+    return heart
+
+
+def _surface(side: str, surface: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points and triangles of an endocardium, facing its cavity.
+
+    Point indices stay as in the file, since seeds refer to them; points that no triangle uses
+    would make the chart singular and are refused.
+    """
+    name = f"{surface.path} ({side.upper()} endocardium)"
+    triangles = surface.require(TRIANGLE, "triangles")
+    unused = len(surface.points) - np.unique(triangles).size
+    if unused:
+        raise InputError(
+            f"{name}: {unused} of {len(surface.points)} points belong to no triangle; remove them "
+            "(ParaView: Clean)"
+        )
+    return surface.points, oriented_into_cavity(surface.points, triangles, name)
+
+
+def _seeds(
+    side: str,
+    given: tuple[int | None, int | None],
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    opposite: NDArray[np.float64],
+) -> tuple[int, int]:
+    found = septal_seeds(points, triangles, opposite)
+    seeds = tuple(
+        found[k] if given_seed is None else given_seed for k, given_seed in enumerate(given)
+    )
+    for what, seed in zip(("root", "direction"), seeds, strict=True):
+        if not 0 <= seed < len(points):
+            raise InputError(
+                f"{side.upper()} {what} {seed}: the endocardium has points 0 to {len(points) - 1}"
+            )
+    return seeds[0], seeds[1]
+
+
+def _fibres_per_tetrahedron(
+    mesh: Mesh, tetrahedra: NDArray[np.int64], source: Mesh
+) -> NDArray[np.float64]:
+    """Unit fibre of each tetrahedron, matched by position if the order differs."""
+    name = str(source.path)
+    values, per_cell = _fibre_array(source)
+    if per_cell:
+        theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
+        ours = mesh.points[tetrahedra].mean(axis=1)
+        row = match_by_position(name, theirs, ours, "tetrahedra")
+        values = values[row]
+        check_fibres(name, values)
+        length = np.linalg.norm(values, axis=1, keepdims=True)
+        # a fibre of unit length to rounding stays as it is, so that a written heart reads back equal
+        return np.asarray(np.where(np.abs(length - 1) < 1e-12, values, values / length))
+    used = np.unique(tetrahedra)
+    row = match_by_position(name, source.points, mesh.points[used], "vertices")
+    at_vertex = np.zeros((len(mesh.points), 3))
+    at_vertex[used] = values[row]
+    check_fibres(name, at_vertex[used])
+    at_vertex[at_vertex.any(axis=1) == 0] = [1.0, 0.0, 0.0]  # points that no tetrahedron uses
+    return average_to_tetrahedra(at_vertex, tetrahedra)
+
+
+def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
+    """The array of directions in a file, and whether it is one per tetrahedron."""
+    candidates: dict[str, tuple[Any, bool]] = {}
+    for arrays, per_cell in (
+        (source.cell_data.get(TETRAHEDRON, {}), True),
+        (source.point_data, False),
+    ):
+        for key, values in arrays.items():
+            if np.ndim(values) == 2 and np.shape(values)[1] == 3 and key.lower() != "normals":
+                candidates[key] = (values, per_cell)
+    named = [key for key in candidates if key.lower() in FIBRE_NAMES]
+    keys = named if named else list(candidates)
+    if len(keys) != 1:
+        found = ", ".join(keys) if keys else "none"
+        raise InputError(
+            f"{source.path}: need one array of fibre directions (3 components); found {found}; "
+            f"name it 'fibre'"
+        )
+    values, per_cell = candidates[keys[0]]
+    return np.asarray(values, dtype=float), per_cell
+
+
+def write_heart(heart: Heart, folder: Path) -> None:
+    """Write a heart folder, whole or not at all."""
+    with atomic_folder(folder) as temporary:
+        write_grid(
+            temporary / "mesh.vtu",
+            heart.vertices,
+            heart.tetrahedra,
+            TETRAHEDRON,
+            cell_data={"fibre": heart.fibres},
+        )
+        lines = [
+            'format = "fascicle heart 1"',
+            f"name = {json.dumps(heart.name)}",
+            'units = "mm"',
+            'mesh = "mesh.vtu"',
+        ]
+        for endocardium in heart.endocardia:
+            file = f"{endocardium.side}_endocardium.vtp"
+            write_surface(temporary / file, endocardium.vertices, endocardium.triangles)
+            lines.append(f'{endocardium.side}_endocardium = "{file}"')
+        write_electrodes(temporary / "electrodes.csv", heart.electrodes)
+        lines.append('electrodes = "electrodes.csv"')
+        for endocardium in heart.endocardia:
+            lines += [
+                "",
+                f"[{endocardium.side}]  # points of the endocardium",
+                f"root = {endocardium.root}",
+                f"direction = {endocardium.direction}",
+            ]
+        (temporary / MANIFEST).write_text("\n".join(lines) + "\n", encoding="utf-8")

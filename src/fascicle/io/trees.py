@@ -1,0 +1,98 @@
+"""Purkinje trees as lines in VTU or VTP files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from fascicle.errors import InputError
+from fascicle.io.meshes import LINE, Mesh, check_file, read_mesh, write_grid
+from fascicle.tree.purkinje import PurkinjeTree
+
+TREE_FORMATS = (".vtu", ".vtp", ".vtk")
+SAME_POINT = 1e-6  # mm; ends of polylines closer than this are one node
+
+
+def write_tree(path: Path, tree: PurkinjeTree, activation: NDArray[np.float64]) -> None:
+    """Write a tree as VTU lines with its activation (ms) and segment lengths (mm)."""
+    child = np.flatnonzero(tree.parents >= 0)
+    write_grid(
+        path,
+        tree.nodes,
+        np.column_stack([tree.parents[child], child]),
+        LINE,
+        point_data={"activation": activation},
+        cell_data={"length": tree.lengths[child]},
+    )
+
+
+def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> PurkinjeTree:
+    """Read a tree of lines.
+
+    Segments take their length from a cell array ``length`` (mm) if there is one, as in trees that
+    were written here, else from their ends.
+
+    Parameters
+    ----------
+    path : path
+        VTU, VTP or VTK file of lines or polylines (mm).
+    side : str
+        ``"lv"`` or ``"rv"``.
+    near : (3,) array
+        The root is the free end of the tree nearest to this point (mm).
+
+    Raises
+    ------
+    InputError
+        If the file is not one connected tree without loops.
+    """
+    path = Path(path)
+    check_file(path, TREE_FORMATS, f"{side.upper()} tree")
+    mesh = read_mesh(path, f"{side.upper()} tree")
+    segments, lengths = _segments(mesh)
+    used, compact = np.unique(segments, return_inverse=True)
+    key = np.round(mesh.points[used] / SAME_POINT).astype(np.int64)
+    _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    nodes = mesh.points[used][first]
+    segments = merged.ravel()[compact].reshape(-1, 2)
+    count = len(nodes)
+    graph = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), (count, count))
+    graph = (graph + graph.T).tocsr()
+    pieces, _ = connected_components(graph, directed=False)
+    if pieces > 1:
+        raise InputError(f"{path}: the lines fall into {pieces} unconnected pieces; give one tree")
+    if len(segments) != count - 1:
+        raise InputError(
+            f"{path}: {len(segments)} segments between {count} nodes make a loop or repeat "
+            "themselves; a tree has one segment fewer than nodes"
+        )
+    ends = np.flatnonzero(np.bincount(segments.ravel(), minlength=count) == 1)
+    root = int(ends[np.argmin(np.linalg.norm(nodes[ends] - near, axis=1))])
+    _, parents = breadth_first_order(graph, root, directed=False)
+    parents = np.where(np.arange(count) == root, -1, parents).astype(np.int64)
+    is_first = parents[segments[:, 1]] == segments[:, 0]
+    child = np.where(is_first, segments[:, 1], segments[:, 0])
+    to_parent = np.zeros(count)
+    to_parent[child] = lengths
+    return PurkinjeTree(side, nodes, parents, to_parent)
+
+
+def _segments(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    segments = mesh.require(LINE, "lines")
+    ends = mesh.points[segments]
+    chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    given = mesh.cell_data.get(LINE, {}).get("length")
+    if given is None:
+        return segments, chords
+    lengths = np.asarray(given, dtype=float)
+    bad = np.flatnonzero(~np.isfinite(lengths) | (lengths < chords * (1 - 1e-4)))
+    if bad.size:
+        raise InputError(
+            f"{mesh.path}: segment {bad[0]} has length {lengths[bad[0]]:.3g} mm but its ends are "
+            f"{chords[bad[0]]:.3g} mm apart; correct or remove the array 'length'"
+        )
+    return segments, lengths

@@ -1,0 +1,214 @@
+"""Targets of made-up recordings whose QRS is known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.errors import InputError
+from fascicle.leads import LEADS, lead_matrix
+from fascicle.recording.beats import make_target
+from fascicle.recording.recording import Recording
+
+ONSET, OFFSET = -45.0, 55.0  # ms from the nominal R
+
+
+def hump(t, start, end):
+    """sin² between start and end, 0 outside: its ends are known."""
+    phase = np.clip((t - start) / (end - start), 0, 1)
+    return np.sin(np.pi * phase) ** 2
+
+
+def beat(t, tall_t=1.0):
+    """Nine electrode potentials (mV) of one beat; the QRS spans ONSET to OFFSET."""
+    rng = np.random.default_rng(3)
+    r, s, p, wave_t = rng.normal(size=(4, 9))
+    return (
+        1.2 * r[:, None] * hump(t, ONSET, 20)
+        + 0.7 * s[:, None] * hump(t, -10, OFFSET)
+        + 0.08 * p[:, None] * hump(t, -200, -100)
+        + 0.25 * tall_t * wave_t[:, None] * hump(t, 130, 330)
+    )
+
+
+def ecg(rate=500.0, seconds=10.0, interval=850.0, jitter=15.0, seed=0, ectopic=(), tall_t=1.0):
+    """(12, n) mV and the R times (ms)."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) * 1000 / rate
+    times = (
+        np.arange(400.0, t[-1], interval)
+        + rng.uniform(-jitter, jitter, 100)[: len(np.arange(400.0, t[-1], interval))]
+    )
+    signal = np.zeros((12, len(t)))
+    for k, centre in enumerate(times):
+        if k in ectopic:
+            wide = np.random.default_rng(9).normal(size=(9, 1)) * hump(t - centre, -90, 110)
+            signal += lead_matrix() @ (2.0 * wide)
+        else:
+            signal += lead_matrix() @ beat(t - centre, tall_t)
+    return signal + 0.004 * rng.normal(size=signal.shape), times
+
+
+def true_window(target, times):
+    """Window in the target's own time: its R is not the nominal one, but a constant away."""
+    clean = lead_matrix() @ beat(target.time)
+    shifts = np.arange(-60, 61)
+    inner = slice(100, -100)
+    score = [np.sum(np.roll(clean, s, axis=1)[:, inner] * target.mean[:, inner]) for s in shifts]
+    shift = shifts[int(np.argmax(score))]
+    return ONSET + shift, OFFSET + shift
+
+
+@pytest.mark.parametrize("rate", [250.0, 360.0, 500.0, 977.0, 1000.0, 2000.0])
+def test_window_is_found_at_every_sampling_rate(rate):
+    signal, times = ecg(rate)
+    target = make_target(Recording(signal, rate, "made up"))
+    onset, offset = true_window(target, times)
+    assert target.qrs_onset == pytest.approx(onset, abs=7)
+    assert target.qrs_offset == pytest.approx(offset, abs=7)
+    assert target.heart_rate == pytest.approx(60000 / 850, rel=0.02)
+    assert np.diff(target.time) == pytest.approx(1.0)
+    assert 0.0 in target.time
+
+
+@pytest.mark.parametrize("interval", [360.0, 500.0, 1500.0])
+def test_slow_and_fast_rhythms(interval):
+    signal, times = ecg(interval=interval, jitter=3.0)
+    target = make_target(Recording(signal, 500.0, "made up"))
+    assert target.heart_rate == pytest.approx(60000 / interval, rel=0.02)
+    assert len(target.beats) >= len(times) - 2
+    assert target.time[-1] - target.time[0] <= min(700, interval) + 1
+
+
+def test_tall_t_waves_are_not_beats():
+    signal, _ = ecg(interval=1200.0, tall_t=5.0)
+    target = make_target(Recording(signal, 500.0, "made up"))
+    assert target.heart_rate == pytest.approx(50, rel=0.02)
+    assert target.qrs_duration == pytest.approx(OFFSET - ONSET, abs=14)
+
+
+def test_drift_is_removed():
+    clean, _ = ecg()
+    t = np.arange(clean.shape[1]) / 500.0
+    drift = 0.3 * np.sin(2 * np.pi * 0.25 * t) + 0.05 * t
+    target = make_target(Recording(clean, 500.0, "clean"))
+    drifting = make_target(Recording(clean + drift, 500.0, "drifting"))
+    inside = target.qrs_samples
+    assert np.abs(drifting.qrs - target.mean[:, drifting.qrs_samples]).max() < 0.02
+    assert drifting.standard_deviation[:, inside].max() < 0.1
+    assert np.abs(drifting.mean[:, inside.start]).max() < 0.02
+
+
+def test_mains_hum_does_not_widen_the_window():
+    clean, _ = ecg()
+    t = np.arange(clean.shape[1]) / 500.0
+    quiet = make_target(Recording(clean, 500.0, "clean"))
+    humming = make_target(Recording(clean + 0.03 * np.sin(2 * np.pi * 50 * t), 500.0, "hum"))
+    assert humming.qrs_onset == pytest.approx(quiet.qrs_onset, abs=6)
+    assert humming.qrs_offset == pytest.approx(quiet.qrs_offset, abs=6)
+
+
+def test_ectopic_beats_are_left_out():
+    plain = make_target(Recording(ecg()[0], 500.0, "plain"))
+    signal, times = ecg(ectopic=(2, 5, 8))
+    target = make_target(Recording(signal, 500.0, "ectopic"))
+    assert target.provenance["beats_found"] == str(len(times))
+    assert len(target.beats) == len(plain.beats) - 3
+    assert np.abs(target.qrs - plain.mean[:, target.qrs_samples]).max() < 0.03
+
+
+def test_majority_of_odd_beats_is_reported():
+    signal, _ = ecg(ectopic=(1, 3, 5, 7))
+    target = make_target(Recording(signal, 500.0, "bigeminy"))
+    assert "beats are alike" in target.provenance["warnings"]
+
+
+def test_alignment_is_better_than_a_sample():
+    signal, _ = ecg(rate=1000.0)
+    target = make_target(Recording(signal, 1000.0, "made up"))
+    noise = 0.004 * np.sqrt(1 + 1 / 20)
+    slope = np.abs(np.gradient(target.mean, axis=1)).max()
+    assert target.standard_deviation.max() < 0.6 * slope + 3 * noise
+
+
+def test_two_beats_suffice():
+    signal, _ = ecg(seconds=2.0)
+    assert len(make_target(Recording(signal, 500.0, "short")).beats) == 2
+
+
+def test_window_can_be_given():
+    recording = Recording(ecg()[0], 500.0, "made up")
+    target = make_target(recording, onset=-60, offset=80.5)
+    assert (target.qrs_onset, target.qrs_offset, target.qrs_duration) == (-60, 80.5, 140.5)
+    assert target.qrs.shape == (12, 141)
+    assert target.provenance["qrs_onset_from"] == "given"
+    only_one = make_target(recording, offset=90.0)
+    assert only_one.qrs_offset == 90.0
+    assert only_one.qrs_onset == make_target(recording).qrs_onset
+
+
+@pytest.mark.parametrize(
+    ("onset", "offset"), [(20, -20), (-10, 5), (-400, 50), (-50, 900), (float("nan"), 50)]
+)
+def test_impossible_windows_are_refused(onset, offset):
+    with pytest.raises(InputError, match=r"^made up: QRS window .*ms.*") as info:
+        make_target(Recording(ecg()[0], 500.0, "made up"), onset=onset, offset=offset)
+    assert "\n" not in str(info.value)
+
+
+def bad(change):
+    signal, _ = ecg()
+    return change(signal)
+
+
+def flat_v2(signal):
+    signal[7] = 0.3
+    return signal, 500.0
+
+
+def with_gap(signal):
+    signal[1, 40:50] = np.nan
+    return signal, 500.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (flat_v2, "lead V2 is flat"),
+        (with_gap, "10 samples are missing or not finite .*lead II, sample 40"),
+        (lambda s: (s, 0.0), "sampling rate is 0 Hz"),
+        (lambda s: (s, 125.0), "sampling rate is 125 Hz"),
+        (lambda s: (s[:, :500], 500.0), "1.00 s long"),
+        (lambda s: (s[:11], 500.0), r"shape \(11, 5000\)"),
+        (lambda s: (s[:, :800], 500.0), "complete beats in 1.6 s|beats found in 1.6 s"),
+        (lambda s: (1000 * s, 500.0), "spans .* mV in one beat"),
+    ],
+)
+def test_unusable_recordings_are_refused_in_one_line(change, words):
+    with pytest.raises(InputError, match=words) as info:
+        make_target(Recording(*bad(change), "file.csv"))
+    assert str(info.value).startswith("file.csv: ")
+    assert "\n" not in str(info.value)
+
+
+def test_noise_without_beats_is_refused():
+    noise = 0.1 * np.random.default_rng(1).normal(size=(12, 5000))
+    with pytest.raises(InputError, match=r"beats|mV in one beat"):
+        make_target(Recording(noise, 500.0, "noise"))
+
+
+def test_unequal_gains_are_reported_and_equal_ones_are_not():
+    signal, _ = ecg()
+    assert "warnings" not in make_target(Recording(signal, 500.0, "equal")).provenance
+    signal[0] *= 1.5
+    warning = make_target(Recording(signal, 500.0, "unequal")).provenance["warnings"]
+    assert "I + III differs from II by" in warning
+    assert "gain" in warning
+
+
+def test_leads_are_not_mixed_up():
+    signal, _ = ecg()
+    target = make_target(Recording(signal, 500.0, "made up"))
+    i, ii, iii, avr = (target.mean[LEADS.index(lead)] for lead in ("I", "II", "III", "aVR"))
+    assert i + iii == pytest.approx(ii, abs=0.02)
+    assert avr == pytest.approx(-(i + ii) / 2, abs=0.02)

@@ -1,0 +1,248 @@
+"""A study survives interruption and refuses to be mixed with another."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fascicle.errors import InputError
+from fascicle.evaluation import Evaluation
+from fascicle.parameters import Parameter, ParameterSpace
+from fascicle.study import Study, StudyConfig
+
+SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
+NOISE = np.linspace(-1, 1, 6) ** 3
+
+
+def make_config(**changes):
+    settings = {
+        "heart": "aa", "target": "bb", "space": StudyConfig.free(SPACE), "initial": 12, "steps": 5,
+        "samples": 4, "draws": 3000, "patience": 6, "rounds": 4, "seed": 3,
+    }  # fmt: skip
+    return StudyConfig(**(settings | changes))
+
+
+def evaluate(point):
+    if point.sum() > 1.5:
+        return Evaluation(point, np.nan, np.empty(0), "left the endocardium")
+    loss = 2 + 60 * float(((point - [0.3, 0.7]) ** 2).sum())
+    return Evaluation(point, loss, loss + 0.7 * NOISE)
+
+
+def objective(points):
+    return [evaluate(point) for point in points]
+
+
+def silent(stage, done, total, message):
+    pass
+
+
+def summary(study, posterior):
+    """Everything that must come out the same, bit for bit."""
+    records = study.records()
+    return (
+        [(r.stage, r.evaluation.point.tobytes(), r.evaluation.reason) for r in records],
+        [np.float64(r.evaluation.loss).tobytes() for r in records],
+        [r.evaluation.beat_errors.tobytes() for r in records],
+        posterior.points.tobytes(),
+        posterior.distances.tobytes(),
+        posterior.losses.tobytes(),
+        {name: values.tobytes() for name, values in posterior.values.items()},
+        (posterior.best_loss, posterior.rounds, posterior.evaluated),
+    )
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    study = Study.create_or_resume(tmp_path_factory.mktemp("whole") / "study", make_config())
+    return summary(study, study.run(objective, silent))
+
+
+def test_stages_and_result(tmp_path):
+    told = []
+    study = Study.create_or_resume(tmp_path / "s", make_config())
+    posterior = study.run(objective, lambda *news: told.append(news))
+    stages = [record.stage for record in study.records()]
+    assert stages[:17] == ["initial"] * 12 + ["optimisation"] * 5
+    assert stages[17:] == ["posterior"] * posterior.evaluated
+    assert posterior.complete
+    assert len(posterior.points) == 4
+    assert posterior.acceptance == pytest.approx(4 / posterior.evaluated)
+    assert posterior.best_loss == min(
+        r.evaluation.loss for r in study.records()[:17] if r.evaluation.feasible
+    )
+    np.testing.assert_allclose(posterior.values["cv"], 2 + 2 * posterior.points[:, 0])
+    assert {stage for stage, *_ in told} == {"initial", "optimisation", "prior", "posterior"}
+    assert all(0 <= done <= total for _, done, total, _ in told)
+    assert [news[1] for news in told if news[0] == "optimisation"] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("calls", [5, 14, 18])
+def test_interrupted_study_resumes_to_the_same_bits(tmp_path, uninterrupted, calls):
+    done = 0
+
+    def interrupted(points):
+        nonlocal done
+        if done == calls:
+            raise KeyboardInterrupt
+        done += 1
+        return objective(points)
+
+    study = Study.create_or_resume(tmp_path / "s", make_config())
+    with pytest.raises(KeyboardInterrupt):
+        study.run(interrupted, silent)
+    assert len(study.records()) == calls
+    again = 0
+
+    def counting(points):
+        nonlocal again
+        again += len(points)
+        return objective(points)
+
+    resumed = Study.create_or_resume(tmp_path / "s", make_config())
+    assert summary(resumed, resumed.run(counting, silent)) == uninterrupted
+    assert again == len(uninterrupted[0]) - calls
+
+
+def test_finished_study_evaluates_nothing(tmp_path, uninterrupted):
+    study = Study.create_or_resume(tmp_path / "s", make_config())
+    study.run(objective, silent)
+
+    def forbidden(points):
+        raise AssertionError("nothing is left to evaluate")
+
+    reopened = Study.open(tmp_path / "s")
+    assert summary(reopened, reopened.run(forbidden, silent)) == uninterrupted
+
+
+def test_killed_study_resumes_to_the_same_bits(tmp_path, uninterrupted):
+    folder = tmp_path / "s"
+    script = (
+        "import sys, time; from pathlib import Path; sys.path.insert(0, sys.argv[2])\n"
+        "import test_study_folder as t\n"
+        "def slow(points):\n    time.sleep(0.05); return t.objective(points)\n"
+        "t.Study.create_or_resume(Path(sys.argv[1]), t.make_config()).run(slow, t.silent)\n"
+    )
+    here = str(Path(__file__).parent)
+    process = subprocess.Popen([sys.executable, "-c", script, str(folder), here])
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and stored(folder) < 14 and process.poll() is None:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert 14 <= stored(folder) < len(uninterrupted[0])
+    resumed = Study.create_or_resume(folder, make_config())
+    assert summary(resumed, resumed.run(objective, silent)) == uninterrupted
+
+
+def stored(folder):
+    if not (folder / "evaluations.sqlite").exists():
+        return 0
+    return len(Study.open(folder).records())
+
+
+def test_batches_are_repeatable(tmp_path):
+    config = make_config(batch=3)
+    one, two = (Study.create_or_resume(tmp_path / name, config) for name in "ab")
+    sizes = []
+
+    def watched(points):
+        sizes.append(len(points))
+        return objective(points)
+
+    assert summary(one, one.run(watched, silent)) == summary(two, two.run(objective, silent))
+    assert sizes[:6] == [3, 3, 3, 3, 3, 2]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"heart": "cc"}, r"another heart \(aa there, cc now\)"),
+        ({"target": "cc"}, "another target"),
+        ({"steps": 6}, r"another steps \(5 there, 6 now\)"),
+        ({"gain": True, "seed": 9}, "gain .* seed"),
+        ({"fixed": {"w": 0.2}}, "another fixed;"),
+        ({"space": StudyConfig.free(SPACE.restricted("cv", 1, 4))}, "another space;"),
+    ],
+)
+def test_other_settings_are_refused(tmp_path, change, told):
+    Study.create_or_resume(tmp_path / "s", make_config())
+    with pytest.raises(InputError, match=told) as caught:
+        Study.create_or_resume(tmp_path / "s", make_config(**change))
+    assert "\n" not in str(caught.value)
+    assert "--out" in str(caught.value)
+
+
+def test_foreign_folders_are_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(InputError, match="not a study"):
+        Study.create_or_resume(tmp_path, make_config())
+    with pytest.raises(InputError, match="no study.json"):
+        Study.open(tmp_path)
+    with pytest.raises(InputError, match=r"thesis.tex: .*--out"):
+        Study.create_or_resume(tmp_path / "thesis.tex", make_config())
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"heart": "a", "colour": 1}', "\udcff"])
+def test_damaged_configuration_is_refused(tmp_path, text):
+    (tmp_path / "study.json").write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(InputError, match="study.json") as caught:
+        Study.create_or_resume(tmp_path, make_config())
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_database_is_refused(tmp_path):
+    Study.create_or_resume(tmp_path, make_config())
+    (tmp_path / "evaluations.sqlite").write_bytes(b"not a database" * 100)
+    with pytest.raises(InputError, match=r"evaluations.sqlite.*--out"):
+        Study.create_or_resume(tmp_path, make_config())
+
+
+def test_second_writer_is_refused(tmp_path):
+    study = Study.create_or_resume(tmp_path, make_config())
+
+    def rival(points):
+        if len(study.records()) == 3:
+            Study.open(tmp_path).run(objective, silent)
+        return objective(points)
+
+    with pytest.raises(InputError, match="another process"):
+        study.run(rival, silent)
+
+
+def test_no_tree_anywhere_is_told(tmp_path):
+    def hopeless(points):
+        return [Evaluation(p, np.nan, np.empty(0), "bundle left the endocardium") for p in points]
+
+    study = Study.create_or_resume(tmp_path, make_config())
+    with pytest.raises(InputError, match=r"none of the 12 .*bundle left the endocardium"):
+        study.run(hopeless, silent)
+
+
+def test_one_beat_is_told(tmp_path):
+    study = Study.create_or_resume(tmp_path, make_config())
+    with pytest.raises(InputError, match="1 beat"):
+        study.run(lambda points: [Evaluation(p, 1.0, np.ones(1)) for p in points], silent)
+
+
+def test_posterior_covers_the_acceptance_region(tmp_path):
+    """Accepted samples of a quadratic loss lie in the disc that the distance defines."""
+    config = make_config(steps=10, samples=25, draws=20_000, patience=50)
+    posterior = Study.create_or_resume(tmp_path, config).run(objective, silent)
+    assert posterior.complete
+    radius = np.linalg.norm(posterior.points - [0.3, 0.7], axis=1)
+    assert radius.max() < 0.21
+    assert 0.03 < radius.mean()
+
+
+def test_importing_the_study_loads_no_torch():
+    code = (
+        "import sys, fascicle.study; print([m for m in ('torch', 'sklearn') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
