@@ -141,7 +141,7 @@ def fit(
     if not (folder / "target.nc").exists():
         write_target(target, folder / "target.nc")
     problem = Problem(ForwardModel(heart), target, NETWORK_SPACE, free_gain, workers)
-    posterior = study.run(problem, progress)
+    posterior = study.run(problem, progress if progress is not None else _silent)
     fitted = FittedStudy(folder, study, problem, _accepted(posterior))
     write_results(fitted, posterior, progress)
     return fitted
@@ -156,13 +156,17 @@ def load_study(folder: Path | str) -> FittedStudy:
         If the folder is not a study, or the study is not finished.
     """
     folder = Path(folder)
-    study = Study.load(folder)
+    study = Study.open(folder)
     accepted = read_posterior(folder / POSTERIOR)
     heart = load_heart(folder / "heart")
     target = read_target(folder / "target.nc")
     space = study.config.parameter_space()
     problem = Problem(ForwardModel(heart), target, space, study.config.gain, study.config.batch)
     return FittedStudy(folder, study, problem, accepted)
+
+
+def _silent(stage: str, done: int, total: int, message: str) -> None:
+    """Progress that nobody watches."""
 
 
 def target_digest(target: Target) -> str:
@@ -246,7 +250,11 @@ def _summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
         "candidates_evaluated": posterior.evaluated,
         "posterior_rounds": posterior.rounds,
         "parameters": {
-            name: {"minimum": float(v.min()), "median": float(np.median(v)), "maximum": float(v.max())}
+            name: {
+                "minimum": float(v.min()),
+                "median": float(np.median(v)),
+                "maximum": float(v.max()),
+            }
             for name, v in posterior.values.items()
             if len(v)
         },

@@ -138,9 +138,7 @@ class ForwardModel:
             return trees
         return self.activate(trees, parameters["root_time"], parameters["cv"])
 
-    def activate(
-        self, trees: Sequence[PurkinjeTree], root_time: float, cv: float
-    ) -> Simulation:
+    def activate(self, trees: Sequence[PurkinjeTree], root_time: float, cv: float) -> Simulation:
         """Activate the heart through given trees and compute the ECG.
 
         Parameters

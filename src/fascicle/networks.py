@@ -54,6 +54,4 @@ def simulate_all(
 
 def _simulate(problem: Problem, parameters: dict[str, float]) -> Network:
     simulation = simulate_valid(problem.model, parameters)
-    return Network(
-        parameters, simulation, problem.predicted(simulation, problem.align(simulation))
-    )
+    return Network(parameters, simulation, problem.predicted(simulation, problem.align(simulation)))

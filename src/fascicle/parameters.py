@@ -103,3 +103,20 @@ def check_names(values: Mapping[str, float], names: tuple[str, ...]) -> None:
     missing = [name for name in names if name not in values]
     if missing:
         raise InputError(f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}")
+
+
+# A network that fits the packaged heart and gives an ECG within normal limits.
+EXAMPLE_PARAMETERS: dict[str, float] = {
+    "lv_initial_length": 45.0,
+    "rv_initial_length": 55.0,
+    "lv_fascicle_length_1": 15.0,
+    "lv_fascicle_length_2": 20.0,
+    "rv_fascicle_length_1": 20.0,
+    "rv_fascicle_length_2": 15.0,
+    "lv_fascicle_angle_1": 0.9,
+    "lv_fascicle_angle_2": -0.6,
+    "rv_fascicle_angle_1": 0.7,
+    "rv_fascicle_angle_2": -0.4,
+    "root_time": 0.0,
+    "cv": 3.0,
+}

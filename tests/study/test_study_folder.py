@@ -182,7 +182,7 @@ def test_foreign_folders_are_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(InputError, match="not a study"):
         Study.create_or_resume(tmp_path, make_config())
-    with pytest.raises(InputError, match="no study.json"):
+    with pytest.raises(InputError, match=r"no study\.json"):
         Study.open(tmp_path)
     with pytest.raises(InputError, match=r"thesis.tex: .*--out"):
         Study.create_or_resume(tmp_path / "thesis.tex", make_config())
@@ -191,7 +191,7 @@ def test_foreign_folders_are_refused(tmp_path):
 @pytest.mark.parametrize("text", ["{", "[]", '{"heart": "a", "colour": 1}', "\udcff"])
 def test_damaged_configuration_is_refused(tmp_path, text):
     (tmp_path / "study.json").write_bytes(text.encode("utf-8", "surrogateescape"))
-    with pytest.raises(InputError, match="study.json") as caught:
+    with pytest.raises(InputError, match=r"study\.json") as caught:
         Study.create_or_resume(tmp_path, make_config())
     assert "\n" not in str(caught.value)
 
@@ -237,7 +237,7 @@ def test_posterior_covers_the_acceptance_region(tmp_path):
     assert posterior.complete
     radius = np.linalg.norm(posterior.points - [0.3, 0.7], axis=1)
     assert radius.max() < 0.21
-    assert 0.03 < radius.mean()
+    assert radius.mean() > 0.03
 
 
 def test_importing_the_study_loads_no_torch():

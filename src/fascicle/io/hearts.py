@@ -82,7 +82,10 @@ def load_heart(path: Path | str) -> Heart:
     return assemble_heart(
         mesh=read_mesh(mesh_path, "mesh"),
         fibres=None,
-        surfaces={side: read_mesh(file, f"{side.upper()} endocardium") for side, (file, _) in sides.items()},
+        surfaces={
+            side: read_mesh(file, f"{side.upper()} endocardium")
+            for side, (file, _) in sides.items()
+        },
         seeds={side: (seeds.root, seeds.direction) for side, (_, seeds) in sides.items()},
         electrodes=folder / manifest.electrodes,
         name=manifest.name,

@@ -5,12 +5,76 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from fascicle.forward import Simulation
+from fascicle.errors import InputError
+from fascicle.forward import ForwardModel, Simulation
 from fascicle.geometry.heart import Heart
 from fascicle.io.atomic import atomic_folder, write_text
 from fascicle.io.ecgs import write_ecg
 from fascicle.io.meshes import TETRAHEDRON, write_grid
-from fascicle.io.trees import write_tree
+from fascicle.io.parameters import read_parameters
+from fascicle.io.trees import read_tree, write_tree
+from fascicle.parameters import EXAMPLE_PARAMETERS, check_names
+from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
+
+FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
+
+
+def simulate_inputs(
+    model: ForwardModel,
+    params: Path | None = None,
+    lv_tree: Path | None = None,
+    rv_tree: Path | None = None,
+    cv: float | None = None,
+    root_time: float | None = None,
+) -> tuple[Simulation, dict[str, object]]:
+    """Run the forward model on what the user gave: a parameter file, or two trees.
+
+    Returns
+    -------
+    simulation : Simulation
+    inputs : dict
+        What was simulated, for the summary.
+
+    Raises
+    ------
+    InputError
+        If files cannot be used, one tree is missing, or the parameters give no tree.
+    """
+    given = {"cv": cv, "root_time": root_time}
+    overrides = {name: value for name, value in given.items() if value is not None}
+    if lv_tree is None and rv_tree is None:
+        parameters = read_parameters(params) if params is not None else dict(EXAMPLE_PARAMETERS)
+        parameters |= overrides
+        outcome = model.simulate(parameters)
+        if isinstance(outcome, InvalidTree):
+            raise InputError(f"{params or 'example parameters'}: {outcome.reason}; shorten it")
+        return outcome, {"parameters": parameters}
+    if params is not None:
+        raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
+    if lv_tree is None or rv_tree is None:
+        raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
+    defaults = {name: EXAMPLE_PARAMETERS[name] for name in given}
+    physics = defaults | overrides
+    check_names(physics, tuple(given))
+    if physics["cv"] <= 0:
+        raise InputError(f"parameter 'cv' is {physics['cv']}; it must be positive")
+    trees = []
+    for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
+        tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
+        _check_at_tissue(path, model, tree)
+        trees.append(tree)
+    files = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
+    return model.activate(trees, physics["root_time"], physics["cv"]), files | physics
+
+
+def _check_at_tissue(path: Path, model: ForwardModel, tree: PurkinjeTree) -> None:
+    distances = model.tissue.locate(tree.nodes[tree.junctions]).distances
+    if distances.max() > FURTHEST_JUNCTION:
+        raise InputError(
+            f"{path}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
+            f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
+            "give the tree in the heart's frame, in mm"
+        )
 
 
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, object]:

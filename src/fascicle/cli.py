@@ -1,0 +1,307 @@
+"""The command line: reads arguments, calls the package, prints."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fascicle.errors import InputError
+
+if TYPE_CHECKING:
+    from fascicle.fitting import FittedStudy
+    from fascicle.geometry.heart import Heart
+    from fascicle.recording.target import Target
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="Learn a patient's Purkinje network, with its uncertainty, from a heart model and an "
+    "ordinary 12-lead ECG, and predict from it what pacing would do.\n\n"
+    "The usual way: **heart import** a mesh, make a **target** of a recording, **fit**, then "
+    "**predict** and **report**. **demo** does it all on a packaged heart and a real ECG.",
+)
+heart_app = typer.Typer(no_args_is_help=True, help="Build and check heart folders.")
+app.add_typer(heart_app, name="heart")
+
+HeartArgument = Annotated[
+    str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
+]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
+Seed = Annotated[int | None, typer.Option(help="Point of the endocardium, from 0.")]
+
+
+@heart_app.command("import")
+def heart_import(
+    mesh: Annotated[Path, typer.Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
+    fibres: Annotated[Path, typer.Option(help="Fibres, one vector a point or a tetrahedron.")],
+    lv_endocardium: Annotated[Path, typer.Option(help="LV endocardium, open at the base.")],
+    rv_endocardium: Annotated[Path, typer.Option(help="RV endocardium, open at the base.")],
+    electrodes: Annotated[Path, typer.Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
+    out: OutOption,
+    lv_root: Seed = None,
+    lv_direction: Seed = None,
+    rv_root: Seed = None,
+    rv_direction: Seed = None,
+) -> None:
+    """Build a heart folder from mesh files.
+
+    Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
+    points may come in another order. Without seeds, sensible ones are found on the septal side of
+    the base, pointing to the apex.
+    """
+    from fascicle.io.hearts import assemble_heart, write_heart
+    from fascicle.io.meshes import read_mesh
+
+    heart = assemble_heart(
+        mesh=read_mesh(mesh, "mesh"),
+        fibres=read_mesh(fibres, "fibres"),
+        surfaces={
+            "lv": read_mesh(lv_endocardium, "LV endocardium"),
+            "rv": read_mesh(rv_endocardium, "RV endocardium"),
+        },
+        seeds={"lv": (lv_root, lv_direction), "rv": (rv_root, rv_direction)},
+        electrodes=electrodes,
+        name=out.resolve().name,
+    )
+    _check_growable(heart)
+    write_heart(heart, out)
+    _print_heart(heart)
+    print(f"heart written to {out}")
+
+
+@heart_app.command("check")
+def heart_check(heart: HeartArgument) -> None:
+    """Validate a heart folder and print what it holds."""
+    from fascicle.io.hearts import load_heart
+
+    loaded = load_heart(heart)
+    _check_growable(loaded)
+    _print_heart(loaded)
+    print("no problem found")
+
+
+@app.command()
+def simulate(
+    heart: HeartArgument,
+    out: OutOption,
+    params: Annotated[
+        Path | None, typer.Option(help="TOML file with the twelve parameters.")
+    ] = None,
+    lv_tree: Annotated[
+        Path | None, typer.Option(help="LV tree of your own: VTU/VTP lines.")
+    ] = None,
+    rv_tree: Annotated[
+        Path | None, typer.Option(help="RV tree of your own: VTU/VTP lines.")
+    ] = None,
+    cv: Annotated[float | None, typer.Option(help="Speed in the trees (m/s).")] = None,
+    root_time: Annotated[
+        float | None, typer.Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
+    ] = None,
+) -> None:
+    """Run the forward model: activation map, trees and ECG.
+
+    From parameters (an example network if none are given; --cv and --root-time override them),
+    or from two trees that you bring.
+    """
+    from fascicle.forward import ForwardModel
+    from fascicle.io.hearts import load_heart
+    from fascicle.io.simulations import simulate_inputs, write_simulation
+
+    loaded = load_heart(heart)
+    model = ForwardModel(loaded)
+    simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time)
+    write_simulation(loaded, simulation, out, inputs)
+    print(f"total activation time  {simulation.total_activation_time:.1f} ms")
+    print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
+    print(f"written to {out}: activation.vtu, lv_tree.vtu, rv_tree.vtu, ecg.csv, summary.json")
+
+
+@app.command()
+def target(
+    recording: Annotated[
+        Path, typer.Argument(help="WFDB header (.hea), DICOM (.dcm) or CSV with named leads.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Target to write (netCDF, .nc).")],
+    onset: Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")] = None,
+    offset: Annotated[float | None, typer.Option(help="QRS offset (ms from R).")] = None,
+) -> None:
+    """Turn a recording into a target: aligned beats, their mean and spread, the QRS window."""
+    from fascicle.io.recordings import read_recording
+    from fascicle.io.targets import write_target
+    from fascicle.recording.beats import make_target
+
+    made = make_target(read_recording(recording), onset, offset)
+    write_target(made, out)
+    _print_target(made)
+    print(f"target written to {out}")
+
+
+@app.command()
+def fit(
+    heart: HeartArgument,
+    target: Annotated[Path, typer.Argument(help="Target made by 'fascicle target'.")],
+    out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
+    initial: Annotated[int, typer.Option(min=2, help="Latin hypercube points.")] = 250,
+    steps: Annotated[int, typer.Option(min=0, help="Bayesian-optimisation steps.")] = 300,
+    samples: Annotated[int, typer.Option(min=1, help="Networks to accept.")] = 30,
+    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Simulations at a time; proposals per step. Part of a study.")
+    ] = 2,
+    gain: Annotated[
+        bool, typer.Option("--gain", help="Fit one global gain of the ECG too.")
+    ] = False,
+) -> None:
+    """Fit a population of Purkinje networks to a target.
+
+    Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
+    goes on where it stopped.
+    """
+    from fascicle.fitting import fit as run_fit
+    from fascicle.progress import TerminalProgress
+
+    with TerminalProgress() as progress:
+        fitted = run_fit(
+            heart, target, out, initial=initial, steps=steps, samples=samples, seed=seed,
+            workers=workers, free_gain=gain, progress=progress,
+        )  # fmt: skip
+    _print_fit(fitted)
+    print(f"study in {out}; figures: fascicle report {out}")
+
+
+@app.command()
+def predict(
+    study: Annotated[Path, typer.Argument(help="Finished study folder.")],
+    out: OutOption,
+    root_time: Annotated[
+        float, typer.Option(help="t_RV - t_LV of the paced roots (ms); 0 fires both together.")
+    ] = 0.0,
+) -> None:
+    """Predict conduction-system pacing with every accepted network."""
+    from fascicle.fitting import load_study
+    from fascicle.predict.write import write_pacing
+    from fascicle.progress import TerminalProgress
+
+    fitted = load_study(study)
+    with TerminalProgress() as progress:
+        pacing = write_pacing(fitted, root_time, out, progress)
+    _print_pacing(pacing)
+    print(f"prediction in {out}")
+
+
+@app.command()
+def report(study: Annotated[Path, typer.Argument(help="Finished study folder.")]) -> None:
+    """Draw the figures of a study into its folder."""
+    from fascicle.fitting import load_study
+    from fascicle.progress import TerminalProgress
+    from fascicle.report.study import write_figures
+
+    fitted = load_study(study)
+    with TerminalProgress() as progress:
+        figures = write_figures(fitted, fitted.networks(progress))
+    for figure in figures:
+        print(figure)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
+) -> None:
+    """Do the whole job on the packaged heart and a real 12-lead ECG, in about two minutes."""
+    from fascicle.demo import run_demo
+
+    run_demo(out)
+
+
+def _check_growable(heart: Heart) -> None:
+    """Build charts and seeds, which is where an endocardium shows what else is wrong with it."""
+    from fascicle.harmonic.chart import build_chart
+    from fascicle.tree.grow import find_seed
+
+    for endocardium in heart.endocardia:
+        find_seed(endocardium, build_chart(endocardium))
+
+
+def _print_heart(heart: Heart) -> None:
+    from fascicle.harmonic.chart import build_chart
+
+    print(f"{heart.name}")
+    print(f"  tissue       {len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra")
+    print(
+        f"               {heart.volumes.sum() / 1000:.1f} ml, mean edge {heart.edge_length:.1f} mm"
+    )
+    for endocardium in heart.endocardia:
+        worst = build_chart(endocardium).distortion.max()
+        print(
+            f"  {endocardium.side.upper()}           {len(endocardium.vertices)} vertices, "
+            f"{endocardium.area / 100:.0f} cm², root {endocardium.root}, direction "
+            f"{endocardium.direction}, chart distortion up to {worst:.2f}"
+        )
+    print("  electrodes   9, in place")
+
+
+def _print_target(target: Target) -> None:
+    print(f"beats          {len(target.beats)} at {target.heart_rate:.0f} per minute")
+    print(
+        f"QRS            {target.qrs_duration:.0f} ms, from {target.qrs_onset:.0f} to "
+        f"{target.qrs_offset:.0f} ms about R"
+    )
+    spread = target.standard_deviation[:, target.qrs_samples].mean()
+    print(f"beat to beat   {spread:.3f} mV (mean standard deviation in the QRS)")
+    if "warnings" in target.provenance:
+        print(f"warning: {target.provenance['warnings']}", file=sys.stderr)
+
+
+def _print_fit(fitted: FittedStudy) -> None:
+    import numpy as np
+
+    accepted = fitted.accepted
+    records = fitted.study.records()
+    first = [r.evaluation.loss for r in records if r.stage == "initial" and r.evaluation.feasible]
+    recorded = float((fitted.problem.target.qrs**2).sum(axis=0).mean())
+    print(f"evaluations            {len(records)}")
+    print(f"best of the first      {min(first):.4f} mV² (flat line: {recorded:.4f})")
+    print(f"best                   {accepted.best_loss:.4f} mV²")
+    print(f"networks accepted      {len(accepted)} of {fitted.study.config.samples}")
+    if len(accepted):
+        for name, unit in (("root_time", "ms"), ("cv", "m/s")):
+            values = accepted.values[name]
+            print(
+                f"{name:<22} {np.median(values):.1f} {unit} "
+                f"({values.min():.1f} to {values.max():.1f})"
+            )
+
+
+def _print_pacing(pacing: object) -> None:
+    from fascicle.predict.pacing import Pacing
+
+    assert isinstance(pacing, Pacing)
+    for name, before, after in (
+        ("QRS duration", pacing.qrs_before, pacing.qrs_after),
+        ("total activation time", pacing.tat_before, pacing.tat_after),
+    ):
+        print(
+            f"{name:<22} {before.mean():.0f} ms -> {after.mean():.0f} ms paced "
+            f"({after.min():.0f} to {after.max():.0f})"
+        )
+
+
+def main() -> None:
+    """Run the command line; a wrong input ends in one line and exit status 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (PermissionError, NotADirectoryError, IsADirectoryError, FileExistsError) as error:
+        print(f"error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""How the mismatch fell from one evaluation to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from fascicle.errors import InputError
+from fascicle.report.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    LABEL_SIZE,
+    TITLE_SIZE,
+    VERMILION,
+    new_figure,
+    tidy,
+)
+
+SHADES = ("#F3F3F3", "#FFFFFF")  # of one stage and the next
+HEADROOM = 1.5  # free space above the largest and below the smallest loss, as a factor
+
+
+def convergence_figure(
+    losses: ArrayLike, stages: Sequence[str], *, title: str | None = None
+) -> Figure:
+    """Loss of every evaluation and the best so far.
+
+    Parameters
+    ----------
+    losses : (n,) array
+        Loss (mV²) in the order of evaluation; NaN where the parameters were infeasible.
+    stages : sequence of n str
+        Stage of each evaluation, such as ``"initial"``, ``"optimisation"``, ``"posterior"``.
+    title : str, optional
+        Heading.
+
+    Returns
+    -------
+    Figure
+        One panel: dots on a logarithmic axis, running best as steps, infeasible ones as ticks along
+        the upper edge, stages shaded and named.
+
+    Raises
+    ------
+    InputError
+        If the two differ in length, or no evaluation is feasible.
+    """
+    values = np.asarray(losses, dtype=float)
+    if values.shape != (len(stages),):
+        raise InputError(f"losses of shape {values.shape} for {len(stages)} stages; give one each")
+    feasible = values[np.isfinite(values)]
+    if not feasible.size:
+        raise InputError(f"none of the {len(values)} evaluations is feasible; nothing to draw")
+    figure = new_figure(7.0, 3.8)
+    axes = figure.subplots()
+    axes.set_yscale("log", nonpositive="clip")  # a loss of exactly 0 lands on the lower edge
+    axes.set_ylim(*_limits(feasible))
+    axes.set_xlim(0.5, len(values) + 0.5)
+    _draw_stages(axes, stages)
+    _draw_losses(axes, values)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.set_xlabel("evaluation number", fontsize=LABEL_SIZE)
+    axes.set_ylabel("loss (mV²)", fontsize=LABEL_SIZE)
+    tidy(axes)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=LABEL_SIZE)
+    if title is not None:
+        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    return figure
+
+
+def running_best(losses: ArrayLike) -> NDArray[np.float64]:
+    """Smallest loss (mV²) up to each evaluation, shape (n,); NaN before the first feasible one."""
+    return np.asarray(np.fmin.accumulate(np.asarray(losses, dtype=float)))
+
+
+def _limits(feasible: NDArray[np.float64]) -> tuple[float, float]:
+    positive = feasible[feasible > 0]
+    if not positive.size:
+        return 1e-6, 1.0
+    return float(positive.min()) / HEADROOM, float(positive.max()) * HEADROOM
+
+
+def _draw_losses(axes: Axes, values: NDArray[np.float64]) -> None:
+    number = np.arange(1, len(values) + 1)
+    feasible = np.isfinite(values)
+    axes.plot(
+        number[feasible], values[feasible], "o", markersize=3, markeredgewidth=0, alpha=0.6,
+        color=BLUE, label="evaluation",
+    )  # fmt: skip
+    axes.step(
+        number, running_best(values), where="post", color=VERMILION, linewidth=1.6,
+        label="best so far",
+    )  # fmt: skip
+    if not feasible.all():
+        count = int(np.count_nonzero(~feasible))
+        axes.plot(
+            number[~feasible], np.full(count, 0.985), "|", transform=axes.get_xaxis_transform(),
+            markersize=6, markeredgewidth=0.8, color=GREY, label=f"infeasible ({count})",
+        )  # fmt: skip
+
+
+def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
+    for index, (name, first, last) in enumerate(stage_runs(stages)):
+        axes.axvspan(first - 0.5, last + 0.5, color=SHADES[index % 2], linewidth=0, zorder=0)
+        axes.text(
+            (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(),
+            ha="center", va="bottom", fontsize=LABEL_SIZE, color=BLACK,
+        )  # fmt: skip
+
+
+def stage_runs(stages: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+    """Name, first and last evaluation (counted from 1) of each stretch of one stage."""
+    first = 0
+    for index in range(1, len(stages) + 1):
+        if index == len(stages) or stages[index] != stages[first]:
+            yield stages[first], first + 1, index
+            first = index

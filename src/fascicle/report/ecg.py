@@ -1,0 +1,224 @@
+"""Twelve-lead ECGs: recorded against predicted, before against after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import ArrayLike, NDArray
+
+from fascicle.errors import InputError
+from fascicle.leads import LEADS
+from fascicle.report.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    LABEL_SIZE,
+    TITLE_SIZE,
+    VERMILION,
+    new_figure,
+    tidy,
+)
+
+ROWS, COLUMNS = 3, 4  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
+SMALL_BOX = 40.0  # ms, one small square of ECG paper at 25 mm/s
+TICK_STEPS = (40.0, 80.0, 200.0, 400.0, 1000.0)  # ms, multiples of the small box
+MOST_TICKS = 6
+
+
+@dataclass(frozen=True)
+class EcgEnsemble:
+    """Several 12-lead ECGs on one time axis, drawn as their mean and the band they span.
+
+    Attributes
+    ----------
+    label : str
+        What the legend calls them.
+    time : (t,) array
+        Time (ms).
+    leads : (n, 12, t) array
+        Potential (mV), leads in the order of `fascicle.leads.LEADS`; NaN where an ECG has ended.
+    colour : str
+        Colour of line and band.
+    """
+
+    label: str
+    time: NDArray[np.float64]
+    leads: NDArray[np.float64]
+    colour: str
+
+    def __post_init__(self) -> None:
+        needed = (len(LEADS), len(self.time))
+        if self.leads.ndim != 3 or self.leads.shape[1:] != needed or not len(self.leads):
+            raise InputError(
+                f"ECGs '{self.label}' have shape {self.leads.shape}; "
+                f"needed is (n, {needed[0]}, {needed[1]}): ECG, lead, time"
+            )
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean over the ECGs (mV), shape (12, t)."""
+        return np.asarray(np.ma.masked_invalid(self.leads).mean(axis=0).filled(np.nan))
+
+    @property
+    def band(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Smallest and largest value over the ECGs (mV), each of shape (12, t)."""
+        return np.fmin.reduce(self.leads, axis=0), np.fmax.reduce(self.leads, axis=0)
+
+
+def match_figure(
+    time: ArrayLike,
+    recorded: ArrayLike | None,
+    predicted: ArrayLike,
+    *,
+    title: str | None = None,
+) -> Figure:
+    """Recorded ECG against what the networks predict.
+
+    Parameters
+    ----------
+    time : (t,) array
+        Time (ms) of both.
+    recorded : (n_beats, 12, t) array or None
+        Beats (mV); one beat may come as (12, t). None draws the prediction alone.
+    predicted : (n, 12, t) array
+        One ECG (mV) per network.
+    title : str, optional
+        Heading.
+
+    Returns
+    -------
+    Figure
+        Twelve panels; lines are means, bands run from minimum to maximum over beats or networks.
+    """
+    ensembles = [_ensemble("predicted", "network", time, predicted, VERMILION)]
+    if recorded is not None:
+        ensembles.insert(0, _ensemble("recorded", "beat", time, recorded, BLUE))
+    return ecg_figure(ensembles, title=title)
+
+
+def before_after_figure(
+    before_time: ArrayLike,
+    before: ArrayLike,
+    after_time: ArrayLike,
+    after: ArrayLike,
+    *,
+    labels: tuple[str, str] = ("before", "after"),
+    title: str | None = None,
+) -> Figure:
+    """Predicted ECG before and after a therapy.
+
+    Parameters
+    ----------
+    before_time : (t,) array
+        Time (ms) of `before`.
+    before : (n, 12, t) array
+        One ECG (mV) per network.
+    after_time : (s,) array
+        Time (ms) of `after`; need not be as long as the other.
+    after : (n, 12, s) array
+        One ECG (mV) per network.
+    labels : tuple of two str
+        What the legend calls them.
+    title : str, optional
+        Heading.
+
+    Returns
+    -------
+    Figure
+        Twelve panels; lines are means, bands run from minimum to maximum over networks.
+    """
+    ensembles = [
+        _ensemble(labels[0], "network", before_time, before, GREY),
+        _ensemble(labels[1], "network", after_time, after, VERMILION),
+    ]
+    return ecg_figure(ensembles, title=title)
+
+
+def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) -> Figure:
+    """Draw any number of 12-lead ensembles over one another in the clinical 3 × 4 layout.
+
+    Parameters
+    ----------
+    ensembles : sequence of EcgEnsemble
+        Drawn in this order, each with its own time axis.
+    title : str, optional
+        Heading.
+
+    Returns
+    -------
+    Figure
+        Axes in the order of `fascicle.leads.LEADS`, all with the same limits (ms, mV).
+    """
+    if not ensembles:
+        raise InputError("no ECG to draw; give at least one ensemble")
+    figure = new_figure(10.0, 6.2)
+    panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True)
+    for index, lead in enumerate(LEADS):
+        axes = panels[index % ROWS, index // ROWS]
+        for ensemble in ensembles:
+            _draw_lead(axes, ensemble, index)
+        axes.text(
+            0.03, 0.95, lead, transform=axes.transAxes, va="top",
+            fontsize=TITLE_SIZE, fontweight="bold", color=BLACK,
+        )  # fmt: skip
+    _set_scales(panels, ensembles)
+    handles, names = panels[0, 0].get_legend_handles_labels()
+    figure.legend(
+        handles, names, loc="outside upper right", ncols=len(names), frameon=False,
+        fontsize=LABEL_SIZE,
+    )  # fmt: skip
+    if title is not None:
+        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    figure.supxlabel("time (ms)", fontsize=LABEL_SIZE)
+    figure.supylabel("potential (mV)", fontsize=LABEL_SIZE)
+    return figure
+
+
+def _ensemble(
+    label: str, unit: str, time: ArrayLike, leads: ArrayLike, colour: str
+) -> EcgEnsemble:
+    values = np.asarray(leads, dtype=float)
+    values = values[np.newaxis] if values.ndim == 2 else values
+    count = len(values)
+    spread = f"mean and range of {count} {unit}s" if count > 1 else f"1 {unit}"
+    return EcgEnsemble(f"{label} ({spread})", np.asarray(time, dtype=float), values, colour)
+
+
+def _draw_lead(axes: Axes, ensemble: EcgEnsemble, lead: int) -> None:
+    low, high = ensemble.band
+    if len(ensemble.leads) > 1:
+        axes.fill_between(
+            ensemble.time, low[lead], high[lead], color=ensemble.colour, alpha=0.28, linewidth=0
+        )
+    axes.plot(
+        ensemble.time, ensemble.mean[lead], color=ensemble.colour, linewidth=1.3,
+        label=ensemble.label,
+    )  # fmt: skip
+
+
+def _set_scales(panels: NDArray[np.object_], ensembles: Sequence[EcgEnsemble]) -> None:
+    """One scale for all leads, on a grid of whole ECG-paper boxes."""
+    start = min(float(ensemble.time.min()) for ensemble in ensembles)
+    stop = max(float(ensemble.time.max()) for ensemble in ensembles)
+    low = min(float(np.nanmin(ensemble.leads)) for ensemble in ensembles)
+    high = max(float(np.nanmax(ensemble.leads)) for ensemble in ensembles)
+    box = 0.5 if high - low <= 8 else 1.0  # mV
+    bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
+    tick = next((s for s in TICK_STEPS if (stop - start) / s <= MOST_TICKS), TICK_STEPS[-1])
+    for axes in panels.flat:
+        axes.set(xlim=(start, stop), ylim=(bottom, top))
+        axes.xaxis.set_major_locator(MultipleLocator(tick))
+        axes.yaxis.set_major_locator(MultipleLocator(2 * box))
+        if stop - start <= 50 * SMALL_BOX:
+            axes.xaxis.set_minor_locator(MultipleLocator(SMALL_BOX))
+        axes.yaxis.set_minor_locator(MultipleLocator(box))
+        axes.grid(which="minor", color="#F0E1DF", linewidth=0.5)
+        axes.grid(which="major", color="#E8CFCB", linewidth=0.7)
+        axes.set_axisbelow(True)
+        tidy(axes)
+        axes.tick_params(which="minor", length=0)

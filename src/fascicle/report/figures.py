@@ -1,0 +1,72 @@
+"""What all figures share: colours, type sizes, an empty figure, and the way to disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fascicle.io.atomic import atomic_path
+
+# Okabe & Ito's palette (2008): distinct with every common form of colour blindness.
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+GREY = "#6B6B6B"
+BLACK = "#1A1A1A"
+PALE = "#E4E4E4"
+
+LABEL_SIZE = 9.0  # points
+TICK_SIZE = 8.0
+TITLE_SIZE = 10.5
+
+RESOLUTION = 150  # dots per inch
+
+
+def new_figure(width: float, height: float, *, constrained: bool = True) -> Figure:
+    """Empty white figure on the Agg canvas, of no pyplot window and no global state.
+
+    Parameters
+    ----------
+    width, height : float
+        Size (inch).
+    constrained : bool
+        Whether Matplotlib's constrained layout places the axes.
+    """
+    figure = Figure(
+        figsize=(width, height),
+        layout="constrained" if constrained else None,
+        facecolor="white",
+    )
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tidy(axes: Axes) -> None:
+    """Take away the frame's upper and right side and set the ticks' size."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=TICK_SIZE, width=0.6, length=3)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_linewidth(0.6)
+
+
+def save(figure: Figure, path: Path | str) -> Path:
+    """Write a figure whole or not at all.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to write.
+    path : Path or str
+        Where to; the suffix gives the format (``.png`` for the report; ``.pdf`` and ``.svg`` work).
+
+    Returns
+    -------
+    Path
+        The path written.
+    """
+    path = Path(path)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=RESOLUTION)
+    return path

@@ -1,0 +1,186 @@
+"""What a posterior says about each parameter and each pair of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from fascicle.errors import InputError
+from fascicle.parameters import Parameter, ParameterSpace
+from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, VERMILION, new_figure
+
+PANEL = 0.95  # inch
+SMALL = 7.0  # points
+BINS = (10, 40)  # fewest and most in a histogram
+
+BEST_MARK: dict[str, Any] = {"color": VERMILION, "marker": "D", "markersize": 4.5}
+TRUTH_MARK: dict[str, Any] = {"color": BLACK, "marker": "X", "markersize": 5.5}
+
+
+def pair_figure(
+    space: ParameterSpace,
+    values: Mapping[str, ArrayLike],
+    best: Mapping[str, float] | None = None,
+    truth: Mapping[str, float] | None = None,
+    *,
+    title: str | None = None,
+) -> Figure:
+    """Lower-triangle pair plot on the whole prior range.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        The d free parameters; its ranges are the axes' limits.
+    values : mapping of name to (n,) array
+        Posterior samples, each parameter in its own unit.
+    best : mapping of name to float, optional
+        The best-fitting parameters, marked in every panel.
+    truth : mapping of name to float, optional
+        The parameters that made a synthetic target, marked in every panel.
+    title : str, optional
+        Heading.
+
+    Returns
+    -------
+    Figure
+        d (d+1)/2 axes, row by row: scatter below the diagonal; on it, the histogram as a density
+        against the uniform prior as a flat line.
+
+    Raises
+    ------
+    InputError
+        If a parameter has no samples, or not as many as the others.
+    """
+    samples = _samples(space, values)
+    size = len(space)
+    side = max(PANEL * size + 1.3, 4.0)
+    figure = new_figure(side, side, constrained=False)
+    grid = figure.add_gridspec(
+        size, size, hspace=0.09, wspace=0.09,
+        left=0.75 / side, bottom=0.75 / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
+    )  # fmt: skip
+    marks = [(m, style) for m, style in ((best, BEST_MARK), (truth, TRUTH_MARK)) if m is not None]
+    for row in range(size):
+        for column in range(row + 1):
+            axes = figure.add_subplot(grid[row, column])
+            x, y = space.parameters[column], space.parameters[row]
+            if row == column:
+                _draw_marginal(axes, x, samples[x.name], marks)
+            else:
+                _draw_pair(axes, (x, y), (samples[x.name], samples[y.name]), marks)
+            _label(axes, x, y, bottom=row == size - 1, left=column == 0)
+    _legend(figure, len(next(iter(samples.values()))), best is not None, truth is not None)
+    figure.align_ylabels()
+    if title is not None:
+        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left")
+    return figure
+
+
+def short_name(name: str) -> str:
+    """A parameter's name as it stands on an axis, such as ``LV fasc. 1 angle``."""
+    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
+    if match is None:
+        return {"cv": "speed"}.get(name, name.replace("_", " "))
+    side, stretch, quantity, number = match.groups()
+    if stretch == "initial":
+        return f"{side.upper()} bundle"
+    return f"{side.upper()} fasc. {number}\n{quantity}"
+
+
+def _samples(
+    space: ParameterSpace, values: Mapping[str, ArrayLike]
+) -> dict[str, NDArray[np.float64]]:
+    missing = [name for name in space.names if name not in values]
+    if missing:
+        raise InputError(f"no samples of {', '.join(missing)}; give all {len(space)} parameters")
+    samples = {name: np.asarray(values[name], dtype=float).ravel() for name in space.names}
+    counts = {name: len(sample) for name, sample in samples.items()}
+    if len(set(counts.values())) > 1 or 0 in counts.values():
+        raise InputError(f"samples per parameter differ or are none: {counts}")
+    return samples
+
+
+def _draw_marginal(
+    axes: Axes,
+    parameter: Parameter,
+    sample: NDArray[np.float64],
+    marks: list[tuple[Mapping[str, float], dict[str, Any]]],
+) -> None:
+    edges = np.linspace(parameter.lower, parameter.upper, _bins(len(sample)) + 1)
+    density, _ = np.histogram(sample, edges, density=True)
+    axes.stairs(density, edges, fill=True, color=BLUE, alpha=0.45)
+    prior = 1 / (parameter.upper - parameter.lower)
+    axes.axhline(prior, color=GREY, linewidth=1.0, linestyle="--")
+    for point, style in marks:
+        axes.axvline(point[parameter.name], color=style["color"], linewidth=1.2)
+    axes.set_ylim(0, 1.15 * max(float(density.max()), 2 * prior))
+    axes.set_yticks([])
+    axes.spines[["top", "right", "left"]].set_visible(False)
+
+
+def _bins(count: int) -> int:
+    """Twice the square root of the count: finer than usual, for the bins span the whole prior."""
+    return int(np.clip(2 * np.sqrt(count), *BINS))
+
+
+def _draw_pair(
+    axes: Axes,
+    parameters: tuple[Parameter, Parameter],
+    samples: tuple[NDArray[np.float64], NDArray[np.float64]],
+    marks: list[tuple[Mapping[str, float], dict[str, Any]]],
+) -> None:
+    x, y = parameters
+    size = float(np.clip(300 / len(samples[0]), 1.0, 9.0))  # points²
+    axes.scatter(*samples, s=size, color=BLUE, alpha=0.55, linewidths=0)
+    for point, style in marks:
+        axes.plot(
+            point[x.name], point[y.name], linestyle="", markeredgecolor="white",
+            markeredgewidth=0.5, **style,
+        )  # fmt: skip
+    axes.set_ylim(y.lower, y.upper)
+    axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+
+
+def _label(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: bool) -> None:
+    """Name the outer axes only."""
+    axes.set_xlim(x.lower, x.upper)
+    axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    axes.tick_params(labelsize=SMALL, width=0.5, length=2, pad=1.5)
+    for spine in axes.spines.values():
+        spine.set_linewidth(0.5)
+    if bottom:
+        axes.set_xlabel(f"{short_name(x.name)} ({x.unit})", fontsize=SMALL)
+    else:
+        axes.tick_params(labelbottom=False)
+    if left and x is not y:
+        axes.set_ylabel(f"{short_name(y.name)} ({y.unit})", fontsize=SMALL)
+    elif left:
+        axes.set_ylabel("density", fontsize=SMALL)
+    else:
+        axes.tick_params(labelleft=False)
+
+
+def _legend(figure: Figure, count: int, best: bool, truth: bool) -> None:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], linestyle="", marker="o", color=BLUE, alpha=0.6, markersize=4,
+               label=f"network ({count})"),
+        Patch(color=BLUE, alpha=0.45, label="posterior density"),
+        Line2D([], [], color=GREY, linewidth=1.0, linestyle="--", label="prior density"),
+    ]  # fmt: skip
+    if best:
+        handles.append(Line2D([], [], linewidth=1.2, label="best fit", **BEST_MARK))
+    if truth:
+        handles.append(Line2D([], [], linewidth=1.2, label="truth", **TRUTH_MARK))
+    figure.legend(
+        handles=handles, loc="upper right", frameon=False, fontsize=LABEL_SIZE,
+        bbox_to_anchor=(0.98, 0.97),
+    )  # fmt: skip
