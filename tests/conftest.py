@@ -1,11 +1,16 @@
-"""Where the real data are."""
+"""Where the real data are, and the hearts that many tests share."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from fascicle.forward import ForwardModel
+    from fascicle.geometry.heart import Heart
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_DATA = REPOSITORY.parent / "shared" / "data"
@@ -18,3 +23,47 @@ def data_folder() -> Path:
     if not (folder / "ecg").is_dir():
         pytest.skip(f"no test data in {folder}; set FASCICLE_TEST_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def default_heart() -> Heart:
+    """The packaged heart."""
+    from fascicle.io.hearts import load_heart
+
+    return load_heart("default")
+
+
+@pytest.fixture(scope="session")
+def default_model(default_heart: Heart) -> ForwardModel:
+    """Forward model of the packaged heart."""
+    from fascicle.forward import ForwardModel
+
+    return ForwardModel(default_heart)
+
+
+@pytest.fixture(scope="session")
+def crtdemo(data_folder: Path) -> Heart:
+    """A patient's heart, imported as `fascicle heart import` does, with the published seeds."""
+    from fascicle.io.hearts import assemble_heart
+    from fascicle.io.meshes import read_mesh
+
+    folder = data_folder / "hearts" / "crtdemo"
+    return assemble_heart(
+        mesh=read_mesh(folder / "crtdemo_mesh_oriented.vtk", "mesh"),
+        fibres=read_mesh(folder / "crtdemo_f0_oriented.vtk", "fibres"),
+        surfaces={
+            side: read_mesh(folder / f"crtdemo_{side.upper()}endo_heart_cut.obj")
+            for side in ("lv", "rv")
+        },
+        seeds={"lv": (388, 412), "rv": (198, 186)},
+        electrodes=folder / "electrodes_mm.csv",
+        name="crtdemo",
+    )
+
+
+@pytest.fixture(scope="session")
+def crtdemo_model(crtdemo: Heart) -> ForwardModel:
+    """Forward model of the patient's heart."""
+    from fascicle.forward import ForwardModel
+
+    return ForwardModel(crtdemo)

@@ -13,6 +13,7 @@ from fascicle.errors import InputError
 if TYPE_CHECKING:
     from fascicle.fitting import FittedStudy
     from fascicle.geometry.heart import Heart
+    from fascicle.predict.pacing import Pacing
     from fascicle.recording.target import Target
 
 app = typer.Typer(
@@ -213,9 +214,26 @@ def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
 ) -> None:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in about two minutes."""
-    from fascicle.demo import run_demo
+    from fascicle.demo import demo_recording, run_demo
+    from fascicle.progress import TerminalProgress
 
-    run_demo(out)
+    print("heart      packaged idealised adult heart")
+    print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
+    with TerminalProgress() as progress:
+        made, fitted, pacing = run_demo(out, progress)
+    _print_target(made)
+    _print_fit(fitted)
+    _print_pacing(pacing)
+    print(f"\nin {out}:")
+    for name, what in (
+        ("target.nc", "beats, mean, standard deviation, QRS window"),
+        ("study/posterior.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
+        ("study/networks", "their trees, for ParaView"),
+        ("study/activation.vtu", "activation of the best network, mean and spread over all"),
+        ("study/figures", "ECG, pair plot, activation map, convergence"),
+        ("pacing", "what firing both trees together would do"),
+    ):
+        print(f"  {name:<21} {what}")
 
 
 def _check_growable(heart: Heart) -> None:
@@ -277,10 +295,7 @@ def _print_fit(fitted: FittedStudy) -> None:
             )
 
 
-def _print_pacing(pacing: object) -> None:
-    from fascicle.predict.pacing import Pacing
-
-    assert isinstance(pacing, Pacing)
+def _print_pacing(pacing: Pacing) -> None:
     for name, before, after in (
         ("QRS duration", pacing.qrs_before, pacing.qrs_after),
         ("total activation time", pacing.tat_before, pacing.tat_after),

@@ -8,6 +8,10 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
+# With a free gain the window must hold this share of the most energy it can hold: otherwise a
+# faint tail of the simulation, blown up, could pass for the QRS.
+LEAST_SHARE = 0.5
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -44,7 +48,8 @@ def align(
     recorded : (12, n_qrs) array
         Recorded QRS (mV), at the same sampling.
     free_gain : bool
-        Whether to scale the simulation by the best g ≥ 0.
+        Whether to scale the simulation by the best g ≥ 0; then only shifts at which the window
+        holds at least half of the energy it can hold are considered.
     """
     length = recorded.shape[1]
     padded = np.pad(simulated, ((0, 0), (length - 1, length - 1)))
@@ -55,7 +60,8 @@ def align(
     running = np.concatenate([[0.0], np.cumsum((padded**2).sum(axis=0))])
     energy = running[length:] - running[:-length]
     if free_gain:
-        gain = np.maximum(product, 0) / np.where(energy > 0, energy, 1.0)
+        allowed = energy >= LEAST_SHARE * energy.max()
+        gain = np.where(allowed, np.maximum(product, 0) / np.where(allowed, energy, 1.0), 0.0)
     else:
         gain = np.ones_like(energy)
     mismatch = (recorded**2).sum() - 2 * gain * product + gain**2 * energy

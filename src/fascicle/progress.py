@@ -41,8 +41,7 @@ class TerminalProgress:
         )
 
     def __enter__(self) -> TerminalProgress:
-        self._bars.start()
-        return self
+        return self  # the bars start with the first stage, so that an early error stands alone
 
     def __exit__(
         self,
@@ -54,6 +53,7 @@ class TerminalProgress:
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
         """See `fascicle.study.Progress`."""
+        self._bars.start()
         if stage not in self._tasks:
             name = NAMES.get(stage, stage)
             self._tasks[stage] = self._bars.add_task(name, total=total, message="")

@@ -1,6 +1,7 @@
 """Rejection sampling from the informed prior against the same done by brute force."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,11 +66,39 @@ def test_most_variances_are_never_computed(prior, monkeypatch):
     assert sum(asked) < 40_000
 
 
-def test_bound_is_the_largest_density_over_all_variances(prior):
-    mean = np.array([prior.y_min + 2.0])
-    variance = np.linspace(0.01, 50, 200_000) - prior.variance_min
-    density = prior.density(np.repeat(mean, len(variance)), variance, np.ones(len(variance)))
-    assert density.max() == pytest.approx(prior.bound(mean)[0], rel=1e-6)
+@pytest.mark.parametrize("limit", [0.5, 2.0, 4.0, 30.0])
+def test_bound_is_the_largest_density_up_to_the_variance_limit(prior, limit):
+    mean = np.full(200_000, prior.y_min + 2.0)
+    variance = np.linspace(1e-4, limit, len(mean))
+    density = prior.density(mean, variance, np.ones(len(mean)))
+    bound = prior.bound(mean[:1], np.array([limit]))[0]
+    assert density.max() == pytest.approx(bound, rel=1e-6)
+    assert density.max() <= bound
+    if limit > 4:
+        assert bound == pytest.approx(1 / (math.sqrt(2 * math.pi * math.e) * 2.0), rel=1e-6)
+
+
+def test_variance_limit_holds(prior):
+    points = np.random.default_rng(4).random((5000, 2))
+    _, nearness = prior.loss.mean_many(points)
+    _, variance = prior.loss.predict(points)
+    ratio = variance / prior.loss.variance_limit(nearness)
+    assert 0.5 < ratio.max() <= 1.0
+
+
+def test_draws_have_the_moments_of_the_density(prior):
+    """Against the integral of p(θ)·P(feasible) on a grid: rejection sampling is unbiased."""
+    axis = (np.arange(300) + 0.5) / 300
+    grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    weight = prior.density(*prior.loss.predict(grid), prior.feasibility.probability(grid))
+    weight = weight / weight.sum()
+    expected = weight @ grid
+    spread = np.sqrt(weight @ (grid - expected) ** 2)
+    drawn = draw_candidates(np.random.default_rng(8), prior, 400_000).points
+    assert len(drawn) > 4000
+    error = (drawn.mean(0) - expected) / (spread / np.sqrt(len(drawn)))
+    assert np.abs(error).max() < 3.5
+    np.testing.assert_allclose(drawn.std(0), spread, rtol=0.04)
 
 
 def test_order_and_limit(prior):
@@ -92,3 +121,11 @@ def test_progress_is_told(prior, monkeypatch):
         progress=lambda done, total: told.append((done, total)),
     )
     assert told == [(400, 1000), (800, 1000), (1000, 1000)]
+
+
+def test_nothing_may_pass(prior):
+    """A minimum far below all that is predicted leaves no candidates."""
+    hopeless = replace(prior, y_min=-1e6)
+    found = draw_candidates(np.random.default_rng(0), hopeless, 2000)
+    assert found.points.shape == (0, 2)
+    assert found.accepted == 0

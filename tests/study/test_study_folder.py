@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fascicle.bo import step as bo_step
 from fascicle.errors import InputError
 from fascicle.evaluation import Evaluation
 from fascicle.parameters import Parameter, ParameterSpace
+from fascicle.posterior.distance import ErrorDensity, total_variation
 from fascicle.study import Study, StudyConfig
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
@@ -107,6 +109,30 @@ def test_interrupted_study_resumes_to_the_same_bits(tmp_path, uninterrupted, cal
     resumed = Study.create_or_resume(tmp_path / "s", make_config())
     assert summary(resumed, resumed.run(counting, silent)) == uninterrupted
     assert again == len(uninterrupted[0]) - calls
+
+
+def test_every_fit_but_the_first_starts_warm(tmp_path, monkeypatch):
+    starts = []
+    step = bo_step.step
+
+    def spy(rng, state, batch):
+        fitted, points = step(rng, state, batch)
+        starts.append((state.loss, fitted.loss))
+        return fitted, points
+
+    def stop_after_15(points):
+        if len(Study.open(tmp_path).records()) == 15:
+            raise KeyboardInterrupt
+        return objective(points)
+
+    monkeypatch.setattr(bo_step, "step", spy)
+    study = Study.create_or_resume(tmp_path, make_config())
+    with pytest.raises(KeyboardInterrupt):
+        study.run(stop_after_15, silent)
+    study.run(objective, silent)
+    assert len(starts) == 5
+    assert starts[0][0] is None
+    assert [start for start, _ in starts[1:]] == [end for _, end in starts[:-1]]
 
 
 def test_finished_study_evaluates_nothing(tmp_path, uninterrupted):
@@ -235,9 +261,14 @@ def test_posterior_covers_the_acceptance_region(tmp_path):
     config = make_config(steps=10, samples=25, draws=20_000, patience=50)
     posterior = Study.create_or_resume(tmp_path, config).run(objective, silent)
     assert posterior.complete
-    radius = np.linalg.norm(posterior.points - [0.3, 0.7], axis=1)
-    assert radius.max() < 0.21
-    assert radius.mean() > 0.03
+    best = ErrorDensity.fit(posterior.best_loss + 0.7 * NOISE)
+    shifts = np.linspace(0, 5, 2001)
+    distances = [total_variation(ErrorDensity.fit(best.errors + s), best) for s in shifts]
+    largest = posterior.best_loss + shifts[np.argmax(np.array(distances) >= 0.9)]
+    assert 2.2 < largest < 6
+    assert posterior.losses.max() <= largest
+    # The samples fill the region instead of huddling at the best point.
+    assert posterior.losses.mean() > 2 + 0.25 * (largest - 2)
 
 
 def test_importing_the_study_loads_no_torch():

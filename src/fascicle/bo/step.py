@@ -13,6 +13,7 @@ from fascicle.surrogate.exponential import Hyperparameters
 from fascicle.surrogate.feasibility import FeasibilityGP
 from fascicle.surrogate.loss_gp import LossGP
 from fascicle.surrogate.observations import Observations
+from fascicle.surrogate.threads import one_thread
 
 COLD_ITERATIONS = 100
 WARM_ITERATIONS = 10
@@ -61,6 +62,7 @@ def refit(state: State) -> tuple[State, LossGP, FeasibilityGP]:
     return fitted, loss, feasibility
 
 
+@one_thread()
 def step(
     rng: np.random.Generator, state: State, batch: int = 1
 ) -> tuple[State, NDArray[np.float64]]:

@@ -60,7 +60,8 @@ class Electrocardiograph:
         histogram = deposit(activation, self.corners, self.weights, width, bins)
         # sample j of the kernel: mean of U′ over a bin that began (first + j)·width ago
         first = int(np.floor(begin * BINS_PER_MS))
-        since = np.arange(first, int(np.ceil(end * BINS_PER_MS)) + 2) * width
+        last = int(np.ceil(end * BINS_PER_MS)) + 1
+        since = np.arange(first, last + 1, dtype=np.float64) * width
         u = self.action_potential
         kernel = (u(since) - u(since - width)) / width
         full = scipy.signal.oaconvolve(histogram, kernel[:, None], axes=0)

@@ -117,6 +117,12 @@ def check_electrodes(name: str, electrodes: NDArray[np.float64], heart: Heart) -
                 f"{name}: electrode {electrode} is {distance[k]:.0f} mm from the heart; check that "
                 "electrodes and heart share frame and units (mm)"
             )
+    extent, span = (float(np.ptp(p, axis=0).max()) for p in (heart.vertices, electrodes))
+    if span < extent:
+        raise InputError(
+            f"{name}: the electrodes span {span:.3g} mm, less than the heart ({extent:.0f} mm); "
+            "give positions on the torso, in mm"
+        )
     radius = float(np.linalg.norm(heart.vertices - heart.vertices.mean(axis=0), axis=1).max())
     if (distance < radius / 2).all():
         raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -11,6 +12,8 @@ from pathlib import Path
 
 from fascicle.errors import InputError
 
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
@@ -19,7 +22,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     The temporary file lies in the same folder, so the rename is atomic; on any error, and on
     Ctrl-C, it is removed and what stood at `path` stays.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _make_parent(path)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
@@ -51,7 +54,12 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give the path of a folder (--out)")
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    if folder.resolve() in (Path.cwd(), *Path.cwd().parents):
+        raise InputError(
+            f"{folder}: is the folder you are in, or holds it; give a folder of its own (--out)"
+        )
+    folder = folder.resolve()  # a link stays a link
+    _make_parent(folder)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         yield temporary
@@ -60,8 +68,27 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
             _check_nothing_lost(folder, temporary)
             shutil.rmtree(folder)
         os.replace(temporary, folder)
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            raise
+        raise InputError(
+            f"{folder}: could not be written ({error.strerror}); free some space or choose another "
+            "place (--out)"
+        ) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _make_parent(path: Path) -> None:
+    """Make the folder that is to hold `path`, or say why that cannot be."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose another place (--out)"
+        ) from None
 
 
 def _check_nothing_lost(old: Path, new: Path) -> None:

@@ -43,7 +43,7 @@ def read_electrodes(path: Path | str) -> NDArray[np.float64]:
         electrode = known.get(name.strip().upper())
         if electrode is None:
             raise InputError(
-                f"{path}: unknown electrode '{name}'; the nine are {', '.join(ELECTRODES)}"
+                f"{path}: unknown electrode {name!r}; the nine are {', '.join(ELECTRODES)}"
             )
         if electrode in positions:
             raise InputError(f"{path}: electrode {electrode} is given twice; keep one")
@@ -55,7 +55,15 @@ def read_electrodes(path: Path | str) -> NDArray[np.float64]:
 
 
 def _rows_of_csv(path: Path, text: str) -> list[tuple[str, list[object]]]:
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    # strict, so that a quote that is never closed does not swallow the rest
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True, strict=True)
+    try:
+        return _rows(path, reader)
+    except csv.Error as error:
+        raise InputError(f"{path}: not a readable CSV table ({error}); correct it") from None
+
+
+def _rows(path: Path, reader: csv.DictReader[str]) -> list[tuple[str, list[object]]]:
     header = [(name or "").strip().lower() for name in reader.fieldnames or []]
     if not {"name", "x", "y", "z"} <= set(header):
         raise InputError(
@@ -67,18 +75,23 @@ def _rows_of_csv(path: Path, text: str) -> list[tuple[str, list[object]]]:
 
 def _rows_of_json(path: Path, text: str) -> list[tuple[str, list[object]]]:
     try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
+        content = json.loads(text, object_pairs_hook=tuple)  # pairs, to see what is there twice
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON ({error}); correct it") from None
-    if not isinstance(content, dict) or not all(isinstance(v, list) for v in content.values()):
-        raise InputError(f'{path}: must be an object like {{"RA": [x, y, z], ...}}')
-    return list(content.items())
+    if not isinstance(content, tuple) or not all(isinstance(v, list) for _, v in content):
+        raise InputError(
+            f"{path}: the JSON is not one list of three numbers for every electrode; write it "
+            'as {"RA": [x, y, z], ...}'
+        )
+    return list(content)
 
 
 def _position(path: Path, name: str, values: list[object]) -> list[float]:
     try:
         position = [float(value) for value in values]  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
+        position = []
+    if any(isinstance(value, bool) for value in values):
         position = []
     if len(position) != 3 or not all(map(math.isfinite, position)):
         raise InputError(f"{path}: electrode {name} is at {values}; give three finite numbers (mm)")

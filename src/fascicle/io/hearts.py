@@ -6,11 +6,12 @@ import json
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
+from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
@@ -30,6 +31,7 @@ from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh, write_gri
 
 MANIFEST = "heart.toml"
 DEFAULT_HEART = "default"
+FORMAT = "fascicle heart 1"
 FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
 
 
@@ -45,9 +47,9 @@ class Manifest(BaseModel):
     """Contents of `heart.toml`; file names are relative to the folder."""
 
     model_config = ConfigDict(extra="forbid")
-    format: str
+    format: Literal["fascicle heart 1"]
     name: str
-    units: str
+    units: Literal["mm"]
     mesh: str
     lv_endocardium: str
     rv_endocardium: str
@@ -102,12 +104,14 @@ def _read_manifest(folder: Path) -> Manifest:
         )
     try:
         return Manifest.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML ({error}); import the heart again") from None
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: '{key}': {first['msg']}; import the heart again") from None
+        raise InputError(
+            f"{path}: '{key}': {first['msg']}; correct it or import the heart again"
+        ) from None
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
+        raise InputError(f"{path}: not valid TOML ({error}); import the heart again") from None
 
 
 def assemble_heart(
@@ -145,10 +149,12 @@ def assemble_heart(
     opened = {side: _surface(side, surface) for side, surface in surfaces.items()}
     for side, (points, _) in opened.items():
         check_endocardium_in_place(f"{surfaces[side].path}", points, vertices)
+    _check_two_surfaces(surfaces, opened)
     endocardia = {}
     for side, other in (("lv", "rv"), ("rv", "lv")):
         points, triangles = opened[side]
-        found = _seeds(side, seeds[side], points, triangles, opened[other][0])
+        file = surfaces[side].path
+        found = _seeds(file, side, seeds[side], points, triangles, opened[other][0])
         endocardia[side] = Endocardium(side, points, triangles, *found)
     heart = Heart(
         vertices=vertices,
@@ -161,6 +167,17 @@ def assemble_heart(
     )
     check_electrodes(str(electrodes), heart.electrodes, heart)
     return heart
+
+
+def _check_two_surfaces(
+    surfaces: dict[str, Mesh], opened: dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
+) -> None:
+    apart = cKDTree(opened["rv"][0]).query(opened["lv"][0])[0]
+    if float(np.median(apart)) == 0:
+        raise InputError(
+            f"{surfaces['lv'].path}: the LV and the RV endocardium are the same surface; "
+            "give one for each ventricle"
+        )
 
 
 def _surface(side: str, surface: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -181,6 +198,7 @@ def _surface(side: str, surface: Mesh) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _seeds(
+    file: Path,
     side: str,
     given: tuple[int | None, int | None],
     points: NDArray[np.float64],
@@ -194,8 +212,14 @@ def _seeds(
     for what, seed in zip(("root", "direction"), seeds, strict=True):
         if not 0 <= seed < len(points):
             raise InputError(
-                f"{side.upper()} {what} {seed}: the endocardium has points 0 to {len(points) - 1}"
+                f"{file}: {side.upper()} {what} {seed} is not one of its points; give a number "
+                f"from 0 to {len(points) - 1}"
             )
+    if seeds[0] == seeds[1]:
+        raise InputError(
+            f"{file}: {side.upper()} root and direction are the same point ({seeds[0]}); "
+            "give two different ones"
+        )
     return seeds[0], seeds[1]
 
 
@@ -232,17 +256,23 @@ def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
     ):
         for key, values in arrays.items():
             if np.ndim(values) == 2 and np.shape(values)[1] == 3 and key.lower() != "normals":
-                candidates[key] = (values, per_cell)
+                candidates.setdefault(key, (values, per_cell))  # those of cells are exact
     named = [key for key in candidates if key.lower() in FIBRE_NAMES]
     keys = named if named else list(candidates)
     if len(keys) != 1:
         found = ", ".join(keys) if keys else "none"
         raise InputError(
             f"{source.path}: need one array of fibre directions (3 components); found {found}; "
-            f"name it 'fibre'"
+            "keep one, or name it 'fibre'"
         )
     values, per_cell = candidates[keys[0]]
     return np.asarray(values, dtype=float), per_cell
+
+
+def _toml_string(text: str) -> str:
+    """TOML string of a name; what cannot be UTF-8 (odd bytes in a path) becomes '?'."""
+    readable = text.encode("utf-8", "replace").decode("utf-8")
+    return json.dumps(readable, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_heart(heart: Heart, folder: Path) -> None:
@@ -256,8 +286,8 @@ def write_heart(heart: Heart, folder: Path) -> None:
             cell_data={"fibre": heart.fibres},
         )
         lines = [
-            'format = "fascicle heart 1"',
-            f"name = {json.dumps(heart.name)}",
+            f'format = "{FORMAT}"',
+            f"name = {_toml_string(heart.name)}",
             'units = "mm"',
             'mesh = "mesh.vtu"',
         ]

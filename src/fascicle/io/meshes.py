@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import io
+import re
+import struct
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +17,18 @@ from numpy.typing import NDArray
 from fascicle.errors import InputError
 from fascicle.io.atomic import atomic_path
 
-VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl", ".ply")
-GMSH_FORMATS = (".msh",)
+VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
+MESHIO_FORMATS = (".ply", ".msh")  # VTK's PLY reader crashes on truncated files
 PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
+
+# What a complete file has near its end: VTK reads a truncated one as far as it goes.
+TAIL = 1024  # bytes
+# A binary STL is a header, the number of triangles, and so many bytes for each of them.
+STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
 
 # VTK's numbers for the cells that are used here, and meshio's names for the same
 LINE, POLY_LINE, TRIANGLE, TETRAHEDRON = 3, 4, 5, 10
+VTK_IGNORED = (0, 1, 2)  # empty cells and lone vertices
 MESHIO_CELLS = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
 
 
@@ -38,6 +48,10 @@ class Mesh:
         Arrays with one row a point.
     cell_data : dict of VTK cell number to dict of name to array
         Arrays with one row a cell of that kind.
+    others : dict of name to int
+        How many cells of kinds that are not used here the file holds as well.
+    has_polylines : bool
+        Whether a line of the file has become several, which then share its cell data.
     """
 
     path: Path
@@ -45,6 +59,8 @@ class Mesh:
     cells: dict[int, NDArray[np.int64]]
     point_data: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     cell_data: dict[int, dict[str, NDArray[np.float64]]] = field(default_factory=dict)
+    others: dict[str, int] = field(default_factory=dict)
+    has_polylines: bool = False
 
     def require(self, kind: int, name: str) -> NDArray[np.int64]:
         """Cells of one kind.
@@ -52,14 +68,19 @@ class Mesh:
         Raises
         ------
         InputError
-            If the file holds none.
+            If the file holds none, or a part of the mesh in other cells, which would be missing.
         """
         cells = self.cells.get(kind)
+        others = ", ".join(f"{count} {other}" for other, count in self.others.items())
         if cells is None or not len(cells):
+            found = f"{len(self.points)} points, other cells: {others or 'none'}"
             raise InputError(
-                f"{self.path}: no {name} in this file ({len(self.points)} points, "
-                f"{sum(map(len, self.cells.values()))} cells of other kinds); "
-                f"give a mesh that has {name}"
+                f"{self.path}: no {name} in this file ({found}); give a mesh that has {name}"
+            )
+        if self.others and kind != LINE:
+            raise InputError(
+                f"{self.path}: besides {len(cells)} {name} there are other cells ({others}); "
+                f"make the whole mesh of {name}"
             )
         return cells
 
@@ -70,8 +91,8 @@ def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
     suffix = path.suffix.lower()
     if suffix in PICKLE_FORMATS and suffix not in formats:
         raise InputError(
-            f"{path}: {suffix} files can hold a Python pickle, which runs code when opened, and are "
-            f"never read; in a Python you trust, save the {purpose} as {formats[0]} instead"
+            f"{path}: {suffix} files can hold a Python pickle, which runs code when opened, and "
+            f"are never read; in a Python you trust, save the {purpose} as {formats[0]} instead"
         )
     if not path.exists():
         raise InputError(f"{path}: no such file ({purpose}); check the path")
@@ -94,8 +115,9 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
         has coordinates that are not finite.
     """
     path = Path(path)
-    check_file(path, VTK_FORMATS + GMSH_FORMATS, purpose)
-    mesh = _read_gmsh(path) if path.suffix.lower() in GMSH_FORMATS else _read_vtk(path)
+    check_file(path, VTK_FORMATS + MESHIO_FORMATS, purpose)
+    _check_complete(path)
+    mesh = _read_meshio(path) if path.suffix.lower() in MESHIO_FORMATS else _read_vtk(path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
@@ -106,46 +128,140 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
         )
     for cells in mesh.cells.values():
         if cells.size and (cells.min() < 0 or cells.max() >= len(mesh.points)):
-            raise InputError(f"{path}: cells refer to points that are not there; file is truncated")
+            raise InputError(
+                f"{path}: cells refer to points that are not there; export or copy it again"
+            )
     return mesh
+
+
+def _check_complete(path: Path) -> None:
+    """Refuse files without the end that their format promises."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(STL_HEADER)
+        file.seek(max(0, size - TAIL))
+        tail = file.read()
+    promised = {
+        ".vtu": ("</VTKFile>", b"</VTKFile>" in tail),
+        ".vtp": ("</VTKFile>", b"</VTKFile>" in tail),
+        ".stl": ("as many triangles as announced", _stl_is_whole(head, tail, size)),
+        ".obj": ("line end", tail[-1:].isspace()),
+        ".vtk": ("line end", tail[-1:].isspace() or not _is_ascii_vtk(head)),
+    }
+    end, complete = promised.get(path.suffix.lower(), ("", True))
+    if size == 0:
+        raise InputError(f"{path}: the file is empty; export or copy it again")
+    if not complete:
+        raise InputError(
+            f"{path}: truncated or damaged (no {end} at its end); export or copy it again"
+        )
+
+
+def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:
+    announced = int.from_bytes(head[-4:], "little")
+    fits = len(head) == STL_HEADER and size >= STL_HEADER + STL_TRIANGLE * announced
+    return (fits and any(tail)) or b"endsolid" in tail.lower()
+
+
+def _is_ascii_vtk(content: bytes) -> bool:
+    """Whether the third line of a legacy VTK file says that numbers follow as text."""
+    return content.split(b"\n", 3)[2:3] == [b"ASCII"]
 
 
 def _read_vtk(path: Path) -> Mesh:
     import pyvista as pv
 
-    with pv.VtkErrorCatcher(raise_errors=False, send_to_logging=False) as catcher:
-        try:
-            data: Any = pv.read(path)
-        except (ValueError, RuntimeError, OSError, AttributeError, TypeError) as error:
+    reader = _vtk_reader(path)
+    with _vtk_complaints() as complaints:
+        reader.Update()
+        output = reader.GetOutput()
+    if complaints or output is None:
+        found = complaints[0] if complaints else "nothing could be read"
+        raise InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
+    data: Any = pv.wrap(output)
+    others: dict[str, int] = {}
+    try:
+        if isinstance(data, pv.PolyData):
+            cells, index = _polydata_cells(data, others)
+        elif isinstance(data, pv.UnstructuredGrid):
+            cells, index = _grid_cells(data, others)
+        else:
             raise InputError(
-                f"{path}: cannot be read ({_one_line(error)}); export it again"
-            ) from None
-    if catcher.error_events:
+                f"{path}: holds a {type(data).__name__}, not a mesh of triangles, tetrahedra or "
+                "lines; export it as an unstructured grid or polydata"
+            )
+        cell_data = {
+            kind: {name: np.asarray(data.cell_data[name])[rows] for name in data.cell_data}
+            for kind, rows in index.items()
+        }
+    except IndexError:
         raise InputError(
-            f"{path}: truncated or damaged ({_one_line(catcher.error_events[0].alert)}); "
-            "export or copy it again"
-        )
-    if isinstance(data, pv.PolyData):
-        cells, index = _polydata_cells(data)
-    elif isinstance(data, pv.UnstructuredGrid):
-        cells, index = _grid_cells(data)
-    else:
-        raise InputError(
-            f"{path}: holds a {type(data).__name__}, not a mesh of triangles, tetrahedra or lines; "
-            "export it as an unstructured grid or polydata"
-        )
-    cell_data = {
-        kind: {name: np.asarray(data.cell_data[name])[rows] for name in data.cell_data}
-        for kind, rows in index.items()
-    }
+            f"{path}: damaged (its list of cells contradicts itself); export or copy it again"
+        ) from None
     point_data = {name: np.asarray(data.point_data[name]) for name in data.point_data}
-    return Mesh(path, np.asarray(data.points, dtype=float), cells, point_data, cell_data)
+    points = np.asarray(data.points, dtype=float)
+    lines = index.get(LINE, np.empty(0))
+    has_polylines = np.unique(lines).size < lines.size
+    return Mesh(path, points, cells, point_data, cell_data, others, has_polylines)
+
+
+def _vtk_reader(path: Path) -> Any:
+    """VTK's own reader: pyvista's would log complaints where nobody can collect them."""
+    from vtkmodules.vtkIOGeometry import vtkOBJReader, vtkSTLReader
+    from vtkmodules.vtkIOLegacy import vtkDataSetReader
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
+
+    kinds: dict[str, Any] = {
+        ".vtk": vtkDataSetReader,
+        ".vtu": vtkXMLUnstructuredGridReader,
+        ".vtp": vtkXMLPolyDataReader,
+        ".obj": vtkOBJReader,
+        ".stl": vtkSTLReader,
+    }
+    reader = kinds[path.suffix.lower()]()
+    content = path.read_bytes() if path.suffix.lower() == ".vtk" else b""
+    if _is_ascii_vtk(content):
+        # VTK takes a file that ends within an array as whole; with an empty array after it the
+        # end of the other is noticed
+        content += b"FIELD end 0\n"
+        reader.ReadFromInputStringOn()
+        reader.SetBinaryInputString(content, len(content))
+    else:
+        reader.SetFileName(str(path))
+    if path.suffix.lower() == ".vtk":
+        for kind in ("Scalars", "Vectors", "Normals", "Tensors", "TCoords", "Fields"):
+            getattr(reader, f"ReadAll{kind}On")()
+    return reader
+
+
+@contextlib.contextmanager
+def _vtk_complaints() -> Iterator[list[str]]:
+    """Collect the errors and warnings of VTK, which prints them where others raise."""
+    from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
+
+    window, before = vtkStringOutputWindow(), vtkOutputWindow.GetInstance()
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    complaints: list[str] = []
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    vtkOutputWindow.SetInstance(window)
+    try:
+        yield complaints
+    finally:
+        vtkOutputWindow.SetInstance(before)
+        vtkLogger.SetStderrVerbosity(verbosity)
+        printed = window.GetOutput()
+        if isinstance(printed, bytes):  # it quotes a file that is no text
+            printed = printed.decode(errors="replace")
+        # "ERROR: In vtkX.cxx, line 7", then "vtkX (0x55aa): what happened"
+        for text in re.split(r"^\w+: In .*, line \d+$", printed, flags=re.MULTILINE):
+            if text.strip():
+                complaints.append(_one_line(re.sub(r"^\s*\w+ \(0x\w+\): ", "", text)))
 
 
 Cells = tuple[dict[int, NDArray[np.int64]], dict[int, NDArray[np.int64]]]
 
 
-def _polydata_cells(data: Any) -> Cells:
+def _polydata_cells(data: Any, others: dict[str, int]) -> Cells:
     """Triangles and line segments of a polydata, and the cell that each stands for."""
     cells, index = {}, {}
     lines = data.n_lines
@@ -154,14 +270,22 @@ def _polydata_cells(data: Any) -> Cells:
     if data.GetPolys().GetNumberOfCells():
         offsets, connectivity = _offsets(data.GetPolys())
         first = data.n_verts + lines
-        index[TRIANGLE] = first + np.flatnonzero(np.diff(offsets) == 3)
-        starts = offsets[:-1][np.diff(offsets) == 3]
-        cells[TRIANGLE] = connectivity[starts[:, None] + np.arange(3)]
+        is_triangle = np.diff(offsets) == 3
+        index[TRIANGLE] = first + np.flatnonzero(is_triangle)
+        cells[TRIANGLE] = connectivity[offsets[:-1][is_triangle][:, None] + np.arange(3)]
+        if not is_triangle.all():
+            others["polygons"] = int((~is_triangle).sum())
+    if data.GetStrips().GetNumberOfCells():
+        others["triangle strips"] = data.GetStrips().GetNumberOfCells()
     return cells, index
 
 
-def _grid_cells(data: Any) -> Cells:
+def _grid_cells(data: Any, others: dict[str, int]) -> Cells:
+    from vtkmodules.vtkCommonDataModel import vtkCellTypes
+
     cells, index = {}, {}
+    if not data.n_cells:  # a file of points alone, as fibres often are
+        return {}, {}
     offsets, connectivity = _offsets(data.GetCells())
     kinds = np.asarray(data.celltypes)
     for kind, corners in ((TRIANGLE, 3), (TETRAHEDRON, 4)):
@@ -176,6 +300,12 @@ def _grid_cells(data: Any) -> Cells:
         flat = np.concatenate([connectivity[offsets[r] : offsets[r + 1]] for r in rows])
         cells[LINE], which = _segments(local, flat, 0)
         index[LINE] = rows[which]
+    used = (LINE, POLY_LINE, TRIANGLE, TETRAHEDRON, *VTK_IGNORED)
+    for kind, count in zip(
+        *np.unique(kinds[~np.isin(kinds, used)], return_counts=True), strict=True
+    ):
+        name = vtkCellTypes.GetClassNameFromTypeId(int(kind)).removeprefix("vtk")
+        others[name] = int(count)
     return cells, index
 
 
@@ -198,19 +328,28 @@ def _segments(
     return pairs[inside], first + line[:-1][inside]
 
 
-def _read_gmsh(path: Path) -> Mesh:
-    import contextlib
-    import io
-
+def _read_meshio(path: Path) -> Mesh:
     import meshio
 
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            data = meshio.read(path)
-    except (meshio.ReadError, ValueError, KeyError, IndexError, AssertionError, OSError) as error:
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            # meshio.read would leave the program when it cannot read a file
+            if path.suffix.lower() == ".msh":
+                data = meshio.gmsh.read(path)
+            else:
+                data = meshio.ply.read(_ply_content(path))
+    except (
+        meshio.ReadError, ValueError, LookupError, ArithmeticError, AssertionError, OSError,
+        EOFError, TypeError, AttributeError, RuntimeError, MemoryError, struct.error,
+    ) as error:  # fmt: skip
+        found = _one_line(error)
         raise InputError(
-            f"{path}: truncated or not a Gmsh file ({_one_line(error)}); export it again"
+            f"{path}: truncated or damaged ({found}); export or copy it again"
         ) from None
+    if "not closed" in printed.getvalue():  # of a section of a Gmsh file
+        found = _one_line(printed.getvalue())
+        raise InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
     cells: dict[int, NDArray[np.int64]] = {}
     cell_data: dict[int, dict[str, NDArray[np.float64]]] = {}
     for name, kind in MESHIO_CELLS.items():
@@ -224,11 +363,25 @@ def _read_gmsh(path: Path) -> Mesh:
     points = np.asarray(data.points, dtype=float)
     if points.shape[1] != 3:
         raise InputError(f"{path}: points have {points.shape[1]} coordinates; 3 are needed")
-    return Mesh(path, points, cells, dict(data.point_data), cell_data)
+    others = {
+        block.type: len(block.data)
+        for block in data.cells
+        if block.type not in MESHIO_CELLS and block.type != "vertex"
+    }
+    return Mesh(path, points, cells, dict(data.point_data), cell_data, others)
+
+
+def _ply_content(path: Path) -> io.BytesIO:
+    """Read a PLY file and make it one that meshio can handle."""
+    content = path.read_bytes()
+    if b"end_header" not in content:  # meshio would look for it forever
+        raise ValueError("no end_header")
+    return io.BytesIO(content.replace(b" vertex_index\n", b" vertex_indices\n", 1))
 
 
 def _one_line(error: object) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__
+    text = " ".join(str(error).split())[:160] or type(error).__name__
+    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def write_grid(
@@ -247,8 +400,7 @@ def write_grid(
         grid.point_data[name] = values
     for name, values in (cell_data or {}).items():
         grid.cell_data[name] = values
-    with atomic_path(path) as temporary:
-        grid.save(temporary)
+    _save(grid, path)
 
 
 def write_surface(path: Path, points: NDArray[np.float64], triangles: NDArray[np.int64]) -> None:
@@ -256,5 +408,14 @@ def write_surface(path: Path, points: NDArray[np.float64], triangles: NDArray[np
     import pyvista as pv
 
     surface = pv.PolyData.from_regular_faces(np.asarray(points), triangles)
+    _save(surface, path)
+
+
+def _save(data: Any, path: Path) -> None:
     with atomic_path(path) as temporary:
-        surface.save(temporary)
+        with _vtk_complaints() as complaints:
+            data.save(temporary)
+        if complaints:
+            raise InputError(
+                f"{path.name}: could not be written ({complaints[0]}); is the disk full?"
+            )

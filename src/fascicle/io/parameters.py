@@ -22,10 +22,13 @@ def read_parameters(path: Path | str) -> dict[str, float]:
     check_file(path, (".toml",), "parameters")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
         raise InputError(f"{path}: not valid TOML ({error}); write lines like 'cv = 3.0'") from None
     try:
         check_names(values, NETWORK_SPACE.names)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        remedy = "; add them" if str(error).startswith("missing") else ""
+        raise InputError(f"{path}: {error}{remedy}") from None
+    except OverflowError:
+        raise InputError(f"{path}: a number has too many digits; correct it") from None
     return {name: float(values[name]) for name in NETWORK_SPACE.names}

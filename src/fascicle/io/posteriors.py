@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,7 +69,9 @@ def write_posterior(
     predicted : (n, 12, n_time) array
         The networks' ECGs aligned with the target's time (mV), as posterior predictive.
     """
-    import arviz as az
+    with warnings.catch_warnings():  # announces its next major version at every import
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz as az
 
     data = az.from_dict(
         posterior={name: values[None] for name, values in accepted.values.items()},

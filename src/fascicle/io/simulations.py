@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
 from fascicle.forward import ForwardModel, Simulation
@@ -13,10 +17,16 @@ from fascicle.io.ecgs import write_ecg
 from fascicle.io.meshes import TETRAHEDRON, write_grid
 from fascicle.io.parameters import read_parameters
 from fascicle.io.trees import read_tree, write_tree
-from fascicle.parameters import EXAMPLE_PARAMETERS, check_names
+from fascicle.parameters import EXAMPLE_PARAMETERS
 from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
+# What lies outside is a slip of units or sign; the ranges that are searched are narrower.
+PLAUSIBLE = {
+    "angle": (-2 * math.pi, 2 * math.pi, "rad"),
+    "cv": (0.1, 20.0, "m/s"),
+    "root_time": (-1000.0, 1000.0, "ms"),
+}
 
 
 def simulate_inputs(
@@ -42,12 +52,17 @@ def simulate_inputs(
     """
     given = {"cv": cv, "root_time": root_time}
     overrides = {name: value for name, value in given.items() if value is not None}
+    for name, value in overrides.items():
+        _check_plausible("--" + name.replace("_", "-"), name, value)
     if lv_tree is None and rv_tree is None:
         parameters = read_parameters(params) if params is not None else dict(EXAMPLE_PARAMETERS)
         parameters |= overrides
+        source = str(params) if params is not None else "example parameters"
+        for name, value in parameters.items():
+            _check_plausible(source, name, value)
         outcome = model.simulate(parameters)
         if isinstance(outcome, InvalidTree):
-            raise InputError(f"{params or 'example parameters'}: {outcome.reason}; shorten it")
+            raise InputError(f"{source}: {outcome.reason}; shorten it")
         return outcome, {"parameters": parameters}
     if params is not None:
         raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
@@ -55,15 +70,13 @@ def simulate_inputs(
         raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
     defaults = {name: EXAMPLE_PARAMETERS[name] for name in given}
     physics = defaults | overrides
-    check_names(physics, tuple(given))
-    if physics["cv"] <= 0:
-        raise InputError(f"parameter 'cv' is {physics['cv']}; it must be positive")
     trees = []
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
         _check_at_tissue(path, model, tree)
+        _check_side(path, model.heart, tree)
         trees.append(tree)
-    files = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
+    files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
     return model.activate(trees, physics["root_time"], physics["cv"]), files | physics
 
 
@@ -74,6 +87,32 @@ def _check_at_tissue(path: Path, model: ForwardModel, tree: PurkinjeTree) -> Non
             f"{path}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
             f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
             "give the tree in the heart's frame, in mm"
+        )
+
+
+def _check_plausible(source: str, name: str, value: float) -> None:
+    """Refuse values that no heart has, and that would cost hours or gigabytes."""
+    if "_length" in name:
+        plausible, needed = 0 < value < math.inf, "positive (mm)"
+    else:
+        lower, upper, unit = PLAUSIBLE["angle" if "_angle" in name else name]
+        plausible, needed = lower <= value <= upper, f"between {lower:g} and {upper:g} {unit}"
+    if not plausible:
+        raise InputError(f"{source}: parameter '{name}' is {value:g}; it must be {needed}")
+
+
+def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
+    """Refuse a tree that lies on the other ventricle's endocardium."""
+    own, other = (heart.lv, heart.rv) if tree.side == "lv" else (heart.rv, heart.lv)
+    to_own, to_other = (
+        float(np.median(cKDTree(endocardium.vertices).query(tree.nodes)[0]))
+        for endocardium in (own, other)
+    )
+    if to_other < to_own:
+        raise InputError(
+            f"{path}: given as the {tree.side.upper()} tree, but lies {to_own:.1f} mm (median) "
+            f"from the {own.side.upper()} endocardium and {to_other:.1f} mm from the "
+            f"{other.side.upper()} one; swap the two trees"
         )
 
 

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
 from fascicle.io.meshes import LINE, Mesh, check_file, read_mesh, write_grid
 from fascicle.tree.purkinje import PurkinjeTree
 
 TREE_FORMATS = (".vtu", ".vtp", ".vtk")
-SAME_POINT = 1e-6  # mm; ends of polylines closer than this are one node
+SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
 def write_tree(path: Path, tree: PurkinjeTree, activation: NDArray[np.float64]) -> None:
@@ -55,10 +56,12 @@ def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> Purkinj
     mesh = read_mesh(path, f"{side.upper()} tree")
     segments, lengths = _segments(mesh)
     used, compact = np.unique(segments, return_inverse=True)
-    key = np.round(mesh.points[used] / SAME_POINT).astype(np.int64)
-    _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    nodes = mesh.points[used][first]
-    segments = merged.ravel()[compact].reshape(-1, 2)
+    nodes, merged = _merged(mesh.points[used])
+    segments = merged[compact].reshape(-1, 2)
+    real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline is no segment
+    segments, lengths = segments[real], lengths[real]
+    if not len(segments):
+        raise InputError(f"{path}: every line has length zero; give a tree with branches, in mm")
     count = len(nodes)
     graph = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), (count, count))
     graph = (graph + graph.T).tocsr()
@@ -81,6 +84,16 @@ def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> Purkinj
     return PurkinjeTree(side, nodes, parents, to_parent)
 
 
+def _merged(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points with those in one place made one, and the new number of each."""
+    pairs = cKDTree(points).query_pairs(SAME_POINT, output_type="ndarray")
+    ones = np.ones(len(pairs))
+    same = coo_array((ones, (pairs[:, 0], pairs[:, 1])), (len(points), len(points)))
+    _, number = connected_components(same, directed=False)
+    _, first = np.unique(number, return_index=True)
+    return points[first], np.asarray(number, dtype=np.int64)
+
+
 def _segments(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     segments = mesh.require(LINE, "lines")
     ends = mesh.points[segments]
@@ -89,6 +102,8 @@ def _segments(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     if given is None:
         return segments, chords
     lengths = np.asarray(given, dtype=float)
+    if lengths.ndim != 1 or mesh.has_polylines:
+        return segments, chords  # not one length for each segment
     bad = np.flatnonzero(~np.isfinite(lengths) | (lengths < chords * (1 - 1e-4)))
     if bad.size:
         raise InputError(

@@ -16,6 +16,7 @@ from fascicle.surrogate.loss_gp import LossGP
 Order = Literal["random", "density"]
 
 DRAW_CHUNK = 100_000
+ROUNDING = 1 + 1e-9  # the bound and the density are computed by different sums
 NEAR_PER_CHUNK = 1000  # draws nearest to the data whose variance is always computed
 
 
@@ -87,14 +88,19 @@ class InformedPrior:
         gaussian = np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2)
         return np.asarray(probability * gaussian)
 
-    def bound(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bound p(θ) whatever the variance by 1 / (√(2πe) |μ − y_min|), shape (m,).
+    def bound(
+        self, mean: NDArray[np.float64], variance_limit: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Bound p(θ) (1/mV²) for all variances up to `variance_limit` (m,), shape (m,).
 
-        A normal density as a function of its variance peaks where that is the squared gap.
+        As a function of s² a normal density rises up to s² = gap², gap = μ − y_min, and falls
+        beyond; so it is at most the density at the smaller of gap² and the limit. Where gap² is
+        the smaller this is 1 / (√(2πe) |gap|).
         """
-        gap = np.abs(mean - self.y_min)
-        with np.errstate(divide="ignore"):
-            return np.asarray(1.0 / (math.sqrt(2 * math.pi * math.e) * gap))
+        gap2 = (mean - self.y_min) ** 2
+        s2 = np.minimum(variance_limit + self.variance_min, gap2)
+        s2 = np.maximum(s2, np.finfo(np.float64).tiny)
+        return np.asarray(ROUNDING * np.exp(-0.5 * gap2 / s2) / np.sqrt(2 * math.pi * s2))
 
     def maximum(self, minimum_variance: float) -> float:
         """p_max of the paper: the density (1/mV²) at μ = y_min and the least variance."""
@@ -122,7 +128,7 @@ def draw_candidates(
 
     Of `draws` uniform points those with p(θ) > r·p_max pass, r ~ U(0, 1). A variance, the costly
     part, is computed only where r·p_max is below `InformedPrior.bound`; elsewhere the point is
-    rejected whatever its variance, so the accepted set is exactly that of the full computation.
+    rejected whatever its variance is, so the accepted set is exactly that of the full computation.
 
     p_max needs the least variance of all draws. It is taken over every point whose variance is
     computed: those that survive the bound, and in each chunk of 100,000 the 1000 nearest to the
@@ -174,12 +180,13 @@ def _screen(
 ) -> tuple[float, _Kept]:
     """Update the least variance, and keep those of one chunk that can still pass."""
     mean, nearness = prior.loss.mean_many(points)
+    limit = prior.loss.variance_limit(nearness)
     count = min(NEAR_PER_CHUNK, len(points))
     near = np.argpartition(-nearness, count - 1)[:count]
     _, variance_near = prior.loss.predict(points[near])
     least = min(least, float(variance_near.min()))
 
-    alive = np.flatnonzero(r * prior.maximum(least) < prior.bound(mean))
+    alive = np.flatnonzero(r * prior.maximum(least) < prior.bound(mean, limit))
     if alive.size:
         exact_mean, variance = prior.loss.predict(points[alive])
         least = min(least, float(variance.min()))

@@ -23,6 +23,7 @@ from fascicle.report.figures import (
 )
 
 SHADES = ("#F3F3F3", "#FFFFFF")  # of one stage and the next
+NARROW = 0.15  # share of the evaluations below which a stage is too narrow for its name
 HEADROOM = 1.5  # free space above the largest and below the smallest loss, as a factor
 
 
@@ -64,7 +65,7 @@ def convergence_figure(
     axes.set_xlim(0.5, len(values) + 0.5)
     _draw_stages(axes, stages)
     _draw_losses(axes, values)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
     axes.set_xlabel("evaluation number", fontsize=LABEL_SIZE)
     axes.set_ylabel("loss (mV²)", fontsize=LABEL_SIZE)
     tidy(axes)
@@ -108,9 +109,15 @@ def _draw_losses(axes: Axes, values: NDArray[np.float64]) -> None:
 def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
     for index, (name, first, last) in enumerate(stage_runs(stages)):
         axes.axvspan(first - 0.5, last + 0.5, color=SHADES[index % 2], linewidth=0, zorder=0)
+        place, side = (first + last) / 2, "center"
+        if last - first + 1 < NARROW * len(stages):  # keep the name inside the figure
+            if last == len(stages):
+                place, side = last + 0.5, "right"
+            elif first == 1:
+                place, side = 0.5, "left"
         axes.text(
-            (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(),
-            ha="center", va="bottom", fontsize=LABEL_SIZE, color=BLACK,
+            place, 1.02, name, transform=axes.get_xaxis_transform(),
+            ha=side, va="bottom", fontsize=LABEL_SIZE, color=BLACK,
         )  # fmt: skip
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,6 +31,7 @@ ROWS, COLUMNS = 3, 4  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 SMALL_BOX = 40.0  # ms, one small square of ECG paper at 25 mm/s
 TICK_STEPS = (40.0, 80.0, 200.0, 400.0, 1000.0)  # ms, multiples of the small box
 MOST_TICKS = 6
+BAND_OPACITY = 0.28
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ def match_figure(
     *,
     title: str | None = None,
 ) -> Figure:
-    """Recorded ECG against what the networks predict.
+    """Draw the recorded ECG against what the networks predict.
 
     Parameters
     ----------
@@ -110,7 +114,7 @@ def before_after_figure(
     labels: tuple[str, str] = ("before", "after"),
     title: str | None = None,
 ) -> Figure:
-    """Predicted ECG before and after a therapy.
+    """Draw the predicted ECG before and after a therapy.
 
     Parameters
     ----------
@@ -166,11 +170,11 @@ def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) ->
             0.03, 0.95, lead, transform=axes.transAxes, va="top",
             fontsize=TITLE_SIZE, fontweight="bold", color=BLACK,
         )  # fmt: skip
-    _set_scales(panels, ensembles)
-    handles, names = panels[0, 0].get_legend_handles_labels()
+    _set_scales(panels.flat, ensembles)
     figure.legend(
-        handles, names, loc="outside upper right", ncols=len(names), frameon=False,
-        fontsize=LABEL_SIZE,
+        [_handle(ensemble) for ensemble in ensembles],
+        [ensemble.label for ensemble in ensembles],
+        loc="outside upper right", ncols=len(ensembles), frameon=False, fontsize=LABEL_SIZE,
     )  # fmt: skip
     if title is not None:
         figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
@@ -179,9 +183,7 @@ def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) ->
     return figure
 
 
-def _ensemble(
-    label: str, unit: str, time: ArrayLike, leads: ArrayLike, colour: str
-) -> EcgEnsemble:
+def _ensemble(label: str, unit: str, time: ArrayLike, leads: ArrayLike, colour: str) -> EcgEnsemble:
     values = np.asarray(leads, dtype=float)
     values = values[np.newaxis] if values.ndim == 2 else values
     count = len(values)
@@ -189,19 +191,28 @@ def _ensemble(
     return EcgEnsemble(f"{label} ({spread})", np.asarray(time, dtype=float), values, colour)
 
 
+def _handle(ensemble: EcgEnsemble) -> Any:  # Matplotlib's stubs know no tuples of artists
+    """Line on band, as in the panels."""
+    line = Line2D([], [], color=ensemble.colour, linewidth=1.3)
+    if len(ensemble.leads) == 1:
+        return (line,)
+    return (Patch(color=ensemble.colour, alpha=BAND_OPACITY, linewidth=0), line)
+
+
 def _draw_lead(axes: Axes, ensemble: EcgEnsemble, lead: int) -> None:
     low, high = ensemble.band
     if len(ensemble.leads) > 1:
         axes.fill_between(
-            ensemble.time, low[lead], high[lead], color=ensemble.colour, alpha=0.28, linewidth=0
-        )
+            ensemble.time, low[lead], high[lead],
+            color=ensemble.colour, alpha=BAND_OPACITY, linewidth=0,
+        )  # fmt: skip
     axes.plot(
         ensemble.time, ensemble.mean[lead], color=ensemble.colour, linewidth=1.3,
         label=ensemble.label,
     )  # fmt: skip
 
 
-def _set_scales(panels: NDArray[np.object_], ensembles: Sequence[EcgEnsemble]) -> None:
+def _set_scales(panels: Iterable[Axes], ensembles: Sequence[EcgEnsemble]) -> None:
     """One scale for all leads, on a grid of whole ECG-paper boxes."""
     start = min(float(ensemble.time.min()) for ensemble in ensembles)
     stop = max(float(ensemble.time.max()) for ensemble in ensembles)
@@ -210,7 +221,7 @@ def _set_scales(panels: NDArray[np.object_], ensembles: Sequence[EcgEnsemble]) -
     box = 0.5 if high - low <= 8 else 1.0  # mV
     bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
     tick = next((s for s in TICK_STEPS if (stop - start) / s <= MOST_TICKS), TICK_STEPS[-1])
-    for axes in panels.flat:
+    for axes in panels:
         axes.set(xlim=(start, stop), ylim=(bottom, top))
         axes.xaxis.set_major_locator(MultipleLocator(tick))
         axes.yaxis.set_major_locator(MultipleLocator(2 * box))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
 from fascicle.errors import InputError
@@ -69,8 +70,8 @@ def pacing_figure(
     InputError
         If the two have different numbers of networks.
     """
-    figure = new_figure(5.6, 3.8)
-    panels = figure.subplots(1, 2)
+    figure = new_figure(6.0, 4.2)
+    panels = figure.subplots(1, 2, sharey=True)
     quantities = [
         ("QRS duration (ms)", before.qrs, after.qrs),
         ("total activation time (ms)", before.total_activation, after.total_activation),
@@ -78,6 +79,14 @@ def pacing_figure(
     for axes, (name, first, second) in zip(panels, quantities, strict=True):
         _draw_pairs(axes, name, first, second)
         axes.set_xticks([0, 1], labels, fontsize=LABEL_SIZE)
+        axes.tick_params(labelleft=True)
+    handles = [
+        Line2D([], [], color=GREY, linewidth=0.6, marker="o", markersize=4.5, label="network"),
+        Line2D([], [], color=GREY, linewidth=2.5, label="median"),
+    ]
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=LABEL_SIZE
+    )
     if title is not None:
         figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
     return figure
@@ -113,6 +122,6 @@ def _draw_pairs(axes: Axes, name: str, before: ArrayLike, after: ArrayLike) -> N
 
 
 def _signed(change: float) -> str:
-    """A whole number with a true minus sign; no sign on zero."""
+    """Write a whole number with a true minus sign; no sign on zero."""
     whole = round(change)
     return "0" if whole == 0 else f"{whole:+d}".replace("-", "−")

@@ -19,7 +19,8 @@ from fascicle.parameters import Parameter, ParameterSpace
 from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, VERMILION, new_figure
 
 PANEL = 0.95  # inch
-SMALL = 7.0  # points
+LEGEND_SIZE = 14.0  # points, where the empty triangle has room
+SMALL = 8.5  # points
 BINS = (10, 40)  # fewest and most in a histogram
 
 BEST_MARK: dict[str, Any] = {"color": VERMILION, "marker": "D", "markersize": 4.5}
@@ -66,7 +67,7 @@ def pair_figure(
     figure = new_figure(side, side, constrained=False)
     grid = figure.add_gridspec(
         size, size, hspace=0.09, wspace=0.09,
-        left=0.75 / side, bottom=0.75 / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
+        left=0.8 / side, bottom=0.8 / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
     )  # fmt: skip
     marks = [(m, style) for m, style in ((best, BEST_MARK), (truth, TRUTH_MARK)) if m is not None]
     for row in range(size):
@@ -81,19 +82,20 @@ def pair_figure(
     _legend(figure, len(next(iter(samples.values()))), best is not None, truth is not None)
     figure.align_ylabels()
     if title is not None:
-        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left")
+        figure.suptitle(
+            title, fontsize=1.2 * TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left"
+        )
     return figure
 
 
 def short_name(name: str) -> str:
-    """A parameter's name as it stands on an axis, such as ``LV fasc. 1 angle``."""
+    """Break a parameter's name into the two lines that stand on an axis, the unit to follow."""
     match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
     if match is None:
-        return {"cv": "speed"}.get(name, name.replace("_", " "))
+        return {"cv": "speed"}.get(name, name.replace("_", " ")) + "\n"
     side, stretch, quantity, number = match.groups()
-    if stretch == "initial":
-        return f"{side.upper()} bundle"
-    return f"{side.upper()} fasc. {number}\n{quantity}"
+    part = "bundle" if stretch == "initial" else f"fasc. {number}"
+    return f"{side.upper()} {part}\n{quantity} "
 
 
 def _samples(
@@ -147,22 +149,22 @@ def _draw_pair(
             markeredgewidth=0.5, **style,
         )  # fmt: skip
     axes.set_ylim(y.lower, y.upper)
-    axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    axes.yaxis.set_major_locator(MaxNLocator(3, prune="both", steps=[1, 2, 2.5, 5, 10]))
 
 
 def _label(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: bool) -> None:
     """Name the outer axes only."""
     axes.set_xlim(x.lower, x.upper)
-    axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    axes.xaxis.set_major_locator(MaxNLocator(3, prune="both", steps=[1, 2, 2.5, 5, 10]))
     axes.tick_params(labelsize=SMALL, width=0.5, length=2, pad=1.5)
     for spine in axes.spines.values():
         spine.set_linewidth(0.5)
     if bottom:
-        axes.set_xlabel(f"{short_name(x.name)} ({x.unit})", fontsize=SMALL)
+        axes.set_xlabel(f"{short_name(x.name)}({x.unit})", fontsize=SMALL)
     else:
         axes.tick_params(labelbottom=False)
     if left and x is not y:
-        axes.set_ylabel(f"{short_name(y.name)} ({y.unit})", fontsize=SMALL)
+        axes.set_ylabel(f"{short_name(y.name)}({y.unit})", fontsize=SMALL)
     elif left:
         axes.set_ylabel("density", fontsize=SMALL)
     else:
@@ -180,7 +182,8 @@ def _legend(figure: Figure, count: int, best: bool, truth: bool) -> None:
         handles.append(Line2D([], [], linewidth=1.2, label="best fit", **BEST_MARK))
     if truth:
         handles.append(Line2D([], [], linewidth=1.2, label="truth", **TRUTH_MARK))
+    size = LABEL_SIZE if figure.get_figwidth() < 8 else LEGEND_SIZE
     figure.legend(
-        handles=handles, loc="upper right", frameon=False, fontsize=LABEL_SIZE,
+        handles=handles, loc="upper right", frameon=False, fontsize=size,
         bbox_to_anchor=(0.98, 0.97),
     )  # fmt: skip

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import Tensor
 
+from fascicle.surrogate.threads import in_chunks, one_thread
+
 # Normal priors on the logarithms, for inputs in the unit cube and outputs of variance one. Length
 # scales: the dimension-scaled prior of Hvarfner, Hellsten & Nardi (ICML 2024), BoTorch's default.
 LENGTH_SCALE_SPREAD = math.sqrt(3)
@@ -27,7 +29,7 @@ VARIANCE_BOUNDS = (1e-2, 1e3)
 # The lower end keeps the Cholesky factorisation alive with nearly coincident points.
 NOISE_BOUNDS = (1e-6, 1.0)
 
-CHUNK = 2000  # rows of a kernel matrix held at once; stays in the cache, larger is slower
+CHUNK = 1000  # rows of a kernel matrix held at once; stays in the cache, larger is slower
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def log_marginal_likelihood(
     return value, np.array(gradient.numpy())
 
 
+@one_thread()
 def fit(
     points: NDArray[np.float64],
     outputs: NDArray[np.float64],
@@ -202,6 +205,7 @@ class ExponentialGP:
     alpha: Tensor
 
     @classmethod
+    @one_thread()
     def condition(
         cls,
         points: NDArray[np.float64],
@@ -241,11 +245,12 @@ class ExponentialGP:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Posterior mean and variance at `points` (m, d), (m,) each, a chunk at a time."""
         mean, variance = np.empty(len(points)), np.empty(len(points))
-        with torch.no_grad():
-            for start in range(0, len(points), CHUNK):
-                part = slice(start, start + CHUNK)
-                chunk = self.moments(to_tensor(points[part]))
-                mean[part], variance[part] = (moment.numpy() for moment in chunk)
+
+        def work(part: slice) -> None:
+            chunk = self.moments(to_tensor(points[part]))
+            mean[part], variance[part] = (moment.numpy() for moment in chunk)
+
+        in_chunks(work, len(points), CHUNK)
         return mean, variance
 
     def mean_many(
@@ -269,16 +274,22 @@ class ExponentialGP:
         z = self.scaled
         one = torch.ones((len(z), 1), dtype=z.dtype)
         right = torch.cat([-2 * z, (z * z).sum(1, keepdim=True), one], 1).T.contiguous()
-        mean = torch.empty(len(points), dtype=z.dtype)
-        nearness = torch.empty_like(mean)
-        workspace = torch.empty((CHUNK, len(z)), dtype=z.dtype)
-        with torch.no_grad():
-            for start in range(0, len(points), CHUNK):
-                c = self.scale(to_tensor(points[start : start + CHUNK]))
-                stop = start + len(c)
-                left = torch.cat([c, torch.ones_like(c[:, :1]), (c * c).sum(1, keepdim=True)], 1)
-                kernel = workspace[: len(c)]
-                torch.mm(left, right, out=kernel).clamp_min_(0).sqrt_().neg_().exp_()
-                mean[start:stop] = kernel @ self.alpha
-                nearness[start:stop] = kernel.amax(1)
-        return self.hyperparameters.variance * mean.numpy(), np.array(nearness.numpy())
+        mean, nearness = np.empty(len(points)), np.empty(len(points))
+
+        def work(part: slice) -> None:
+            c = self.scale(to_tensor(points[part]))
+            left = torch.cat([c, torch.ones_like(c[:, :1]), (c * c).sum(1, keepdim=True)], 1)
+            kernel = (left @ right).clamp_min_(0).sqrt_().neg_().exp_()
+            mean[part] = (kernel @ self.alpha).numpy()
+            nearness[part] = kernel.amax(1).numpy()
+
+        in_chunks(work, len(points), CHUNK)
+        return self.hyperparameters.variance * mean, nearness
+
+    def variance_limit(self, nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Upper limit of the posterior variance from `nearness` (m,) of `mean_many`, shape (m,).
+
+        It is the variance given the nearest data point alone; more data cannot raise it.
+        """
+        variance, noise = self.hyperparameters.variance, self.hyperparameters.noise
+        return np.asarray(variance - (variance * nearness) ** 2 / (variance + noise))

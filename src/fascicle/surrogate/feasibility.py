@@ -9,8 +9,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fascicle.surrogate.exponential import ExponentialGP, Hyperparameters, fit, to_tensor
+from fascicle.surrogate.exponential import (
+    CHUNK,
+    ExponentialGP,
+    Hyperparameters,
+    fit,
+    to_tensor,
+)
 from fascicle.surrogate.observations import Observations
+from fascicle.surrogate.threads import in_chunks
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,9 @@ class FeasibilityGP:
     def probability(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Probability that each of `points` (m, d) gives a tree, shape (m,)."""
         result = np.empty(len(points))
-        with torch.no_grad():
-            for start in range(0, len(points), 2000):
-                part = slice(start, start + 2000)
-                result[part] = self.log_probability(to_tensor(points[part])).exp().numpy()
+
+        def work(part: slice) -> None:
+            result[part] = self.log_probability(to_tensor(points[part])).exp().numpy()
+
+        in_chunks(work, len(points), CHUNK)
         return result

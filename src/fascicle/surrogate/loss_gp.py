@@ -67,6 +67,10 @@ class LossGP:
         mean, nearness = self.gp.mean_many(points)
         return self.offset + self.scale * mean, nearness
 
+    def variance_limit(self, nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance (mV⁴) that points of this nearness to the data cannot exceed, shape (m,)."""
+        return self.scale**2 * self.gp.variance_limit(nearness)
+
 
 def _standardised(
     observations: Observations,

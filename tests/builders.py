@@ -1,0 +1,181 @@
+"""Small meshes, surfaces and trees with known answers, and slow reference solutions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from fascicle.eikonal.tissue import Tissue, build_tissue
+from fascicle.geometry.conduction import Conduction
+from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
+from fascicle.geometry.heart import Heart, signed_volumes
+from fascicle.kernels.coupled import sweep
+from fascicle.tree.purkinje import PurkinjeTree
+
+# Kuhn's six tetrahedra of a cube, corners numbered x + 2y + 4z
+KUHN = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
+)
+OBLIQUE = np.array([2.0, 1.0, 0.7]) / np.linalg.norm([2.0, 1.0, 0.7])
+
+
+def box(size, cells, *, jitter=0.0, fibre=(1.0, 0.0, 0.0), seed=0) -> Heart:
+    """Box of Kuhn tetrahedra from the origin to `size` mm with straight fibres.
+
+    Inner vertices are moved by up to `jitter` of a cell. Its "endocardia" are placeholders.
+    """
+    size, cells = np.broadcast_to(size, 3).astype(float), np.broadcast_to(cells, 3).astype(int)
+    nx, ny, nz = cells + 1
+    z, y, x = np.meshgrid(np.arange(nz), np.arange(ny), np.arange(nx), indexing="ij")
+    grid = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    vertices = grid * (size / cells)
+    inner = ((grid > 0) & (grid < cells)).all(axis=1)
+    shake = np.random.default_rng(seed).uniform(-jitter, jitter, (inner.sum(), 3))
+    vertices[inner] += shake * (size / cells)
+    lowest = grid[(grid < cells).all(axis=1)] @ [1, nx, nx * ny]
+    corner = np.array([i + nx * j + nx * ny * k for k in (0, 1) for j in (0, 1) for i in (0, 1)])
+    tetrahedra = (lowest[:, None] + corner)[:, KUHN].reshape(-1, 4)
+    flip = signed_volumes(vertices, tetrahedra) < 0
+    tetrahedra[flip] = tetrahedra[flip][:, [1, 0, 2, 3]]
+    unit = np.asarray(fibre, float) / np.linalg.norm(fibre)
+    fibres = np.tile(unit, (len(tetrahedra), 1))
+    face = Endocardium("lv", vertices[:3], np.array([[0, 1, 2]]), 0, 1)
+    return Heart(vertices, tetrahedra.astype(np.int64), fibres, face, face, np.zeros((9, 3)))
+
+
+def box_tissue(size, cells, **options) -> Tissue:
+    return build_tissue(box(size, cells, **options), Conduction())
+
+
+def vertex_at(vertices, point) -> int:
+    """The vertex that lies at `point`."""
+    distance = np.linalg.norm(vertices - point, axis=1)
+    assert distance.min() < 1e-9, f"no vertex at {point}"
+    return int(distance.argmin())
+
+
+def half_ellipsoid(
+    rings=24, sectors=40, radius=24.0, depth=60.0, *, jitter=0.0, seed=0
+) -> Endocardium:
+    """Open half-ellipsoid, base at z = 0, apex at z = −depth; root on the +x side."""
+    rng = np.random.default_rng(seed)
+    polar = np.linspace(0, np.pi / 2, rings + 1)[1:]
+    rows = [np.array([[0.0, 0.0, -depth]])]
+    for k, theta in enumerate(polar):
+        phi = np.arange(sectors) * 2 * np.pi / sectors
+        if k < rings - 1:
+            theta = theta + jitter * rng.uniform(-1, 1, sectors) * (polar[1] - polar[0])
+            phi = phi + jitter * rng.uniform(-1, 1, sectors) * 2 * np.pi / sectors
+        flat = radius * np.sin(theta)
+        z = np.broadcast_to(-depth * np.cos(theta), sectors)
+        rows.append(np.column_stack([flat * np.cos(phi), flat * np.sin(phi), z]))
+    triangles = [[0, 1 + k, 1 + (k + 1) % sectors] for k in range(sectors)]
+    for r in range(rings - 1):
+        a, b = 1 + r * sectors, 1 + (r + 1) * sectors
+        for k in range(sectors):
+            k1 = (k + 1) % sectors
+            triangles += [[a + k, b + k, b + k1], [a + k, b + k1, a + k1]]
+    vertices = np.concatenate(rows)
+    faces = oriented_into_cavity(vertices, np.array(triangles, np.int64), "half-ellipsoid")
+    root = 1 + (rings - 4) * sectors
+    return Endocardium("lv", vertices, faces, root, 1 + (rings // 3) * sectors)
+
+
+def line_tree(points, *, root=0, side="lv") -> PurkinjeTree:
+    """Tree along a polyline, entered at node `root`; both other ends are leaves."""
+    points = np.asarray(points, float)
+    index = np.arange(len(points))
+    parents = np.where(index > root, index - 1, np.where(index < root, index + 1, -1))
+    lengths = np.linalg.norm(points - points[parents], axis=1)
+    lengths[root] = 0.0
+    return PurkinjeTree(side, points, parents.astype(np.int64), lengths)
+
+
+def solve_without_trees(tissue: Tissue, vertex_times) -> np.ndarray:
+    """Myocardium alone, by the kernel's sweep, from given times at vertices (ms)."""
+    time = np.full(len(tissue.vertices), np.inf)
+    for vertex, stimulus in vertex_times.items():
+        time[vertex] = stimulus
+    none, one = np.empty(0, np.int64), np.zeros(1, np.int64)
+    sweep(
+        time, np.flatnonzero(np.isfinite(time)),
+        tissue.corners, tissue.squares, tissue.vertex_start, tissue.vertex_tetrahedra,
+        one, none, np.empty(0), none, none, np.empty((0, 4)), one, none, np.empty(0),
+        np.zeros(len(tissue.vertices) + 1, np.int64), none, 0.0, 0.0,
+    )  # fmt: skip
+    return time
+
+
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+@njit(cache=True)
+def _way(gram, t, p, q):
+    """Σλτ + √(λᵀAλ) at λ = (p, q, 1 − p − q)."""
+    r = 1.0 - p - q
+    square = (
+        gram[0, 0] * p * p + gram[1, 1] * q * q + gram[2, 2] * r * r
+        + 2.0 * (gram[0, 1] * p * q + gram[0, 2] * p * r + gram[1, 2] * q * r)
+    )  # fmt: skip
+    return p * t[0] + q * t[1] + r * t[2] + np.sqrt(max(square, 0.0))
+
+
+@njit(cache=True)
+def _best_on_row(gram, t, p, halvings):
+    low, high = 0.0, 1.0 - p
+    best = min(_way(gram, t, p, low), _way(gram, t, p, high))
+    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    fa, fb = _way(gram, t, p, a), _way(gram, t, p, b)
+    for _ in range(halvings):
+        if fa < fb:
+            high, b, fb = b, a, fa
+            a = high - GOLDEN * (high - low)
+            fa = _way(gram, t, p, a)
+        else:
+            low, a, fa = a, b, fb
+            b = low + GOLDEN * (high - low)
+            fb = _way(gram, t, p, b)
+    return min(best, fa, fb)
+
+
+@njit(cache=True)
+def brute_force(gram, t, halvings):
+    """Minimum over the simplex by nested golden section: no formula shared with the kernel."""
+    low, high = 0.0, 1.0
+    best = min(_best_on_row(gram, t, 0.0, halvings), _way(gram, t, 1.0, 0.0))
+    a, b = 1.0 - GOLDEN, GOLDEN
+    fa, fb = _best_on_row(gram, t, a, halvings), _best_on_row(gram, t, b, halvings)
+    for _ in range(halvings):
+        if fa < fb:
+            high, b, fb = b, a, fa
+            a = high - GOLDEN * (high - low)
+            fa = _best_on_row(gram, t, a, halvings)
+        else:
+            low, a, fa = a, b, fb
+            b = low + GOLDEN * (high - low)
+            fb = _best_on_row(gram, t, b, halvings)
+    return min(best, fa, fb)
+
+
+@njit(cache=True)
+def lowest_offers(vertices, corners, metric, time, halvings):
+    """The earliest time that any tetrahedron offers each vertex (ms), by brute force.
+
+    Faces that are entirely later than the vertex cannot lower it and are left out.
+    """
+    offers = np.full(len(vertices), np.inf)
+    edges, gram, t = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for e in range(len(corners)):
+        for at in range(4):
+            vertex = corners[e, at]
+            k = 0
+            for c in range(4):
+                if c != at:
+                    edges[k] = vertices[corners[e, c]] - vertices[vertex]
+                    t[k] = time[corners[e, c]]
+                    k += 1
+            if t.min() >= time[vertex]:
+                continue
+            gram[:] = edges @ metric[e] @ edges.T
+            offers[vertex] = min(offers[vertex], brute_force(gram, t, halvings))
+    return offers

@@ -1,0 +1,229 @@
+"""A small heart in files, good or spoilt, and the command line in this process."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from fascicle.leads import ELECTRODES
+
+WIDTH, CELLS = 60.0, 8  # mm; cubes along each side of the tissue
+CUBE = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1), (1, 1, 1)]
+KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
+RINGS, SPOKES = 9, 24
+
+SMALL_PARAMETERS = {
+    "lv_initial_length": 8.0,
+    "rv_initial_length": 9.0,
+    "lv_fascicle_length_1": 5.0,
+    "lv_fascicle_length_2": 6.0,
+    "rv_fascicle_length_1": 6.0,
+    "rv_fascicle_length_2": 5.0,
+    "lv_fascicle_angle_1": 0.9,
+    "lv_fascicle_angle_2": -0.6,
+    "rv_fascicle_angle_1": 0.7,
+    "rv_fascicle_angle_2": -0.4,
+    "root_time": -12.5,
+    "cv": 2.7,
+}
+
+
+def cube_of_tissue():
+    """Points (n, 3) and tetrahedra (m, 4) of a block with room for two cavities' surfaces."""
+    axis = np.arange(CELLS + 1)
+    lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    stride = np.array([(CELLS + 1) ** 2, CELLS + 1, 1])
+    corner = lattice[(lattice < CELLS).all(axis=1)] @ stride
+    offsets = np.array(CUBE) @ stride
+    tetrahedra = (corner[:, None, None] + offsets[np.array(KUHN)][None]).reshape(-1, 4)
+    return lattice * (WIDTH / CELLS), tetrahedra
+
+
+def cup(centre_x):
+    """Points and triangles of an open cup, its rim at z = 55 mm, its apex at z = 10 mm."""
+    points, triangles = [[centre_x, WIDTH / 2, 10.0]], []
+    for ring in range(1, RINGS + 1):
+        depth = ring / RINGS
+        angle = 2 * np.pi * np.arange(SPOKES) / SPOKES
+        radius = 11.0 * np.sqrt(depth)
+        points += np.column_stack(
+            [
+                centre_x + radius * np.cos(angle),
+                WIDTH / 2 + radius * np.sin(angle),
+                np.full(SPOKES, 10.0 + 45.0 * depth),
+            ]
+        ).tolist()
+    for k in range(SPOKES):
+        following = (k + 1) % SPOKES
+        triangles.append([0, 1 + k, 1 + following])
+        for ring in range(RINGS - 1):
+            a, b = 1 + ring * SPOKES + k, 1 + ring * SPOKES + following
+            triangles += [[a, a + SPOKES, b], [b, a + SPOKES, b + SPOKES]]
+    return np.array(points), np.array(triangles)
+
+
+def grid(points, tetrahedra, point_data=None, cell_data=None):
+    mesh = pv.UnstructuredGrid({pv.CellType.TETRA: np.asarray(tetrahedra)}, np.asarray(points))
+    mesh.point_data.update(point_data or {})
+    mesh.cell_data.update(cell_data or {})
+    return mesh
+
+
+def surface(points, triangles):
+    return pv.PolyData.from_regular_faces(np.asarray(points, float), np.asarray(triangles))
+
+
+def electrode_rows():
+    """Nine places around the block."""
+    angle = 2 * np.pi * np.arange(len(ELECTRODES)) / len(ELECTRODES)
+    ring = np.column_stack([150 * np.cos(angle), 110 * np.sin(angle), 40 * np.sin(3 * angle)])
+    return [[name, *place] for name, place in zip(ELECTRODES, ring + WIDTH / 2, strict=True)]
+
+
+def write_rows(path, rows, header=("name", "x", "y", "z")):
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([list(header), *rows])
+    return path
+
+
+@dataclass
+class Materials:
+    """The five files of `fascicle heart import`, any of which a test replaces."""
+
+    folder: Path
+
+    def __post_init__(self):
+        self.points, self.tetrahedra = cube_of_tissue()
+        self.fibres = np.tile([0.6, 0.0, 0.8], (len(self.points), 1))
+        self.lv_surface, self.rv_surface = cup(15.0), cup(45.0)
+        self.files = {
+            "mesh": self.save("mesh.vtu", grid(self.points, self.tetrahedra)),
+            "fibres": self.save(
+                "fibres.vtu", grid(self.points, self.tetrahedra, {"fibre": self.fibres})
+            ),
+            "lv-endocardium": self.save("lv.vtp", surface(*self.lv_surface)),
+            "rv-endocardium": self.save("rv.vtp", surface(*self.rv_surface)),
+            "electrodes": write_rows(self.folder / "electrodes.csv", electrode_rows()),
+        }
+
+    def save(self, name, data, **options):
+        path = self.folder / name
+        data.save(path, **options)
+        return path
+
+    def command(self, out, *extra, **replaced):
+        files = self.files | {key.replace("_", "-"): value for key, value in replaced.items()}
+        options = [text for key, value in files.items() for text in (f"--{key}", str(value))]
+        return ["heart", "import", *options, "--out", str(out), *map(str, extra)]
+
+
+@dataclass
+class Ended:
+    """How a command ended."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(monkeypatch, capfd):
+    """Run `fascicle ...` in this process; what VTK prints by itself is captured too."""
+    from fascicle.cli import main
+
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["fascicle", *map(str, arguments)])
+        capfd.readouterr()
+        status = 0
+        try:
+            main()
+        except SystemExit as leaving:
+            status = leaving.code if isinstance(leaving.code, int) else 0
+        return Ended(status, *capfd.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def refused(run):
+    """Run a command that must end in one line on stderr, with these words in it."""
+
+    def call(arguments, *words):
+        ended = run(*arguments)
+        assert ended.status == 2, ended
+        assert ended.out == ""
+        assert ended.err.startswith("error: ")
+        assert ended.err.count("\n") == 1, ended.err
+        assert ended.err.endswith("\n")
+        for word in words:
+            assert str(word) in ended.err, ended.err
+        return ended.err
+
+    return call
+
+
+@pytest.fixture
+def materials(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    return Materials(folder)
+
+
+@pytest.fixture
+def outside(tmp_path):
+    """A folder for outputs that must stay as it is when a command is refused."""
+    folder = tmp_path / "outside"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def import_refused(materials, outside, refused):
+    """Refuse an import with some files replaced; nothing may be left beside --out."""
+
+    def call(*words, extra=(), **replaced):
+        message = refused(materials.command(outside / "heart", *extra, **replaced), *words)
+        assert list(outside.iterdir()) == []
+        return message
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def small_heart(tmp_path_factory):
+    """Folder of the small heart."""
+    from fascicle.io.hearts import assemble_heart, write_heart
+    from fascicle.io.meshes import read_mesh
+
+    materials = Materials(tmp_path_factory.mktemp("materials"))
+    files = materials.files
+    heart = assemble_heart(
+        mesh=read_mesh(files["mesh"]),
+        fibres=read_mesh(files["fibres"]),
+        surfaces={side: read_mesh(files[f"{side}-endocardium"]) for side in ("lv", "rv")},
+        seeds={"lv": (None, None), "rv": (None, None)},
+        electrodes=files["electrodes"],
+        name="block",
+    )
+    folder = tmp_path_factory.mktemp("hearts") / "block"
+    write_heart(heart, folder)
+    return folder
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """Write a parameter file; every value given replaces one of the small heart's."""
+
+    def write(name="parameters.toml", **replaced):
+        values = SMALL_PARAMETERS | replaced
+        lines = [f"{key} = {value}" for key, value in values.items() if value is not None]
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    return write

@@ -1,0 +1,210 @@
+"""`fascicle heart import` on the small heart: what must work."""
+
+from __future__ import annotations
+
+import json
+
+import meshio
+import numpy as np
+import pytest
+import pyvista as pv
+
+from fascicle.io.hearts import load_heart
+
+
+def grid(materials, **data):
+    mesh = pv.UnstructuredGrid({pv.CellType.TETRA: materials.tetrahedra}, materials.points)
+    mesh.point_data.update(data)
+    return mesh
+
+
+def test_import_and_check(materials, outside, run):
+    ended = run(*materials.command(outside / "heart"))
+    assert (ended.status, ended.err) == (0, "")
+    assert "729 vertices, 3072 tetrahedra" in ended.out
+    assert sorted(p.name for p in outside.iterdir()) == ["heart"]
+    ended = run("heart", "check", outside / "heart")
+    assert (ended.status, ended.err) == (0, "")
+    assert "no problem found" in ended.out
+    heart = load_heart(outside / "heart")
+    np.testing.assert_allclose(heart.fibres, np.tile([0.6, 0, 0.8], (3072, 1)), atol=1e-12)
+    assert heart.volumes.sum() == pytest.approx(60.0**3)
+
+
+def test_found_seeds_face_the_other_ventricle_near_the_base(materials, outside, run):
+    assert run(*materials.command(outside / "heart")).status == 0
+    heart = load_heart(outside / "heart")
+    for endocardium, sign in ((heart.lv, 1), (heart.rv, -1)):
+        centre = 15.0 if sign == 1 else 45.0
+        root, direction = (
+            endocardium.vertices[k] for k in (endocardium.root, endocardium.direction)
+        )
+        assert sign * (root[0] - centre) > 8  # towards the other cup
+        assert sign * (direction[0] - centre) > 5
+        assert 45 < root[2] < 55  # the rim is at 55 mm, the apex at 10 mm
+        assert direction[2] < root[2] - 10
+
+
+def test_given_seeds_are_kept(materials, outside, run):
+    seeds = ["--lv-root", 200, "--lv-direction", 0, "--rv-root", 180, "--rv-direction", 5]
+    assert run(*materials.command(outside / "heart", *seeds)).status == 0
+    heart = load_heart(outside / "heart")
+    assert (heart.lv.root, heart.lv.direction) == (200, 0)
+    assert (heart.rv.root, heart.rv.direction) == (180, 5)
+
+
+def test_fibres_per_cell_and_in_another_order(materials, outside, run):
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(materials.tetrahedra))
+    centre = materials.points[materials.tetrahedra].mean(axis=1)
+    fibres = np.column_stack([np.ones(len(centre)), centre[:, 1] / 60, centre[:, 2] / 60])
+    mesh = pv.UnstructuredGrid(
+        {pv.CellType.TETRA: materials.tetrahedra[order]}, materials.points.astype(np.float32)
+    )
+    mesh.cell_data["lon"] = fibres[order]
+    file = materials.save("per_cell.vtk", mesh)
+    assert run(*materials.command(outside / "heart", fibres=file)).status == 0
+    expected = fibres / np.linalg.norm(fibres, axis=1, keepdims=True)
+    np.testing.assert_allclose(load_heart(outside / "heart").fibres, expected, atol=1e-12)
+
+
+def test_fibres_per_point_in_another_order(materials, outside, run):
+    rng = np.random.default_rng(1)
+    order = rng.permutation(len(materials.points))
+    fibres = np.zeros_like(materials.points)
+    fibres[:, 0], fibres[:, 1] = 1, np.where(materials.points[:, 2] > 30, 5, 0)
+    cloud = pv.PolyData(materials.points[order])
+    cloud.point_data["fiber"] = fibres[order]
+    cloud.point_data["something else"] = fibres[order]
+    file = materials.save("cloud.vtp", cloud)
+    assert run(*materials.command(outside / "heart", fibres=file)).status == 0
+    heart = load_heart(outside / "heart")
+    high = (heart.vertices[heart.tetrahedra][:, :, 2] > 30.1).all(axis=1)
+    low = (heart.vertices[heart.tetrahedra][:, :, 2] < 29.9).all(axis=1)
+    assert (np.abs(heart.fibres[low] @ [1, 0, 0]) > 1 - 1e-12).all()
+    assert (np.abs(heart.fibres[high] @ np.array([1, 5, 0]) / np.sqrt(26)) > 1 - 1e-12).all()
+
+
+def write_tissue(materials, name):
+    path = materials.folder / name
+    mesh = grid(materials, fibre=materials.fibres)
+    cells, fibres = [("tetra", materials.tetrahedra)], {"fibre": materials.fibres}
+    if name.endswith(".msh"):
+        version = "gmsh22" if "22" in name else "gmsh"
+        meshio.write(
+            path,
+            meshio.Mesh(materials.points, cells, fibres),
+            file_format=version,
+            binary="ascii" not in name,
+        )
+    else:
+        mesh.save(path, binary="ascii" not in name)
+    return path
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["binary.vtu", "ascii.vtu", "binary.vtk", "ascii.vtk", "binary.msh", "ascii.msh", "ascii22.msh"],
+)
+def test_every_tissue_format(materials, outside, run, name):
+    file = write_tissue(materials, name)
+    ended = run(*materials.command(outside / "heart", mesh=file, fibres=file))
+    assert (ended.status, ended.err) == (0, "")
+    heart = load_heart(outside / "heart")
+    np.testing.assert_allclose(heart.vertices, materials.points, atol=1e-5)
+    np.testing.assert_array_equal(heart.tetrahedra, materials.tetrahedra)
+
+
+def write_surface(path, points, triangles):
+    if path.suffix == ".obj":
+        lines = ["# made elsewhere", "mtllib none.mtl", "o endocardium"]
+        lines += ["v {:.9g} {:.9g} {:.9g}".format(*p) for p in points]
+        lines += ["s off"] + ["f {} {} {}".format(*t) for t in triangles + 1]
+        path.write_text("\n".join(lines) + "\n")
+    elif path.suffix == ".msh":
+        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="gmsh")
+    else:
+        pv.PolyData.from_regular_faces(points, triangles).save(path, binary="ascii" not in path.name)
+    return path
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "s.vtp", "ascii.vtp", "s.vtk", "ascii.vtk", "s.obj", "s.stl", "ascii.stl", "s.ply",
+        "ascii.ply", "s.msh",
+    ],
+)  # fmt: skip
+def test_every_surface_format(materials, outside, run, name):
+    points, triangles = materials.lv_surface
+    file = write_surface(materials.folder / name, points, triangles)
+    ended = run(*materials.command(outside / "heart", lv_endocardium=file))
+    assert (ended.status, ended.err) == (0, "")
+    lv = load_heart(outside / "heart").lv
+    assert len(lv.triangles) == len(triangles)
+    area = pv.PolyData.from_regular_faces(points, triangles).area
+    assert lv.area == pytest.approx(area, rel=1e-5)
+    if not name.endswith("stl"):  # which has no numbered points
+        np.testing.assert_allclose(lv.vertices, points, atol=1e-4)
+
+
+def test_surface_with_mixed_up_orientation(materials, outside, run):
+    points, triangles = materials.lv_surface
+    mixed = triangles.copy()
+    mixed[::3] = mixed[::3, ::-1]
+    file = write_surface(materials.folder / "mixed.vtp", points, mixed)
+    assert run(*materials.command(outside / "heart", lv_endocardium=file)).status == 0
+    lv = load_heart(outside / "heart").lv
+    corners = lv.vertices[lv.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.array([15.0, 30.0, 0.0]) - corners.mean(axis=1)
+    inward[:, 2] = 0
+    assert (np.einsum("ij,ij->i", normals, inward) > 0).all()
+
+
+def test_electrodes_as_json_in_any_order_and_case(materials, outside, run):
+    assert run(*materials.command(outside / "from csv")).status == 0
+    table = [line.split(",") for line in materials.files["electrodes"].read_text().split()[1:]]
+    content = {name.lower(): [float(x) for x in place] for name, *place in reversed(table)}
+    file = materials.folder / "electrodes.json"
+    file.write_text(json.dumps(content))
+    assert run(*materials.command(outside / "from json", electrodes=file)).status == 0
+    first, second = (load_heart(outside / f"from {kind}") for kind in ("csv", "json"))
+    np.testing.assert_array_equal(first.electrodes, second.electrodes)
+    assert np.ptp(first.electrodes, axis=0).max() > 250
+
+
+def test_import_again_replaces_and_keeps_nothing_old(materials, outside, run):
+    out = outside / "heart"
+    assert run(*materials.command(out, "--lv-root", 200, "--lv-direction", 0)).status == 0
+    assert run(*materials.command(out, "--lv-root", 199, "--lv-direction", 0)).status == 0
+    assert load_heart(out).lv.root == 199
+    assert sorted(p.name for p in outside.iterdir()) == ["heart"]
+
+
+def test_a_written_heart_imports_to_an_equal_one(materials, outside, run):
+    assert run(*materials.command(outside / "first")).status == 0
+    first = load_heart(outside / "first")
+    files = {
+        "mesh": outside / "first" / "mesh.vtu",
+        "fibres": outside / "first" / "mesh.vtu",
+        "lv-endocardium": outside / "first" / "lv_endocardium.vtp",
+        "rv-endocardium": outside / "first" / "rv_endocardium.vtp",
+        "electrodes": outside / "first" / "electrodes.csv",
+    }
+    assert run(*materials.command(outside / "second", **files)).status == 0
+    assert load_heart(outside / "second").digest == first.digest
+
+
+@pytest.mark.parametrize("name", ["my heart", "Herz Größe ♥ 心臓", "🫀", 'a"quote', "odd\x7f"])
+def test_odd_names_and_paths(materials, outside, run, name):
+    moved = outside / name
+    moved.mkdir()
+    files = {key: path.rename(moved / path.name) for key, path in materials.files.items()}
+    for key, path in files.items():
+        materials.files[key] = path
+    out = outside / f"{name} out" / name
+    assert run(*materials.command(out)).status == 0
+    ended = run("heart", "check", out)
+    assert (ended.status, ended.err) == (0, "")
+    assert load_heart(out).name == name
