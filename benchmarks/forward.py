@@ -17,12 +17,17 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from fascicle.geometry.heart import Heart
 
 Array = npt.NDArray[np.float64]
 Case = dict[str, npt.NDArray[Any]]
@@ -96,10 +101,12 @@ def build_case(folder: Path) -> Case:
     case: Case = {
         "vertices": vertices,
         "tetrahedra": tetrahedra,
+        "fibre": fibre,
         "velocity_metric": CM2_TO_MM2 * ALPHA**2 * 0.5 * (bulk + np.swapaxes(bulk, 1, 2)),
         "intracellular": intracellular,
-        "lead_fields": _lead_fields(folder / "electrodes_mm.csv", vertices),
     }
+    case["electrodes"] = _electrodes(folder / "electrodes_mm.csv")
+    case["lead_fields"] = _lead_fields(case["electrodes"], vertices)
     for side in ("lv", "rv"):
         points, triangles = _read_obj(folder / f"crtdemo_{side.upper()}endo_heart_cut.obj")
         case[f"{side}_vertices"] = points
@@ -134,7 +141,87 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         ``versions``, a dict; ``cpu_share``,
         CPU time over wall time while measuring (well below 1: a busy machine, measure again).
     """
-    raise NotImplementedError("benchmarks.forward.measure_fascicle: fascicle is not timed yet")
+    from benchmarks.eikonal_residual import eikonal_residual
+    from fascicle.eikonal.activation import BALL_EDGES, BALL_RADIUS, solve
+    from fascicle.forward import ForwardModel, InvalidTree
+
+    model = ForwardModel(_heart(case))
+    parameters = _named_parameters(case)
+    trees = model.grow(parameters)
+    if isinstance(trees, InvalidTree):
+        raise RuntimeError(f"the benchmark's parameters give no tree: {trees.reason}")
+    radius = max(BALL_EDGES * model.heart.edge_length, BALL_RADIUS)
+    roots = (max(0.0, -parameters["root_time"]), max(0.0, parameters["root_time"]))
+    sources = dict(zip(case["source_vertices"].tolist(), case["source_times"], strict=True))
+
+    def couple() -> Array:
+        cv = parameters["cv"]
+        return solve(model.tissue, trees, roots, cv, ball_radius=radius).myocardium
+
+    def eikonal_alone() -> Array:
+        times = solve(model.tissue, (), (), 1.0, ball_radius=radius, vertex_times=sources)
+        return times.myocardium
+
+    activation = couple()
+    stages: dict[str, Callable[[], object]] = {
+        "grow": lambda: model.grow(parameters),
+        "couple": couple,
+        "ecg": lambda: model.electrocardiograph.leads(activation),
+        "forward": lambda: model.simulate(parameters),
+        "eikonal_alone": eikonal_alone,
+    }
+    wall, cpu = time.perf_counter(), time.process_time()
+    report: Report = {name: _median_seconds(stage, repeats) for name, stage in stages.items()}
+    share = (time.process_time() - cpu) / (time.perf_counter() - wall)
+    residual = eikonal_residual(
+        case["vertices"], case["tetrahedra"], case["velocity_metric"], eikonal_alone()
+    )
+    return report | {
+        "eikonal_residual": residual,
+        "iterations": 1,
+        "nodes": sum(len(tree.nodes) for tree in trees),
+        "junctions": sum(len(tree.junctions) for tree in trees),
+        "cpu_share": share,
+        "versions": {name: version(name) for name in ("fascicle", "numba", "numpy")},
+    }
+
+
+def _median_seconds(stage: Callable[[], object], repeats: int) -> float:
+    """Median duration of a stage after one warm-up."""
+    stage()
+    seconds = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        stage()
+        seconds.append(time.perf_counter() - begin)
+    return float(np.median(seconds))
+
+
+def _heart(case: Case) -> Heart:
+    """Hold the case's arrays as fascicle holds a heart."""
+    from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
+    from fascicle.geometry.heart import Heart
+
+    endocardia = []
+    for side in ("lv", "rv"):
+        points, triangles = case[f"{side}_vertices"], case[f"{side}_triangles"]
+        root, direction = (int(seed) for seed in case[f"{side}_seed"])
+        facing = oriented_into_cavity(points, triangles, side)
+        endocardia.append(Endocardium(side, points, facing, root, direction))
+    return Heart(
+        case["vertices"], case["tetrahedra"], case["fibre"], *endocardia, case["electrodes"]
+    )
+
+
+def _named_parameters(case: Case) -> dict[str, float]:
+    """Give the case's parameters fascicle's names."""
+    named = {name: float(case[name]) for name in ("root_time", "cv")}
+    for side in ("lv", "rv"):
+        named[f"{side}_initial_length"] = float(case[f"{side}_initial_length"])
+        for kind in ("length", "angle"):
+            for k, value in enumerate(case[f"{side}_fascicle_{kind}s"], 1):
+                named[f"{side}_fascicle_{kind}_{k}"] = float(value)
+    return named
 
 
 def make_baseline(folder: Path) -> Path:
@@ -224,13 +311,18 @@ def _transversely_isotropic(along_and_across: tuple[float, float], fibre: Array)
     return across * np.eye(3) + (along - across) * fibre[:, :, None] * fibre[:, None, :]
 
 
-def _lead_fields(electrodes: Path, vertices: Array) -> Array:
-    """Z = 1/(4πσr) of each electrode in an unbounded homogeneous conductor."""
+def _electrodes(path: Path) -> Array:
+    """Positions (mm), in the order of `ELECTRODES`."""
     positions = {}
-    for line in electrodes.read_text().splitlines()[1:]:
+    for line in path.read_text().splitlines()[1:]:
         name, *xyz = line.split(",")
         positions[name] = [float(value) for value in xyz]
-    offset = vertices - np.array([positions[name] for name in ELECTRODES])[:, None, :]
+    return np.array([positions[name] for name in ELECTRODES])
+
+
+def _lead_fields(electrodes: Array, vertices: Array) -> Array:
+    """Z = 1/(4πσr) of each electrode in an unbounded homogeneous conductor."""
+    offset = vertices - electrodes[:, None, :]
     return 1.0 / (4.0 * np.pi * TORSO_CONDUCTIVITY * np.linalg.norm(offset, axis=2))
 
 

@@ -60,7 +60,7 @@ def align(
     running = np.concatenate([[0.0], np.cumsum((padded**2).sum(axis=0))])
     energy = running[length:] - running[:-length]
     if free_gain:
-        allowed = energy >= LEAST_SHARE * energy.max()
+        allowed = (energy > 0) & (energy >= LEAST_SHARE * energy.max())
         gain = np.where(allowed, np.maximum(product, 0) / np.where(allowed, energy, 1.0), 0.0)
     else:
         gain = np.ones_like(energy)

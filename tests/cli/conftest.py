@@ -33,15 +33,25 @@ SMALL_PARAMETERS = {
 }
 
 
-def cube_of_tissue():
-    """Points (n, 3) and tetrahedra (m, 4) of a block with room for two cavities' surfaces."""
-    axis = np.arange(CELLS + 1)
+def cup_radius(depth):
+    """Radius (mm) at a depth from 0, the apex, to 1, the rim."""
+    return 11.0 * np.sqrt(np.maximum(depth, 0))
+
+
+def block_of_tissue(cells=CELLS, hollow=False):
+    """Points (n, 3) and tetrahedra (m, 4) of a block, with two cavities or without."""
+    axis = np.arange(cells + 1)
     lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    stride = np.array([(CELLS + 1) ** 2, CELLS + 1, 1])
-    corner = lattice[(lattice < CELLS).all(axis=1)] @ stride
+    stride = np.array([(cells + 1) ** 2, cells + 1, 1])
+    cubes = lattice[(lattice < cells).all(axis=1)]
+    if hollow:
+        x, y, z = (cubes.T + 0.5) * (WIDTH / cells)
+        radius = cup_radius((z - 10.0) / 45.0)
+        cubes = cubes[(np.hypot(np.minimum(abs(x - 15), abs(x - 45)), y - WIDTH / 2) > radius)]
+    corner = cubes @ stride
     offsets = np.array(CUBE) @ stride
     tetrahedra = (corner[:, None, None] + offsets[np.array(KUHN)][None]).reshape(-1, 4)
-    return lattice * (WIDTH / CELLS), tetrahedra
+    return lattice * (WIDTH / cells), tetrahedra
 
 
 def cup(centre_x):
@@ -50,7 +60,7 @@ def cup(centre_x):
     for ring in range(1, RINGS + 1):
         depth = ring / RINGS
         angle = 2 * np.pi * np.arange(SPOKES) / SPOKES
-        radius = 11.0 * np.sqrt(depth)
+        radius = cup_radius(depth)
         points += np.column_stack(
             [
                 centre_x + radius * np.cos(angle),
@@ -98,7 +108,7 @@ class Materials:
     folder: Path
 
     def __post_init__(self):
-        self.points, self.tetrahedra = cube_of_tissue()
+        self.points, self.tetrahedra = block_of_tissue()
         self.fibres = np.tile([0.6, 0.0, 0.8], (len(self.points), 1))
         self.lv_surface, self.rv_surface = cup(15.0), cup(45.0)
         self.files = {
@@ -202,6 +212,9 @@ def small_heart(tmp_path_factory):
 
     materials = Materials(tmp_path_factory.mktemp("materials"))
     files = materials.files
+    hollow = grid(*block_of_tissue(12, hollow=True))
+    hollow.cell_data["fibre"] = np.tile([0.6, 0.0, 0.8], (hollow.n_cells, 1))
+    files["mesh"] = files["fibres"] = materials.save("hollow.vtu", hollow)
     heart = assemble_heart(
         mesh=read_mesh(files["mesh"]),
         fibres=read_mesh(files["fibres"]),

@@ -27,7 +27,7 @@ def test_import_and_check(materials, outside, run):
     assert (ended.status, ended.err) == (0, "")
     assert "no problem found" in ended.out
     heart = load_heart(outside / "heart")
-    np.testing.assert_allclose(heart.fibres, np.tile([0.6, 0, 0.8], (3072, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.abs(heart.fibres @ [0.6, 0, 0.8]), 1, atol=1e-12)
     assert heart.volumes.sum() == pytest.approx(60.0**3)
 
 
@@ -97,6 +97,8 @@ def write_tissue(materials, name):
             file_format=version,
             binary="ascii" not in name,
         )
+        if "ascii" in name:  # meshio writes numpy 2 scalars as np.float64(0.6)
+            path.write_text(path.read_text().replace("np.float64(", "").replace(")", ""))
     else:
         mesh.save(path, binary="ascii" not in name)
     return path
@@ -104,7 +106,15 @@ def write_tissue(materials, name):
 
 @pytest.mark.parametrize(
     "name",
-    ["binary.vtu", "ascii.vtu", "binary.vtk", "ascii.vtk", "binary.msh", "ascii.msh", "ascii22.msh"],
+    [
+        "binary.vtu",
+        "ascii.vtu",
+        "binary.vtk",
+        "ascii.vtk",
+        "binary.msh",
+        "ascii.msh",
+        "ascii22.msh",
+    ],
 )
 def test_every_tissue_format(materials, outside, run, name):
     file = write_tissue(materials, name)
@@ -124,7 +134,9 @@ def write_surface(path, points, triangles):
     elif path.suffix == ".msh":
         meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="gmsh")
     else:
-        pv.PolyData.from_regular_faces(points, triangles).save(path, binary="ascii" not in path.name)
+        pv.PolyData.from_regular_faces(points, triangles).save(
+            path, binary="ascii" not in path.name
+        )
     return path
 
 

@@ -114,3 +114,17 @@ def test_a_junction_off_the_surface_fires_the_nearest_tissue_and_says_how_far():
     assert activation.junction_distances[0] == pytest.approx([1.5])
     vertex = vertex_at(TISSUE.vertices, [10.0, 6.0, DEPTH])
     assert activation.myocardium[vertex] == pytest.approx(3.5 / CV)
+
+
+def test_no_tree_at_all():
+    """ "Any number of trees" includes none: paced myocardium after a complete block."""
+    sides = {int(v): 0.0 for v in np.flatnonzero(TISSUE.vertices[:, 0] < 1e-9)}
+    activation = solve(TISSUE, [], [], CV, ball_radius=BALL, vertex_times=sides)
+    np.testing.assert_allclose(activation.myocardium, TISSUE.vertices[:, 0] / ALONG, atol=1e-9)
+    assert activation.trees == ()
+
+
+def test_a_root_time_for_every_tree():
+    """A missing root time must not silence a tree without a word."""
+    with pytest.raises(ValueError, match=r"zip|root"):
+        solve(TISSUE, [bundle(12), bundle(3)], [0.0], CV, ball_radius=BALL)

@@ -17,7 +17,9 @@ BALL = 6.0  # mm
 def star(seed, leaves=6):
     """Star of random leaves on the tissue's top, between vertices."""
     rng = np.random.default_rng(seed)
-    tips = np.column_stack([rng.uniform(0, 30, leaves), rng.uniform(0, 20, leaves), np.full(leaves, 6.0)])
+    tips = np.column_stack(
+        [rng.uniform(0, 30, leaves), rng.uniform(0, 20, leaves), np.full(leaves, 6.0)]
+    )
     nodes = np.vstack([[15.0, 10.0, 8.0], tips])
     parents = np.concatenate([[-1], np.zeros(leaves, int)])
     return PurkinjeTree("lv", nodes, parents, np.linalg.norm(nodes - nodes[0], axis=1))
@@ -37,7 +39,9 @@ def test_adding_a_source_never_increases_any_time(seed, roots, vertex, stimulus)
     trees = both(seed)
     before = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL)
     after = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL, vertex_times={vertex: stimulus})
-    for a, b in zip((after.myocardium, *after.trees), (before.myocardium, *before.trees), strict=True):
+    for a, b in zip(
+        (after.myocardium, *after.trees), (before.myocardium, *before.trees), strict=True
+    ):
         assert (a <= b + 1e-9).all()
 
 

@@ -103,7 +103,7 @@ def test_no_segment_chord_is_longer_than_the_segment(ground):
 
 def test_each_fascicle_keeps_its_own_length(ground):
     """Changing one must not change the other (a shared queue in the published code did)."""
-    bundle, (first, second) = LENGTHS[ground[0].side]
+    _, (first, second) = LENGTHS[ground[0].side]
     base = stretches(grow(ground, rules=BARE))
     tree = grow(ground, fascicles=(first, second - 4.4), rules=BARE)
     changed = stretches(tree)
@@ -120,7 +120,9 @@ def test_trees_change_continuously_with_lengths(ground):
     for near in (bundle, math.floor(bundle) - nudge / 2):
         one = grow(ground, bundle=near, rules=BARE)
         other = grow(ground, bundle=near + nudge, rules=BARE)
-        ends = [np.array([tree.nodes[path[-1]] for path in stretches(tree)]) for tree in (one, other)]
+        ends = [
+            np.array([tree.nodes[path[-1]] for path in stretches(tree)]) for tree in (one, other)
+        ]
         moved = np.linalg.norm(ends[1] - ends[0], axis=1)
         assert 0 < moved.max() < 10 * nudge
     few = GrowthRules(generations=2)

@@ -53,6 +53,8 @@ class Electrocardiograph:
         (9, n_time) array
             Potentials (mV).
         """
+        if activation.min() < 0:
+            raise ValueError(f"activation begins at {activation.min()} ms; it must not before 0")
         begin, end = self.action_potential.span
         width = 1.0 / BINS_PER_MS
         duration = int(np.ceil(activation.max() + end))

@@ -12,8 +12,9 @@ from fascicle.eikonal.tissue import Site, Tissue
 from fascicle.kernels.coupled import sweep
 from fascicle.tree.purkinje import PurkinjeTree
 
-# Radius, in mean edges, of the ball around a fired junction whose vertices get the exact time.
-BALL_EDGES = 2.0
+# Radius of the ball around a fired junction whose vertices get their time along a straight line:
+# so many mean edges, and on fine meshes at least so many mm, which keeps the order of convergence.
+BALL_EDGES, BALL_RADIUS = 2.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -80,14 +81,16 @@ def solve(
     orthodromic_delay, antidromic_delay : float
         Delays of the junctions (ms).
     """
-    offsets = np.concatenate([[0], np.cumsum([len(tree.nodes) for tree in trees])]).astype(int)
+    if len(root_times) != len(trees):
+        raise ValueError(f"{len(root_times)} root times for {len(trees)} trees")
+    offsets = _starts([len(tree.nodes) for tree in trees])
     vertices = len(tissue.vertices)
-    junctions = [tree.junctions + offset for tree, offset in zip(trees, offsets, strict=False)]
+    junctions = [tree.junctions + offset for tree, offset in zip(trees, offsets[:-1], strict=True)]
     junction_nodes = np.concatenate([*junctions, np.empty(0, np.int64)]).astype(np.int64)
     points = [tree.nodes[tree.junctions] for tree in trees]
     site = tissue.locate(np.concatenate([*points, np.empty((0, 3))]))
     time = np.full(vertices + offsets[-1], np.inf)
-    for tree, offset, root_time in zip(trees, offsets, root_times, strict=False):
+    for tree, offset, root_time in zip(trees, offsets[:-1], root_times, strict=True):
         time[vertices + offset + tree.root] = root_time
     for vertex, stimulus in (vertex_times or {}).items():
         time[vertex] = stimulus
@@ -103,21 +106,31 @@ def solve(
         *_readers(tissue, site),
         orthodromic_delay, antidromic_delay,
     )  # fmt: skip
-    tree_times = tuple(np.split(time[vertices:], offsets[1:-1]))
-    sizes = np.cumsum([len(j) for j in junctions])[:-1]
+    tree_times = _pieces(time[vertices:], offsets)
     return Activation(
         time[:vertices],
         tree_times,
         tuple(
             _fired_by_myocardium(tree, t, cv) for tree, t in zip(trees, tree_times, strict=True)
         ),
-        tuple(np.split(site.distances, sizes)),
+        _pieces(site.distances, _starts([len(j) for j in junctions])),
     )
+
+
+def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
+    """Where each of several consecutive pieces starts, and where the last one ends."""
+    return np.concatenate([[0], np.cumsum(np.asarray(sizes, dtype=np.int64))])
+
+
+def _pieces(
+    values: NDArray[np.float64], starts: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], ...]:
+    return tuple(values[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True))
 
 
 def _links(trees: Sequence[PurkinjeTree], offsets: NDArray[np.int64], cv: float) -> Links:
     child, parent, travel = [], [], []
-    for tree, offset in zip(trees, offsets, strict=False):
+    for tree, offset in zip(trees, offsets[:-1], strict=True):
         linked = np.flatnonzero(tree.parents >= 0)
         child.append(linked + offset)
         parent.append(tree.parents[linked] + offset)

@@ -42,7 +42,7 @@ class Endocardium:
 def triangle_normals(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Normals whose length is the triangle's area, shape (m, 3)."""
+    """Give normals whose length is the triangle's area, shape (m, 3)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return np.asarray(np.cross(b - a, c - a) / 2)
 

@@ -12,6 +12,7 @@ from fascicle.geometry.endocardium import boundary_loops
 # the bundle branches appear subendocardially in the upper septum.
 ROOT_DEPTH = (0.08, 0.22)
 DIRECTION_DEPTH = (0.4, 0.55)
+NEXT_TO_BAND = 0.05
 
 
 def septal_seeds(
@@ -57,8 +58,8 @@ def _nearest_in(
     score: NDArray[np.float64],
     allowed: NDArray[np.bool_],
 ) -> int:
-    inside = allowed & (depth >= band[0]) & (depth <= band[1])
-    if not inside.any():  # a coarse surface: take what lies nearest to the band
-        middle = sum(band) / 2
-        return int(np.argmin(np.where(allowed, np.abs(depth - middle), np.inf)))
+    beyond = np.maximum(np.maximum(band[0] - depth, depth - band[1]), 0)
+    nearest = float(beyond[allowed].min())
+    # a coarse surface may have no vertex in the band: then those next to it
+    inside = allowed & (beyond <= (nearest + NEXT_TO_BAND if nearest > 0 else 0))
     return int(np.argmin(np.where(inside, score, np.inf)))

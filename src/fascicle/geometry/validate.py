@@ -17,6 +17,7 @@ from fascicle.leads import ELECTRODES
 SMALLEST_EXTENT, LARGEST_EXTENT = 35.0, 400.0  # mm
 # A tetrahedron flatter than this fraction of a regular one with its mean edge counts as flat.
 FLATNESS = 1e-9
+SMALLEST_ENDOCARDIUM = 0.2  # of the largest extent of the tissue
 FURTHEST_ENDOCARDIUM = 5.0  # mm, median distance of an endocardium to the tissue
 FURTHEST_ELECTRODE = 1500.0  # mm
 
@@ -41,7 +42,7 @@ def check_units(name: str, points: NDArray[np.float64]) -> None:
 def check_tetrahedra(
     name: str, vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
 ) -> None:
-    """Refuse flat or inverted tetrahedra and tissue in several pieces."""
+    """Refuse flat, inverted or overlapping tetrahedra and tissue in several pieces."""
     volumes = signed_volumes(vertices, tetrahedra)
     size = float(np.abs(volumes).mean())
     for kind, bad in (
@@ -58,6 +59,7 @@ def check_tetrahedra(
                 f"{name}: {bad.size} of {len(tetrahedra)} tetrahedra {kind} "
                 f"(first: {bad[0]}); {remedy}"
             )
+    _check_no_overlap(name, tetrahedra)
     rows = np.repeat(tetrahedra[:, 0], 3)
     columns = tetrahedra[:, 1:].ravel()
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(vertices),) * 2)
@@ -67,6 +69,20 @@ def check_tetrahedra(
         raise InputError(
             f"{name}: the tissue falls into {pieces} unconnected pieces ({len(vertices) - largest} "
             "vertices outside the largest); keep one piece or join them"
+        )
+
+
+def _check_no_overlap(name: str, tetrahedra: NDArray[np.int64]) -> None:
+    """Refuse tetrahedra that are there twice, or lie within one another: they would count twice."""
+    faces = tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
+    faces = np.sort(faces, axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    crowded = order[2:][same[1:] & same[:-1]]  # the third tetrahedron on one face, and further ones
+    if crowded.size:
+        raise InputError(
+            f"{name}: {np.unique(crowded // 4).size} tetrahedra overlap others (first: "
+            f"{(crowded // 4).min()}); remove what is there twice"
         )
 
 
@@ -89,7 +105,13 @@ def check_fibres(name: str, fibres: NDArray[np.float64]) -> None:
 def check_endocardium_in_place(
     name: str, surface: NDArray[np.float64], vertices: NDArray[np.float64]
 ) -> None:
-    """Refuse an endocardium that does not lie on the tissue."""
+    """Refuse an endocardium that does not lie on the tissue, or is of another size."""
+    extent, whole = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
+    if extent < SMALLEST_ENDOCARDIUM * whole:
+        raise InputError(
+            f"{name}: its largest extent is {extent:.3g} mm, that of the tissue {whole:.3g} mm; "
+            "give both in mm, and the whole endocardium"
+        )
     distance = float(np.median(cKDTree(vertices).query(surface)[0]))
     if distance > FURTHEST_ENDOCARDIUM:
         raise InputError(

@@ -17,7 +17,7 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path, with the same suffix, that takes the place of `path` on success.
+    """Give a temporary path, with the same suffix, that takes the place of `path` on success.
 
     The temporary file lies in the same folder, so the rename is atomic; on any error, and on
     Ctrl-C, it is removed and what stood at `path` stays.
@@ -42,7 +42,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
-    """A temporary folder that takes the place of `folder` on success.
+    """Give a temporary folder that takes the place of `folder` on success.
 
     A folder that stands there already is replaced only once the new one is complete, and only if
     the new one has every file that the old one has: what somebody else put there is not lost.

@@ -226,7 +226,7 @@ def _seeds(
 def _fibres_per_tetrahedron(
     mesh: Mesh, tetrahedra: NDArray[np.int64], source: Mesh
 ) -> NDArray[np.float64]:
-    """Unit fibre of each tetrahedron, matched by position if the order differs."""
+    """Find the unit fibre of each tetrahedron, matched by position if the order differs."""
     name = str(source.path)
     values, per_cell = _fibre_array(source)
     if per_cell:
@@ -236,7 +236,7 @@ def _fibres_per_tetrahedron(
         values = values[row]
         check_fibres(name, values)
         length = np.linalg.norm(values, axis=1, keepdims=True)
-        # a fibre of unit length to rounding stays as it is, so that a written heart reads back equal
+        # a fibre of unit length to rounding stays as it is: a written heart reads back equal
         return np.asarray(np.where(np.abs(length - 1) < 1e-12, values, values / length))
     used = np.unique(tetrahedra)
     row = match_by_position(name, source.points, mesh.points[used], "vertices")
@@ -248,7 +248,7 @@ def _fibres_per_tetrahedron(
 
 
 def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
-    """The array of directions in a file, and whether it is one per tetrahedron."""
+    """Find the array of directions in a file, and whether it is one per tetrahedron."""
     candidates: dict[str, tuple[Any, bool]] = {}
     for arrays, per_cell in (
         (source.cell_data.get(TETRAHEDRON, {}), True),

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.errors import InputError
-from fascicle.io.atomic import atomic_path
+from fascicle.io.atomic import write_text
 
 VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
 MESHIO_FORMATS = (".ply", ".msh")  # VTK's PLY reader crashes on truncated files
 PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
 
 # What a complete file has near its end: VTK reads a truncated one as far as it goes.
-TAIL = 1024  # bytes
+HEAD, TAIL = 512, 1024  # bytes
 # A binary STL is a header, the number of triangles, and so many bytes for each of them.
 STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
 
@@ -94,7 +94,11 @@ def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
             f"{path}: {suffix} files can hold a Python pickle, which runs code when opened, and "
             f"are never read; in a Python you trust, save the {purpose} as {formats[0]} instead"
         )
-    if not path.exists():
+    try:
+        exists = path.exists()
+    except OSError as error:  # a name that is too long, for one
+        raise InputError(f"{path}: {error.strerror} ({purpose}); check the path") from None
+    if not exists:
         raise InputError(f"{path}: no such file ({purpose}); check the path")
     if not path.is_file():
         raise InputError(f"{path}: is not a file ({purpose}); give the file itself")
@@ -138,7 +142,7 @@ def _check_complete(path: Path) -> None:
     """Refuse files without the end that their format promises."""
     size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(STL_HEADER)
+        head = file.read(HEAD)
         file.seek(max(0, size - TAIL))
         tail = file.read()
     promised = {
@@ -158,14 +162,14 @@ def _check_complete(path: Path) -> None:
 
 
 def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:
-    announced = int.from_bytes(head[-4:], "little")
-    fits = len(head) == STL_HEADER and size >= STL_HEADER + STL_TRIANGLE * announced
+    announced = int.from_bytes(head[STL_HEADER - 4 : STL_HEADER], "little")
+    fits = len(head) >= STL_HEADER and size >= STL_HEADER + STL_TRIANGLE * announced
     return (fits and any(tail)) or b"endsolid" in tail.lower()
 
 
 def _is_ascii_vtk(content: bytes) -> bool:
     """Whether the third line of a legacy VTK file says that numbers follow as text."""
-    return content.split(b"\n", 3)[2:3] == [b"ASCII"]
+    return [line.strip().upper() for line in content.split(b"\n", 3)[2:3]] == [b"ASCII"]
 
 
 def _read_vtk(path: Path) -> Mesh:
@@ -223,7 +227,7 @@ def _vtk_reader(path: Path) -> Any:
     if _is_ascii_vtk(content):
         # VTK takes a file that ends within an array as whole; with an empty array after it the
         # end of the other is noticed
-        content += b"FIELD end 0\n"
+        content += b"\n\nFIELD end 0\n"
         reader.ReadFromInputStringOn()
         reader.SetBinaryInputString(content, len(content))
     else:
@@ -254,7 +258,8 @@ def _vtk_complaints() -> Iterator[list[str]]:
             printed = printed.decode(errors="replace")
         # "ERROR: In vtkX.cxx, line 7", then "vtkX (0x55aa): what happened"
         for text in re.split(r"^\w+: In .*, line \d+$", printed, flags=re.MULTILINE):
-            if text.strip():
+            # the range of an array with an inf in it cannot be read back; nobody needs it
+            if text.strip() and "InformationKey" not in text:
                 complaints.append(_one_line(re.sub(r"^\s*\w+ \(0x\w+\): ", "", text)))
 
 
@@ -335,10 +340,7 @@ def _read_meshio(path: Path) -> Mesh:
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
             # meshio.read would leave the program when it cannot read a file
-            if path.suffix.lower() == ".msh":
-                data = meshio.gmsh.read(path)
-            else:
-                data = meshio.ply.read(_ply_content(path))
+            data = meshio.gmsh.read(path) if path.suffix.lower() == ".msh" else _read_ply(path)
     except (
         meshio.ReadError, ValueError, LookupError, ArithmeticError, AssertionError, OSError,
         EOFError, TypeError, AttributeError, RuntimeError, MemoryError, struct.error,
@@ -371,12 +373,22 @@ def _read_meshio(path: Path) -> Mesh:
     return Mesh(path, points, cells, dict(data.point_data), cell_data, others)
 
 
-def _ply_content(path: Path) -> io.BytesIO:
-    """Read a PLY file and make it one that meshio can handle."""
+def _read_ply(path: Path) -> Any:
+    """Read a PLY file by meshio, which has to be helped with some."""
+    import meshio
+
     content = path.read_bytes()
     if b"end_header" not in content:  # meshio would look for it forever
         raise ValueError("no end_header")
-    return io.BytesIO(content.replace(b" vertex_index\n", b" vertex_indices\n", 1))
+    # half the world writes vertex_index, which meshio does not know
+    content = re.sub(rb" vertex_index(?=\s)", b" vertex_indices", content, count=1)
+    data = meshio.ply.read(io.BytesIO(content))
+    announced = dict(re.findall(rb"element (vertex|face) (\d+)", content.split(b"end_header")[0]))
+    found = {b"vertex": len(data.points), b"face": sum(len(block.data) for block in data.cells)}
+    for element, number in announced.items():
+        if int(number) != found[element]:
+            raise ValueError(f"{found[element]} of {int(number)} elements '{element.decode()}'")
+    return data
 
 
 def _one_line(error: object) -> str:
@@ -412,10 +424,13 @@ def write_surface(path: Path, points: NDArray[np.float64], triangles: NDArray[np
 
 
 def _save(data: Any, path: Path) -> None:
-    with atomic_path(path) as temporary:
-        with _vtk_complaints() as complaints:
-            data.save(temporary)
-        if complaints:
-            raise InputError(
-                f"{path.name}: could not be written ({complaints[0]}); is the disk full?"
-            )
+    """Let VTK write into memory: on a full disk it crashes, Python says so."""
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+    is_surface = path.suffix == ".vtp"
+    writer: Any = vtkXMLPolyDataWriter() if is_surface else vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(data)
+    writer.SetDataModeToBinary()  # as base64, so the output is text
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    write_text(path, writer.GetOutputString())

@@ -117,7 +117,7 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
 
 
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, object]:
-    """A few numbers about a simulation, as written to `summary.json`."""
+    """Say a few numbers about a simulation, as written to `summary.json`."""
     sides: dict[str, object] = {}
     for tree, antidromic, distance in zip(
         simulation.trees,

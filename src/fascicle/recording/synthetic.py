@@ -1,0 +1,53 @@
+"""Targets made from a simulated ECG, to see whether a known network is found again."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.window import qrs_window
+
+MARGIN = 60  # samples before and after the simulated ECG
+NOISE_CORRELATION = 4.0  # ms
+
+
+def synthetic_target(
+    leads: NDArray[np.float64],
+    rng: np.random.Generator,
+    beats: int = 10,
+    noise: float = 0.02,
+    amplitude_spread: float = 0.02,
+) -> Target:
+    """Beats of a simulated QRS that vary as recorded ones do: in amplitude and by noise.
+
+    Parameters
+    ----------
+    leads : (12, n) array
+        Simulated ECG (mV), every `SAMPLING_STEP`.
+    rng : numpy.random.Generator
+        Source of the variation.
+    beats : int
+        Number of beats.
+    noise : float
+        Standard deviation of additive noise (mV), smooth over a few ms.
+    amplitude_spread : float
+        Relative standard deviation of a beat's amplitude, all leads together.
+    """
+    clean = np.pad(leads, ((0, 0), (MARGIN, MARGIN)))
+    onset, offset = qrs_window(clean, SAMPLING_STEP)
+    peak = int(np.argmax((clean**2).sum(axis=0)))
+    white = rng.standard_normal((beats, *clean.shape))
+    smooth = gaussian_filter1d(white, NOISE_CORRELATION / SAMPLING_STEP, axis=-1)
+    smooth *= noise / smooth.std()
+    amplitude = 1 + amplitude_spread * rng.standard_normal((beats, 1, 1))
+    time = (np.arange(clean.shape[1]) - peak) * SAMPLING_STEP
+    return Target(
+        beats=amplitude * clean + smooth,
+        time=time,
+        qrs_onset=float(time[onset]),
+        qrs_offset=float(time[offset]),
+        heart_rate=60.0,
+        provenance={"source": "simulated"},
+    )

@@ -1,0 +1,118 @@
+"""`fascicle heart check` and other commands on heart folders, good and spoilt."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+
+@pytest.fixture
+def heart(small_heart, outside):
+    return shutil.copytree(small_heart, outside / "heart")
+
+
+@pytest.fixture
+def check_refused(heart, refused):
+    def call(*words):
+        before = sorted(heart.parent.rglob("*"))
+        message = refused(["heart", "check", heart], *words)
+        assert sorted(heart.parent.rglob("*")) == before
+        return message
+
+    return call
+
+
+def edit(heart, old, new):
+    path = heart / "heart.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_packaged_heart(run):
+    ended = run("heart", "check", "default")
+    assert (ended.status, ended.err) == (0, "")
+    assert "35852 tetrahedra" in ended.out
+    assert ended.out.endswith("no problem found\n")
+
+
+def test_good(heart, run):
+    ended = run("heart", "check", f"{heart}/")
+    assert (ended.status, ended.err) == (0, "")
+    assert ended.out.startswith("block\n")
+
+
+@pytest.mark.parametrize("command", ["check", "simulate"])
+def test_no_heart_folder(outside, refused, command):
+    arguments = ["heart", "check"] if command == "check" else ["simulate", "--out", outside / "x"]
+    refused([*arguments, outside / "none"], outside / "none", "no such heart folder; make one")
+    refused([*arguments, outside], outside, "not a heart folder (no heart.toml); make one")
+    (outside / "file").write_text("hello")
+    refused([*arguments, outside / "file"], "file: not a heart folder")
+    assert [p.name for p in outside.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    "content", [b"name = ", b"\xff\xfe\x00", b"a = 1\na = 2", b"a = " + b"9" * 5000]
+)
+def test_broken_manifest(heart, check_refused, content):
+    (heart / "heart.toml").write_bytes(content)
+    check_refused("heart.toml: not valid TOML", "; import the heart again")
+
+
+def test_empty_manifest(heart, check_refused):
+    (heart / "heart.toml").write_text("")
+    check_refused("heart.toml: 'format': Field required; correct it or import")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('units = "mm"', 'units = "cm"', "'units': Input should be 'mm'"),
+        ("fascicle heart 1", "fascicle heart 2", "'format': Input should be 'fascicle heart 1'"),
+        (
+            'units = "mm"',
+            'units = "mm"\ncolour = "red"',
+            "'colour': Extra inputs are not permitted",
+        ),
+        ("root = ", "roof = ", "'lv.root': Field required"),
+        ("root = ", 'root = "a" #', "'lv.root': Input should be a valid integer"),
+        ("[rv]", "[lvv]", "'rv': Field required"),
+        ('mesh = "mesh.vtu"', "mesh = 3", "'mesh': Input should be a valid string"),
+    ],
+)
+def test_manifest_that_says_something_else(heart, check_refused, old, new, words):
+    edit(heart, old, new)
+    check_refused(f"heart.toml: {words}", "; correct it or import")
+
+
+@pytest.mark.parametrize(
+    "name", ["mesh.vtu", "lv_endocardium.vtp", "rv_endocardium.vtp", "electrodes.csv"]
+)
+def test_missing_and_damaged_files(heart, check_refused, name):
+    content = (heart / name).read_bytes()
+    (heart / name).write_bytes(content[: len(content) // 2])
+    check_refused(heart / name, "; ")
+    (heart / name).unlink()
+    check_refused(heart / name, "no such file", "; check the path")
+
+
+@pytest.mark.parametrize("name", ["", ".", "a\\u0000b", "evil.pkl"])
+def test_odd_file_names(heart, check_refused, name):
+    edit(heart, "mesh.vtu", name)
+    check_refused("error: ", "; ")
+
+
+@pytest.mark.parametrize("seed", [-1, 10_000])
+def test_seed_out_of_range(heart, check_refused, seed):
+    edit(heart, "root = ", f"root = {seed} #")
+    check_refused("lv_endocardium.vtp", f"LV root {seed}", "; give a number from 0 to 216")
+
+
+def test_root_is_direction(heart, check_refused):
+    text = (heart / "heart.toml").read_text()
+    for key in ("root", "direction"):
+        first = text.index(f"{key} = ")
+        edit(heart, text[first : text.index("\n", first)], f"{key} = 3")
+    check_refused("lv_endocardium.vtp: LV root and direction are the same point (3); give two")

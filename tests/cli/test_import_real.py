@@ -1,0 +1,56 @@
+"""`fascicle heart import` of a patient's heart, as published."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from fascicle.geometry.endocardium import boundary_loops
+from fascicle.io.hearts import load_heart
+
+
+@pytest.fixture
+def command(data_folder, outside):
+    folder = data_folder / "hearts" / "crtdemo"
+    return [
+        "heart", "import",
+        "--mesh", folder / "crtdemo_mesh_oriented.vtk",
+        "--fibres", folder / "crtdemo_f0_oriented.vtk",
+        "--lv-endocardium", folder / "crtdemo_LVendo_heart_cut.obj",
+        "--rv-endocardium", folder / "crtdemo_RVendo_heart_cut.obj",
+        "--electrodes", folder / "electrodes_mm.csv",
+        "--out", outside / "crtdemo",
+    ]  # fmt: skip
+
+
+def test_with_the_published_seeds_to_an_ecg(command, outside, run):
+    seeds = ["--lv-root", 388, "--lv-direction", 412, "--rv-root", 198, "--rv-direction", 186]
+    ended = run(*command, *seeds)
+    assert (ended.status, ended.err) == (0, "")
+    assert "4569 vertices, 17866 tetrahedra" in ended.out
+    assert "226.5 ml, mean edge 4.8 mm" in ended.out
+    heart = load_heart(outside / "crtdemo")
+    assert (heart.lv.root, heart.rv.direction) == (388, 186)
+    np.testing.assert_allclose(np.linalg.norm(heart.fibres, axis=1), 1, atol=1e-12)
+    ended = run("simulate", outside / "crtdemo", "--cv", 2.5, "--out", outside / "simulated")
+    assert (ended.status, ended.err) == (0, "")
+    summary = json.loads((outside / "simulated" / "summary.json").read_text())
+    assert 60 < summary["qrs_duration_ms"] < 200
+
+
+def test_without_seeds_they_are_found_on_the_septum(command, outside, run):
+    assert run(*command).status == 0
+    heart = load_heart(outside / "crtdemo")
+    for own, other in ((heart.lv, heart.rv), (heart.rv, heart.lv)):
+        base = own.vertices[boundary_loops(own.triangles)[0]].mean(axis=0)
+        apex = own.vertices[np.argmax(np.linalg.norm(own.vertices - base, axis=1))]
+        root, direction = own.vertices[own.root], own.vertices[own.direction]
+        depth = [(p - base) @ (apex - base) / np.sum((apex - base) ** 2) for p in (root, direction)]
+        assert 0.05 < depth[0] < 0.25
+        assert depth[1] > depth[0] + 0.15
+        to_other = cKDTree(other.vertices).query(own.vertices)[0]
+        seeds = to_other[[own.root, own.direction]]
+        assert (seeds < np.quantile(to_other, 0.4)).all()

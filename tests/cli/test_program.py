@@ -1,0 +1,75 @@
+"""The program as a program: help, imports, exit statuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = Path(sys.executable).with_name("fascicle")
+HEAVY = ("torch", "vtkmodules", "pyvista", "matplotlib", "arviz", "numba", "scipy", "meshio")
+
+
+def start(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "fascicle.cli", *map(str, arguments)], capture_output=True, text=True
+    )
+
+
+def test_importing_the_command_line_loads_nothing_heavy():
+    check = f"import sys, fascicle.cli; print(*[m for m in {HEAVY} if m in sys.modules])"
+    ended = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout.strip(), ended.stderr) == (0, "", "")
+
+
+def test_installed_program():
+    ended = subprocess.run([PROGRAM, "--help"], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    for command in ("heart", "simulate", "target", "fit", "predict", "report", "demo"):
+        assert f" {command} " in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("heart", "import"), ("heart import", "--lv-endocardium"), ("heart check", "HEART"),
+        ("simulate", "--root-time"), ("target", "--out"), ("fit", "--initial"),
+        ("predict", "--root-time"), ("report", "Finished study"), ("demo", "--out"),
+    ],
+)  # fmt: skip
+def test_help_of_every_command(run, monkeypatch, command, words):
+    monkeypatch.setenv("COLUMNS", "100")
+    ended = run(*command.split(), "--help")
+    assert (ended.status, ended.err) == (0, "")
+    assert words in ended.out
+
+
+def test_unknown_options_and_commands(run):
+    for arguments in (["simulat"], ["simulate", "default", "--ot", "x"], ["simulate"]):
+        ended = run(*arguments)
+        assert ended.status == 2
+        assert "Traceback" not in ended.err
+        assert "Usage" in ended.err
+
+
+def test_errors_of_the_real_program(materials, outside):
+    spoilt = materials.folder / "cut.vtu"
+    spoilt.write_bytes(materials.files["mesh"].read_bytes()[:-3000])
+    for arguments in (
+        materials.command(outside / "heart", mesh=spoilt),
+        materials.command(outside / "heart", electrodes=materials.folder / "e.pkl"),
+        ["heart", "check", outside / "none"],
+    ):
+        ended = start(*arguments)
+        assert (ended.returncode, ended.stdout) == (2, "")
+        assert ended.stderr.startswith("error: ")
+        assert ended.stderr.count("\n") == 1
+    assert list(outside.iterdir()) == []
+
+
+def test_names_that_no_file_system_takes(refused, outside):
+    name = "x" * 300
+    refused(["simulate", "default", "--params", f"{name}.toml", "--out", outside / "s"], name)
+    assert list(outside.iterdir()) == []

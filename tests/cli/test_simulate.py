@@ -1,0 +1,361 @@
+"""`fascicle simulate`: what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from fascicle.io.hearts import load_heart
+from fascicle.leads import LEADS
+from fascicle.parameters import EXAMPLE_PARAMETERS
+
+FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "summary.json"]
+
+
+def read_ecg(folder):
+    with (folder / "ecg.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    return header, np.array(rows, dtype=float)
+
+
+@pytest.fixture
+def simulated(small_heart, parameters, outside, run):
+    """Outputs of a simulation from parameters."""
+    out = outside / "from parameters"
+    ended = run("simulate", small_heart, "--params", parameters(), "--out", out)
+    assert (ended.status, ended.err) == (0, "")
+    return out
+
+
+@pytest.fixture
+def simulate_refused(small_heart, outside, refused):
+    def call(arguments, *words):
+        before = sorted(outside.rglob("*"))
+        message = refused(["simulate", small_heart, *arguments, "--out", outside / "sim"], *words)
+        assert sorted(outside.rglob("*")) == before
+        return message
+
+    return call
+
+
+class TestOutputs:
+    def test_files(self, simulated, outside):
+        assert sorted(p.name for p in simulated.iterdir()) == FILES
+        assert list(outside.iterdir()) == [simulated]
+
+    def test_activation(self, simulated, small_heart):
+        mesh = pv.read(simulated / "activation.vtu")
+        assert list(mesh.point_data) == ["activation"]
+        heart = load_heart(small_heart)
+        np.testing.assert_array_equal(mesh.points, heart.vertices)
+        assert mesh.n_cells == len(heart.tetrahedra)
+        assert 0 <= mesh["activation"].min() < 20
+        assert 20 < np.ptp(mesh["activation"]) < 200
+
+    def test_trees(self, simulated):
+        for side, first in (("lv", 12.5), ("rv", 0.0)):  # root_time is -12.5 ms
+            tree = pv.read(simulated / f"{side}_tree.vtu")
+            assert "activation" in tree.point_data
+            assert set(tree.celltypes) == {pv.CellType.LINE}
+            assert tree.n_cells == tree.n_points - 1
+            assert tree["activation"].min() == pytest.approx(first)
+            assert tree["activation"].max() <= first + tree["length"].sum() / 2.7 + 1e-9
+
+    def test_ecg(self, simulated):
+        header, rows = read_ecg(simulated)
+        assert header == ["time_ms", *LEADS]
+        np.testing.assert_array_equal(rows[:, 0], np.arange(len(rows)))
+        leads = dict(zip(header, rows.T, strict=True))
+        np.testing.assert_allclose(leads["III"], leads["II"] - leads["I"], atol=2e-6)
+        np.testing.assert_allclose(leads["aVR"], -(leads["I"] + leads["II"]) / 2, atol=2e-6)
+        assert np.abs(rows[:, 1:]).max() > 1e-3
+
+    def test_summary(self, simulated):
+        summary = json.loads((simulated / "summary.json").read_text())
+        activation = pv.read(simulated / "activation.vtu")["activation"]
+        assert summary["total_activation_time_ms"] == pytest.approx(np.ptp(activation), abs=1e-3)
+        assert summary["inputs"]["parameters"]["root_time"] == -12.5
+        assert summary["trees"]["lv"]["nodes"] == pv.read(simulated / "lv_tree.vtu").n_points
+        assert summary["trees"]["rv"]["junctions"] > 1
+
+    def test_options_override_the_file(self, small_heart, parameters, outside, run):
+        out = outside / "sim"
+        arguments = ["--params", parameters(), "--cv", 3.5, "--root-time", 0]
+        assert run("simulate", small_heart, *arguments, "--out", out).status == 0
+        inputs = json.loads((out / "summary.json").read_text())["inputs"]["parameters"]
+        assert (inputs["cv"], inputs["root_time"]) == (3.5, 0.0)
+        assert pv.read(out / "lv_tree.vtu")["activation"].min() == 0
+
+    def test_packaged_heart_without_parameters(self, outside, run):
+        ended = run("simulate", "default", "--out", outside / "sim")
+        assert (ended.status, ended.err) == (0, "")
+        inputs = json.loads((outside / "sim" / "summary.json").read_text())["inputs"]
+        assert inputs["parameters"] == EXAMPLE_PARAMETERS
+        header, rows = read_ecg(outside / "sim")
+        v1, v6 = (rows[:, header.index(lead)] for lead in ("V1", "V6"))
+        assert -v1.min() > v1.max()  # rS on the right, R on the left
+        assert v6.max() > -v6.min()
+
+
+def as_polyline(path, out, precision):
+    """Write a tree as VTP, each branch one polyline with ends of its own."""
+    tree = pv.read(path)
+    lines = tree.cells.reshape(-1, 3)[:, 1:]
+    degree = np.bincount(lines.ravel())
+    following = {}
+    for a, b in lines:
+        following.setdefault(a, []).append(b)
+    starts = [a for a in following if degree[a] != 2 or a == lines[0, 0]]
+    points, cells = [], []
+    for start in starts:
+        for step in following[start]:
+            branch = [start, step]
+            while degree[branch[-1]] == 2:
+                branch.append(following[branch[-1]][0])
+            cells += [len(branch), *range(len(points), len(points) + len(branch))]
+            points += tree.points[branch].tolist()
+    poly = pv.PolyData(np.array(points, dtype=precision), lines=cells)
+    poly.cell_data["length"] = np.full(poly.n_lines, 1.0)  # of nothing that is meant here
+    poly.save(out)
+    return out
+
+
+class TestTrees:
+    def arguments(self, simulated, lv=None, rv=None):
+        lv = lv if lv is not None else simulated / "lv_tree.vtu"
+        rv = rv if rv is not None else simulated / "rv_tree.vtu"
+        return ["--lv-tree", lv, "--rv-tree", rv, "--cv", 2.7, "--root-time", -12.5]
+
+    def test_written_trees_give_the_same(self, simulated, small_heart, outside, run):
+        out = outside / "again"
+        ended = run("simulate", small_heart, *self.arguments(simulated), "--out", out)
+        assert (ended.status, ended.err) == (0, "")
+        first, second = (pv.read(f / "activation.vtu")["activation"] for f in (simulated, out))
+        np.testing.assert_allclose(second, first, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(read_ecg(out)[1], read_ecg(simulated)[1], rtol=0, atol=1e-9)
+        for name in ("lv_tree.vtu", "rv_tree.vtu"):
+            first, second = (np.sort(pv.read(f / name)["activation"]) for f in (simulated, out))
+            np.testing.assert_allclose(second, first, rtol=0, atol=1e-9)
+
+    @pytest.mark.parametrize(("precision", "tolerance"), [(np.float64, 0.2), (np.float32, 0.2)])
+    def test_polylines(self, simulated, small_heart, outside, run, precision, tolerance):
+        lv, rv = (
+            as_polyline(simulated / f"{side}_tree.vtu", outside / f"{side}.vtp", precision)
+            for side in ("lv", "rv")
+        )
+        out = outside / "polylines"
+        arguments = self.arguments(simulated, lv, rv)
+        ended = run("simulate", small_heart, *arguments, "--out", out)
+        assert (ended.status, ended.err) == (0, "")
+        # the chords of curved segments are a little shorter than the segments
+        first, second = (pv.read(f / "activation.vtu")["activation"] for f in (simulated, out))
+        assert np.abs(second - first).max() < tolerance
+        counts = [
+            json.loads((f / "summary.json").read_text())["trees"]["lv"] for f in (simulated, out)
+        ]
+        assert counts[0]["nodes"] == counts[1]["nodes"]
+        assert counts[0]["junctions"] == counts[1]["junctions"]
+        assert counts[1]["length_mm"] == pytest.approx(counts[0]["length_mm"], rel=0.01)
+
+    def spoil(self, simulated, outside, **arrays):
+        tree = pv.read(simulated / "lv_tree.vtu")
+        points = arrays.get("points", np.array(tree.points))
+        lines = arrays.get("lines", tree.cells.reshape(-1, 3)[:, 1:])
+        spoilt = pv.UnstructuredGrid({pv.CellType.LINE: lines}, points)
+        if "length" in arrays:
+            spoilt.cell_data["length"] = arrays["length"]
+        file = outside / "spoilt.vtu"
+        spoilt.save(file)
+        return file, lambda refuse, *words: refuse(self.arguments(simulated, lv=file), file, *words)
+
+    def test_a_loop(self, simulated, outside, simulate_refused):
+        lines = pv.read(simulated / "lv_tree.vtu").cells.reshape(-1, 3)[:, 1:]
+        _, refuse = self.spoil(
+            simulated, outside, lines=np.vstack([lines, [lines[3, 0], lines[-1, 1]]])
+        )
+        refuse(simulate_refused, "make a loop or repeat themselves; a tree has")
+
+    def test_two_pieces(self, simulated, outside, simulate_refused):
+        lines = pv.read(simulated / "lv_tree.vtu").cells.reshape(-1, 3)[:, 1:]
+        _, refuse = self.spoil(simulated, outside, lines=np.delete(lines, 5, axis=0))
+        refuse(simulate_refused, "2 unconnected pieces; give one tree")
+
+    def test_far_away(self, simulated, outside, simulate_refused):
+        points = np.array(pv.read(simulated / "lv_tree.vtu").points) + 300
+        _, refuse = self.spoil(simulated, outside, points=points)
+        refuse(simulate_refused, "mm from the tissue", "; give the tree in the heart's frame")
+
+    def test_no_length(self, simulated, outside, simulate_refused):
+        points = np.full((pv.read(simulated / "lv_tree.vtu").n_points, 3), 30.0)
+        _, refuse = self.spoil(simulated, outside, points=points)
+        refuse(simulate_refused, "every line has length zero; give")
+
+    def test_not_finite(self, simulated, outside, simulate_refused):
+        points = np.array(pv.read(simulated / "lv_tree.vtu").points)
+        points[4] = np.nan
+        _, refuse = self.spoil(simulated, outside, points=points)
+        refuse(simulate_refused, "not finite (first: point 4)")
+
+    @pytest.mark.parametrize("value", [0.1, -1, np.nan, np.inf])
+    def test_lengths_that_cannot_be(self, simulated, outside, simulate_refused, value):
+        length = np.array(pv.read(simulated / "lv_tree.vtu")["length"])
+        length[6] = value
+        _, refuse = self.spoil(simulated, outside, length=length)
+        refuse(simulate_refused, "segment 6 has length", "; correct or remove the array 'length'")
+
+    def test_a_repeated_point_is_no_segment(self, simulated, small_heart, outside, run):
+        tree = pv.read(simulated / "lv_tree.vtu")
+        lines = tree.cells.reshape(-1, 3)[:, 1:].copy()
+        twin = tree.n_points
+        points = np.vstack([tree.points, tree.points[lines[4, 0]]])
+        extra = [[lines[4, 0], twin], [twin, lines[4, 1]]]
+        file, _ = self.spoil(
+            simulated, outside, points=points, lines=np.vstack([np.delete(lines, 4, 0), extra])
+        )
+        arguments = self.arguments(simulated, lv=file)
+        assert run("simulate", small_heart, *arguments, "--out", outside / "out").status == 0
+        summary = json.loads((outside / "out" / "summary.json").read_text())
+        assert summary["trees"]["lv"]["nodes"] == tree.n_points
+
+    def test_no_lines(self, simulated, simulate_refused):
+        file = simulated / "activation.vtu"
+        simulate_refused(self.arguments(simulated, lv=file), file, "no lines", "; give a mesh")
+
+    def test_swapped(self, simulated, simulate_refused):
+        lv, rv = simulated / "rv_tree.vtu", simulated / "lv_tree.vtu"
+        simulate_refused(
+            self.arguments(simulated, lv, rv), lv, "given as the LV tree", "; swap the two trees"
+        )
+
+    def test_only_one(self, simulated, simulate_refused):
+        for side in ("lv", "rv"):
+            simulate_refused(
+                [f"--{side}-tree", simulated / f"{side}_tree.vtu"], "only one tree", "; give both"
+            )
+
+    def test_trees_and_parameters(self, simulated, parameters, simulate_refused):
+        arguments = [*self.arguments(simulated), "--params", parameters()]
+        simulate_refused(arguments, "exclude each other; give one kind")
+
+    @pytest.mark.parametrize(
+        ("name", "words"),
+        [("none.vtu", "no such file"), ("t.pkl", "pickle"), ("t.obj", "use one of .vtu, .vtp")],
+    )
+    def test_files_that_are_no_trees(self, simulated, simulate_refused, outside, name, words):
+        file = outside / name
+        if name != "none.vtu":
+            file.write_text("hello\n")
+        simulate_refused(self.arguments(simulated, lv=file), file, words)
+
+    @pytest.mark.parametrize("option", ["--cv", "--root-time"])
+    @pytest.mark.parametrize("value", ["nan", "inf", "-1e9"])
+    def test_options(self, simulated, simulate_refused, option, value):
+        arguments = self.arguments(simulated)
+        arguments[arguments.index(option) + 1] = value
+        simulate_refused(arguments, f"error: {option}: parameter", "; it must be between")
+
+
+class TestParameters:
+    @pytest.fixture
+    def refuse(self, parameters, simulate_refused):
+        def call(*words, **replaced):
+            file = parameters(**replaced)
+            return simulate_refused(["--params", file], file, *words)
+
+        return call
+
+    def test_unknown(self, refuse):
+        refuse("unknown parameter 'lv_lenght'; known are: lv_initial_length", lv_lenght=3.0)
+
+    def test_missing(self, refuse):
+        refuse("missing parameters root_time, cv; add them", root_time=None, cv=None)
+        refuse("missing parameter cv; add", cv=None)
+
+    @pytest.mark.parametrize("value", ["nan", "inf", "-inf", '"3"', "true", "[3.0]", "{a = 1}"])
+    def test_no_number(self, refuse, value):
+        refuse("parameter 'cv' is", "; give a", cv=value)
+
+    @pytest.mark.parametrize("name", ["cv", "lv_initial_length", "rv_fascicle_length_2"])
+    @pytest.mark.parametrize("value", [-1, 0, -0.0])
+    def test_not_positive(self, refuse, name, value):
+        refuse(f"parameter '{name}' is", "; it must be", **{name: value})
+
+    def test_degrees(self, refuse):
+        refuse("'lv_fascicle_angle_1' is 45; it must be", "rad", lv_fascicle_angle_1=45)
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("root_time", 1e9), ("root_time", -2000), ("cv", 1e-6), ("cv", 1e6)]
+    )
+    def test_beyond_all_hearts(self, refuse, name, value):
+        refuse(f"parameter '{name}' is {value:g}; it must be between", **{name: value})
+
+    def test_too_many_digits(self, refuse):
+        refuse("; correct it", cv="1" + "0" * 400)
+        refuse("; write lines like", cv="1" + "0" * 5000)
+
+    @pytest.mark.parametrize(
+        "content", [b"cv: 3\n", b"cv = 3\ncv = 4\n", b"[", b"\xff\xfe", b"a = " + b"[" * 10_000]
+    )
+    def test_no_toml(self, tmp_path, simulate_refused, content):
+        file = tmp_path / "spoilt.toml"
+        file.write_bytes(content)
+        simulate_refused(
+            ["--params", file], file, "not valid TOML", "; write lines like 'cv = 3.0'"
+        )
+
+    def test_empty(self, tmp_path, simulate_refused):
+        file = tmp_path / "empty.toml"
+        file.touch()
+        simulate_refused(["--params", file], file, "missing parameters lv_initial_length", "; add")
+
+    def test_other_files(self, tmp_path, simulate_refused):
+        simulate_refused(["--params", tmp_path / "no.toml"], "no.toml", "no such file")
+        simulate_refused(["--params", tmp_path], tmp_path, "not a file")
+        for name, words in (("p.json", "use one of .toml"), ("p.pkl", "pickle")):
+            (tmp_path / name).write_text("{}")
+            simulate_refused(["--params", tmp_path / name], name, words)
+
+    @pytest.mark.parametrize(
+        ("name", "words"),
+        [
+            ("lv_initial_length", "LV bundle leaves the endocardium after"),
+            ("rv_fascicle_length_2", "RV fascicle 2 leaves the endocardium after"),
+        ],
+    )
+    def test_what_does_not_fit(self, refuse, name, words):
+        message = refuse(words, "of 300.0 mm", "; shorten it", **{name: 300.0})
+        fits = float(message.split("after ")[1].split(" of")[0])
+        assert 0 < fits < 60 * math.sqrt(3)
+
+
+class TestOut:
+    def test_bad_input_leaves_good_output(self, simulated, small_heart, parameters, refused):
+        before = {p.name: p.read_bytes() for p in simulated.iterdir()}
+        bad = ["--params", parameters(cv="nan"), "--out", simulated]
+        refused(["simulate", small_heart, *bad], "parameter 'cv' is nan")
+        assert {p.name: p.read_bytes() for p in simulated.iterdir()} == before
+
+    def test_again_replaces(self, simulated, small_heart, parameters, run, outside):
+        again = ["--params", parameters(), "--cv", 4, "--out", simulated]
+        assert run("simulate", small_heart, *again).status == 0
+        assert "4.0" in (simulated / "summary.json").read_text()
+        assert list(outside.iterdir()) == [simulated]
+
+    def test_somebodys_file(self, simulated, small_heart, parameters, refused, outside):
+        (simulated / "notes.txt").write_text("mine")
+        before = {p.name: p.read_bytes() for p in simulated.iterdir()}
+        again = ["--params", parameters(), "--out", simulated]
+        refused(["simulate", small_heart, *again], "'notes.txt', which would be lost; give another")
+        assert {p.name: p.read_bytes() for p in simulated.iterdir()} == before
+        assert list(outside.iterdir()) == [simulated]
+
+    def test_the_heart_itself(self, small_heart, parameters, refused):
+        before = {p.name: p.read_bytes() for p in small_heart.iterdir()}
+        arguments = ["simulate", small_heart, "--params", parameters(), "--out", small_heart]
+        refused(arguments, "which would be lost")
+        assert {p.name: p.read_bytes() for p in small_heart.iterdir()} == before

@@ -1,0 +1,158 @@
+"""The whole forward model on the packaged heart: clinical signs, conventions, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.errors import InputError
+from fascicle.forward import Simulation
+from fascicle.leads import LEADS
+from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.tree.purkinje import InvalidTree
+
+
+@pytest.fixture(scope="module")
+def normal(default_model):
+    return default_model.simulate(EXAMPLE_PARAMETERS)
+
+
+@pytest.fixture(scope="module")
+def left_block(default_model):
+    return default_model.simulate(EXAMPLE_PARAMETERS | {"root_time": -60.0})
+
+
+def peak(simulation, lead):
+    """The deflection of largest size (mV), with its sign."""
+    values = simulation.ecg.sel(lead=lead).to_numpy()
+    return values[np.abs(values).argmax()]
+
+
+def test_normal_qrs(normal):
+    assert isinstance(normal, Simulation)
+    assert 60 <= normal.qrs_duration <= 120  # ms
+    assert peak(normal, "aVR") < 0
+    assert peak(normal, "I") > 0
+    assert peak(normal, "II") > 0
+    size = np.abs(normal.ecg.to_numpy()).max()
+    assert 0.3 < size < 10.0  # mV; S or R of 1 to 3 mV are usual
+    assert normal.ecg.dims == ("lead", "time")
+    assert normal.ecg.lead.to_numpy().tolist() == list(LEADS)
+
+
+def test_r_wave_grows_from_v1_to_v5(normal):
+    """The R/S ratio rises over the chest; electrodes in the wrong order would break it."""
+    v1, v5 = (normal.ecg.sel(lead=lead).to_numpy() for lead in ("V1", "V5"))
+    assert -v1.min() > v1.max(), "V1 is rS"
+    assert v5.max() > -v5.min(), "V5 is dominated by R"
+
+
+def test_left_bundle_branch_block(normal, left_block):
+    """Late left root: broad, V1 negative, I and V6 positive. Mirrored charts or signs fail."""
+    assert left_block.qrs_duration > normal.qrs_duration + 25
+    assert left_block.qrs_duration >= 120
+    assert peak(left_block, "V1") < 0
+    assert peak(left_block, "I") > 0
+    assert peak(left_block, "V6") > 0
+    for lead in ("I", "V6"):
+        values = left_block.ecg.sel(lead=lead).to_numpy()
+        assert values.max() > 3 * -values.min()
+
+
+def test_left_bundle_branch_block_enters_the_left_tree_backwards(left_block):
+    """Before its root fires at 60 ms, the left tree conducts what comes through the septum.
+
+    In a tree that fires first, the tissue overtakes a detour here and there (4 of 559 junctions).
+    """
+    left, right = left_block.coupled.antidromic
+    assert left.mean() > 0.2
+    assert right.mean() < 0.05
+    assert left_block.total_activation_time > 100.0
+
+
+def test_complete_block_conducts_back_to_the_root(default_model, left_block):
+    """A left root that would fire at 300 ms is reached from below long before."""
+    simulation = default_model.activate(left_block.trees, -300.0, EXAMPLE_PARAMETERS["cv"])
+    left = simulation.coupled.trees[0]
+    assert left.max() < 200.0
+    assert left[0] > left[simulation.trees[0].junctions].min()
+    assert simulation.activation.max() < 200.0
+
+
+def test_right_bundle_branch_block_turns_v1_positive_late(default_model):
+    """Late right root: the last thing V1 sees comes towards it."""
+    simulation = default_model.simulate(EXAMPLE_PARAMETERS | {"root_time": 50.0})
+    v1 = simulation.ecg.sel(lead="V1").to_numpy()
+    late = v1[len(v1) // 2 :]
+    assert late.max() > -late.min()
+
+
+@pytest.mark.parametrize(("root_time", "left", "right"), [(30.0, 0, 30), (-30.0, 30, 0), (0, 0, 0)])
+def test_root_time_is_right_minus_left(default_model, root_time, left, right):
+    """The later root may fire earlier than that through the tissue, the earlier one is exact."""
+    coupled = default_model.simulate(EXAMPLE_PARAMETERS | {"root_time": root_time}).coupled
+    roots = [times[0] for times in coupled.trees]
+    assert roots[0] == pytest.approx(left)
+    assert roots[1] == pytest.approx(right)
+
+
+def test_simulating_twice_is_identical(default_model, normal):
+    again = default_model.simulate(EXAMPLE_PARAMETERS)
+    np.testing.assert_array_equal(again.ecg.to_numpy(), normal.ecg.to_numpy())
+    np.testing.assert_array_equal(again.activation, normal.activation)
+
+
+def test_every_vertex_and_node_is_reached(normal):
+    assert np.isfinite(normal.activation).all()
+    assert normal.activation.min() >= 0
+    assert all(np.isfinite(times).all() for times in normal.coupled.trees)
+    assert max(d.max() for d in normal.coupled.junction_distances) < 0.5  # mm off the tissue
+
+
+def test_ecg_changes_smoothly_with_the_parameters(default_model, normal):
+    """A nudge of 0.01 ms or 0.01 % must not change any lead by a per cent of the largest."""
+    size = np.abs(normal.ecg.to_numpy()).max()
+    for name, nudge in (("root_time", 0.01), ("cv", 3e-4)):
+        nudged = default_model.simulate(
+            EXAMPLE_PARAMETERS | {name: EXAMPLE_PARAMETERS[name] + nudge}
+        ).ecg.to_numpy()
+        n = min(nudged.shape[1], normal.ecg.shape[1])
+        change = np.abs(nudged[:, :n] - normal.ecg.to_numpy()[:, :n]).max()
+        assert 0 < change < 0.01 * size
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rooot_time": 1.0}, "unknown parameter 'rooot_time'"),
+        ({"cv": float("nan")}, "'cv' is nan"),
+        ({"root_time": float("inf")}, "'root_time' is inf"),
+        ({"lv_initial_length": -3.0}, "must be positive"),
+        ({"rv_fascicle_length_2": 0.0}, "must be positive"),
+        ({"cv": "3"}, "give a number"),
+    ],
+)
+def test_bad_parameters_are_refused(default_model, change, message):
+    with pytest.raises(InputError, match=message):
+        default_model.simulate(EXAMPLE_PARAMETERS | change)
+
+
+def test_missing_parameters_are_named(default_model):
+    some = {k: v for k, v in EXAMPLE_PARAMETERS.items() if k not in ("cv", "root_time")}
+    with pytest.raises(InputError, match="missing parameters root_time, cv"):
+        default_model.simulate(some)
+
+
+def test_zero_is_an_angle_and_a_root_time(default_model):
+    """`x or default` would replace them."""
+    zeros = {name: 0.0 for name in NETWORK_SPACE.names if "angle" in name} | {"root_time": 0.0}
+    straight = default_model.simulate(EXAMPLE_PARAMETERS | zeros)
+    assert isinstance(straight, Simulation)
+    assert straight.trees[0].nodes.shape != default_model.grow(EXAMPLE_PARAMETERS)[0].nodes.shape
+
+
+def test_a_bundle_that_does_not_fit_is_a_typed_outcome(default_model):
+    outcome = default_model.simulate(EXAMPLE_PARAMETERS | {"rv_initial_length": 300.0})
+    assert isinstance(outcome, InvalidTree)
+    assert outcome.side == "rv"
+    assert "RV bundle leaves the endocardium" in outcome.reason

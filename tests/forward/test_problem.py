@@ -1,0 +1,83 @@
+"""What the inference sees: evaluations, in order, however many workers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.problem import Problem
+from fascicle.recording.target import Target
+
+NOISE = 0.02  # mV
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return EXAMPLE_PARAMETERS | {"root_time": -12.0, "cv": 2.6}
+
+
+@pytest.fixture(scope="module")
+def target(default_model, truth):
+    """Five beats of a simulated QRS 40 ms into the beat, with beat-to-beat noise."""
+    ecg = default_model.simulate(truth).ecg.to_numpy()
+    length = ecg.shape[1]
+    beat = np.pad(ecg, ((0, 0), (40, 40)))
+    beats = beat + NOISE * np.random.default_rng(0).normal(size=(5, *beat.shape))
+    time = np.arange(beat.shape[1]) - 60.0
+    return Target(beats, time, -20.0, -20.0 + length - 1, 60.0)
+
+
+@pytest.fixture(scope="module")
+def points(truth):
+    """The truth, random points and one that cannot be grown."""
+    random = np.random.default_rng(1).uniform(0.2, 0.6, (4, len(NETWORK_SPACE)))
+    longest = NETWORK_SPACE.to_unit(truth | {"lv_initial_length": 300.0})
+    return [NETWORK_SPACE.to_unit(truth), *random, longest]
+
+
+def test_workers_change_nothing_but_the_speed(default_model, target, points):
+    alone = Problem(default_model, target, NETWORK_SPACE)(points)
+    together = Problem(default_model, target, NETWORK_SPACE, workers=2)(points)
+    for one, other, point in zip(alone, together, points, strict=True):
+        assert one.point is point
+        assert one.reason == other.reason
+        np.testing.assert_array_equal(one.loss, other.loss)
+        np.testing.assert_array_equal(one.beat_errors, other.beat_errors)
+
+
+def test_truth_is_explained_to_the_noise(default_model, target, points):
+    """Mean of 5 beats: 12·σ²/5; a single beat: 12·σ²."""
+    best = Problem(default_model, target, NETWORK_SPACE).evaluate(points[0])
+    assert best.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
+    np.testing.assert_allclose(best.beat_errors, 12 * NOISE**2, rtol=0.15)
+    others = Problem(default_model, target, NETWORK_SPACE)(points[1:5])
+    assert min(e.loss for e in others if e.feasible) > 10 * best.loss
+
+
+def test_what_cannot_be_grown_is_a_typed_evaluation(default_model, target, points):
+    outcome = Problem(default_model, target, NETWORK_SPACE).evaluate(points[-1])
+    assert not outcome.feasible
+    assert outcome.reason.startswith("LV bundle leaves the endocardium after")
+    assert np.isnan(outcome.loss)
+    assert outcome.beat_errors.size == 0
+
+
+def test_free_gain_forgives_the_amplitude_only(default_model, target, points):
+    half = Target(0.5 * target.beats, target.time, target.qrs_onset, target.qrs_offset, 60.0)
+    point = points[0]
+    fixed = Problem(default_model, half, NETWORK_SPACE).evaluate(point).loss
+    free = Problem(default_model, half, NETWORK_SPACE, free_gain=True)
+    assert free.evaluate(point).loss == pytest.approx(3 * NOISE**2 / 5, rel=0.1)
+    assert fixed > 20 * free.evaluate(point).loss
+    simulation = default_model.simulate(NETWORK_SPACE.from_unit(point))
+    assert free.align(simulation).gain == pytest.approx(0.5, abs=0.01)
+
+
+def test_prediction_lies_under_the_recorded_beat(default_model, target, points):
+    """Over the whole beat, not only in the QRS window; a shift by the window's start would show."""
+    problem = Problem(default_model, target, NETWORK_SPACE)
+    simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
+    predicted = problem.predicted(simulation, problem.align(simulation))
+    assert predicted.shape == target.mean.shape
+    assert np.abs(predicted - target.mean).max() < 5 * NOISE
