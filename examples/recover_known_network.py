@@ -1,4 +1,4 @@
-"""Does the inference find a network that it could have known?
+"""Find a known network again.
 
 Simulates the ECG of a known network, makes noisy beats of it, fits, and compares the accepted
 networks with the truth. On the packaged heart:

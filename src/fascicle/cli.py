@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -69,7 +71,7 @@ def heart_import(
         electrodes=electrodes,
         name=out.resolve().name,
     )
-    _check_growable(heart)
+    _check_growable(heart, {"lv": lv_endocardium, "rv": rv_endocardium})
     write_heart(heart, out)
     _print_heart(heart)
     print(f"heart written to {out}")
@@ -81,7 +83,7 @@ def heart_check(heart: HeartArgument) -> None:
     from fascicle.io.hearts import load_heart
 
     loaded = load_heart(heart)
-    _check_growable(loaded)
+    _check_growable(loaded, {"lv": heart, "rv": heart})
     _print_heart(loaded)
     print("no problem found")
 
@@ -166,7 +168,7 @@ def fit(
     from fascicle.fitting import fit as run_fit
     from fascicle.progress import TerminalProgress
 
-    with TerminalProgress() as progress:
+    with _resumable(), TerminalProgress() as progress:
         fitted = run_fit(
             heart, target, out, initial=initial, steps=steps, samples=samples, seed=seed,
             workers=workers, free_gain=gain, progress=progress,
@@ -219,7 +221,7 @@ def demo(
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
-    with TerminalProgress() as progress:
+    with _resumable(), TerminalProgress() as progress:
         made, fitted, pacing = run_demo(out, progress)
     _print_target(made)
     _print_fit(fitted)
@@ -236,13 +238,26 @@ def demo(
         print(f"  {name:<21} {what}")
 
 
-def _check_growable(heart: Heart) -> None:
+@contextmanager
+def _resumable() -> Iterator[None]:
+    """Say on Ctrl-C that nothing is lost; 130 is what shells expect then."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on where this one stopped", file=sys.stderr)
+        raise typer.Exit(130) from None
+
+
+def _check_growable(heart: Heart, sources: Mapping[str, object]) -> None:
     """Build charts and seeds, which is where an endocardium shows what else is wrong with it."""
     from fascicle.harmonic.chart import build_chart
     from fascicle.tree.grow import find_seed
 
     for endocardium in heart.endocardia:
-        find_seed(endocardium, build_chart(endocardium))
+        try:
+            find_seed(endocardium, build_chart(endocardium))
+        except InputError as error:
+            raise InputError(f"{sources[endocardium.side]}: {error}") from None
 
 
 def _print_heart(heart: Heart) -> None:
@@ -311,11 +326,16 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except (PermissionError, NotADirectoryError, IsADirectoryError, FileExistsError) as error:
-        print(f"error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
-        sys.exit(2)
+        _fail(str(error))
+    except OSError as error:
+        if error.filename is None:  # not about a file that the user named: a bug, so let it be seen
+            raise
+        _fail(f"{error.filename}: {error.strerror}; check the path")
+
+
+def _fail(message: str) -> NoReturn:
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    sys.exit(2)
 
 
 if __name__ == "__main__":

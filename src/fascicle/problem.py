@@ -19,7 +19,7 @@ from fascicle.tree.purkinje import InvalidTree
 
 @dataclass(frozen=True)
 class Problem:
-    """Which network, of those in a parameter space, explains a target on a heart?
+    """The question which network of a parameter space explains a target on a heart.
 
     Calling it evaluates points of the unit cube, which is all the inference ever sees. The
     forward model runs outside Python's global lock, so threads are enough to use every core.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -58,26 +59,59 @@ class FeasibleLogImprovement(LogExpectedImprovement):  # type: ignore[misc]
         return improvement + self.feasibility.log_probability(X[:, 0, :])
 
 
+@dataclass(frozen=True)
+class Region:
+    """A box inside the unit cube.
+
+    Attributes
+    ----------
+    lower, upper : (d,) arrays
+        Its corners.
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+    @classmethod
+    def everywhere(cls, dimension: int) -> Region:
+        """Take the whole cube."""
+        return cls(np.zeros(dimension), np.ones(dimension))
+
+    @classmethod
+    def around(cls, centre: NDArray[np.float64], radius: float) -> Region:
+        """Take what of the cube is within `radius` of `centre` in every coordinate."""
+        return cls(np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0))
+
+    def draw(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Draw `count` uniform points, shape (count, d)."""
+        width = self.upper - self.lower
+        return np.asarray(self.lower + width * rng.random((count, len(self.lower))))
+
+    def clip(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Move points outside to its surface."""
+        return np.asarray(np.clip(points, self.lower, self.upper))
+
+
 def maximise(
     rng: np.random.Generator,
     acquisition: FeasibleLogImprovement,
     best_points: NDArray[np.float64],
     known: NDArray[np.float64],
+    region: Region,
 ) -> NDArray[np.float64]:
-    """Find the best point for an acquisition function, shape (d,).
+    """Find the best point of a region for an acquisition function, shape (d,).
 
     Uniform raw points and perturbations of `best_points` (k, d), the best few of each polished by
     L-BFGS-B; the winner keeps away from the `known` points (n, d).
     """
-    dimension = known.shape[1]
-    uniform = rng.random((RAW_UNIFORM, dimension))
-    local = perturbed(rng, best_points, RAW_LOCAL)
+    uniform = region.draw(rng, RAW_UNIFORM)
+    local = region.clip(perturbed(rng, best_points, RAW_LOCAL))
     starts = np.vstack([_best(acquisition, uniform), _best(acquisition, local)])
     polished, _ = gen_candidates_scipy(
         to_tensor(starts)[:, None, :],
         acquisition,
-        lower_bounds=0.0,
-        upper_bounds=1.0,
+        lower_bounds=to_tensor(region.lower),
+        upper_bounds=to_tensor(region.upper),
         options={"maxiter": ITERATIONS},
     )
     candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,9 +111,7 @@ def solve(
     return Activation(
         time[:vertices],
         tree_times,
-        tuple(
-            _fired_by_myocardium(tree, t, cv) for tree, t in zip(trees, tree_times, strict=True)
-        ),
+        tuple(_fired_by_myocardium(tree, t, cv) for tree, t in zip(trees, tree_times, strict=True)),
         _pieces(site.distances, _starts([len(j) for j in junctions])),
     )
 
@@ -125,7 +124,7 @@ def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
 def _pieces(
     values: NDArray[np.float64], starts: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], ...]:
-    return tuple(values[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True))
+    return tuple(values[a:b] for a, b in pairwise(starts))
 
 
 def _links(trees: Sequence[PurkinjeTree], offsets: NDArray[np.int64], cv: float) -> Links:

@@ -79,9 +79,7 @@ def build_chart(endocardium: Endocardium) -> Chart:
     return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
 
 
-def signed_areas(
-    points: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def signed_areas(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
     """Signed area of every triangle in the disk; positive means not folded."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     ab, ac = b - a, c - a

@@ -116,7 +116,10 @@ def balls(
                         continue
                     if n == capacity:
                         capacity *= 2
-                        larger_vertex, larger_time = np.empty(capacity, np.int64), np.empty(capacity)
+                        larger_vertex, larger_time = (
+                            np.empty(capacity, np.int64),
+                            np.empty(capacity),
+                        )
                         larger_vertex[:n], larger_time[:n] = vertex[:n], time[:n]
                         vertex, time = larger_vertex, larger_time
                     vertex[n], time[n] = candidate, arrival

@@ -20,7 +20,7 @@ def _arrival(at, source, tetrahedron, corners, squares, time):
     """Earliest arrival (ms) at corner `at` of a tetrahedron by ways that touch corner `source`."""
     other = 6 - at - source  # the two remaining corners sum to this
     first = 0
-    while first == at or first == source:
+    while first in (at, source):
         first += 1
     second = other - first
     ts = time[corners[tetrahedron, source]]

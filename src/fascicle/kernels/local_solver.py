@@ -14,9 +14,9 @@ import math
 import numpy as np
 from numba import njit
 
-# A determinant below this fraction of the product of the diagonal is a flat element, whose inside is
-# not used. That is right for the faces that a point on them is offered by a mesh without flat
-# elements; meshes with flat ones are refused when they are read.
+# A determinant below this fraction of the product of the diagonal is a flat element, whose inside
+# is not used. Right for a face that contains the point asked for; meshes with flat elements are
+# refused when they are read.
 FLAT = 1e-14
 
 

@@ -66,7 +66,9 @@ def pace(model: ForwardModel, networks: Sequence[Network], root_time: float) -> 
     )
 
 
-def qrs_aligned(simulations: Sequence[Simulation]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def qrs_aligned(
+    simulations: Sequence[Simulation],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """ECGs of several simulations from their QRS onsets on.
 
     Returns

@@ -55,7 +55,9 @@ def write_pacing(
     pacing = pace(fitted.problem.model, networks, root_time)
     with atomic_folder(out) as folder:
         write_text(folder / "table.csv", _table(pacing))
-        write_text(folder / "summary.json", json.dumps(_summary(pacing, root_time), indent=2) + "\n")
+        write_text(
+            folder / "summary.json", json.dumps(_summary(pacing, root_time), indent=2) + "\n"
+        )
         _write_ecgs(folder / "ecgs.nc", pacing)
         for name, k in pacing.extremes().items():
             path = folder / f"activation_{name}.vtu"

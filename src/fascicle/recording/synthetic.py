@@ -42,7 +42,7 @@ def synthetic_target(
     smooth = gaussian_filter1d(white, NOISE_CORRELATION / SAMPLING_STEP, axis=-1)
     smooth *= noise / smooth.std()
     amplitude = 1 + amplitude_spread * rng.standard_normal((beats, 1, 1))
-    time = (np.arange(clean.shape[1]) - peak) * SAMPLING_STEP
+    time = SAMPLING_STEP * (np.arange(clean.shape[1], dtype=np.float64) - peak)
     return Target(
         beats=amplitude * clean + smooth,
         time=time,
