@@ -249,6 +249,7 @@ def _summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
         "networks_wanted": posterior.wanted,
         "candidates_evaluated": posterior.evaluated,
         "posterior_rounds": posterior.rounds,
+        "posterior_walk_steps": posterior.sweeps,
         "parameters": {
             name: {
                 "minimum": float(v.min()),

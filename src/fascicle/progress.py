@@ -20,6 +20,7 @@ NAMES = {
     "optimisation": "Bayesian optimisation",
     "prior": "drawing from the prior",
     "posterior": "networks accepted",
+    "walk": "walking to more networks",
     "networks": "simulating the networks",
 }
 

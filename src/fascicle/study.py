@@ -30,9 +30,10 @@ from fascicle.parameters import Parameter, ParameterSpace
 if TYPE_CHECKING:
     from fascicle.posterior.result import Posterior
     from fascicle.posterior.sample import Sampling
+    from fascicle.surrogate.observations import Observations
 
 FORMAT = 1  # of the folder; raised when old studies can no longer be read
-STAGES = ("initial", "optimisation", "posterior")
+STAGES = ("initial", "optimisation", "posterior", "walk")
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
 
@@ -40,8 +41,8 @@ DATABASE = "evaluations.sqlite"
 class Progress(Protocol):
     """Told how far a stage is.
 
-    The stages are "initial", "optimisation", "posterior" (accepted samples) and, within the last
-    one, "prior" (uniform draws of a round).
+    The stages are "initial", "optimisation", "posterior" (accepted samples), within it "prior"
+    (uniform draws of a round), and, where that falls short, "walk" (steps of the random walks).
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
@@ -82,6 +83,8 @@ class StudyConfig(BaseModel):
         Order in which its draws are tried; "density" is the paper's and finds modes.
     tolerance, patience, rounds
         See `fascicle.posterior.sample.Rules`.
+    sweeps : int
+        Steps of the random walks that complete the sample; see `fascicle.posterior.walk`.
     seed : int
         Of all random numbers.
     version : int
@@ -103,7 +106,8 @@ class StudyConfig(BaseModel):
     candidate_order: Literal["random", "density"] = "random"
     tolerance: float = Field(default=0.9, gt=0, le=1)
     patience: int = Field(default=50, ge=1)
-    rounds: int = Field(default=20, ge=1)
+    rounds: int = Field(default=4, ge=1)
+    sweeps: int = Field(default=100, ge=1)
     seed: int = Field(default=0, ge=0)
     version: int = FORMAT
 
@@ -281,11 +285,16 @@ class _Run:
 
     def _step(self, rng: np.random.Generator, size: int) -> tuple[str, NDArray[np.float64]]:
         from fascicle.bo.step import State, step
-        from fascicle.surrogate.observations import Observations
 
-        state = State.from_json(Observations.of(self.evaluations), self.hyperparameters)
+        state = State.from_json(self._observations(), self.hyperparameters)
         fitted, points = step(rng, state, size)
         return fitted.hyperparameters_to_json(), points
+
+    def _observations(self) -> Observations:
+        """What the surrogates learn from: the logarithm of every loss so far."""
+        from fascicle.surrogate.observations import Observations
+
+        return Observations.of(self.evaluations).logarithmic()
 
     def _report(self, stage: str, done: int, total: int) -> None:
         losses = [evaluation.loss for evaluation in self.evaluations if evaluation.feasible]
@@ -294,12 +303,14 @@ class _Run:
 
     def _sample(self) -> Sampling:
         from fascicle.posterior.sample import Rules, sample
+        from fascicle.posterior.walk import propose, walk
 
         config = self.config
         rules = Rules(
             config.samples, config.tolerance, config.patience, config.rounds, config.batch
         )
-        return sample(
+        self.hyperparameters = None  # those of the last step are warm; a posterior is fitted anew
+        found = sample(
             list(self.evaluations),
             lambda number, _: self._proposed(
                 "posterior", number, lambda rng: self._candidates(rng, number)
@@ -310,16 +321,27 @@ class _Run:
                 "posterior", accepted, config.samples, f"{evaluated} evaluated, round {number}"
             ),
         )
+        if len(found.accepted) >= config.samples:
+            return found
+        return walk(
+            found,
+            lambda sweep, positions: self._proposed(
+                "walk", sweep, lambda rng: (None, propose(rng, positions))
+            ),
+            lambda points: self._evaluate("walk", points),
+            rules,
+            config.sweeps,
+            lambda done, total: self._report("walk", done, total),
+        )
 
     def _candidates(self, rng: np.random.Generator, number: int) -> tuple[str, NDArray[np.float64]]:
         """Candidates of a posterior round, no more than it can use."""
         from fascicle.bo.step import State, refit
         from fascicle.posterior.prior import InformedPrior, draw_candidates
         from fascicle.posterior.sample import best_of
-        from fascicle.surrogate.observations import Observations
 
         config = self.config
-        state = State.from_json(Observations.of(self.evaluations), self.hyperparameters)
+        state = State.from_json(self._observations(), self.hyperparameters)
         fitted, loss, feasibility = refit(state)
         candidates = draw_candidates(
             rng,
@@ -348,6 +370,7 @@ class _Run:
             wanted=self.config.samples,
             evaluated=sampling.evaluated,
             rounds=sampling.rounds,
+            sweeps=sampling.sweeps,
         )
 
 

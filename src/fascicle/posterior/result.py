@@ -35,6 +35,8 @@ class Posterior:
         Candidates evaluated after the optimisation.
     rounds : int
         Times that candidates were drawn from a newly fitted surrogate.
+    sweeps : int
+        Steps of the random walks that completed the sample; 0 where rejection was enough.
     """
 
     points: NDArray[np.float64]
@@ -47,13 +49,9 @@ class Posterior:
     wanted: int
     evaluated: int
     rounds: int
+    sweeps: int
 
     @property
     def complete(self) -> bool:
         """Whether as many samples were accepted as were asked for."""
         return len(self.points) >= self.wanted
-
-    @property
-    def acceptance(self) -> float:
-        """Share of the evaluated candidates that were accepted; 0 where none was evaluated."""
-        return len(self.points) / self.evaluated if self.evaluated else 0.0

@@ -36,7 +36,7 @@ class Rules:
     samples: int = 30
     tolerance: float = 0.9
     patience: int = 50
-    rounds: int = 20
+    rounds: int = 4
     batch: int = 1
 
 
@@ -55,6 +55,8 @@ class Sampling:
         Candidates evaluated, in all rounds.
     rounds : int
         Rounds begun.
+    sweeps : int
+        Steps of every random walk (`fascicle.posterior.walk`); 0 where rejection was enough.
     """
 
     reference: Evaluation
@@ -62,6 +64,7 @@ class Sampling:
     distances: NDArray[np.float64]
     evaluated: int
     rounds: int
+    sweeps: int = 0
 
 
 @dataclass(frozen=True)

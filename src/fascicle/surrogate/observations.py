@@ -20,7 +20,7 @@ class Observations:
     points : (n, d) array
         In the unit cube.
     losses : (n,) array
-        Mismatch (mV²); NaN where the parameters give no tree.
+        Mismatch (mV², or its logarithm); NaN where the parameters give no tree.
     """
 
     points: NDArray[np.float64]
@@ -39,6 +39,14 @@ class Observations:
     def feasible(self) -> NDArray[np.bool_]:
         """Where there is a loss, shape (n,)."""
         return np.isfinite(self.losses)
+
+    def logarithmic(self) -> Observations:
+        """The same points with the logarithm of each loss.
+
+        Losses spread over two decades; on their logarithm a stationary process can tell small ones
+        apart, which is where the optimisation and the posterior happen.
+        """
+        return Observations(self.points, np.log(np.maximum(self.losses, np.finfo(float).tiny)))
 
     def with_guess(self, point: NDArray[np.float64], loss: float) -> Observations:
         """Add one more, at `point` of shape (d,)."""
