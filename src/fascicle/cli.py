@@ -151,6 +151,9 @@ def fit(
     out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
     initial: Annotated[int, typer.Option(min=2, help="Latin hypercube points.")] = 250,
     steps: Annotated[int, typer.Option(min=0, help="Bayesian-optimisation steps.")] = 300,
+    refine: Annotated[
+        int, typer.Option(min=0, help="Generations of refinement, 40 simulations each.")
+    ] = 40,
     samples: Annotated[int, typer.Option(min=1, help="Networks to accept.")] = 30,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     workers: Annotated[
@@ -170,8 +173,8 @@ def fit(
 
     with _resumable(), TerminalProgress() as progress:
         fitted = run_fit(
-            heart, target, out, initial=initial, steps=steps, samples=samples, seed=seed,
-            workers=workers, free_gain=gain, progress=progress,
+            heart, target, out, initial=initial, steps=steps, refine=refine, samples=samples,
+            seed=seed, workers=workers, free_gain=gain, progress=progress,
         )  # fmt: skip
     _print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")

@@ -43,6 +43,7 @@ def run_demo(out: Path, progress: Progress) -> tuple[Target, FittedStudy, Pacing
         out / "study",
         initial=INITIAL,
         steps=STEPS,
+        refine=0,
         samples=SAMPLES,
         draws=DRAWS,
         free_gain=True,

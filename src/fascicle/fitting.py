@@ -71,6 +71,7 @@ def fit(
     *,
     initial: int = 250,
     steps: int = 300,
+    refine: int = 40,
     samples: int = 30,
     seed: int = 0,
     workers: int = WORKERS,
@@ -92,8 +93,9 @@ def fit(
         The target, or its netCDF file.
     out : path
         Folder of the study.
-    initial, steps, samples : int
-        Latin hypercube points, Bayesian-optimisation steps, networks to accept.
+    initial, steps, refine, samples : int
+        Latin hypercube points, Bayesian-optimisation steps, generations of refinement (40
+        simulations each; 0 leaves it out, as in the paper), networks to accept.
     seed : int
         Of every random number.
     workers : int
@@ -129,6 +131,7 @@ def fit(
         gain=free_gain,
         initial=initial,
         steps=steps,
+        refine=refine,
         samples=samples,
         batch=workers,
         draws=draws,

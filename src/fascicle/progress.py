@@ -18,6 +18,7 @@ from rich.progress import (
 NAMES = {
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",
+    "refinement": "refinement",
     "prior": "drawing from the prior",
     "posterior": "networks accepted",
     "walk": "walking to more networks",

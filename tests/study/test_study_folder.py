@@ -1,5 +1,6 @@
 """A study survives interruption and refuses to be mixed with another."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -25,6 +26,7 @@ def make_config(**changes):
     settings = {
         "heart": "aa", "target": "bb", "space": StudyConfig.free(SPACE), "initial": 12, "steps": 5,
         "samples": 4, "draws": 3000, "patience": 6, "rounds": 4, "seed": 3,
+        "refine": 0,
     }  # fmt: skip
     return StudyConfig(**(settings | changes))
 
@@ -74,7 +76,6 @@ def test_stages_and_result(tmp_path):
     assert stages[17:] == ["posterior"] * posterior.evaluated
     assert posterior.complete
     assert len(posterior.points) == 4
-    assert posterior.acceptance == pytest.approx(4 / posterior.evaluated)
     assert posterior.best_loss == min(
         r.evaluation.loss for r in study.records()[:17] if r.evaluation.feasible
     )
@@ -269,6 +270,48 @@ def test_posterior_covers_the_acceptance_region(tmp_path):
     assert posterior.losses.max() <= largest
     # The samples fill the region instead of huddling at the best point.
     assert posterior.losses.mean() > 2 + 0.25 * (largest - 2)
+
+
+def narrow(points):
+    """Beats that hardly vary: uniform draws then miss the acceptance region."""
+    outcomes = objective(points)
+    return [
+        Evaluation(e.point, e.loss, e.loss + 1e-3 * NOISE) if e.feasible else e for e in outcomes
+    ]
+
+
+def test_refinement_and_walk_find_what_rejection_cannot(tmp_path):
+    config = make_config(refine=30, rounds=1, draws=500, sweeps=40)
+    study = Study.create_or_resume(tmp_path / "s", config)
+    posterior = study.run(narrow, silent)
+    stages = [record.stage for record in study.records()]
+    assert stages.count("refinement") > 30
+    assert posterior.sweeps >= 40
+    assert posterior.complete
+    assert posterior.best_loss < 2.01
+    assert (posterior.distances < config.tolerance).all()
+    assert np.abs(posterior.losses - posterior.best_loss).max() < 0.01
+
+
+def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
+    config = make_config(refine=3, rounds=1, draws=500, sweeps=10)
+    whole = Study.create_or_resume(tmp_path / "whole", config)
+    expected = summary(whole, whole.run(narrow, silent))
+    left = [100]  # evaluations until Ctrl-C, in the middle of refinement and walk
+
+    def interrupted(points):
+        left[0] -= len(points)
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return narrow(points)
+
+    study = Study.create_or_resume(tmp_path / "cut", config)
+    for _ in range(3):
+        left[0] = 100
+        with contextlib.suppress(KeyboardInterrupt):
+            study.run(interrupted, silent)
+    again = Study.create_or_resume(tmp_path / "cut", config)
+    assert summary(again, again.run(narrow, silent)) == expected
 
 
 def test_importing_the_study_loads_no_torch():

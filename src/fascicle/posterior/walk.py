@@ -108,7 +108,7 @@ def walk(
     objective : Objective
         Evaluates them.
     rules : Rules
-        Tolerance, number of samples, batch.
+        Tolerance and number of samples.
     sweeps : int
         Steps of every walk after θ_min last changed.
     progress : callable
@@ -123,11 +123,7 @@ def walk(
     evaluated, since = found.evaluated, 0
     for sweep in range(LONGEST * sweeps):
         points = move(sweep, np.array([state.point for state in chains.states]))
-        proposals = [
-            evaluation
-            for start in range(0, len(points), rules.batch)
-            for evaluation in objective(list(points[start : start + rules.batch]))
-        ]
+        proposals = objective(list(points))
         evaluated += len(proposals)
         better = chains.improved(proposals, rules.tolerance)
         chains = better if better is not None else chains.stepped(proposals, rules.tolerance)
