@@ -38,6 +38,26 @@ OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 Seed = Annotated[int | None, typer.Option(help="Point of the endocardium, from 0.")]
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from fascicle import __version__
+
+        print(f"fascicle {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """See the help of `app`; the version is printed before any command runs."""
+
+
 @heart_app.command("import")
 def heart_import(
     mesh: Annotated[Path, typer.Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
@@ -152,8 +172,8 @@ def fit(
     initial: Annotated[int, typer.Option(min=2, help="Latin hypercube points.")] = 250,
     steps: Annotated[int, typer.Option(min=0, help="Bayesian-optimisation steps.")] = 300,
     refine: Annotated[
-        int, typer.Option(min=0, help="Generations of refinement, 40 simulations each.")
-    ] = 40,
+        int, typer.Option(min=0, help="Generations of refinement, 20 simulations each.")
+    ] = 80,
     samples: Annotated[int, typer.Option(min=1, help="Networks to accept.")] = 30,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     workers: Annotated[

@@ -71,7 +71,7 @@ def fit(
     *,
     initial: int = 250,
     steps: int = 300,
-    refine: int = 40,
+    refine: int = 80,
     samples: int = 30,
     seed: int = 0,
     workers: int = WORKERS,
@@ -94,7 +94,7 @@ def fit(
     out : path
         Folder of the study.
     initial, steps, refine, samples : int
-        Latin hypercube points, Bayesian-optimisation steps, generations of refinement (40
+        Latin hypercube points, Bayesian-optimisation steps, generations of refinement (20
         simulations each; 0 leaves it out, as in the paper), networks to accept.
     seed : int
         Of every random number.

@@ -38,6 +38,8 @@ class Run:
         self.stored = ledger.records()
         self.evaluations: list[Evaluation] = []
         self.hyperparameters: str | None = None
+        self.refined = 0, 0  # which of the evaluations the refinement made
+        self.refinement_best: Evaluation | None = None
 
     def posterior(self) -> Posterior:
         """Do all that is left, and give the result."""
@@ -121,6 +123,7 @@ class Run:
     def _refine(self) -> None:
         from fascicle.bo.refine import refine
 
+        first = len(self.evaluations)
         refine(
             self._rng("refinement", 0),
             list(self.evaluations),
@@ -128,6 +131,9 @@ class Run:
             self.config.refine,
             lambda done, total: self._report("refinement", done, total),
         )
+        self.refined = first, len(self.evaluations)
+        feasible = [e for e in self.evaluations[first:] if e.feasible]
+        self.refinement_best = min(feasible, key=lambda e: e.loss, default=None)
 
     def _step(self, rng: np.random.Generator, size: int) -> tuple[str, NDArray[np.float64]]:
         from fascicle.bo.step import State, step
@@ -137,10 +143,18 @@ class Run:
         return fitted.hyperparameters_to_json(), points
 
     def _observations(self) -> Observations:
-        """What the surrogates learn from: the logarithm of every loss so far."""
+        """What the surrogates learn from: the logarithm of every loss but the refinement's.
+
+        That crowds about a few points, which would make the surrogate slow, and sure of itself only
+        there; its best point is enough.
+        """
         from fascicle.surrogate.observations import Observations
 
-        return Observations.of(self.evaluations).logarithmic()
+        first, last = self.refined
+        best = [self.refinement_best] if self.refinement_best is not None else []
+        return Observations.of(
+            [*self.evaluations[:first], *best, *self.evaluations[last:]]
+        ).logarithmic()
 
     def _report(self, stage: str, done: int, total: int) -> None:
         losses = [evaluation.loss for evaluation in self.evaluations if evaluation.feasible]
