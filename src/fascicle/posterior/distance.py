@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.evaluation import Evaluation
+
 BANDWIDTHS = 30  # tried, log-spaced
 BANDWIDTH_RANGE = (0.05, 2.0)  # in standard deviations of the errors
 NODES_PER_BANDWIDTH = 16
@@ -77,6 +79,13 @@ def total_variation(a: ErrorDensity, b: ErrorDensity) -> float:
     """
     nodes = np.unique(np.concatenate([a.nodes(), b.nodes()]))
     return 0.5 * float(np.trapezoid(np.abs(a(nodes) - b(nodes)), nodes))
+
+
+def from_reference(evaluation: Evaluation, reference: ErrorDensity) -> float:
+    """Total variation of an evaluation's per-beat errors from a density; 1 without a tree."""
+    if not evaluation.feasible:
+        return 1.0
+    return total_variation(ErrorDensity.fit(evaluation.beat_errors), reference)
 
 
 def _left_out(errors: NDArray[np.float64], bandwidth: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.evaluation import Evaluation, Objective
-from fascicle.posterior.distance import ErrorDensity, total_variation
+from fascicle.posterior.distance import ErrorDensity, from_reference
 
 # Candidates to try in a round, from the round's number and all evaluations so far.
 Propose = Callable[[int, Sequence[Evaluation]], NDArray[np.float64]]
@@ -94,7 +94,7 @@ class _Tally:
 
     def judge(self, evaluation: Evaluation) -> _Tally:
         """Add one more verdict; no more are accepted than are wanted."""
-        distance = self._distance(evaluation)
+        distance = from_reference(evaluation, self.density)
         if distance < self.rules.tolerance:
             if self.complete:
                 return self
@@ -106,11 +106,6 @@ class _Tally:
             )
         better = evaluation.feasible and evaluation.loss < self.reference.loss
         return replace(self, rejections=self.rejections + 1, surpassed=self.surpassed or better)
-
-    def _distance(self, evaluation: Evaluation) -> float:
-        if not evaluation.feasible:
-            return 1.0
-        return total_variation(ErrorDensity.fit(evaluation.beat_errors), self.density)
 
 
 def best_of(evaluations: Sequence[Evaluation]) -> Evaluation:

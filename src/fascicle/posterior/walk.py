@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.evaluation import Evaluation, Objective
-from fascicle.posterior.distance import ErrorDensity, total_variation
+from fascicle.posterior.distance import ErrorDensity, from_reference
 from fascicle.posterior.sample import Rules, Sampling
 
 STEP = (0.01, 0.5)  # of the unit cube, log-uniform: long steps suit what the ECG does not see
@@ -43,10 +43,8 @@ class _Chains:
     states: tuple[Evaluation, ...]
 
     def distance(self, evaluation: Evaluation) -> float:
-        """Total variation from θ_min; 1 where there is no tree."""
-        if not evaluation.feasible:
-            return 1.0
-        return total_variation(ErrorDensity.fit(evaluation.beat_errors), self.density)
+        """Total variation from θ_min."""
+        return from_reference(evaluation, self.density)
 
     def stepped(self, proposals: Sequence[Evaluation], tolerance: float) -> _Chains:
         """Move the walks whose proposal is acceptable."""

@@ -1,0 +1,22 @@
+"""The example that looks for a known network, with a budget of seconds."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "recover_known_network.py"
+
+
+def test_fit_comes_closer_to_the_truth_than_the_design(tmp_path):
+    spec = importlib.util.spec_from_file_location("recover_known_network", EXAMPLE)
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    fitted = example.recover(
+        "default", example.TRUTH, tmp_path / "study", 0,
+        initial=20, steps=10, refine=8, samples=1, draws=20_000,
+    )  # fmt: skip
+    at_truth = fitted.problem.evaluate(fitted.problem.space.to_unit(example.TRUTH)).loss
+    first = [r.evaluation.loss for r in fitted.study.records() if r.stage == "initial"]
+    assert at_truth < 0.02  # noise alone
+    assert at_truth < fitted.accepted.best_loss < 0.8 * np.nanmin(first)
