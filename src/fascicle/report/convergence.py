@@ -109,15 +109,11 @@ def _draw_losses(axes: Axes, values: NDArray[np.float64]) -> None:
 def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
     for index, (name, first, last) in enumerate(stage_runs(stages)):
         axes.axvspan(first - 0.5, last + 0.5, color=SHADES[index % 2], linewidth=0, zorder=0)
-        place, side = (first + last) / 2, "center"
-        if last - first + 1 < NARROW * len(stages):  # keep the name inside the figure
-            if last == len(stages):
-                place, side = last + 0.5, "right"
-            elif first == 1:
-                place, side = 0.5, "left"
+        narrow = last - first + 1 < NARROW * len(stages)  # so is slanted, away from its neighbours
         axes.text(
-            place, 1.02, name, transform=axes.get_xaxis_transform(),
-            ha=side, va="bottom", fontsize=LABEL_SIZE, color=BLACK,
+            (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(),
+            ha="left" if narrow else "center", va="bottom", rotation=30 if narrow else 0,
+            rotation_mode="anchor", fontsize=LABEL_SIZE, color=BLACK,
         )  # fmt: skip
 
 
