@@ -173,7 +173,7 @@ def fit(
     steps: Annotated[int, typer.Option(min=0, help="Bayesian-optimisation steps.")] = 300,
     refine: Annotated[
         int, typer.Option(min=0, help="Generations of refinement, 20 simulations each.")
-    ] = 80,
+    ] = 200,
     samples: Annotated[int, typer.Option(min=1, help="Networks to accept.")] = 30,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     workers: Annotated[

@@ -71,7 +71,7 @@ def fit(
     *,
     initial: int = 250,
     steps: int = 300,
-    refine: int = 80,
+    refine: int = 200,
     samples: int = 30,
     seed: int = 0,
     workers: int = WORKERS,

@@ -92,7 +92,7 @@ class StudyConfig(BaseModel):
     gain: bool = False
     initial: int = Field(default=250, ge=2)
     steps: int = Field(default=300, ge=0)
-    refine: int = Field(default=80, ge=0)
+    refine: int = Field(default=200, ge=0)
     samples: int = Field(default=30, ge=1)
     batch: int = Field(default=1, ge=1)
     draws: int = Field(default=5_000_000, ge=1)
