@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -172,7 +173,7 @@ def fit(
     initial: Annotated[int, typer.Option(min=2, help="Latin hypercube points.")] = 250,
     steps: Annotated[int, typer.Option(min=0, help="Bayesian-optimisation steps.")] = 300,
     refine: Annotated[
-        int, typer.Option(min=0, help="Generations of refinement, 20 simulations each.")
+        int, typer.Option(min=0, help="Generations of refinement, up to 20 simulations each.")
     ] = 200,
     samples: Annotated[int, typer.Option(min=1, help="Networks to accept.")] = 30,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
@@ -351,6 +352,8 @@ def main() -> None:
     except InputError as error:
         _fail(str(error))
     except OSError as error:
+        if error.errno == errno.ENOSPC:
+            _fail("no space left on the disk; free some, or give another --out")
         if error.filename is None:  # not about a file that the user named: a bug, so let it be seen
             raise
         _fail(f"{error.filename}: {error.strerror}; check the path")

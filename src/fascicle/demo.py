@@ -14,7 +14,8 @@ from fascicle.recording.target import Target
 from fascicle.report.study import write_figures
 from fascicle.study import Progress
 
-# A tenth of the paper's budget: enough to see every stage work, not to trust the numbers.
+# A fraction of the paper's budget and no refinement: enough to see every stage work, not to trust
+# the numbers. The gain is free, since the heart and its volume conductor are somebody else's.
 INITIAL, STEPS, SAMPLES, DRAWS = 60, 60, 10, 500_000
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from pydantic import ValidationError
 
 from fascicle.errors import InputError
 from fascicle.forward import ForwardModel
@@ -94,8 +96,8 @@ def fit(
     out : path
         Folder of the study.
     initial, steps, refine, samples : int
-        Latin hypercube points, Bayesian-optimisation steps, generations of refinement (20
-        simulations each; 0 leaves it out, as in the paper), networks to accept.
+        Latin hypercube points, Bayesian-optimisation steps, generations of refinement (up
+        to 20 simulations each; 0 leaves it out, as in the paper), networks to accept.
     seed : int
         Of every random number.
     workers : int
@@ -124,7 +126,7 @@ def fit(
     if workers < 1:
         raise InputError(f"workers is {workers}; at least 1 is needed")
     folder = Path(out)
-    config = StudyConfig(
+    config = _config(
         heart=heart.digest,
         target=target_digest(target),
         space=StudyConfig.free(NETWORK_SPACE),
@@ -163,9 +165,32 @@ def load_study(folder: Path | str) -> FittedStudy:
     accepted = read_posterior(folder / POSTERIOR)
     heart = load_heart(folder / "heart")
     target = read_target(folder / "target.nc")
+    for name, found, wanted in (
+        ("heart", heart.digest, study.config.heart),
+        ("target.nc", target_digest(target), study.config.target),
+    ):
+        if found != wanted:
+            raise InputError(
+                f"{folder / name}: not the one that was fitted; put the original back, or fit anew"
+            )
     space = study.config.parameter_space()
+    if set(accepted.best) != set(space.names):
+        raise InputError(
+            f"{folder / POSTERIOR}: its parameters are not those of the study; run 'fascicle fit' "
+            "again to rewrite it"
+        )
     problem = Problem(ForwardModel(heart), target, space, study.config.gain, study.config.batch)
     return FittedStudy(folder, study, problem, accepted)
+
+
+def _config(**settings: Any) -> StudyConfig:
+    """A study's configuration, with impossible settings refused in one line."""
+    try:
+        return StudyConfig(**settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise InputError(f"'{name}' is {first['input']!r}: {first['msg'].lower()}") from None
 
 
 def _silent(stage: str, done: int, total: int, message: str) -> None:
@@ -221,10 +246,8 @@ def write_results(
 
 def _write_networks(folder: Path, best: Network, networks: list[Network]) -> None:
     """One folder a network, with its two trees; results of an earlier run are replaced."""
-    if folder.exists():
-        import shutil
-
-        shutil.rmtree(folder)
+    (folder.parent / POSTERIOR).unlink(missing_ok=True)  # not finished while this is under way
+    shutil.rmtree(folder, ignore_errors=True)
     with atomic_folder(folder) as temporary:
         for name, network in [
             ("best", best),

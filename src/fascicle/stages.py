@@ -215,15 +215,20 @@ class Run:
 
     def _result(self, sampling: Sampling) -> Posterior:
         from fascicle.posterior.result import Posterior
+        from fascicle.posterior.sample import best_of
 
-        accepted, best = sampling.accepted, sampling.reference
+        best = best_of(self.evaluations)
+        # walks that never moved stand where they started: one network, not several
+        chosen = {e.point.tobytes(): k for k, e in reversed(list(enumerate(sampling.accepted)))}
+        kept = sorted(chosen.values())
+        accepted = [sampling.accepted[k] for k in kept]
         points = np.array([e.point for e in accepted]).reshape(-1, len(self.space))
         named = [self.space.from_unit(point) for point in points]
         return Posterior(
             points=points,
             values={n: np.array([values[n] for values in named]) for n in self.space.names},
             losses=np.array([evaluation.loss for evaluation in accepted]),
-            distances=sampling.distances,
+            distances=sampling.distances[kept],
             best_point=best.point,
             best_values=self.space.from_unit(best.point),
             best_loss=best.loss,

@@ -61,8 +61,6 @@ class StudyConfig(BaseModel):
         Hashes of the heart and of the target.
     space : tuple of FreeParameter
         What is learnt.
-    fixed : dict
-        Values of the parameters that are not learnt.
     gain : bool
         Whether a global gain of the simulated ECG is fitted.
     initial, steps, samples : int
@@ -88,7 +86,6 @@ class StudyConfig(BaseModel):
     heart: str
     target: str
     space: tuple[FreeParameter, ...] = Field(min_length=1)
-    fixed: dict[str, float] = Field(default_factory=dict)
     gain: bool = False
     initial: int = Field(default=250, ge=2)
     steps: int = Field(default=300, ge=0)
@@ -164,6 +161,10 @@ class Study:
         """Open the study that is in `folder`, to look at it or to resume it as it is."""
         if not (folder / CONFIGURATION).exists():
             raise InputError(f"{folder}: not a study; it has no {CONFIGURATION}")
+        if not (folder / DATABASE).is_file():
+            raise InputError(
+                f"{folder}: the study has no {DATABASE}; run 'fascicle fit' on it again"
+            )
         return cls(folder, _read(folder))
 
     def records(self) -> list[Record]:

@@ -1,6 +1,7 @@
 """Recording to prediction on the packaged heart, with a budget of seconds."""
 
 import json
+import shutil
 import sqlite3
 import sys
 
@@ -120,13 +121,28 @@ def test_report(study, monkeypatch, capsys):
 
 
 def test_unfinished_study_is_refused(study, tmp_path, monkeypatch, capsys):
-    (tmp_path / "study.json").write_text((study.folder / "study.json").read_text())
+    for name in ("study.json", "evaluations.sqlite"):
+        (tmp_path / name).write_bytes((study.folder / name).read_bytes())
     for verb in (["report", tmp_path], ["predict", tmp_path, "--out", tmp_path / "p"]):
         assert run(monkeypatch, *verb) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1
         assert "finish the study" in error
     assert not (tmp_path / "p").exists()
+
+
+def test_another_heart_in_the_folder_is_refused(study, tmp_path):
+    shutil.copytree(study.folder, tmp_path / "s")
+    electrodes = tmp_path / "s" / "heart" / "electrodes.csv"
+    electrodes.write_text(electrodes.read_text().replace("V6,", "V6,1"))
+    with pytest.raises(fascicle.InputError, match="heart: not the one that was fitted"):
+        load_study(tmp_path / "s")
+
+
+def test_impossible_settings_are_refused_in_one_line(target, tmp_path):
+    with pytest.raises(fascicle.InputError, match="'initial' is 1"):
+        fascicle.fit("default", target, tmp_path / "s", initial=1)
+    assert not (tmp_path / "s").exists()
 
 
 def test_load_study_gives_the_same_networks(study):

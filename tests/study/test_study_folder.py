@@ -193,7 +193,7 @@ def test_batches_are_repeatable(tmp_path):
         ({"target": "cc"}, "another target"),
         ({"steps": 6}, r"another steps \(5 there, 6 now\)"),
         ({"gain": True, "seed": 9}, "gain .* seed"),
-        ({"fixed": {"w": 0.2}}, "another fixed;"),
+        ({"refine": 7}, "another refine"),
         ({"space": StudyConfig.free(SPACE.restricted("cv", 1, 4))}, "another space;"),
     ],
 )

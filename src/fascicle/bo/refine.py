@@ -41,7 +41,8 @@ def refine(
     objective : Objective
         Evaluates, and keeps, the points of a generation.
     generations : int
-        How many; each costs `POPULATION` evaluations.
+        How many; each costs up to `POPULATION` evaluations. Fewer than `SMALLEST` feasible points
+        that are apart cannot breed, and nothing is done.
     progress : callable
         Called with the generations done, and `generations`.
     """

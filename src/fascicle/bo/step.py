@@ -121,7 +121,7 @@ def _region(rng: np.random.Generator, best: NDArray[np.float64]) -> Region:
     """Where to look for the next point: near the best one, or everywhere.
 
     In twelve dimensions expected improvement everywhere is mostly that of corners far from all
-    data; looking every other time in a box about the best point, as trust-region methods do
+    data; looking more often than not in a box about the best point, as trust-region methods do
     (Eriksson et al., NeurIPS 2019), is what finds improvements.
     """
     if rng.random() >= LOCAL_SHARE:

@@ -12,8 +12,8 @@ from fascicle.errors import InputError
 from fascicle.geometry.heart import Heart, signed_volumes
 from fascicle.leads import ELECTRODES
 
-# The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a mouse no, a
-# dog and a dilated heart yes.
+# The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a dog's heart
+# and for a dilated one.
 SMALLEST_EXTENT, LARGEST_EXTENT = 35.0, 400.0  # mm
 # A tetrahedron flatter than this fraction of a regular one with its mean edge counts as flat.
 FLATNESS = 1e-9

@@ -122,7 +122,7 @@ def read_posterior(path: Path) -> Accepted:
                 {name: float(posterior[name].attrs["best"]) for name in names},
                 float(stats.attrs["best_loss"]),
             )
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(
             f"{path}: not a readable posterior ({first}); run 'fascicle fit' again to rewrite it"

@@ -11,7 +11,7 @@ import numpy as np
 from fascicle.errors import InputError
 from fascicle.io.atomic import atomic_path
 from fascicle.leads import LEADS
-from fascicle.recording.target import Target
+from fascicle.recording.target import SAMPLING_STEP, Target
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -147,3 +147,15 @@ def _check(dataset: xr.Dataset, path: Path) -> None:
         raise InputError(f"{path}: leads are {', '.join(leads)}, not the standard 12; {remake}")
     if not np.isfinite(dataset["beats"].to_numpy()).all():
         raise InputError(f"{path}: beats are not finite; {remake}")
+    time = dataset["time"].to_numpy()
+    if not np.allclose(np.diff(time), SAMPLING_STEP):  # false for NaN, too
+        raise InputError(f"{path}: time does not run in steps of {SAMPLING_STEP:g} ms; {remake}")
+    numbers = [dataset.attrs[name] for name in _NUMBERS]
+    if not all(isinstance(n, (int, float, np.number)) and np.isfinite(n) for n in numbers):
+        raise InputError(f"{path}: {', '.join(_NUMBERS)} are {numbers}, not numbers; {remake}")
+    onset, offset = dataset.attrs["qrs_onset_ms"], dataset.attrs["qrs_offset_ms"]
+    if not time[0] <= onset < offset <= time[-1]:
+        raise InputError(
+            f"{path}: QRS from {onset} to {offset} ms, beats from {time[0]} to {time[-1]} ms; "
+            f"{remake}"
+        )

@@ -49,6 +49,10 @@ class Candidates:
 class InformedPrior:
     """Prior density that favours a low and certain predicted loss.
 
+    The units below are those of the output that the surrogate learns. In a study that is the
+    logarithm of the loss, where the paper has the loss itself: the density is then of relative
+    rather than of absolute differences.
+
     With s² = σ²(θ) + σ²_min (eq. "prior" of the paper)::
 
         p(θ) = exp(−(μ(θ) − y_min)² / 2s²) / √(2πs²) · P(θ is feasible)

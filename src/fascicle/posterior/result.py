@@ -24,13 +24,13 @@ class Posterior:
     distances : (n,) array
         Total variation between its per-beat errors and those of the best point.
     best_point : (d,) array
-        θ_min in the unit cube: the reference of the distances.
+        The point with the least mismatch, in the unit cube.
     best_values : mapping of str to float
         The same by parameter name.
     best_loss : float
         Mismatch there (mV²).
     wanted : int
-        Samples asked for; `len(points)` is less where the rounds ran out.
+        Samples asked for; `len(points)` is less where walks did not part from one another.
     evaluated : int
         Candidates evaluated after the optimisation.
     rounds : int
