@@ -239,7 +239,7 @@ def report(study: Annotated[Path, typer.Argument(help="Finished study folder.")]
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
 ) -> None:
-    """Do the whole job on the packaged heart and a real 12-lead ECG, in about two minutes."""
+    """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
     from fascicle.demo import demo_recording, run_demo
     from fascicle.progress import TerminalProgress
 
