@@ -142,7 +142,7 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         CPU time over wall time while measuring (well below 1: a busy machine, measure again).
     """
     from benchmarks.eikonal_residual import eikonal_residual
-    from fascicle.eikonal.activation import BALL_EDGES, BALL_RADIUS, solve
+    from fascicle.eikonal.activation import default_ball_radius, solve
     from fascicle.forward import ForwardModel, InvalidTree
 
     model = ForwardModel(_heart(case))
@@ -150,7 +150,7 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
     trees = model.grow(parameters)
     if isinstance(trees, InvalidTree):
         raise RuntimeError(f"the benchmark's parameters give no tree: {trees.reason}")
-    radius = max(BALL_EDGES * model.heart.edge_length, BALL_RADIUS)
+    radius = default_ball_radius(model.heart.edge_length)
     roots = (max(0.0, -parameters["root_time"]), max(0.0, parameters["root_time"]))
     sources = dict(zip(case["source_vertices"].tolist(), case["source_times"], strict=True))
 

@@ -16,6 +16,7 @@ from fascicle.errors import InputError
 if TYPE_CHECKING:
     from fascicle.fitting import FittedStudy
     from fascicle.geometry.heart import Heart
+    from fascicle.harmonic.chart import Chart
     from fascicle.predict.pacing import Pacing
     from fascicle.recording.target import Target
 
@@ -92,9 +93,9 @@ def heart_import(
         electrodes=electrodes,
         name=out.resolve().name,
     )
-    _check_growable(heart, {"lv": lv_endocardium, "rv": rv_endocardium})
+    charts = _growable_charts(heart, {"lv": lv_endocardium, "rv": rv_endocardium})
     write_heart(heart, out)
-    _print_heart(heart)
+    _print_heart(heart, charts)
     print(f"heart written to {out}")
 
 
@@ -104,8 +105,7 @@ def heart_check(heart: HeartArgument) -> None:
     from fascicle.io.hearts import load_heart
 
     loaded = load_heart(heart)
-    _check_growable(loaded, {"lv": heart, "rv": heart})
-    _print_heart(loaded)
+    _print_heart(loaded, _growable_charts(loaded, {"lv": heart, "rv": heart}))
     print("no problem found")
 
 
@@ -272,28 +272,29 @@ def _resumable() -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
-def _check_growable(heart: Heart, sources: Mapping[str, object]) -> None:
+def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:
     """Build charts and seeds, which is where an endocardium shows what else is wrong with it."""
     from fascicle.harmonic.chart import build_chart
     from fascicle.tree.grow import find_seed
 
+    charts = {}
     for endocardium in heart.endocardia:
         try:
-            find_seed(endocardium, build_chart(endocardium))
+            charts[endocardium.side] = build_chart(endocardium)
+            find_seed(endocardium, charts[endocardium.side])
         except InputError as error:
             raise InputError(f"{sources[endocardium.side]}: {error}") from None
+    return charts
 
 
-def _print_heart(heart: Heart) -> None:
-    from fascicle.harmonic.chart import build_chart
-
+def _print_heart(heart: Heart, charts: Mapping[str, Chart]) -> None:
     print(f"{heart.name}")
     print(f"  tissue       {len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra")
     print(
         f"               {heart.volumes.sum() / 1000:.1f} ml, mean edge {heart.edge_length:.1f} mm"
     )
     for endocardium in heart.endocardia:
-        worst = build_chart(endocardium).distortion.max()
+        worst = charts[endocardium.side].distortion.max()
         print(
             f"  {endocardium.side.upper()}           {len(endocardium.vertices)} vertices, "
             f"{endocardium.area / 100:.0f} cm², root {endocardium.root}, direction "
@@ -318,11 +319,10 @@ def _print_fit(fitted: FittedStudy) -> None:
     import numpy as np
 
     accepted = fitted.accepted
-    records = fitted.study.records()
-    first = [r.evaluation.loss for r in records if r.stage == "initial" and r.evaluation.feasible]
     recorded = float((fitted.problem.target.qrs**2).sum(axis=0).mean())
-    print(f"evaluations            {len(records)}")
-    print(f"best of the first      {min(first):.4f} mV² (flat line: {recorded:.4f})")
+    print(f"evaluations            {len(fitted.study.records())}")
+    first = fitted.best_initial_loss
+    print(f"best of the first      {first:.4f} mV² (flat line: {recorded:.4f})")
     print(f"best                   {accepted.best_loss:.4f} mV²")
     print(f"networks accepted      {len(accepted)} of {fitted.study.config.samples}")
     if len(accepted):

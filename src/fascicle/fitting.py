@@ -55,6 +55,12 @@ class FittedStudy:
     problem: Problem
     accepted: Accepted
 
+    @property
+    def best_initial_loss(self) -> float:
+        """Least mismatch among the points of the Latin hypercube (mV²)."""
+        outcomes = [r.evaluation for r in self.study.records() if r.stage == "initial"]
+        return min(evaluation.loss for evaluation in outcomes if evaluation.feasible)
+
     def networks(self, progress: Progress | None = None) -> list[Network]:
         """Simulate the accepted networks; the best one alone where none was accepted."""
         if not len(self.accepted):
@@ -262,13 +268,12 @@ def _write_networks(folder: Path, best: Network, networks: list[Network]) -> Non
 
 def _summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
     records = fitted.study.records()
-    first = [r.evaluation.loss for r in records if r.stage == "initial" and r.evaluation.feasible]
     return {
         "heart": fitted.problem.model.heart.name,
         "recording": fitted.problem.target.provenance.get("source", ""),
         "evaluations": len(records),
         "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
-        "best_initial_loss_mV2": min(first),
+        "best_initial_loss_mV2": fitted.best_initial_loss,
         "best_loss_mV2": posterior.best_loss,
         "best_parameters": dict(posterior.best_values),
         "networks_accepted": len(posterior.losses),

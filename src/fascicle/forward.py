@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fascicle.ecg.action_potential import ActionPotential, Upstroke
 from fascicle.ecg.electrocardiogram import STEP, build_electrocardiograph
 from fascicle.ecg.lead_field import unbounded
-from fascicle.eikonal.activation import BALL_EDGES, BALL_RADIUS, Activation, solve
+from fascicle.eikonal.activation import Activation, default_ball_radius, solve
 from fascicle.eikonal.tissue import build_tissue
 from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
@@ -151,7 +151,7 @@ class ForwardModel:
             Speed in the trees (mm/ms).
         """
         roots = (max(0.0, -root_time), max(0.0, root_time))
-        radius = max(BALL_EDGES * self.heart.edge_length, BALL_RADIUS)
+        radius = default_ball_radius(self.heart.edge_length)
         coupled = solve(self.tissue, trees, roots, cv, ball_radius=radius)
         values = self.electrocardiograph.leads(coupled.myocardium)
         ecg = xr.DataArray(

@@ -18,6 +18,11 @@ from fascicle.tree.purkinje import PurkinjeTree
 BALL_EDGES, BALL_RADIUS = 2.0, 6.0
 
 
+def default_ball_radius(edge_length: float) -> float:
+    """Radius (mm) of the ball around a junction for a mesh of this mean edge length (mm)."""
+    return max(BALL_EDGES * edge_length, BALL_RADIUS)
+
+
 @dataclass(frozen=True)
 class Activation:
     """When the front arrives.
