@@ -7,57 +7,12 @@ import math
 import numpy as np
 import pytest
 from builders import half_ellipsoid
+from grounds import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root, stretches
 from scipy.spatial import cKDTree
 
 from fascicle.harmonic.chart import build_chart
-from fascicle.tree.grow import GrowthRules, find_seed, grow_from_parameters, grow_tree
+from fascicle.tree.grow import GrowthRules, find_seed, grow_from_parameters
 from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
-
-RULES = GrowthRules()
-BARE = GrowthRules(generations=0)  # bundle and fascicles only
-ANGLES = [(0.9, -0.6), (0.3, -0.3), (math.pi / 2, 0.0), (-0.7, 1.2)]  # rad
-SURFACES = ["synthetic", "default_heart lv", "default_heart rv", "crtdemo lv", "crtdemo rv"]
-LENGTHS = {"lv": (40.3, (12.7, 9.6)), "rv": (45.9, (12.7, 9.6))}  # mm; bundle, fascicles
-
-
-@pytest.fixture(scope="module", params=SURFACES)
-def ground(request):
-    """Endocardium, chart, seed."""
-    if request.param == "synthetic":
-        endocardium = half_ellipsoid(jitter=0.2)
-    else:
-        fixture, side = request.param.split()
-        endocardium = getattr(request.getfixturevalue(fixture), side)
-    chart = build_chart(endocardium)
-    return endocardium, chart, find_seed(endocardium, chart)
-
-
-def grow(ground, bundle=None, fascicles=None, angles=ANGLES[0], rules=RULES):
-    endocardium, chart, seed = ground
-    default_bundle, default_fascicles = LENGTHS[endocardium.side]
-    return grow_tree(
-        endocardium.side, chart, seed,
-        bundle if bundle is not None else default_bundle,
-        fascicles if fascicles is not None else default_fascicles, angles, rules,
-    )  # fmt: skip
-
-
-def path_to_root(tree, node):
-    path = [node]
-    while tree.parents[path[-1]] >= 0:
-        path.append(int(tree.parents[path[-1]]))
-    return path[::-1]
-
-
-def stretches(tree):
-    """Node paths of bundle and fascicles of a tree grown without branches."""
-    first, second = (path_to_root(tree, leaf) for leaf in tree.junctions)
-    shared = [a for a, b in zip(first, second, strict=False) if a == b]
-    return shared, first[len(shared) - 1 :], second[len(shared) - 1 :]
-
-
-def chord_length(tree, path):
-    return np.linalg.norm(np.diff(tree.nodes[path], axis=0), axis=1).sum()
 
 
 @pytest.mark.parametrize("angles", ANGLES)

@@ -122,46 +122,24 @@ def grow_tree(
     PurkinjeTree or InvalidTree
         `InvalidTree` where the bundle or a fascicle would leave the endocardium.
     """
-    capacity = 4096
-    while True:
-        status, missing, disk, triangle, parents, lengths = growth.grow(
-            seed.point[0], seed.point[1], seed.triangle, seed.heading[0], seed.heading[1],
-            float(bundle_length), np.asarray(fascicle_lengths, float),
-            np.asarray(fascicle_angles, float), rules.branch_length, rules.segments,
-            rules.repulsion, rules.branch_angle, rules.generations, rules.clearance,
-            chart.points, chart.triangles, chart.neighbours, chart.metric, capacity,
-        )  # fmt: skip
-        if status != growth.FULL:
-            break
-        capacity *= 4
-    nodes = _positions(chart, disk, triangle)
+    status, missing, grown = growth.grow(
+        seed.point[0], seed.point[1], seed.triangle, seed.heading[0], seed.heading[1],
+        float(bundle_length), np.asarray(fascicle_lengths, float),
+        np.asarray(fascicle_angles, float), rules.branch_length, rules.segments,
+        rules.repulsion, rules.branch_angle, rules.generations, rules.clearance,
+        (chart.points, chart.triangles, chart.neighbours, chart.metric),
+    )  # fmt: skip
+    nodes = growth.lift(grown, chart.points, chart.vertices, chart.triangles)
     if status == growth.GROWN:
-        return PurkinjeTree(side, nodes, parents, lengths)
+        return PurkinjeTree(side, nodes, grown["parent"].astype(np.int64), grown["length"].copy())
     wanted = bundle_length if status == 0 else fascicle_lengths[status - 1]
     stretch = "bundle" if status == 0 else f"fascicle {status}"
     where = ", ".join(f"{x:.1f}" for x in nodes[-1])
     return InvalidTree(
         side,
         f"{side.upper()} {stretch} leaves the endocardium after {wanted - missing:.1f} of "
-        f"{wanted:.1f} mm, near ({where})",
+        f"{wanted:.1f} mm, at ({where}) mm on the base",
     )
-
-
-def _positions(
-    chart: Chart, disk: NDArray[np.float64], triangle: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Disk coordinates to positions on the endocardium (mm), shape (n, 3)."""
-    corners = chart.triangles[triangle]
-    a, b, c = (chart.points[corners[:, k]] for k in range(3))
-    area = _cross_rows(b - a, c - a)
-    second = _cross_rows(disk - a, c - a) / area
-    third = _cross_rows(b - a, disk - a) / area
-    weights = np.column_stack([1 - second - third, second, third])
-    return np.asarray(np.einsum("nk,nkd->nd", weights, chart.vertices[corners]))
-
-
-def _cross_rows(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def grow_from_parameters(
