@@ -15,6 +15,7 @@ from fascicle.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.fitting import FittedStudy
+    from fascicle.forward import Simulation
     from fascicle.geometry.heart import Heart
     from fascicle.harmonic.chart import Chart
     from fascicle.predict.pacing import Pacing
@@ -126,23 +127,50 @@ def simulate(
     root_time: Annotated[
         float | None, typer.Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
     ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with stimuli, blocked or slow segments, junction delays, scar, more "
+            "trees (docs/files.md)."
+        ),
+    ] = None,
 ) -> None:
-    """Run the forward model: activation map, trees and ECG.
+    """Run the forward model: activation map, trees, ECG, and what fired what.
 
     From parameters (an example network if none are given; --cv and --root-time override them),
-    or from two trees that you bring.
+    or from two trees that you bring. A scenario adds what is beyond the heart's own beat:
+
+        silent = ["lv"]                  # trees whose root does not fire
+
+        [[stimulus]]                     # pacing site in the myocardium (mm, ms)
+
+        position = [12.0, -3.5, 40.0]
+
+        time = 0.0
     """
     from fascicle.forward import ForwardModel
+    from fascicle.geometry.conduction import Conduction
     from fascicle.io.hearts import load_heart
+    from fascicle.io.scenarios import read_scenario
     from fascicle.io.simulations import simulate_inputs, write_simulation
 
+    case, regions = read_scenario(scenario) if scenario is not None else (None, ())
     loaded = load_heart(heart)
-    model = ForwardModel(loaded)
-    simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time)
-    write_simulation(loaded, simulation, out, inputs)
+    with _compiled():
+        model = ForwardModel(loaded, Conduction(regions=regions))
+        simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time, case)
+    if scenario is not None:
+        inputs["scenario"] = str(scenario)
+    summary = write_simulation(loaded, simulation, out, inputs)
     print(f"total activation time  {simulation.total_activation_time:.1f} ms")
     print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
-    print(f"written to {out}: activation.vtu, lv_tree.vtu, rv_tree.vtu, ecg.csv, summary.json")
+    _print_sites(simulation)
+    if summary["unreached_vertices"]:
+        print(
+            f"never reached          {summary['unreached_vertices']} vertices, "
+            f"{summary['unreached_volume_ml']} ml: left out of the ECG"
+        )
+    print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
 
 
 @app.command()
@@ -301,6 +329,27 @@ def _print_heart(heart: Heart, charts: Mapping[str, Chart]) -> None:
             f"{endocardium.direction}, chart distortion up to {worst:.2f}"
         )
     print("  electrodes   9, in place")
+
+
+def _print_sites(simulation: Simulation) -> None:
+    for tree, times, antidromic, distance in zip(
+        simulation.trees,
+        simulation.coupled.trees,
+        simulation.coupled.antidromic,
+        simulation.coupled.junction_distances,
+        strict=True,
+    ):
+        never = sum(time == float("inf") for time in times[tree.junctions])
+        print(
+            f"{tree.side + ' tree':<22} {len(tree.junctions)} junctions: "
+            f"{len(tree.junctions) - antidromic.sum() - never} orthodromic, {antidromic.sum()} "
+            f"antidromic, {never} silent; up to {distance.max(initial=0.0):.1f} mm from the tissue"
+        )
+    if len(simulation.coupled.captured):
+        print(
+            f"stimuli                {simulation.coupled.captured.sum()} of "
+            f"{len(simulation.coupled.captured)} captured the myocardium"
+        )
 
 
 def _print_target(target: Target) -> None:

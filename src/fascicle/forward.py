@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from fascicle.ecg.action_potential import ActionPotential, Upstroke
-from fascicle.ecg.electrocardiogram import STEP, build_electrocardiograph
-from fascicle.ecg.lead_field import unbounded
-from fascicle.eikonal.activation import Activation, default_ball_radius, solve
-from fascicle.eikonal.tissue import build_tissue
+from fascicle.ecg.electrocardiogram import STEP, first_sample
+from fascicle.eikonal.activation import Activation, Coupling, attach, solve
+from fascicle.eikonal.scenario import FURTHEST_STIMULUS, Scenario
 from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart
-from fascicle.harmonic.chart import build_chart
 from fascicle.leads import LEADS
 from fascicle.parameters import NETWORK_SPACE, check_names
+from fascicle.preparation import Prepared, load_with_heart, prepare, save
 from fascicle.recording.window import qrs_window
-from fascicle.tree.grow import GrowthRules, find_seed, grow_from_parameters
+from fascicle.tree.grow import GrowthRules, grow_from_parameters
 from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
+
+REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
+PHYSIOLOGY = ("root_time", "cv")  # parameters that change no tree
 
 
 @dataclass(frozen=True)
@@ -34,11 +40,11 @@ class Simulation:
     ecg : xarray.DataArray
         Twelve leads (mV), dimensions ``lead`` and ``time`` (ms).
     activation : (n,) array
-        Activation time of each vertex of the heart (ms).
+        Activation time of each vertex of the heart (ms); inf where no front arrives.
     trees : tuple of PurkinjeTree
         The trees, left first.
     coupled : Activation
-        Times in the trees and how each junction fired.
+        Times in the trees, how each junction fired, and from where each vertex was.
     """
 
     ecg: xr.DataArray
@@ -48,8 +54,17 @@ class Simulation:
 
     @property
     def total_activation_time(self) -> float:
-        """From the first to the last activation in the myocardium (ms)."""
-        return float(self.activation.max() - self.activation.min())
+        """From the first to the last activation in the myocardium that is reached (ms)."""
+        reached = self.activation[np.isfinite(self.activation)]
+        return float(reached.max() - reached.min())
+
+    @property
+    def unreached(self) -> NDArray[np.bool_]:
+        """Vertices that no front reaches: scar, or isolated tissue; shape (n,).
+
+        They are infinitely late in `activation` and contribute nothing to the ECG.
+        """
+        return np.asarray(np.isinf(self.activation))
 
     @property
     def qrs_duration(self) -> float:
@@ -66,11 +81,18 @@ class ForwardModel:
     heart : Heart
         The heart.
     conduction : Conduction, optional
-        Conductivities and speeds of the myocardium.
+        Conductivities and speeds of the myocardium, and regions where they differ.
     rules : GrowthRules, optional
         What is held fixed while trees grow.
     action_potential : ActionPotential, optional
         The template U.
+    prepared : Prepared, optional
+        What `fascicle.preparation.prepare` makes of heart and conduction, if it is at hand.
+
+    Notes
+    -----
+    What depends on heart and conduction alone is kept on disk beside the heart and read back when
+    both are the same again (`fascicle.preparation`).
 
     Examples
     --------
@@ -86,38 +108,49 @@ class ForwardModel:
         conduction: Conduction | None = None,
         rules: GrowthRules | None = None,
         action_potential: ActionPotential | None = None,
+        prepared: Prepared | None = None,
     ) -> None:
         self.heart = heart
         self.conduction = conduction if conduction is not None else Conduction()
         self.rules = rules if rules is not None else GrowthRules()
-        self.charts = {e.side: build_chart(e) for e in heart.endocardia}
-        self.seeds = {e.side: find_seed(e, self.charts[e.side]) for e in heart.endocardia}
-        self.tissue = build_tissue(heart, self.conduction)
-        self.electrocardiograph = build_electrocardiograph(
-            self.tissue,
-            heart.volumes,
-            self.conduction.intracellular(heart.fibres),
-            unbounded(heart.vertices, heart.electrodes, self.conduction.torso),
-            action_potential if action_potential is not None else Upstroke(),
-        )
+        self.action_potential = action_potential if action_potential is not None else Upstroke()
+        if prepared is None:
+            prepared = prepare(heart, self.conduction, self.action_potential)
+        self.prepared = prepared
+        self.charts, self.seeds = prepared.charts, prepared.seeds
+        self.tissue = prepared.tissue
+        self.electrocardiograph = prepared.electrocardiograph
+        self._grown = lru_cache(maxsize=REMEMBERED)(self._grow)
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
-        """Grow both trees, left first, or say which one does not fit."""
+        """Grow both trees, left first, or say which one does not fit.
+
+        Networks that were grown lately are remembered: where only root time and speed change, no
+        tree is grown again.
+        """
+        grown = self._grown(tuple(sorted(_anatomy(parameters).items())))
+        return grown if isinstance(grown, InvalidTree) else grown.trees
+
+    def _grow(self, anatomy: tuple[tuple[str, float], ...]) -> Coupling | InvalidTree:
         trees = []
         for side, chart in self.charts.items():
-            tree = grow_from_parameters(side, chart, self.seeds[side], parameters, self.rules)
+            tree = grow_from_parameters(side, chart, self.seeds[side], dict(anatomy), self.rules)
             if isinstance(tree, InvalidTree):
                 return tree
             trees.append(tree)
-        return tuple(trees)
+        return attach(self.tissue, trees)
 
-    def simulate(self, parameters: Mapping[str, float]) -> Simulation | InvalidTree:
+    def simulate(
+        self, parameters: Mapping[str, float], scenario: Scenario | None = None
+    ) -> Simulation | InvalidTree:
         """Grow the trees, activate the heart, compute the ECG.
 
         Parameters
         ----------
         parameters : mapping of name to float
             The twelve parameters of `fascicle.parameters.NETWORK_SPACE`, in its units.
+        scenario : Scenario, optional
+            Extra stimuli, blocked or slow segments, junction delays, trees of your own.
 
         Returns
         -------
@@ -127,18 +160,25 @@ class ForwardModel:
         Raises
         ------
         InputError
-            If a parameter is unknown, missing or not finite, or a length or speed not positive.
+            If a parameter is unknown, missing or not finite, or a length or speed not positive;
+            if the scenario does not fit the heart, or nothing in it fires.
         """
         check_names(parameters, NETWORK_SPACE.names)
         for name, value in parameters.items():
             if (name == "cv" or "_length" in name) and value <= 0:
                 raise InputError(f"parameter '{name}' is {value}; it must be positive")
-        trees = self.grow(parameters)
-        if isinstance(trees, InvalidTree):
-            return trees
-        return self.activate(trees, parameters["root_time"], parameters["cv"])
+        grown = self._grown(tuple(sorted(_anatomy(parameters).items())))
+        if isinstance(grown, InvalidTree):
+            return grown
+        return self._activate(grown, parameters["root_time"], parameters["cv"], scenario)
 
-    def activate(self, trees: Sequence[PurkinjeTree], root_time: float, cv: float) -> Simulation:
+    def activate(
+        self,
+        trees: Sequence[PurkinjeTree],
+        root_time: float,
+        cv: float,
+        scenario: Scenario | None = None,
+    ) -> Simulation:
         """Activate the heart through given trees and compute the ECG.
 
         Parameters
@@ -149,17 +189,126 @@ class ForwardModel:
             t_RV − t_LV (ms); the earlier root fires at time 0.
         cv : float
             Speed in the trees (mm/ms).
+        scenario : Scenario, optional
+            Extra stimuli, blocked or slow segments, junction delays, trees of your own.
         """
+        return self._activate(attach(self.tissue, trees), root_time, cv, scenario)
+
+    def _activate(
+        self, coupling: Coupling, root_time: float, cv: float, scenario: Scenario | None
+    ) -> Simulation:
+        scenario = scenario if scenario is not None else Scenario()
+        if scenario.trees or len(scenario.points):
+            trees = [*coupling.trees, *(tree for tree, _ in scenario.trees)]
+            coupling = attach(self.tissue, trees, scenario.points)
+            _check_stimuli(scenario, coupling)
+        trees = coupling.trees
         roots = (max(0.0, -root_time), max(0.0, root_time))
-        radius = default_ball_radius(self.heart.edge_length)
-        coupled = solve(self.tissue, trees, roots, cv, ball_radius=radius)
+        coupled = solve(
+            self.tissue,
+            coupling,
+            scenario.root_times(trees, roots),
+            cv,
+            stimuli=scenario.times,
+            node_times=scenario.node_times(trees),
+            speed=scenario.speeds(trees) if scenario.slowings else 1.0,
+            orthodromic_delay=scenario.orthodromic_delay,
+            antidromic_delay=scenario.antidromic_delay,
+        )
+        if not np.isfinite(coupled.myocardium).any():
+            raise InputError(
+                "nothing activates the myocardium; let a root fire, unblock a bundle, or add a "
+                "stimulus"
+            )
+        return Simulation(self._ecg(coupled), coupled.myocardium, trees, coupled)
+
+    def _ecg(self, coupled: Activation) -> xr.DataArray:
         values = self.electrocardiograph.leads(coupled.myocardium)
+        time = first_sample(coupled.myocardium) + np.arange(values.shape[1]) * STEP
         ecg = xr.DataArray(
             values,
-            coords={"lead": list(LEADS), "time": np.arange(values.shape[1]) * STEP},
+            coords={"lead": list(LEADS), "time": time},
             dims=("lead", "time"),
             name="ecg",
             attrs={"units": "mV"},
         )
         ecg["time"].attrs["units"] = "ms"
-        return Simulation(ecg, coupled.myocardium, tuple(trees), coupled)
+        return ecg
+
+    def simulate_many(
+        self,
+        parameters: Iterable[Mapping[str, float]],
+        executor: Executor,
+        scenario: Scenario | None = None,
+    ) -> list[Simulation | InvalidTree]:
+        """Simulate many networks at a time.
+
+        Parameters
+        ----------
+        parameters : iterable of mappings
+            Parameters of each network.
+        executor : concurrent.futures.Executor
+            Where to run: threads (the kernels run outside Python's global lock), processes, or
+            a cluster, such as Dask's ``client.get_executor()``. A worker of another process gets
+            the heart once, through a file in the temporary folder, which all must see.
+        scenario : Scenario, optional
+            The same for all.
+
+        Returns
+        -------
+        list of Simulation or InvalidTree
+            In the order of the parameters.
+        """
+        if isinstance(executor, ThreadPoolExecutor):
+            return list(executor.map(lambda p: self.simulate(p, scenario), parameters))
+        with TemporaryDirectory(prefix="fascicle-") as folder:
+            path = Path(folder) / "model.npz"
+            save(path, self.prepared, self.heart)
+            shared = _Shared(str(path), self.conduction, self.rules, self.action_potential)
+            futures = [
+                executor.submit(_simulate_shared, shared, dict(p), scenario) for p in parameters
+            ]
+            return [future.result() for future in futures]
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """How a worker in another process comes by a model: a file, and its few settings."""
+
+    path: str
+    conduction: Conduction
+    rules: GrowthRules
+    action_potential: ActionPotential
+
+
+# The model that this process, as a worker, has read, by the file it came from
+_READ: dict[str, ForwardModel] = {}
+
+
+def _simulate_shared(
+    shared: _Shared, parameters: dict[str, float], scenario: Scenario | None
+) -> Simulation | InvalidTree:
+    if shared.path not in _READ:
+        _READ.clear()
+        heart, prepared = load_with_heart(Path(shared.path), shared.action_potential)
+        _READ[shared.path] = ForwardModel(
+            heart, shared.conduction, shared.rules, shared.action_potential, prepared
+        )
+    return _READ[shared.path].simulate(parameters, scenario)
+
+
+def _anatomy(parameters: Mapping[str, float]) -> dict[str, float]:
+    """The parameters that the trees depend on."""
+    return {name: value for name, value in parameters.items() if name not in PHYSIOLOGY}
+
+
+def _check_stimuli(scenario: Scenario, coupling: Coupling) -> None:
+    """Refuse stimuli that are not in the myocardium."""
+    far = coupling.site.distances[coupling.junctions[-1] :]
+    for position, distance in zip(scenario.points, far, strict=True):
+        if distance > FURTHEST_STIMULUS:
+            where = ", ".join(f"{x:g}" for x in position)
+            raise InputError(
+                f"stimulus at ({where}): {distance:.1f} mm from the tissue; give a position in "
+                "it, in mm and in the heart's frame"
+            )

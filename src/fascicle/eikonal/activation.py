@@ -2,68 +2,149 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fascicle.eikonal.tissue import Site, Tissue
+from fascicle.kernels.arrays import Forest, Sites
 from fascicle.kernels.coupled import sweep
 from fascicle.tree.purkinje import PurkinjeTree
 
-# Radius of the ball around a fired junction whose vertices get their time along a straight line:
-# so many mean edges, and on fine meshes at least so many mm, which keeps the order of convergence.
-BALL_EDGES, BALL_RADIUS = 2.0, 6.0
+FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
 
 
-def default_ball_radius(edge_length: float) -> float:
-    """Radius (mm) of the ball around a junction for a mesh of this mean edge length (mm)."""
-    return max(BALL_EDGES * edge_length, BALL_RADIUS)
+@dataclass(frozen=True)
+class Coupling:
+    """Trees and stimuli attached to a tissue: all that does not depend on when they fire.
+
+    Sites are numbered junctions first, tree by tree, then stimuli.
+
+    Attributes
+    ----------
+    trees : tuple of PurkinjeTree
+        Any number of trees.
+    site : Site
+        Where junctions and stimuli lie in the tissue.
+    nodes : (k + 1,) array
+        Where each tree's nodes start, counting on from the mesh's vertices; after them come the
+        stimuli, a node each.
+    junctions : (k + 1,) array
+        Where each tree's junctions start among the sites.
+    """
+
+    trees: tuple[PurkinjeTree, ...]
+    site: Site
+    nodes: NDArray[np.int64]
+    junctions: NDArray[np.int64]
+    link_start: NDArray[np.int64]
+    link_node: NDArray[np.int64]
+    link_segment: NDArray[np.int64]
+    lengths: NDArray[np.float64]
+    site_node: NDArray[np.int64]
+    node_site: NDArray[np.int64]
+    reader_start: NDArray[np.int64]
+    reader: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Activation:
-    """When the front arrives.
+    """When the front arrives, and from where.
 
     Attributes
     ----------
     myocardium : (n,) array
-        Time at each vertex of the mesh (ms).
+        Time at each vertex of the mesh (ms); inf where no front arrives.
     trees : tuple of (n_nodes,) arrays
-        Time at each node of each tree (ms).
+        Time at each node of each tree (ms); inf where no front arrives.
+    origin : (n,) array
+        Which site fired each vertex: junctions are counted tree by tree, stimuli after them; -1
+        where no front arrives.
     antidromic : tuple of (n_junctions,) bool arrays
         Which junctions the myocardium fired before their tree could.
+    entered_by : tuple of (n_junctions,) arrays
+        For an antidromic junction the site whose front entered it, else -1.
+    stimuli, stimulus_times : (n_stimuli, 3) and (n_stimuli,) arrays
+        Where (mm) and when (ms) the myocardium was stimulated.
+    captured : (n_stimuli,) bool array
+        Which of the stimuli came before any front was there.
     junction_distances : tuple of (n_junctions,) arrays
-        How far each junction lies from the tissue's surface (mm).
+        How far each junction lies from where it meets the tissue (mm).
     """
 
     myocardium: NDArray[np.float64]
     trees: tuple[NDArray[np.float64], ...]
+    origin: NDArray[np.int64]
     antidromic: tuple[NDArray[np.bool_], ...]
+    entered_by: tuple[NDArray[np.int64], ...]
+    stimuli: NDArray[np.float64]
+    stimulus_times: NDArray[np.float64]
+    captured: NDArray[np.bool_]
     junction_distances: tuple[NDArray[np.float64], ...]
 
 
-@dataclass(frozen=True)
-class Links:
-    """The trees as one graph: neighbours of each node and travel times to them (ms)."""
+def attach(
+    tissue: Tissue, trees: Sequence[PurkinjeTree], points: NDArray[np.float64] | None = None
+) -> Coupling:
+    """Find where trees and stimuli meet the tissue.
 
-    start: NDArray[np.int64]
-    node: NDArray[np.int64]
-    time: NDArray[np.float64]
+    Parameters
+    ----------
+    tissue : Tissue
+        The myocardium.
+    trees : sequence of PurkinjeTree
+        Any number of trees; junctions are moved to the nearest point of the tissue's surface.
+    points : (s, 3) array, optional
+        Stimuli in the myocardium (mm); those outside are moved to its surface.
+    """
+    stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
+    site = _together(
+        tissue.on_surface(
+            np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
+        ),
+        tissue.inside(stimuli),
+    )
+    nodes = _starts([len(tree.nodes) for tree in trees])
+    junctions = _starts([len(tree.junctions) for tree in trees])
+    count = int(nodes[-1]) + len(stimuli)
+    site_node = np.concatenate(
+        [
+            *(t.junctions + first for t, first in zip(trees, nodes[:-1], strict=True)),
+            np.arange(nodes[-1], count),
+        ]
+    ).astype(np.int64)
+    node_site = np.full(count, -1, dtype=np.int64)
+    node_site[site_node] = np.arange(len(site_node))
+    reader_start, reader = _readers(tissue, site)
+    return Coupling(
+        tuple(trees),
+        site,
+        nodes,
+        junctions,
+        *_links(trees, nodes, count),
+        np.concatenate([*(tree.lengths for tree in trees), np.zeros(len(stimuli))]),
+        site_node,
+        node_site,
+        reader_start,
+        reader,
+    )
 
 
 def solve(
     tissue: Tissue,
-    trees: Sequence[PurkinjeTree],
+    coupling: Coupling,
     root_times: Sequence[float],
     cv: float,
     *,
-    ball_radius: float,
-    vertex_times: Mapping[int, float] | None = None,
-    orthodromic_delay: float = 0.0,
-    antidromic_delay: float = 0.0,
+    stimuli: Sequence[float] = (),
+    node_times: Sequence[tuple[int, int, float]] = (),
+    speed: ArrayLike = 1.0,
+    orthodromic_delay: ArrayLike = 0.0,
+    antidromic_delay: ArrayLike = 0.0,
 ) -> Activation:
     """Solve the coupled eikonal problem, orthodromic and antidromic, in one sweep.
 
@@ -73,51 +154,87 @@ def solve(
     ----------
     tissue : Tissue
         The myocardium.
-    trees : sequence of PurkinjeTree
-        Any number of trees.
+    coupling : Coupling
+        Trees and stimuli attached to it.
     root_times : sequence of float
         When each root fires (ms); inf for a root that never does.
     cv : float
         Speed in the trees (mm/ms).
-    ball_radius : float
-        Vertices within this distance (mm) of a fired junction get their time along the straight
-        line through the tissue, which removes most of the point-source error.
-    vertex_times : mapping of vertex to time, optional
-        Extra stimuli at mesh vertices (ms).
-    orthodromic_delay, antidromic_delay : float
-        Delays of the junctions (ms).
+    stimuli : sequence of float
+        When each stimulus in the myocardium fires (ms).
+    node_times : sequence of (tree, node, time)
+        Stimuli in the trees (ms).
+    speed : float or (n_nodes,) array
+        Factor on the speed of the segment that ends in each node, tree by tree; 0 blocks it.
+    orthodromic_delay, antidromic_delay : float or (n_junctions,) arrays
+        Delays of the junctions (ms), tree by tree; inf blocks that way.
     """
-    if len(root_times) != len(trees):
-        raise ValueError(f"{len(root_times)} root times for {len(trees)} trees")
-    offsets = _starts([len(tree.nodes) for tree in trees])
-    vertices = len(tissue.vertices)
-    junctions = [tree.junctions + offset for tree, offset in zip(trees, offsets[:-1], strict=True)]
-    junction_nodes = np.concatenate([*junctions, np.empty(0, np.int64)]).astype(np.int64)
-    points = [tree.nodes[tree.junctions] for tree in trees]
-    site = tissue.locate(np.concatenate([*points, np.empty((0, 3))]))
-    time = np.full(vertices + offsets[-1], np.inf)
-    for tree, offset, root_time in zip(trees, offsets[:-1], root_times, strict=True):
-        time[vertices + offset + tree.root] = root_time
-    for vertex, stimulus in (vertex_times or {}).items():
-        time[vertex] = stimulus
-    junction_of = np.full(offsets[-1], -1, dtype=np.int64)
-    junction_of[junction_nodes] = np.arange(len(junction_nodes))
-    links = _links(trees, offsets, cv)
+    if len(root_times) != len(coupling.trees):
+        raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
+    vertices, count = len(tissue.mesh.vertices), len(coupling.node_site)
+    time = np.full(vertices + count, np.inf)
+    firing = time[vertices:]
+    for tree, first, root_time in zip(
+        coupling.trees, coupling.nodes[:-1], root_times, strict=True
+    ):
+        firing[first + tree.root] = root_time
+    for tree_number, node, moment in node_times:
+        first = coupling.nodes[tree_number]
+        firing[first + node] = min(moment, firing[first + node])
+    firing[coupling.nodes[-1] :] = stimuli
+    stimulated = firing[coupling.nodes[-1] :].copy()
+    sites, junctions = len(coupling.site_node), int(coupling.junctions[-1])
+    delays = np.zeros((2, sites))
+    delays[:, :junctions] = np.broadcast_to(orthodromic_delay, junctions), np.broadcast_to(
+        antidromic_delay, junctions
+    )
+    factor = np.ones(count)
+    factor[: coupling.nodes[-1]] = speed
+    with np.errstate(divide="ignore", invalid="ignore"):  # blocked segments take forever
+        travel = np.where(coupling.lengths > 0, coupling.lengths / (cv * factor), 0.0)
+    origin = np.full(vertices + count, FROM_ROOT)
+    entered_by = np.full(sites, -1)
     sweep(
-        time, np.flatnonzero(np.isfinite(time)),
-        tissue.corners, tissue.squares, tissue.vertex_start, tissue.vertex_tetrahedra,
-        links.start, links.node, links.time,
-        junction_of, site.elements, tissue.squares_to_corners(site),
-        *tissue.balls(site, ball_radius),
-        *_readers(tissue, site),
-        orthodromic_delay, antidromic_delay,
-    )  # fmt: skip
-    tree_times = _pieces(time[vertices:], offsets)
+        time,
+        origin,
+        entered_by,
+        np.flatnonzero(np.isfinite(time)),
+        tissue.mesh,
+        Forest(
+            coupling.link_start,
+            coupling.link_node,
+            travel[coupling.link_segment],
+            coupling.node_site,
+        ),
+        Sites(
+            coupling.site.positions,
+            coupling.site.elements,
+            coupling.site_node + vertices,
+            delays[0],
+            delays[1],
+            coupling.reader_start,
+            coupling.reader,
+        ),
+    )
+    entered = _pieces(entered_by, coupling.junctions)
     return Activation(
         time[:vertices],
-        tree_times,
-        tuple(_fired_by_myocardium(tree, t, cv) for tree, t in zip(trees, tree_times, strict=True)),
-        _pieces(site.distances, _starts([len(j) for j in junctions])),
+        _pieces(firing, coupling.nodes),
+        origin[:vertices],
+        tuple(by >= 0 for by in entered),
+        entered,
+        coupling.site.positions[junctions:],
+        stimulated,
+        firing[coupling.nodes[-1] :] == stimulated,
+        _pieces(coupling.site.distances, coupling.junctions),
+    )
+
+
+def _together(one: Site, other: Site) -> Site:
+    return Site(
+        np.concatenate([one.positions, other.positions]),
+        np.concatenate([one.elements, other.elements]),
+        np.concatenate([one.distances, other.distances]),
     )
 
 
@@ -126,40 +243,31 @@ def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(np.asarray(sizes, dtype=np.int64))])
 
 
-def _pieces(
-    values: NDArray[np.float64], starts: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], ...]:
+def _pieces(values: NDArray[Any], starts: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
     return tuple(values[a:b] for a, b in pairwise(starts))
 
 
-def _links(trees: Sequence[PurkinjeTree], offsets: NDArray[np.int64], cv: float) -> Links:
-    child, parent, travel = [], [], []
-    for tree, offset in zip(trees, offsets[:-1], strict=True):
-        linked = np.flatnonzero(tree.parents >= 0)
-        child.append(linked + offset)
-        parent.append(tree.parents[linked] + offset)
-        travel.append(tree.lengths[linked] / cv)
-    none = np.empty(0)
-    a, b = (np.concatenate([*side, none]).astype(np.int64) for side in (child, parent))
-    tail, head = np.concatenate([a, b]), np.concatenate([b, a])
+def _links(
+    trees: Sequence[PurkinjeTree], nodes: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The trees as one graph: start, neighbour, and the node that the segment between ends in."""
+    parents = np.full(count, -1, dtype=np.int64)
+    for tree, first in zip(trees, nodes[:-1], strict=True):
+        parents[first : first + len(tree.nodes)] = np.where(
+            tree.parents >= 0, tree.parents + first, -1
+        )
+    child = np.flatnonzero(parents >= 0)
+    tail = np.concatenate([child, parents[child]])
     order = np.argsort(tail, kind="stable")
-    counts = np.bincount(tail, minlength=int(offsets[-1]))
-    time = np.tile(np.concatenate([*travel, none]), 2)[order]
-    return Links(np.concatenate([[0], np.cumsum(counts)]), head[order], time)
+    start = np.concatenate([[0], np.cumsum(np.bincount(tail, minlength=count))])
+    head, segment = np.concatenate([parents[child], child]), np.concatenate([child, child])
+    return start, head[order], segment[order]
 
 
 def _readers(tissue: Tissue, site: Site) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The junctions whose element contains each vertex, as start and list."""
-    corners = tissue.corners[site.elements].ravel()
+    """The sites whose element has each vertex as a corner, as start and list."""
+    attached = np.flatnonzero(site.elements >= 0)
+    corners = tissue.mesh.corners[site.elements[attached]].ravel()
     order = np.argsort(corners, kind="stable")
-    counts = np.bincount(corners, minlength=len(tissue.vertices))
-    return np.concatenate([[0], np.cumsum(counts)]), order // 4
-
-
-def _fired_by_myocardium(
-    tree: PurkinjeTree, time: NDArray[np.float64], cv: float
-) -> NDArray[np.bool_]:
-    """Junctions that fired earlier than the segment that leads to them could fire them."""
-    parents = tree.parents[tree.junctions]
-    by_tree = time[parents] + tree.lengths[tree.junctions] / cv
-    return np.asarray(time[tree.junctions] < by_tree - 1e-9)
+    counts = np.bincount(corners, minlength=len(tissue.mesh.vertices))
+    return np.concatenate([[0], np.cumsum(counts)]), attached[order // 4]

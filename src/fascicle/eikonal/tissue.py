@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart
-from fascicle.kernels import ball
+from fascicle.kernels.arrays import Mesh
 
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner
 
 @dataclass(frozen=True)
 class Site:
@@ -22,9 +24,9 @@ class Site:
     Attributes
     ----------
     positions : (n, 3) array
-        Positions on the tissue's surface (mm).
+        Positions in the tissue (mm).
     elements : (n,) array
-        Tetrahedron of each.
+        Tetrahedron of each; -1 where it does not conduct.
     distances : (n,) array
         How far the points asked for are from these (mm).
     """
@@ -36,90 +38,92 @@ class Site:
 
 @dataclass(frozen=True)
 class Tissue:
-    """Mesh, metric and adjacency of the myocardium as the kernels want them.
+    """The myocardium as the sweep and the ECG want it.
 
     Attributes
     ----------
-    vertices, corners : (n, 3) and (m, 4) arrays
-        The mesh (mm).
-    metric : (m, 3, 3) array
-        D⁻¹ of each tetrahedron (ms²/mm²).
-    squares : (m, 6) array
-        Squared travel times along its edges (ms²).
-    gradients : (m, 4, 3) array
-        Gradients of the barycentric coordinates (1/mm).
-    neighbours : (m, 4) array
-        Tetrahedron across the face opposite each corner; -1 at the boundary.
-    vertex_start, vertex_tetrahedra : (n + 1,) and (4m,) arrays
-        The tetrahedra of each vertex, as 4·tetrahedron + corner.
+    mesh : Mesh
+        Geometry, metric and adjacency of what conducts.
+    conducts : (m,) bool array
+        Which tetrahedra conduct.
     surface, owner : (b, 3) and (b,) arrays
-        Boundary triangles and the tetrahedron of each.
+        Boundary triangles of the whole tissue and the tetrahedron of each.
     tree : igl.AABB
         Finds the nearest boundary triangle.
     """
 
-    vertices: NDArray[np.float64]
-    corners: NDArray[np.int64]
-    metric: NDArray[np.float64]
-    squares: NDArray[np.float64]
-    gradients: NDArray[np.float64]
-    neighbours: NDArray[np.int64]
-    vertex_start: NDArray[np.int64]
-    vertex_tetrahedra: NDArray[np.int64]
+    mesh: Mesh
+    conducts: NDArray[np.bool_]
     surface: NDArray[np.int64]
     owner: NDArray[np.int64]
     tree: igl.AABB
 
-    def locate(self, points: NDArray[np.float64]) -> Site:
+    def on_surface(self, points: NDArray[np.float64]) -> Site:
         """Nearest points of the tissue's surface to `points` of shape (n, 3)."""
         square, triangle, nearest = self.tree.squared_distance(
-            self.vertices, self.surface, np.ascontiguousarray(points)
+            self.mesh.vertices, self.surface, np.ascontiguousarray(points)
         )
-        return Site(np.asarray(nearest), self.owner[triangle], np.sqrt(square))
+        elements = self.owner[triangle]
+        elements = np.where(self.conducts[elements], elements, -1)
+        return Site(np.asarray(nearest), elements, np.sqrt(square))
 
-    def balls(
-        self, site: Site, radius: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """Vertices within `radius` mm of each point and the time to them (`kernels.ball`)."""
-        start, vertex, time = ball.balls(
-            site.positions, site.elements, radius, self.vertices, self.corners, self.neighbours,
-            self.gradients, self.metric, self.vertex_start, self.vertex_tetrahedra,
-        )  # fmt: skip
-        return start, vertex, time
-
-    def squares_to_corners(self, site: Site) -> NDArray[np.float64]:
-        """Squared travel times from each point to its element's corners (ms²), shape (n, 4)."""
-        offset = self.vertices[self.corners[site.elements]] - site.positions[:, None, :]
-        return np.asarray(
-            np.einsum("nki,nij,nkj->nk", offset, self.metric[site.elements], offset), dtype=float
-        )
+    def inside(self, points: NDArray[np.float64]) -> Site:
+        """The same points where they lie in the tissue, else the nearest of its surface."""
+        site = self.on_surface(points)
+        positions, elements, distances = site.positions.copy(), site.elements, site.distances
+        for k, point in enumerate(points):
+            weights = point @ self.mesh.planes[:, :3] + self.mesh.planes[:, 3]
+            element = int(np.where(self.conducts, weights.min(axis=1), -np.inf).argmax())
+            if weights[element].min() >= -1e-9:
+                positions[k], elements[k], distances[k] = point, element, 0.0
+        return Site(positions, elements, distances)
 
 
 def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
-    """Precompute metric, gram tables and adjacency of a heart's tissue."""
-    corners = np.ascontiguousarray(heart.tetrahedra)
-    vertices = np.ascontiguousarray(heart.vertices)
-    metric = np.ascontiguousarray(conduction.metric(heart.fibres))
+    """Precompute metric, squared travel times and adjacency of a heart's tissue."""
+    corners, vertices = heart.tetrahedra, np.ascontiguousarray(heart.vertices)
+    scale = conduction.scale(heart)
+    conducts = scale > 0
+    metric = conduction.metric(heart.fibres) / np.where(conducts, scale, 1.0)[:, None, None]
     edges = np.stack([vertices[corners[:, j]] - vertices[corners[:, i]] for i, j in EDGES], axis=1)
+    gradients = barycentric_gradients(vertices, corners)
+    along, across = conduction.speeds
+    fastest = max(along, across) * np.sqrt(scale.max())
+    slowest = min(along, across)
+    start, star = _stars(corners, conducts, len(vertices))
     squares = np.einsum("mei,mij,mej->me", edges, metric, edges)
-    order = np.argsort(corners.ravel(), kind="stable")
-    counts = np.bincount(corners.ravel(), minlength=len(vertices))
+    heights = 1 / np.sqrt(np.einsum("mki,mij,mkj->mk", gradients, np.linalg.inv(metric), gradients))
+    tetrahedron, corner = star >> 2, star & 3
+    star_vertex = corners[tetrahedron[:, None], OTHERS[corner]]
+    height = _rounded_down(heights[tetrahedron[:, None], OTHERS[corner]])
+    reach = _rounded_down(_reach(squares)[tetrahedron, corner])
+    links = _links(corners[conducts], len(vertices))
     surface, owner = heart.boundary
+    mesh = Mesh(
+        vertices=vertices,
+        corners=np.ascontiguousarray(corners, dtype=np.int32),
+        metric=np.ascontiguousarray(metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        squares=squares,
+        planes=_planes(vertices, corners, gradients),
+        neighbours=_face_neighbours(corners, conducts),
+        star_start=start,
+        star=star,
+        star_vertex=np.ascontiguousarray(star_vertex, dtype=np.int32),
+        reach=reach,
+        height=height,
+        link_start=links.indptr.astype(np.int64),
+        link=links.indices.astype(np.int32),
+        slowness=float(1 / fastest),
+        slack=float((heart.edge_length / slowest) ** 2 / 8),
+    )
+    return Tissue(mesh, conducts, surface, owner, find_on_surface(vertices, surface))
+
+
+def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -> igl.AABB:
+    """Search tree that finds the nearest of a surface's triangles."""
     tree = igl.AABB()
     tree.init(vertices, surface)
-    return Tissue(
-        vertices=vertices,
-        corners=corners,
-        metric=metric,
-        squares=np.ascontiguousarray(squares),
-        gradients=barycentric_gradients(vertices, corners),
-        neighbours=_face_neighbours(corners),
-        vertex_start=np.concatenate([[0], np.cumsum(counts)]),
-        vertex_tetrahedra=np.ascontiguousarray(order),  # flat index = 4·tetrahedron + corner
-        surface=surface,
-        owner=owner,
-        tree=tree,
-    )
+    return tree
 
 
 def barycentric_gradients(
@@ -131,13 +135,78 @@ def barycentric_gradients(
     return np.ascontiguousarray(np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1))
 
 
-def _face_neighbours(corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Tetrahedron across the face opposite each corner, or -1; shape (m, 4)."""
+def _planes(
+    vertices: NDArray[np.float64], corners: NDArray[np.int64], gradients: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Gradients and values at the origin of the barycentric coordinates, shape (m, 4, 4)."""
+    at_origin = -np.einsum("mki,mi->mk", gradients, vertices[corners[:, 0]])
+    at_origin[:, 0] += 1
+    planes = np.concatenate([np.swapaxes(gradients, 1, 2), at_origin[:, None, :]], axis=1)
+    return np.ascontiguousarray(planes)
+
+
+def _stars(
+    corners: NDArray[np.int64], conducts: NDArray[np.bool_], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """The conducting tetrahedra of each vertex as 4·tetrahedron + corner, and where they start."""
+    flat = np.flatnonzero(np.repeat(conducts, 4))  # flat index = 4·tetrahedron + corner
+    vertex = corners.ravel()[flat]
+    order = np.argsort(vertex, kind="stable")
+    counts = np.bincount(vertex, minlength=count)
+    return np.concatenate([[0], np.cumsum(counts)]), flat[order].astype(np.int32)
+
+
+def _rounded_down(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Single precision, never above the value."""
+    single = values.astype(np.float32)
+    return np.nextafter(single, np.float32(-np.inf))
+
+
+def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least delay (ms) between a corner and another one that is reached through it; (m, 4, 3).
+
+    A front that comes to corner x from direction v, through the face that corner s belongs to,
+    reaches x later than s by the projection of the edge from s to x on v, in the metric. Its least
+    value over the face's cone of directions is on one of its edges, or inside the side that is
+    opposite to s where the projection on that side's plane points away from it.
+    """
+    square = np.zeros((len(squares), 4, 4))
+    for k, (i, j) in enumerate(EDGES):
+        square[:, i, j] = square[:, j, i] = squares[:, k]
+    least = np.empty((len(squares), 4, 3))
+    for s in range(4):
+        for turn, x in enumerate(OTHERS[s]):
+            j, k = (c for c in OTHERS[s] if c != x)
+            ss, jj, kk = square[:, s, x], square[:, j, x], square[:, k, x]
+            sj, sk = (ss + jj - square[:, s, j]) / 2, (ss + kk - square[:, s, k]) / 2
+            jk = (jj + kk - square[:, j, k]) / 2
+            on_edges = np.minimum(np.sqrt(ss), np.minimum(sj / np.sqrt(jj), sk / np.sqrt(kk)))
+            det = jj * kk - jk * jk
+            along_j, along_k = (sj * kk - sk * jk) / det, (sk * jj - sj * jk) / det
+            away = (along_j <= 0) & (along_k <= 0)
+            projection = np.sqrt(np.maximum(along_j * sj + along_k * sk, 0))
+            least[:, s, turn] = np.where(away, -projection, on_edges)
+    return least
+
+
+def _links(corners: NDArray[np.int64], count: int) -> sp.csr_array:
+    """Which vertices share an edge, as a symmetric pattern."""
+    one, other = (np.concatenate([corners[:, e[side]] for e in EDGES]) for side in (0, 1))
+    ones = np.ones(2 * len(one), dtype=np.int8)
+    rows, columns = np.concatenate([one, other]), np.concatenate([other, one])
+    return sp.coo_array((ones, (rows, columns)), shape=(count, count)).tocsr()
+
+
+def _face_neighbours(
+    corners: NDArray[np.int64], conducts: NDArray[np.bool_]
+) -> NDArray[np.int32]:
+    """Tetrahedron across the face opposite each corner, -1 where none conducts; shape (m, 4)."""
     faces = np.stack([np.delete(corners, k, axis=1) for k in range(4)], axis=1).reshape(-1, 3)
     faces = np.sort(faces, axis=1)
     order = np.lexsort(faces.T)
     same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
-    neighbours = np.full(len(faces), -1, dtype=np.int64)
+    neighbours = np.full(len(faces), -1, dtype=np.int32)
     first, second = order[:-1][same], order[1:][same]
     neighbours[first], neighbours[second] = second // 4, first // 4
+    neighbours[~conducts[neighbours]] = -1
     return neighbours.reshape(-1, 4)

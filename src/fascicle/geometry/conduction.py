@@ -7,8 +7,70 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.errors import InputError
+from fascicle.geometry.heart import Heart
+
 # α² G is (cm/ms)²; speeds here are in mm/ms
 MM2_PER_CM2 = 100.0
+
+
+@dataclass(frozen=True)
+class Region:
+    """Part of the myocardium that conducts otherwise; give a label, or a sphere.
+
+    Attributes
+    ----------
+    conductivity : float
+        Factor on all its conductivities, so that speeds change by its root; 0 for scar that does
+        not conduct.
+    label : int, optional
+        The elements with this label in `Heart.regions`.
+    centre : (x, y, z), optional
+        Centre of a sphere (mm).
+    radius : float, optional
+        The elements whose centroid lies within this distance (mm) of it.
+    """
+
+    conductivity: float
+    label: int | None = None
+    centre: tuple[float, float, float] | None = None
+    radius: float | None = None
+
+    def elements(self, heart: Heart) -> NDArray[np.bool_]:
+        """Which tetrahedra belong to it, shape (m,).
+
+        Raises
+        ------
+        InputError
+            If it says nothing or two things about where it is, or holds no element.
+        """
+        if (self.label is None) == (self.centre is None or self.radius is None):
+            raise InputError(f"{self.name}: give either a label, or a centre and a radius")
+        if not 0 <= self.conductivity < np.inf:
+            raise InputError(
+                f"{self.name}: conductivity {self.conductivity:g} is a factor; give 0 (scar) or more"
+            )
+        if self.label is not None:
+            if heart.regions is None:
+                raise InputError(
+                    f"{self.name}: the heart has no labels; import it from a mesh with the cell "
+                    "array 'region', or give a centre and a radius"
+                )
+            inside = heart.regions == self.label
+            known = f"the heart's labels are {', '.join(map(str, np.unique(heart.regions)))}"
+        else:
+            centroids = heart.vertices[heart.tetrahedra].mean(axis=1)
+            distance = np.linalg.norm(centroids - np.asarray(self.centre), axis=1)
+            inside = distance <= self.radius
+            known = f"the nearest is {distance.min():.1f} mm from its centre"
+        if not inside.any():
+            raise InputError(f"{self.name} holds no element; {known}")
+        return np.asarray(inside)
+
+    @property
+    def name(self) -> str:
+        """What to call it in messages."""
+        return f"region {self.label}" if self.label is not None else f"region at {self.centre}"
 
 
 @dataclass(frozen=True)
@@ -23,6 +85,8 @@ class Conduction:
         α (cm·ms⁻¹·(mS/cm)^-½): D = α² Gᵢ(Gᵢ+Gₑ)⁻¹Gₑ; 0.05 to 0.1 in the paper's patients.
     torso : float
         Conductivity of the unbounded volume conductor (mS/cm); about that of the torso as a whole.
+    regions : tuple of Region
+        Where the myocardium conducts otherwise; where they overlap the last one counts.
     """
 
     intracellular_l: float = 3.0
@@ -31,6 +95,14 @@ class Conduction:
     extracellular_t: float = 1.2
     alpha: float = 0.05
     torso: float = 2.0
+    regions: tuple[Region, ...] = ()
+
+    def scale(self, heart: Heart) -> NDArray[np.float64]:
+        """Factor on all conductivities of each tetrahedron, shape (m,); 0 where none conducts."""
+        scale = np.ones(len(heart.tetrahedra))
+        for region in self.regions:
+            scale[region.elements(heart)] = region.conductivity
+        return scale
 
     @property
     def speeds(self) -> tuple[float, float]:

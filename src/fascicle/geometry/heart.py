@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import igl
 import numpy as np
@@ -32,6 +33,10 @@ class Heart:
         Positions (mm), in the order of `fascicle.leads.ELECTRODES`.
     name : str
         What to call the heart in messages and figures.
+    regions : (m,) array, optional
+        A label for each tetrahedron, for `fascicle.geometry.conduction.Region`.
+    folder : Path, optional
+        Where it was read from; what is computed from it once is kept there.
     """
 
     vertices: NDArray[np.float64]
@@ -41,6 +46,8 @@ class Heart:
     rv: Endocardium
     electrodes: NDArray[np.float64]
     name: str = "heart"
+    regions: NDArray[np.int64] | None = None
+    folder: Path | None = None
 
     @property
     def endocardia(self) -> Iterator[Endocardium]:
@@ -75,6 +82,8 @@ class Heart:
         for endocardium in self.endocardia:
             seeds = np.array([endocardium.root, endocardium.direction])
             arrays += [endocardium.vertices, endocardium.triangles, seeds]
+        if self.regions is not None:
+            arrays.append(self.regions)
         for array in arrays:
             digest.update(str(array.shape).encode())
             digest.update(np.ascontiguousarray(array).tobytes())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -32,6 +33,7 @@ from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh, write_gri
 MANIFEST = "heart.toml"
 DEFAULT_HEART = "default"
 FORMAT = "fascicle heart 1"
+REGION = "region"  # cell array of labels
 FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
 
 
@@ -81,7 +83,7 @@ def load_heart(path: Path | str) -> Heart:
         for side in ("lv", "rv")
     }
     mesh_path = folder / manifest.mesh
-    return assemble_heart(
+    heart = assemble_heart(
         mesh=read_mesh(mesh_path, "mesh"),
         fibres=None,
         surfaces={
@@ -92,6 +94,7 @@ def load_heart(path: Path | str) -> Heart:
         electrodes=folder / manifest.electrodes,
         name=manifest.name,
     )
+    return replace(heart, folder=folder)
 
 
 def _read_manifest(folder: Path) -> Manifest:
@@ -128,7 +131,7 @@ def assemble_heart(
     Parameters
     ----------
     mesh : Mesh
-        Tetrahedra, and the fibres too if `fibres` is None.
+        Tetrahedra, labels of regions if it has them, and the fibres too if `fibres` is None.
     fibres : Mesh or None
         The file that holds the fibres, per point or per tetrahedron.
     surfaces : dict of side to Mesh
@@ -164,6 +167,7 @@ def assemble_heart(
         rv=endocardia["rv"],
         electrodes=read_electrodes(electrodes),
         name=name,
+        regions=_regions(mesh),
     )
     check_electrodes(str(electrodes), heart.electrodes, heart)
     return heart
@@ -247,6 +251,20 @@ def _fibres_per_tetrahedron(
     return average_to_tetrahedra(at_vertex, tetrahedra)
 
 
+def _regions(mesh: Mesh) -> NDArray[np.int64] | None:
+    """Labels of the tetrahedra, if the mesh has the cell array `region`."""
+    values = mesh.cell_data.get(TETRAHEDRON, {}).get(REGION)
+    if values is None:
+        return None
+    labels = np.asarray(values, dtype=float)
+    if labels.ndim != 1 or not (labels == np.round(labels)).all():
+        raise InputError(
+            f"{mesh.path}: the cell array '{REGION}' must hold one whole number a tetrahedron; "
+            "correct or remove it"
+        )
+    return labels.astype(np.int64)
+
+
 def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
     """Find the array of directions in a file, and whether it is one per tetrahedron."""
     candidates: dict[str, tuple[Any, bool]] = {}
@@ -277,13 +295,16 @@ def _toml_string(text: str) -> str:
 
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
+    cells: dict[str, NDArray[Any]] = {"fibre": heart.fibres}
+    if heart.regions is not None:
+        cells[REGION] = heart.regions
     with atomic_folder(folder) as temporary:
         write_grid(
             temporary / "mesh.vtu",
             heart.vertices,
             heart.tetrahedra,
             TETRAHEDRON,
-            cell_data={"fibre": heart.fibres},
+            cell_data=cells,
         )
         lines = [
             f'format = "{FORMAT}"',

@@ -7,8 +7,10 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.eikonal.scenario import Scenario
 from fascicle.errors import InputError
 from fascicle.forward import ForwardModel, Simulation
 from fascicle.geometry.heart import Heart
@@ -36,6 +38,7 @@ def simulate_inputs(
     rv_tree: Path | None = None,
     cv: float | None = None,
     root_time: float | None = None,
+    scenario: Scenario | None = None,
 ) -> tuple[Simulation, dict[str, object]]:
     """Run the forward model on what the user gave: a parameter file, or two trees.
 
@@ -60,7 +63,7 @@ def simulate_inputs(
         source = str(params) if params is not None else "example parameters"
         for name, value in parameters.items():
             _check_plausible(source, name, value)
-        outcome = model.simulate(parameters)
+        outcome = model.simulate(parameters, scenario)
         if isinstance(outcome, InvalidTree):
             raise InputError(f"{source}: {outcome.reason}; shorten it")
         return outcome, {"parameters": parameters}
@@ -77,11 +80,12 @@ def simulate_inputs(
         _check_side(path, model.heart, tree)
         trees.append(tree)
     files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
-    return model.activate(trees, physics["root_time"], physics["cv"]), files | physics
+    simulation = model.activate(trees, physics["root_time"], physics["cv"], scenario)
+    return simulation, files | physics
 
 
 def _check_at_tissue(path: Path, model: ForwardModel, tree: PurkinjeTree) -> None:
-    distances = model.tissue.locate(tree.nodes[tree.junctions]).distances
+    distances = model.tissue.on_surface(tree.nodes[tree.junctions]).distances
     if distances.max() > FURTHEST_JUNCTION:
         raise InputError(
             f"{path}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
@@ -119,18 +123,21 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, object]:
     """Say a few numbers about a simulation, as written to `summary.json`."""
     sides: dict[str, object] = {}
-    for tree, antidromic, distance in zip(
+    for tree, times, antidromic, distance in zip(
         simulation.trees,
+        simulation.coupled.trees,
         simulation.coupled.antidromic,
         simulation.coupled.junction_distances,
         strict=True,
     ):
+        fired = np.isfinite(times[tree.junctions])
         sides[tree.side] = {
             "nodes": len(tree.nodes),
             "length_mm": round(float(tree.lengths.sum()), 3),
             "junctions": len(tree.junctions),
             "antidromic_junctions": int(antidromic.sum()),
-            "largest_junction_distance_mm": round(float(distance.max()), 4),
+            "silent_junctions": int((~fired).sum()),
+            "largest_junction_distance_mm": round(float(distance.max(initial=0.0)), 4),
         }
     return {
         "heart": heart.name,
@@ -138,8 +145,16 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
         "inputs": inputs,
         "qrs_duration_ms": simulation.qrs_duration,
         "total_activation_time_ms": round(simulation.total_activation_time, 3),
+        "unreached_vertices": int(simulation.unreached.sum()),
+        "unreached_volume_ml": round(unreached_volume(heart, simulation), 4),
         "trees": sides,
     }
+
+
+def unreached_volume(heart: Heart, simulation: Simulation) -> float:
+    """Volume of the elements that no front reaches whole, which the ECG leaves out (ml)."""
+    untouched = simulation.unreached[heart.tetrahedra].any(axis=1)
+    return float(heart.volumes[untouched].sum()) / 1000
 
 
 def write_simulation(
@@ -151,18 +166,51 @@ def write_simulation(
         write_activation(temporary / "activation.vtu", heart, simulation)
         for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
             write_tree(temporary / f"{tree.side}_tree.vtu", tree, times)
+        write_text(temporary / "sites.csv", sites_table(simulation))
         write_ecg(temporary / "ecg.csv", simulation.ecg)
         write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
     return content
 
 
 def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
-    """Write the activation map (ms) on the heart's mesh, with the fibres."""
+    """Write the activation map (ms) and its origins on the heart's mesh, with the fibres."""
     write_grid(
         path,
         heart.vertices,
         heart.tetrahedra,
         TETRAHEDRON,
-        point_data={"activation": simulation.activation},
+        point_data={"activation": simulation.activation, "origin": simulation.coupled.origin},
         cell_data={"fibre": heart.fibres},
     )
+
+
+def sites_table(simulation: Simulation) -> str:
+    """Say as CSV what fired what: a row a junction, then a row a stimulus in the myocardium."""
+    lines = ["site,kind,tree,node,x_mm,y_mm,z_mm,time_ms,fired,entered_by"]
+    coupled, site = simulation.coupled, 0
+    for tree, times, antidromic, entered_by in zip(
+        simulation.trees, coupled.trees, coupled.antidromic, coupled.entered_by, strict=True
+    ):
+        for node, backwards, by in zip(tree.junctions, antidromic, entered_by, strict=True):
+            how = "antidromic" if backwards else "orthodromic"
+            lines.append(
+                f"{site},junction,{tree.side},{node},{_position(tree.nodes[node])},"
+                f"{_time(times[node])},{how if np.isfinite(times[node]) else 'never'},"
+                f"{by if backwards else ''}"
+            )
+            site += 1
+    for position, time, captured in zip(
+        coupled.stimuli, coupled.stimulus_times, coupled.captured, strict=True
+    ):
+        how = "captured" if captured else "came too late"
+        lines.append(f"{site},stimulus,,,{_position(position)},{_time(time)},{how},")
+        site += 1
+    return "\n".join(lines) + "\n"
+
+
+def _position(point: NDArray[np.float64]) -> str:
+    return ",".join(f"{x:.4f}" for x in point)
+
+
+def _time(time: float) -> str:
+    return f"{time:.4f}" if np.isfinite(time) else ""

@@ -86,3 +86,44 @@ def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
     if t2 < np.inf and t3 < np.inf:
         best = min(best, from_edge(a22, a23, a33, t2, t3))
     return best
+
+
+@njit(cache=True, nogil=True)
+def from_new_corner(ass, as1, as2, a11, a12, a22, ts, t1, t2):
+    """Earliest arrival (ms) from a face by ways that touch its first corner, s; inf where none can.
+
+    What the rest of the face offers was known before s had its time, so it is not looked at. The
+    objective is convex. Where its minimum in the face's plane lies outside the face, the minimum
+    on the face lies on an edge that faces it: one opposite a corner whose weight is negative.
+    """
+    if not t1 < np.inf:
+        best = ts + math.sqrt(ass)
+        return min(best, from_edge(ass, as2, a22, ts, t2)) if t2 < np.inf else best
+    if not t2 < np.inf:
+        return min(ts + math.sqrt(ass), from_edge(ass, as1, a11, ts, t1))
+    qss = a11 * a22 - a12 * a12
+    qs1 = as2 * a12 - as1 * a22
+    qs2 = as1 * a12 - as2 * a11
+    det = ass * qss + as1 * qs1 + as2 * qs2
+    beyond1 = beyond2 = True
+    if det > FLAT * ass * a11 * a22:
+        q11 = ass * a22 - as2 * as2
+        q12 = as1 * as2 - ass * a12
+        q22 = ass * a11 - as1 * as1
+        d1, d2 = t1 - ts, t2 - ts
+        ss, s1, s2 = qss + qs1 + qs2, qs1 + q11 + q12, qs2 + q12 + q22
+        vs, v1, v2 = qs1 * d1 + qs2 * d2, q11 * d1 + q12 * d2, q12 * d1 + q22 * d2
+        a = ss + s1 + s2
+        b = s1 * d1 + s2 * d2
+        disc = b * b - a * (v1 * d1 + v2 * d2 - det)
+        if disc >= 0.0:
+            mu = (b + math.sqrt(disc)) / a
+            beyond1, beyond2 = mu * s1 < v1, mu * s2 < v2
+            if not (beyond1 or beyond2):
+                return ts + mu if mu * ss >= vs else np.inf
+    best = ts + math.sqrt(ass)
+    if beyond2:
+        best = min(best, from_edge(ass, as1, a11, ts, t1))
+    if beyond1:
+        best = min(best, from_edge(ass, as2, a22, ts, t2))
+    return best

@@ -131,7 +131,13 @@ def grow_tree(
     )  # fmt: skip
     nodes = growth.lift(grown, chart.points, chart.vertices, chart.triangles)
     if status == growth.GROWN:
-        return PurkinjeTree(side, nodes, grown["parent"].astype(np.int64), grown["length"].copy())
+        return PurkinjeTree(
+            side,
+            nodes,
+            grown["parent"].astype(np.int64),
+            grown["length"].copy(),
+            grown["branch"].astype(np.int64),
+        )
     wanted = bundle_length if status == 0 else fascicle_lengths[status - 1]
     stretch = "bundle" if status == 0 else f"fascicle {status}"
     where = ", ".join(f"{x:.1f}" for x in nodes[-1])

@@ -23,12 +23,16 @@ class PurkinjeTree:
         The node each one hangs on; -1 at the root.
     lengths : (n,) array
         Length of the segment to the parent (mm), measured along the endocardium; 0 at the root.
+    labels : (n,) array, optional
+        What the segment that ends in each node belongs to: 0 the bundle, k fascicle k, above that
+        the branches. Without labels these are told from how the tree forks.
     """
 
     side: str
     nodes: NDArray[np.float64]
     parents: NDArray[np.int64]
     lengths: NDArray[np.float64]
+    labels: NDArray[np.int64] | None = None
 
     @property
     def root(self) -> int:
@@ -42,6 +46,39 @@ class PurkinjeTree:
         leaf[self.parents[self.parents >= 0]] = False
         leaf[self.root] = False
         return np.flatnonzero(leaf)
+
+    @cached_property
+    def parts(self) -> dict[str, NDArray[np.bool_]]:
+        """The segments (each by the node it ends in) of the bundle and of each fascicle.
+
+        Without labels, the bundle reaches from the root to the first fork, and every segment that
+        leaves there begins a fascicle that reaches to the next.
+        """
+        labels = self.labels if self.labels is not None else self._labels_from_forks()
+        fascicles = (self.parents >= 0) & (labels > 0) & (labels[self.parents] == 0)
+        parts = {"bundle": labels == 0}
+        for k in range(1, int(fascicles.sum()) + 1):
+            parts[f"fascicle {k}"] = labels == k
+        return parts
+
+    def _labels_from_forks(self) -> NDArray[np.int64]:
+        children: list[list[int]] = [[] for _ in self.parents]
+        for node, parent in enumerate(self.parents):
+            if parent >= 0:
+                children[parent].append(node)
+        labels = np.full(len(self.parents), len(self.parents), dtype=np.int64)
+
+        def label_until_fork(node: int, label: int) -> int:
+            labels[node] = label
+            while len(children[node]) == 1:
+                node = children[node][0]
+                labels[node] = label
+            return node
+
+        fork = label_until_fork(self.root, 0)
+        for k, start in enumerate(children[fork], 1):
+            label_until_fork(start, k)
+        return labels
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,177 @@
+"""What depends on a heart alone: computed once, kept on disk beside it, keyed by its content."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from importlib.metadata import version
+from fascicle.ecg.action_potential import ActionPotential
+from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
+from fascicle.ecg.lead_field import unbounded_gradients
+from fascicle.eikonal.tissue import Tissue, barycentric_gradients, build_tissue, find_on_surface
+from fascicle.geometry.conduction import Conduction
+from fascicle.geometry.endocardium import Endocardium
+from fascicle.geometry.heart import Heart
+from fascicle.harmonic.chart import Chart, build_chart
+from fascicle.io.atomic import atomic_path
+from fascicle.kernels.arrays import Mesh
+from fascicle.tree.grow import Seed, find_seed
+
+CACHE = ".cache"  # in the heart's folder
+KEPT = 4  # files there; the oldest go
+HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
+SCALARS = ("slowness", "slack")  # fields of Mesh that are numbers
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Everything about a heart that the forward model needs.
+
+    Attributes
+    ----------
+    charts, seeds : dict of side to Chart and to Seed
+        Maps of the endocardia, and where the bundles start.
+    tissue : Tissue
+        The myocardium for the coupled eikonal problem.
+    electrocardiograph : Electrocardiograph
+        The ECG integral.
+    """
+
+    charts: dict[str, Chart]
+    seeds: dict[str, Seed]
+    tissue: Tissue
+    electrocardiograph: Electrocardiograph
+
+
+def prepare(heart: Heart, conduction: Conduction, action_potential: ActionPotential) -> Prepared:
+    """Prepare a heart, or read what was prepared before.
+
+    A heart that was read from a folder has its cache there, if the folder can be written to. The
+    key is the content of heart and conduction and the version of this package.
+    """
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        return build(heart, conduction, action_potential)
+    content = f"{version('fascicle')} {heart.digest} {conduction}"
+    path = heart.folder / CACHE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
+    if path.is_file():
+        try:
+            return load(path, heart, action_potential)
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            path.unlink()  # damaged: make it again
+    prepared = build(heart, conduction, action_potential)
+    save(path, prepared)
+    kept = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+    for old in kept[:-KEPT]:
+        old.unlink(missing_ok=True)
+    return prepared
+
+
+def build(heart: Heart, conduction: Conduction, action_potential: ActionPotential) -> Prepared:
+    """Do the work."""
+    charts = {e.side: build_chart(e) for e in heart.endocardia}
+    scale = conduction.scale(heart)
+    electrocardiograph = build_electrocardiograph(
+        heart.tetrahedra,
+        barycentric_gradients(heart.vertices, heart.tetrahedra),
+        heart.volumes,
+        scale[:, None, None] * conduction.intracellular(heart.fibres),
+        unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso),
+        action_potential,
+    )
+    return Prepared(
+        charts, _seeds(heart, charts), build_tissue(heart, conduction), electrocardiograph
+    )
+
+
+def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
+    return {e.side: find_seed(e, charts[e.side]) for e in heart.endocardia}
+
+
+def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
+    """Write the arrays, and those of the heart if it is given, whole or not at all."""
+    tissue, ecg = prepared.tissue, prepared.electrocardiograph
+    arrays: dict[str, NDArray[np.generic]] = {
+        f"mesh.{name}": np.asarray(value) for name, value in tissue.mesh._asdict().items()
+    }
+    for name in ("conducts", "surface", "owner"):
+        arrays[f"tissue.{name}"] = getattr(tissue, name)
+    for name in ("corners", "weights"):
+        arrays[f"ecg.{name}"] = getattr(ecg, name)
+    for side, chart in prepared.charts.items():
+        for name in ("points", "neighbours", "metric"):
+            arrays[f"{side}.{name}"] = getattr(chart, name)
+    if heart is not None:
+        for name in HEART_ARRAYS:
+            arrays[f"heart.{name}"] = getattr(heart, name)
+        for endocardium in heart.endocardia:
+            for name in ("vertices", "triangles", "root", "direction"):
+                arrays[f"{endocardium.side}.{name}"] = np.asarray(getattr(endocardium, name))
+    with atomic_path(path) as temporary:
+        np.savez(temporary, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+
+
+def load(path: Path, heart: Heart, action_potential: ActionPotential) -> Prepared:
+    """Read what `save` wrote for this heart."""
+    return _prepared(_arrays(path), heart, action_potential)
+
+
+def load_with_heart(path: Path, action_potential: ActionPotential) -> tuple[Heart, Prepared]:
+    """Read a file that `save` wrote with the heart in it."""
+    arrays = _arrays(path)
+    endocardia = [
+        Endocardium(
+            side,
+            arrays[f"{side}.vertices"],
+            arrays[f"{side}.triangles"],
+            int(arrays[f"{side}.root"]),
+            int(arrays[f"{side}.direction"]),
+        )
+        for side in ("lv", "rv")
+    ]
+    vertices, tetrahedra, fibres, electrodes = (arrays[f"heart.{name}"] for name in HEART_ARRAYS)
+    heart = Heart(vertices, tetrahedra, fibres, *endocardia, electrodes)
+    return heart, _prepared(arrays, heart, action_potential)
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _prepared(
+    arrays: dict[str, NDArray[Any]], heart: Heart, action_potential: ActionPotential
+) -> Prepared:
+    charts = {
+        e.side: Chart(
+            arrays[f"{e.side}.points"],
+            e.vertices,
+            e.triangles,
+            arrays[f"{e.side}.neighbours"],
+            arrays[f"{e.side}.metric"],
+        )
+        for e in heart.endocardia
+    }
+    fields = {
+        name: float(arrays[f"mesh.{name}"]) if name in SCALARS else arrays[f"mesh.{name}"]
+        for name in Mesh._fields
+    }
+    mesh, surface = Mesh(**fields), arrays["tissue.surface"]
+    tissue = Tissue(
+        mesh,
+        arrays["tissue.conducts"],
+        surface,
+        arrays["tissue.owner"],
+        find_on_surface(mesh.vertices, surface),
+    )
+    electrocardiograph = Electrocardiograph(
+        arrays["ecg.corners"], arrays["ecg.weights"], action_potential
+    )
+    return Prepared(charts, _seeds(heart, charts), tissue, electrocardiograph)
