@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from fascicle.eikonal.activation import attach, solve
 from fascicle.eikonal.tissue import Tissue, build_tissue
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
 from fascicle.geometry.heart import Heart, signed_volumes
+from fascicle.kernels.arrays import Forest, Sites
 from fascicle.kernels.coupled import sweep
 from fascicle.tree.purkinje import PurkinjeTree
 
@@ -91,19 +93,31 @@ def line_tree(points, *, root=0, side="lv") -> PurkinjeTree:
     return PurkinjeTree(side, points, parents.astype(np.int64), lengths)
 
 
+def activate(tissue: Tissue, trees, root_times, cv, *, stimuli=(), times=(), **options):
+    """Attach trees and stimuli (positions in mm) and solve."""
+    coupling = attach(tissue, trees, np.reshape(stimuli, (-1, 3)))
+    return solve(tissue, coupling, root_times, cv, stimuli=times, **options)
+
+
 def solve_without_trees(tissue: Tissue, vertex_times) -> np.ndarray:
-    """Myocardium alone, by the kernel's sweep, from given times at vertices (ms)."""
-    time = np.full(len(tissue.vertices), np.inf)
+    """Myocardium alone, by the kernel's sweep without rays, from given times at vertices (ms)."""
+    vertices = len(tissue.mesh.vertices)
+    time = np.full(vertices, np.inf)
     for vertex, stimulus in vertex_times.items():
         time[vertex] = stimulus
     none, one = np.empty(0, np.int64), np.zeros(1, np.int64)
     sweep(
-        time, np.flatnonzero(np.isfinite(time)),
-        tissue.corners, tissue.squares, tissue.vertex_start, tissue.vertex_tetrahedra,
-        one, none, np.empty(0), none, none, np.empty((0, 4)), one, none, np.empty(0),
-        np.zeros(len(tissue.vertices) + 1, np.int64), none, 0.0, 0.0,
+        time, np.full(vertices, -1), none, np.flatnonzero(np.isfinite(time)), tissue.mesh,
+        Forest(one, none, np.empty(0), none),
+        Sites(np.empty((0, 3)), none, none, np.empty(0), np.empty(0),
+              np.zeros(vertices + 1, np.int64), none),
     )  # fmt: skip
     return time
+
+
+def metric_matrices(tissue: Tissue) -> np.ndarray:
+    """D⁻¹ of every tetrahedron (ms²/mm²), shape (m, 3, 3)."""
+    return tissue.mesh.metric[:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
 
 
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
