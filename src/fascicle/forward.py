@@ -10,8 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fascicle.ecg.action_potential import ActionPotential, Upstroke
-from fascicle.ecg.electrocardiogram import STEP, build_electrocardiograph
-from fascicle.ecg.lead_field import unbounded
+from fascicle.ecg.electrocardiogram import STEP, build_electrocardiograph, first_sample
+from fascicle.ecg.lead_field import unbounded_gradients
 from fascicle.eikonal.activation import Activation, default_ball_radius, solve
 from fascicle.eikonal.tissue import build_tissue
 from fascicle.errors import InputError
@@ -94,10 +94,13 @@ class ForwardModel:
         self.seeds = {e.side: find_seed(e, self.charts[e.side]) for e in heart.endocardia}
         self.tissue = build_tissue(heart, self.conduction)
         self.electrocardiograph = build_electrocardiograph(
-            self.tissue,
+            self.tissue.corners,
+            self.tissue.gradients,
             heart.volumes,
             self.conduction.intracellular(heart.fibres),
-            unbounded(heart.vertices, heart.electrodes, self.conduction.torso),
+            unbounded_gradients(
+                heart.vertices, self.tissue.corners, heart.electrodes, self.conduction.torso
+            ),
             action_potential if action_potential is not None else Upstroke(),
         )
 
@@ -154,9 +157,10 @@ class ForwardModel:
         radius = default_ball_radius(self.heart.edge_length)
         coupled = solve(self.tissue, trees, roots, cv, ball_radius=radius)
         values = self.electrocardiograph.leads(coupled.myocardium)
+        time = first_sample(coupled.myocardium) + np.arange(values.shape[1]) * STEP
         ecg = xr.DataArray(
             values,
-            coords={"lead": list(LEADS), "time": np.arange(values.shape[1]) * STEP},
+            coords={"lead": list(LEADS), "time": time},
             dims=("lead", "time"),
             name="ecg",
             attrs={"units": "mV"},
