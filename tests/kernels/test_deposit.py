@@ -1,4 +1,4 @@
-"""Share of a tetrahedron that a front has passed, and the histogram made of it."""
+"""The histogram of an element's front: the share of its volume that each bin sees."""
 
 from __future__ import annotations
 
@@ -6,22 +6,56 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 
-from fascicle.kernels.deposit import deposit, passed
+from fascicle.kernels.deposit import CHANNELS, GAP, deposit, respond
 
-knot = st.floats(0.0, 30.0)
-knots = st.lists(knot, min_size=4, max_size=4).map(sorted)
-# multiples of 1/64 ms, so that 30 − t is exact
-grid = st.integers(0, 30 * 64).map(lambda k: k / 64)
+ORIGIN, WIDTH, BINS = -1.0, 0.5, 80
+PEAKS = ORIGIN + np.arange(BINS) * WIDTH
+CORNERS = np.array([[0, 1, 2, 3]])
+knots = st.lists(st.floats(0.0, 30.0), min_size=4, max_size=4)
 
 
-def uniform_points(rng, count):
-    """Barycentric coordinates of points uniform in a tetrahedron."""
-    return rng.dirichlet(np.ones(4), count)
+def histogram_of(times, weights, corners=CORNERS):
+    return deposit(np.asarray(times, float), corners, weights, ORIGIN, WIDTH, BINS)
+
+
+def shares(times):
+    """What each bin gets of an element of strength 1."""
+    times = np.asarray(times, float)
+    weights = np.zeros((1, 3, CHANNELS))
+    differs = int(np.argmax(np.abs(times[1:] - times[0])))
+    weights[0, differs, 0] = 1 / (times[1 + differs] - times[0])
+    return histogram_of(times, weights)[:, 0]
+
+
+def hat(time, peak):
+    return np.maximum(0.0, 1 - np.abs(time - peak) / WIDTH)
+
+
+def sampled_shares(times, count=400_000):
+    """The same by points uniform in the tetrahedron; standard error at most 8e-4."""
+    tau = np.random.default_rng(1).dirichlet(np.ones(4), count) @ np.asarray(times, float)
+    near = np.flatnonzero((min(times) - WIDTH < PEAKS) & (max(times) + WIDTH > PEAKS))
+    expected = np.zeros(BINS)
+    expected[near] = [hat(tau, PEAKS[i]).mean() for i in near]
+    return expected
+
+
+def integrated_shares(times):
+    """The same by the B-spline density of scipy, integrated exactly piece by piece."""
+    times = np.sort(times)
+    density = BSpline.basis_element(times)
+    breaks = np.unique(np.concatenate([times, PEAKS[(times[0] < PEAKS) & (times[3] > PEAKS)]]))
+    node, weight = np.polynomial.legendre.leggauss(3)
+    middle, half = (breaks[1:] + breaks[:-1]) / 2, np.diff(breaks) / 2
+    x = (middle[:, None] + half[:, None] * node).ravel()
+    mass = (half[:, None] * weight).ravel() * density(x) * 3 / (times[3] - times[0])
+    return hat(x, PEAKS[:, None]) @ mass
 
 
 @pytest.mark.parametrize(
-    "t",
+    "times",
     [
         (0.0, 1.0, 2.5, 4.0),
         (0.0, 0.0, 2.0, 4.0),
@@ -32,68 +66,73 @@ def uniform_points(rng, count):
         (0.0, 4.0, 4.0, 4.0),
         (0.0, 1e-9, 2e-9, 4.0),
         (0.0, 1.0, 1.0 + 1e-12, 4.0),
+        (0.1, 0.2, 0.25, 0.4),
     ],
 )
-def test_share_passed_is_the_volume_fraction(t):
-    """Coincident knots included: a formula with 0/0 in it shows up as NaN or a jump."""
-    tau = uniform_points(np.random.default_rng(1), 400_000) @ np.array(t)
-    for now in np.linspace(-0.5, 4.5, 21):
-        sampled = np.mean(tau < now)
-        assert abs(passed(now, *t) - sampled) < 4e-3, (now, t)  # 5 standard errors
+def test_bins_share_the_volume(times):
+    """Coincident times included: a formula with 0/0 in it shows up as NaN or a jump."""
+    assert np.abs(shares(times) - sampled_shares(times)).max() < 4e-3  # 5 standard errors
 
 
-@pytest.mark.parametrize("t", [(1.0, 1.0, 1.0, 1.0), (1.0, 1.0, 1.0, 1.0 + 1e-13)])
-def test_all_knots_together_is_a_step(t):
-    assert passed(1.0 - 1e-6, *t) == 0.0
-    assert passed(1.0 + 1e-6, *t) == 1.0
+def test_an_element_that_fires_at_once_is_in_one_place():
+    """All four times together, to less than `GAP` of a bin: the hats at that time, to as much."""
+    for spread in (1e-13, 1e-6, 0.01):
+        at = 5.2
+        found = shares([at, at + spread, at, at - spread])
+        assert np.abs(found - hat(at, PEAKS)).max() < GAP
 
 
-def test_first_and_last_piece_have_their_closed_form():
-    """Before t₁ the passed part is a small tetrahedron with edges (t − t₀)/(tᵢ − t₀)."""
-    t0, t1, t2, t3 = 1.0, 3.0, 4.0, 6.0
-    assert passed(2.0, t0, t1, t2, t3) == pytest.approx(1 / (2 * 3 * 5), rel=1e-13)
-    assert passed(5.0, t0, t1, t2, t3) == pytest.approx(1 - 1 / (5 * 3 * 2), rel=1e-13)
-
-
-@given(knots, knot, knot)
-@settings(max_examples=300, deadline=None)
-def test_share_passed_rises_from_0_to_1(t, first, second):
-    early, late = sorted((first, second))
-    before, after = passed(early, *t), passed(late, *t)
-    assert 0.0 <= before <= after + 1e-12
-    assert after <= 1.0 + 1e-12
-
-
-@given(st.lists(grid, min_size=4, max_size=4).map(sorted), grid)
+@given(knots)
 @settings(max_examples=200, deadline=None)
-def test_share_passed_is_mirrored_with_time(t, now):
-    """Reversing time exchanges passed and not yet passed; catches a wrong piece at one end."""
-    if now in t:
+def test_bins_are_the_integrals_of_the_b_spline(times):
+    if np.diff(np.sort(times)).min() < 2 * GAP * WIDTH:
         return
-    mirrored = [30.0 - x for x in reversed(t)]
-    assert passed(now, *t) + passed(30.0 - now, *mirrored) == pytest.approx(1.0, abs=1e-9)
+    np.testing.assert_allclose(shares(times), integrated_shares(times), atol=1e-8)
 
 
-@given(st.lists(knot, min_size=4, max_size=4), st.integers(0, 2**31))
-@settings(max_examples=100, deadline=None)
-def test_histogram_keeps_total_and_first_moment(t, seed):
-    """Total is the element's strength; mean time is the mean of its four knots to a bin."""
-    weights = np.random.default_rng(seed).normal(size=(1, 3, 4))
-    width, bins = 0.25, 130
-    histogram = deposit(np.array(t), np.array([[0, 1, 2, 3]]), weights, width, bins)
-    strength = weights[0] @ t
-    scale = 1e-12 + np.abs(weights).max() * 30
-    np.testing.assert_allclose(histogram.sum(axis=0), strength, atol=1e-12 * scale)
-    centre = (np.arange(bins) + 0.5) * width
-    moment = centre @ histogram
-    assert np.all(np.abs(moment - strength * np.mean(t)) <= 0.5 * width * np.abs(strength) + 1e-9)
+@given(knots, st.integers(0, 2**31))
+@settings(max_examples=200, deadline=None)
+def test_total_and_mean_time_are_kept(times, seed):
+    """Whatever coincides, total and first moment stay and nothing drifts after the front."""
+    weights = np.random.default_rng(seed).normal(size=(1, 3, CHANNELS))
+    histogram = histogram_of(times, weights)
+    strength = np.diff(times).cumsum() @ weights[0]
+    scale = np.abs(strength).max() + 1e-9
+    np.testing.assert_allclose(histogram.sum(axis=0), strength, atol=1e-6 * scale)
+    np.testing.assert_allclose(PEAKS @ histogram, strength * np.mean(times), atol=2e-5 * scale)
+    after = max(times) + 2 * WIDTH < PEAKS
+    assert np.abs(histogram[after]).max() < 1e-7 * scale
+    assert (histogram * np.sign(strength)).min() > -1e-7 * scale
 
 
 def test_histogram_does_not_depend_on_corner_order():
     rng = np.random.default_rng(3)
-    t, weights = rng.uniform(0, 20, 4), rng.normal(size=(1, 2, 4))
-    reference = deposit(t, np.array([[0, 1, 2, 3]]), weights, 0.25, 90)
+    times = rng.uniform(0, 20, 4)
+    to_each = rng.normal(size=(4, CHANNELS))
+    to_each -= to_each.mean(axis=0)  # a constant time is no front
+    reference = histogram_of(times, to_each[None, 1:])
     for _ in range(24):
         order = rng.permutation(4)
-        turned = deposit(t, order[None], weights[:, :, order], 0.25, 90)
-        np.testing.assert_allclose(turned, reference, atol=1e-12)
+        turned = histogram_of(times, to_each[order][None, 1:], order[None])
+        np.testing.assert_allclose(turned, reference, atol=1e-11)
+
+
+def test_elements_add_up_and_one_with_a_vertex_never_reached_is_left_out():
+    """Shared vertices; an infinite time beside finite ones gives no NaN and no part of a front."""
+    rng = np.random.default_rng(4)
+    times = np.append(rng.uniform(0, 20, 6), np.inf)
+    corners = np.array([[0, 1, 2, 3], [1, 2, 3, 4], [6, 3, 4, 5], [3, 4, 5, 0], [2, 6, 0, 1]])
+    weights = rng.normal(size=(5, 3, CHANNELS))
+    one_by_one = [histogram_of(times, weights[[e]], corners[[e]]) for e in (0, 1, 3)]
+    together = histogram_of(times, weights, corners)
+    np.testing.assert_allclose(together, sum(one_by_one), atol=1e-11)
+    assert not histogram_of(times, weights[[2]], corners[[2]]).any()
+
+
+def test_response_is_the_convolution_at_every_second_bin():
+    rng = np.random.default_rng(5)
+    histogram, kernel = rng.normal(size=(31, CHANNELS)), rng.normal(size=8)
+    found = respond(histogram, kernel, 2, 12)
+    for channel, curve in zip(histogram.T, found, strict=True):
+        expected = np.convolve(channel, kernel, mode="valid")[::2]
+        np.testing.assert_allclose(curve, expected, atol=1e-12)
