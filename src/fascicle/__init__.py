@@ -15,10 +15,11 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fascicle.eikonal.scenario import Scenario, Slowing, Stimulus
     from fascicle.errors import InputError
     from fascicle.fitting import fit, load_study
     from fascicle.forward import ForwardModel, Simulation
-    from fascicle.geometry.conduction import Conduction
+    from fascicle.geometry.conduction import Conduction, Region
     from fascicle.geometry.heart import Heart
     from fascicle.io.hearts import load_heart
     from fascicle.io.recordings import read_recording
@@ -42,6 +43,10 @@ _HOMES = {
     "NETWORK_SPACE": "fascicle.parameters",
     "PurkinjeTree": "fascicle.tree.purkinje",
     "Simulation": "fascicle.forward",
+    "Region": "fascicle.geometry.conduction",
+    "Scenario": "fascicle.eikonal.scenario",
+    "Slowing": "fascicle.eikonal.scenario",
+    "Stimulus": "fascicle.eikonal.scenario",
     "fit": "fascicle.fitting",
     "load_heart": "fascicle.io.hearts",
     "load_study": "fascicle.fitting",
@@ -60,7 +65,11 @@ __all__ = [
     "InputError",
     "InvalidTree",
     "PurkinjeTree",
+    "Region",
+    "Scenario",
     "Simulation",
+    "Slowing",
+    "Stimulus",
     "fit",
     "load_heart",
     "load_study",

@@ -148,17 +148,20 @@ def simulate(
 
         time = 0.0
     """
+    from fascicle.compilation import Compilation
     from fascicle.forward import ForwardModel
     from fascicle.geometry.conduction import Conduction
     from fascicle.io.hearts import load_heart
     from fascicle.io.scenarios import read_scenario
     from fascicle.io.simulations import simulate_inputs, write_simulation
+    from fascicle.progress import TerminalProgress
 
     case, regions = read_scenario(scenario) if scenario is not None else (None, ())
     loaded = load_heart(heart)
-    with _compiled():
-        model = ForwardModel(loaded, Conduction(regions=regions))
-        simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time, case)
+    with TerminalProgress() as progress:
+        Compilation(progress).run()
+    model = ForwardModel(loaded, Conduction(regions=regions))
+    simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time, case)
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     summary = write_simulation(loaded, simulation, out, inputs)

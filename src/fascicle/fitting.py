@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
+from fascicle.compilation import Compilation
 from fascicle.errors import InputError
 from fascicle.forward import ForwardModel
 from fascicle.geometry.heart import Heart
@@ -63,6 +64,8 @@ class FittedStudy:
 
     def networks(self, progress: Progress | None = None) -> list[Network]:
         """Simulate the accepted networks; the best one alone where none was accepted."""
+        if progress is not None:
+            Compilation(progress).run()
         if not len(self.accepted):
             return [simulate_best(self.problem, self.accepted)]
         return simulate_all(
@@ -151,6 +154,8 @@ def fit(
         write_heart(heart, folder / "heart")
     if not (folder / "target.nc").exists():
         write_target(target, folder / "target.nc")
+    if progress is not None:
+        Compilation(progress).run()
     problem = Problem(ForwardModel(heart), target, NETWORK_SPACE, free_gain, workers)
     posterior = study.run(problem, progress if progress is not None else _silent)
     fitted = FittedStudy(folder, study, problem, _accepted(posterior))

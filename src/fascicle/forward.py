@@ -170,12 +170,12 @@ class ForwardModel:
         grown = self._grown(tuple(sorted(_anatomy(parameters).items())))
         if isinstance(grown, InvalidTree):
             return grown
-        return self._activate(grown, parameters["root_time"], parameters["cv"], scenario)
+        return self._activate(grown, _roots(parameters["root_time"]), parameters["cv"], scenario)
 
     def activate(
         self,
         trees: Sequence[PurkinjeTree],
-        root_time: float,
+        root_time: float | Sequence[float],
         cv: float,
         scenario: Scenario | None = None,
     ) -> Simulation:
@@ -183,27 +183,27 @@ class ForwardModel:
 
         Parameters
         ----------
-        trees : sequence of two PurkinjeTree
-            Left, right.
-        root_time : float
-            t_RV − t_LV (ms); the earlier root fires at time 0.
+        trees : sequence of PurkinjeTree
+            Left and right, or any number.
+        root_time : float or sequence of float
+            t_RV − t_LV (ms), the earlier root firing at time 0; or when each root fires (ms).
         cv : float
             Speed in the trees (mm/ms).
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
         """
-        return self._activate(attach(self.tissue, trees), root_time, cv, scenario)
+        roots = _roots(root_time) if isinstance(root_time, (float, int)) else root_time
+        return self._activate(attach(self.tissue, trees), roots, cv, scenario)
 
     def _activate(
-        self, coupling: Coupling, root_time: float, cv: float, scenario: Scenario | None
+        self, coupling: Coupling, roots: Sequence[float], cv: float, scenario: Scenario | None
     ) -> Simulation:
         scenario = scenario if scenario is not None else Scenario()
         if scenario.trees or len(scenario.points):
-            trees = [*coupling.trees, *(tree for tree, _ in scenario.trees)]
-            coupling = attach(self.tissue, trees, scenario.points)
+            all_trees = [*coupling.trees, *(tree for tree, _ in scenario.trees)]
+            coupling = attach(self.tissue, all_trees, scenario.points)
             _check_stimuli(scenario, coupling)
         trees = coupling.trees
-        roots = (max(0.0, -root_time), max(0.0, root_time))
         coupled = solve(
             self.tissue,
             coupling,
@@ -295,6 +295,11 @@ def _simulate_shared(
             heart, shared.conduction, shared.rules, shared.action_potential, prepared
         )
     return _READ[shared.path].simulate(parameters, scenario)
+
+
+def _roots(root_time: float) -> tuple[float, float]:
+    """When the left and the right root fire (ms), the earlier one at 0."""
+    return max(0.0, -root_time), max(0.0, root_time)
 
 
 def _anatomy(parameters: Mapping[str, float]) -> dict[str, float]:

@@ -6,13 +6,13 @@ import hashlib
 import os
 import zipfile
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from importlib.metadata import version
 from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.ecg.lead_field import unbounded_gradients
@@ -115,7 +115,7 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
             for name in ("vertices", "triangles", "root", "direction"):
                 arrays[f"{endocardium.side}.{name}"] = np.asarray(getattr(endocardium, name))
     with atomic_path(path) as temporary:
-        np.savez(temporary, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+        np.savez(temporary, allow_pickle=False, **arrays)
 
 
 def load(path: Path, heart: Heart, action_potential: ActionPotential) -> Prepared:
@@ -136,8 +136,9 @@ def load_with_heart(path: Path, action_potential: ActionPotential) -> tuple[Hear
         )
         for side in ("lv", "rv")
     ]
+    lv, rv = endocardia
     vertices, tetrahedra, fibres, electrodes = (arrays[f"heart.{name}"] for name in HEART_ARRAYS)
-    heart = Heart(vertices, tetrahedra, fibres, *endocardia, electrodes)
+    heart = Heart(vertices, tetrahedra, fibres, lv, rv, electrodes)
     return heart, _prepared(arrays, heart, action_potential)
 
 
@@ -159,7 +160,7 @@ def _prepared(
         )
         for e in heart.endocardia
     }
-    fields = {
+    fields: dict[str, Any] = {
         name: float(arrays[f"mesh.{name}"]) if name in SCALARS else arrays[f"mesh.{name}"]
         for name in Mesh._fields
     }

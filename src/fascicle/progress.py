@@ -16,6 +16,7 @@ from rich.progress import (
 )
 
 NAMES = {
+    "compilation": "compiling the kernels",
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",
     "refinement": "refinement",

@@ -174,9 +174,7 @@ def solve(
     vertices, count = len(tissue.mesh.vertices), len(coupling.node_site)
     time = np.full(vertices + count, np.inf)
     firing = time[vertices:]
-    for tree, first, root_time in zip(
-        coupling.trees, coupling.nodes[:-1], root_times, strict=True
-    ):
+    for tree, first, root_time in zip(coupling.trees, coupling.nodes[:-1], root_times, strict=True):
         firing[first + tree.root] = root_time
     for tree_number, node, moment in node_times:
         first = coupling.nodes[tree_number]
@@ -185,8 +183,9 @@ def solve(
     stimulated = firing[coupling.nodes[-1] :].copy()
     sites, junctions = len(coupling.site_node), int(coupling.junctions[-1])
     delays = np.zeros((2, sites))
-    delays[:, :junctions] = np.broadcast_to(orthodromic_delay, junctions), np.broadcast_to(
-        antidromic_delay, junctions
+    delays[:, :junctions] = (
+        np.broadcast_to(orthodromic_delay, junctions),
+        np.broadcast_to(antidromic_delay, junctions),
     )
     factor = np.ones(count)
     factor[: coupling.nodes[-1]] = speed

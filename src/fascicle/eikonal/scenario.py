@@ -1,4 +1,4 @@
-"""What happens to a heart beyond its own beat: stimuli, blocks, slow segments, delays, extra trees."""
+"""What a heart does beside its own beat: stimuli, blocks, slow segments, delays, more trees."""
 
 from __future__ import annotations
 
@@ -157,11 +157,9 @@ class Scenario:
             factors[number][slowing.segments(trees[number])] *= slowing.speed
         return np.concatenate([*factors, np.empty(0)])
 
-    def root_times(
-        self, trees: Sequence[PurkinjeTree], root_times: Sequence[float]
-    ) -> NDArray[np.float64]:
+    def root_times(self, trees: Sequence[PurkinjeTree], root_times: Sequence[float]) -> list[float]:
         """When each root fires (ms), inf where it is silent."""
-        times = np.array([*root_times, *(time for _, time in self.trees)], dtype=float)
+        times = [*root_times, *(time for _, time in self.trees)]
         for side in self.silent:
             times[tree_number(trees, side)] = np.inf
         return times

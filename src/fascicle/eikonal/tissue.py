@@ -17,6 +17,7 @@ EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner
 
+
 @dataclass(frozen=True)
 class Site:
     """Points of the myocardium: where they lie, in which element.
@@ -197,9 +198,7 @@ def _links(corners: NDArray[np.int64], count: int) -> sp.csr_array:
     return sp.coo_array((ones, (rows, columns)), shape=(count, count)).tocsr()
 
 
-def _face_neighbours(
-    corners: NDArray[np.int64], conducts: NDArray[np.bool_]
-) -> NDArray[np.int32]:
+def _face_neighbours(corners: NDArray[np.int64], conducts: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Tetrahedron across the face opposite each corner, -1 where none conducts; shape (m, 4)."""
     faces = np.stack([np.delete(corners, k, axis=1) for k in range(4)], axis=1).reshape(-1, 3)
     faces = np.sort(faces, axis=1)

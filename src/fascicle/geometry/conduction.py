@@ -48,7 +48,7 @@ class Region:
             raise InputError(f"{self.name}: give either a label, or a centre and a radius")
         if not 0 <= self.conductivity < np.inf:
             raise InputError(
-                f"{self.name}: conductivity {self.conductivity:g} is a factor; give 0 (scar) or more"
+                f"{self.name}: conductivity {self.conductivity:g} is a factor; give 0 or more"
             )
         if self.label is not None:
             if heart.regions is None:

@@ -75,7 +75,7 @@ def load_heart(path: Path | str) -> Heart:
     """
     if str(path) == DEFAULT_HEART and not Path(path).exists():
         with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as folder:
-            return load_heart(folder)
+            return replace(load_heart(folder), folder=None)  # a package is no place to write to
     folder = Path(path)
     manifest = _read_manifest(folder)
     sides = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,12 +175,16 @@ def write_simulation(
 
 def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
     """Write the activation map (ms) and its origins on the heart's mesh, with the fibres."""
+    points: dict[str, NDArray[Any]] = {
+        "activation": simulation.activation,
+        "origin": simulation.coupled.origin,
+    }
     write_grid(
         path,
         heart.vertices,
         heart.tetrahedra,
         TETRAHEDRON,
-        point_data={"activation": simulation.activation, "origin": simulation.coupled.origin},
+        point_data=points,
         cell_data={"fibre": heart.fibres},
     )
 

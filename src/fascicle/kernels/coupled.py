@@ -1,7 +1,5 @@
 """Trees and myocardium in one label-correcting sweep."""
 
-import math
-
 import numpy as np
 from numba import njit
 

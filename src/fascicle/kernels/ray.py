@@ -30,8 +30,10 @@ def _crossing(t, k, x, y, z, dx, dy, dz, planes):
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _exit(t, x, y, z, dx, dy, dz, planes):
-    """Where the line leaves tetrahedron t: s, and through which face. Without branches: no
-    processor could guess them."""
+    """Where the line leaves tetrahedron t: s, and through which face.
+
+    Without branches: which face it is, no processor could guess.
+    """
     s0 = _crossing(t, 0, x, y, z, dx, dy, dz, planes)
     s1 = _crossing(t, 1, x, y, z, dx, dy, dz, planes)
     s2 = _crossing(t, 2, x, y, z, dx, dy, dz, planes)
