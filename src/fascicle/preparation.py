@@ -21,12 +21,11 @@ from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.heart import Heart
 from fascicle.harmonic.chart import Chart, build_chart
-from fascicle.io.atomic import atomic_path
+from fascicle.io.atomic import DISPOSABLE, atomic_path
 from fascicle.kernels.arrays import Mesh
 from fascicle.tree.grow import Seed, find_seed
 
-CACHE = ".cache"  # in the heart's folder
-KEPT = 4  # files there; the oldest go
+KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
 SCALARS = ("slowness", "slack")  # fields of Mesh that are numbers
 
@@ -60,7 +59,7 @@ def prepare(heart: Heart, conduction: Conduction, action_potential: ActionPotent
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return build(heart, conduction, action_potential)
     content = f"{version('fascicle')} {heart.digest} {conduction}"
-    path = heart.folder / CACHE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
+    path = heart.folder / DISPOSABLE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
     if path.is_file():
         try:
             return load(path, heart, action_potential)
@@ -100,8 +99,9 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
     tissue, ecg = prepared.tissue, prepared.electrocardiograph
     arrays: dict[str, NDArray[np.generic]] = {
         f"mesh.{name}": np.asarray(value) for name, value in tissue.mesh._asdict().items()
+        if name != "across"  # the same memory as the cells
     }
-    for name in ("conducts", "surface", "owner"):
+    for name in ("order", "conducts", "surface", "owner"):
         arrays[f"tissue.{name}"] = getattr(tissue, name)
     for name in ("corners", "weights"):
         arrays[f"ecg.{name}"] = getattr(ecg, name)
@@ -163,10 +163,13 @@ def _prepared(
     fields: dict[str, Any] = {
         name: float(arrays[f"mesh.{name}"]) if name in SCALARS else arrays[f"mesh.{name}"]
         for name in Mesh._fields
+        if name != "across"
     }
+    fields["across"] = fields["cells"].view(np.int32)
     mesh, surface = Mesh(**fields), arrays["tissue.surface"]
     tissue = Tissue(
         mesh,
+        arrays["tissue.order"],
         arrays["tissue.conducts"],
         surface,
         arrays["tissue.owner"],

@@ -216,10 +216,12 @@ def solve(
         ),
     )
     entered = _pieces(entered_by, coupling.junctions)
+    myocardium, fired_by = np.empty(vertices), np.empty(vertices, dtype=np.int64)
+    myocardium[tissue.order], fired_by[tissue.order] = time[:vertices], origin[:vertices]
     return Activation(
-        time[:vertices],
+        myocardium,
         _pieces(firing, coupling.nodes),
-        origin[:vertices],
+        fired_by,
         tuple(by >= 0 for by in entered),
         entered,
         coupling.site.positions[junctions:],

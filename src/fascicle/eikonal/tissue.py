@@ -8,11 +8,14 @@ import igl
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from fascicle.geometry.conduction import Conduction
-from fascicle.geometry.heart import Heart
+from fascicle.geometry.heart import Heart, boundary_triangles
 from fascicle.kernels.arrays import Mesh
+from fascicle.kernels.ray import ACROSS
 
+CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner
@@ -44,16 +47,20 @@ class Tissue:
     Attributes
     ----------
     mesh : Mesh
-        Geometry, metric and adjacency of what conducts.
+        Geometry, metric and adjacency of what conducts, renumbered.
+    order : (n,) array
+        The heart's vertex that each vertex of `mesh` is.
     conducts : (m,) bool array
-        Which tetrahedra conduct.
+        Which tetrahedra of `mesh` conduct.
     surface, owner : (b, 3) and (b,) arrays
-        Boundary triangles of the whole tissue and the tetrahedron of each.
+        Boundary triangles of the whole tissue, in the numbers of `mesh`, and the tetrahedron of
+        each.
     tree : igl.AABB
         Finds the nearest boundary triangle.
     """
 
     mesh: Mesh
+    order: NDArray[np.int64]
     conducts: NDArray[np.bool_]
     surface: NDArray[np.int64]
     owner: NDArray[np.int64]
@@ -72,8 +79,9 @@ class Tissue:
         """The same points where they lie in the tissue, else the nearest of its surface."""
         site = self.on_surface(points)
         positions, elements, distances = site.positions.copy(), site.elements, site.distances
+        cells = self.mesh.cells
         for k, point in enumerate(points):
-            weights = point @ self.mesh.planes[:, :3] + self.mesh.planes[:, 3]
+            weights = point @ cells[:, :12].reshape(-1, 3, 4) + cells[:, 12:16]
             element = int(np.where(self.conducts, weights.min(axis=1), -np.inf).argmax())
             if weights[element].min() >= -1e-9:
                 positions[k], elements[k], distances[k] = point, element, 0.0
@@ -81,43 +89,75 @@ class Tissue:
 
 
 def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
-    """Precompute metric, squared travel times and adjacency of a heart's tissue."""
-    corners, vertices = heart.tetrahedra, np.ascontiguousarray(heart.vertices)
-    scale = conduction.scale(heart)
+    """Precompute metric, squared travel times and adjacency of a heart's tissue.
+
+    Vertices and elements are renumbered along the mesh, so that what is near in space is near in
+    memory; `Tissue.order` leads back.
+    """
+    order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    vertices, corners = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
+    place = np.argsort(corners.min(axis=1), kind="stable")
+    corners = np.ascontiguousarray(corners[place], dtype=np.int32)
+    scale = conduction.scale(heart)[place]
     conducts = scale > 0
-    metric = conduction.metric(heart.fibres) / np.where(conducts, scale, 1.0)[:, None, None]
-    edges = np.stack([vertices[corners[:, j]] - vertices[corners[:, i]] for i, j in EDGES], axis=1)
-    gradients = barycentric_gradients(vertices, corners)
-    along, across = conduction.speeds
-    fastest = max(along, across) * np.sqrt(scale.max())
-    slowest = min(along, across)
+    cells, squares, height, reach = _elements(
+        vertices, corners, heart.fibres[place], np.where(conducts, scale, 1.0), conduction
+    )
+    across = cells.view(np.int32)
+    across[:, ACROSS : ACROSS + 4] = _face_neighbours(corners, conducts)
     start, star = _stars(corners, conducts, len(vertices))
-    squares = np.einsum("mei,mij,mej->me", edges, metric, edges)
-    heights = 1 / np.sqrt(np.einsum("mki,mij,mkj->mk", gradients, np.linalg.inv(metric), gradients))
     tetrahedron, corner = star >> 2, star & 3
-    star_vertex = corners[tetrahedron[:, None], OTHERS[corner]]
-    height = _rounded_down(heights[tetrahedron[:, None], OTHERS[corner]])
-    reach = _rounded_down(_reach(squares)[tetrahedron, corner])
-    links = _links(corners[conducts], len(vertices))
-    surface, owner = heart.boundary
+    links = _links(number[heart.edges], len(vertices))
+    along, transverse = conduction.speeds
+    surface, owner = boundary_triangles(corners)
     mesh = Mesh(
         vertices=vertices,
-        corners=np.ascontiguousarray(corners, dtype=np.int32),
-        metric=np.ascontiguousarray(metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        corners=corners,
+        cells=cells,
+        across=across,
         squares=squares,
-        planes=_planes(vertices, corners, gradients),
-        neighbours=_face_neighbours(corners, conducts),
         star_start=start,
         star=star,
-        star_vertex=np.ascontiguousarray(star_vertex, dtype=np.int32),
-        reach=reach,
-        height=height,
+        star_vertex=corners[tetrahedron[:, None], OTHERS[corner]],
+        reach=reach[tetrahedron, corner],
+        height=height[tetrahedron[:, None], OTHERS[corner]],
         link_start=links.indptr.astype(np.int64),
         link=links.indices.astype(np.int32),
-        slowness=float(1 / fastest),
-        slack=float((heart.edge_length / slowest) ** 2 / 8),
+        slowness=float(1 / (max(along, transverse) * np.sqrt(scale.max()))),
+        slack=float((heart.edge_length / min(along, transverse)) ** 2 / 8),
     )
-    return Tissue(mesh, conducts, surface, owner, find_on_surface(vertices, surface))
+    return Tissue(mesh, order, conducts, surface, owner, find_on_surface(vertices, surface))
+
+
+def _elements(
+    vertices: NDArray[np.float64],
+    corners: NDArray[np.int32],
+    fibres: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    conduction: Conduction,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
+    """`Mesh.cells` but for the neighbours, `squares`; heights (m, 4) and reaches (m, 4, 3)."""
+    count = len(corners)
+    cells, squares = np.zeros((count, 24)), np.empty((count, 6))
+    height, reach = np.empty((count, 4), np.float32), np.empty((count, 4, 3), np.float32)
+    for first in range(0, count, CHUNK):
+        part = slice(first, first + CHUNK)
+        points = vertices[corners[part]]
+        metric = conduction.metric(fibres[part]) / scale[part, None, None]
+        gradients = barycentric_gradients(vertices, corners[part])
+        cells[part, :12] = np.swapaxes(gradients, 1, 2).reshape(-1, 12)
+        cells[part, 12:16] = -np.einsum("mki,mi->mk", gradients, points[:, 0])
+        cells[part, 12] += 1
+        cells[part, 16:22] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        edges = np.stack([points[:, j] - points[:, i] for i, j in EDGES], axis=1)
+        squares[part] = np.einsum("mei,mij,mej->me", edges, metric, edges)
+        inverse = np.linalg.inv(metric)
+        rate = np.einsum("mki,mij,mkj->mk", gradients, inverse, gradients)
+        height[part] = _rounded_down(1 / np.sqrt(rate))
+        reach[part] = _rounded_down(_reach(squares[part]))
+    return cells, squares, height, reach
 
 
 def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -> igl.AABB:
@@ -128,7 +168,7 @@ def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -
 
 
 def barycentric_gradients(
-    vertices: NDArray[np.float64], corners: NDArray[np.int64]
+    vertices: NDArray[np.float64], corners: NDArray[np.integer]
 ) -> NDArray[np.float64]:
     """Gradients of the four barycentric coordinates of each tetrahedron (1/mm), (m, 4, 3)."""
     edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
@@ -136,18 +176,8 @@ def barycentric_gradients(
     return np.ascontiguousarray(np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1))
 
 
-def _planes(
-    vertices: NDArray[np.float64], corners: NDArray[np.int64], gradients: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Gradients and values at the origin of the barycentric coordinates, shape (m, 4, 4)."""
-    at_origin = -np.einsum("mki,mi->mk", gradients, vertices[corners[:, 0]])
-    at_origin[:, 0] += 1
-    planes = np.concatenate([np.swapaxes(gradients, 1, 2), at_origin[:, None, :]], axis=1)
-    return np.ascontiguousarray(planes)
-
-
 def _stars(
-    corners: NDArray[np.int64], conducts: NDArray[np.bool_], count: int
+    corners: NDArray[np.int32], conducts: NDArray[np.bool_], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The conducting tetrahedra of each vertex as 4·tetrahedron + corner, and where they start."""
     flat = np.flatnonzero(np.repeat(conducts, 4))  # flat index = 4·tetrahedron + corner
@@ -190,22 +220,16 @@ def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     return least
 
 
-def _links(corners: NDArray[np.int64], count: int) -> sp.csr_array:
+def _links(edges: NDArray[np.int64], count: int) -> sp.csr_array:
     """Which vertices share an edge, as a symmetric pattern."""
-    one, other = (np.concatenate([corners[:, e[side]] for e in EDGES]) for side in (0, 1))
-    ones = np.ones(2 * len(one), dtype=np.int8)
-    rows, columns = np.concatenate([one, other]), np.concatenate([other, one])
+    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
+    ones = np.ones(len(rows), dtype=np.int8)
     return sp.coo_array((ones, (rows, columns)), shape=(count, count)).tocsr()
 
 
-def _face_neighbours(corners: NDArray[np.int64], conducts: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _face_neighbours(corners: NDArray[np.int32], conducts: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Tetrahedron across the face opposite each corner, -1 where none conducts; shape (m, 4)."""
-    faces = np.stack([np.delete(corners, k, axis=1) for k in range(4)], axis=1).reshape(-1, 3)
-    faces = np.sort(faces, axis=1)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
-    neighbours = np.full(len(faces), -1, dtype=np.int32)
-    first, second = order[:-1][same], order[1:][same]
-    neighbours[first], neighbours[second] = second // 4, first // 4
-    neighbours[~conducts[neighbours]] = -1
-    return neighbours.reshape(-1, 4)
+    faces = np.asarray(igl.tet_tet_adjacency(corners.astype(np.int64))[0])
+    neighbours = faces[:, [2, 3, 1, 0]]  # libigl's faces are 012, 013, 123, 203
+    neighbours[(neighbours >= 0) & ~conducts[neighbours]] = -1
+    return neighbours.astype(np.int32)

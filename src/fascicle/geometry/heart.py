@@ -63,15 +63,17 @@ class Heart:
     @cached_property
     def boundary(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Boundary triangles (b, 3) and the tetrahedron each belongs to (b,)."""
-        triangles, owner, _ = igl.boundary_facets(self.tetrahedra)
-        return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
+        return boundary_triangles(self.tetrahedra)
+
+    @cached_property
+    def edges(self) -> NDArray[np.int64]:
+        """The vertices at the ends of each edge, shape (e, 2)."""
+        return np.asarray(igl.edges(self.tetrahedra), dtype=np.int64)
 
     @cached_property
     def edge_length(self) -> float:
         """Mean edge length (mm)."""
-        pairs = self.tetrahedra[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
-        pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-        difference = self.vertices[pairs[:, 0]] - self.vertices[pairs[:, 1]]
+        difference = self.vertices[self.edges[:, 0]] - self.vertices[self.edges[:, 1]]
         return float(np.linalg.norm(difference, axis=1).mean())
 
     @cached_property
@@ -88,6 +90,14 @@ class Heart:
             digest.update(str(array.shape).encode())
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+def boundary_triangles(
+    tetrahedra: NDArray[np.integer],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Triangles (b, 3) that belong to one tetrahedron only, and which one (b,)."""
+    triangles, owner, _ = igl.boundary_facets(tetrahedra.astype(np.int64))
+    return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
 
 
 def signed_volumes(

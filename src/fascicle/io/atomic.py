@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fascicle.errors import InputError
 
+DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -93,6 +94,8 @@ def _make_parent(path: Path) -> None:
 
 def _check_nothing_lost(old: Path, new: Path) -> None:
     for path in sorted(old.rglob("*")):
+        if DISPOSABLE in path.relative_to(old).parts:
+            continue
         if not (new / path.relative_to(old)).exists():
             raise InputError(
                 f"{old}: holds '{path.relative_to(old)}', which would be lost; give another --out "

@@ -17,15 +17,16 @@ class Mesh(NamedTuple):
         Positions (mm).
     corners : (m, 4) array
         Vertices of each tetrahedron.
-    metric : (m, 6) array
-        D⁻¹ of each tetrahedron (ms²/mm²): xx, yy, zz, xy, xz, yz.
+    cells : (m, 24) array
+        What a ray needs of each tetrahedron, in three cache lines: the barycentric coordinates as
+        affine functions (columns 0-3, 4-7 and 8-11: the components of their gradients, 1/mm;
+        12-15: their values at the origin), D⁻¹ (16-21: xx, yy, zz, xy, xz, yz, ms²/mm²), and in
+        the rest, seen through `across`, its neighbours.
+    across : (m, 48) array
+        The memory of `cells` as whole numbers; columns 44-47 are the tetrahedra across the faces
+        opposite each corner, -1 where no conducting one is.
     squares : (m, 6) array
         Squared travel times (ms²) along its edges 01, 02, 03, 12, 13, 23.
-    planes : (m, 4, 4) array
-        The barycentric coordinates as affine functions: ``planes[:, :3, k]`` is the gradient
-        (1/mm) of coordinate k, ``planes[:, 3, k]`` its value at the origin.
-    neighbours : (m, 4) array
-        Tetrahedron across the face opposite each corner; -1 where no conducting one is.
     star_start, star : (n + 1,) and (4m,) arrays
         The tetrahedra of each vertex, as 4·tetrahedron + corner.
     star_vertex : (4m, 3) array
@@ -48,10 +49,9 @@ class Mesh(NamedTuple):
 
     vertices: NDArray[np.float64]
     corners: NDArray[np.int32]
-    metric: NDArray[np.float64]
+    cells: NDArray[np.float64]
+    across: NDArray[np.int32]
     squares: NDArray[np.float64]
-    planes: NDArray[np.float64]
-    neighbours: NDArray[np.int32]
     star_start: NDArray[np.int64]
     star: NDArray[np.int32]
     star_vertex: NDArray[np.int32]
@@ -61,6 +61,11 @@ class Mesh(NamedTuple):
     link: NDArray[np.int32]
     slowness: float
     slack: float
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """D⁻¹ of each tetrahedron (ms²/mm²), shape (m, 3, 3)."""
+        return self.cells[:, [16, 19, 20, 19, 17, 21, 20, 21, 18]].reshape(-1, 3, 3)
 
 
 class Forest(NamedTuple):

@@ -31,7 +31,7 @@ def _squares_to_corners(point, tetrahedron, mesh):
     for c in range(4):
         corner = mesh.vertices[mesh.corners[tetrahedron, c]]
         squares[c] = travel(
-            mesh.metric, tetrahedron,
+            mesh.cells, tetrahedron,
             corner[0] - point[0], corner[1] - point[1], corner[2] - point[2],
         ) ** 2  # fmt: skip
     return squares
@@ -90,8 +90,8 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
     taken, rays : int
         Nodes taken from the queue, counting repeats, and rays traced.
     """
-    points, corners, metric, squares = mesh.vertices, mesh.corners, mesh.metric, mesh.squares
-    reach, height, planes, neighbours = mesh.reach, mesh.height, mesh.planes, mesh.neighbours
+    points, corners, squares = mesh.vertices, mesh.corners, mesh.squares
+    reach, height, cells, across = mesh.reach, mesh.height, mesh.cells, mesh.across
     star_start, star, star_vertex = mesh.star_start, mesh.star, mesh.star_vertex
     link_start, link = mesh.link_start, mesh.link
     tree_start, tree_link, tree_time = forest.start, forest.node, forest.time
@@ -136,7 +136,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
             for c in range(4):
                 vertex = corners[element, c]
                 way = travel(
-                    metric, element,
+                    cells, element,
                     points[vertex, 0] - place_of[site, 0],
                     points[vertex, 1] - place_of[site, 1],
                     points[vertex, 2] - place_of[site, 2],
@@ -267,7 +267,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
                         traced += 1
                         ray_way[entry] = ray_time(
                             px, py, pz, element_of[site], gx, gy, gz, limit, slowness, first,
-                            planes, neighbours, metric,
+                            cells, across,
                         )  # fmt: skip
                     if ray_way[entry] < 0.0:
                         continue

@@ -5,46 +5,47 @@ import math
 import numpy as np
 from numba import njit
 
+ACROSS = 44  # column of the first neighbour in `Mesh.across`
 MAX_CROSSINGS = 2000  # elements a path may cross before it is given up
 PARALLEL = 1e-12  # a coordinate that changes less along a line is taken not to reach 0
 ARRIVED = 1.0 - 1e-9  # share of the way at which rounding decides what is crossed next
 
 
 @njit(cache=True, nogil=True, inline="always")
-def travel(metric, t, x, y, z):
+def travel(cells, t, x, y, z):
     """√(dᵀD⁻¹d) for d = (x, y, z) in tetrahedron t (ms)."""
     return math.sqrt(
-        metric[t, 0] * x * x + metric[t, 1] * y * y + metric[t, 2] * z * z
-        + 2.0 * (metric[t, 3] * x * y + metric[t, 4] * x * z + metric[t, 5] * y * z)
+        cells[t, 16] * x * x + cells[t, 17] * y * y + cells[t, 18] * z * z
+        + 2.0 * (cells[t, 19] * x * y + cells[t, 20] * x * z + cells[t, 21] * y * z)
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _crossing(t, k, x, y, z, dx, dy, dz, planes):
+def _crossing(t, k, x, y, z, dx, dy, dz, cells):
     """Where the line p + s·d leaves through face k of tetrahedron t: s, or inf."""
-    ax, ay, az = planes[t, 0, k], planes[t, 1, k], planes[t, 2, k]
+    ax, ay, az = cells[t, k], cells[t, 4 + k], cells[t, 8 + k]
     rate = ax * dx + ay * dy + az * dz
-    s = -(ax * x + ay * y + az * z + planes[t, 3, k]) / rate
+    s = -(ax * x + ay * y + az * z + cells[t, 12 + k]) / rate
     return s if rate < -PARALLEL else np.inf
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _exit(t, x, y, z, dx, dy, dz, planes):
+def _exit(t, x, y, z, dx, dy, dz, cells):
     """Where the line leaves tetrahedron t: s, and through which face.
 
     Without branches: which face it is, no processor could guess.
     """
-    s0 = _crossing(t, 0, x, y, z, dx, dy, dz, planes)
-    s1 = _crossing(t, 1, x, y, z, dx, dy, dz, planes)
-    s2 = _crossing(t, 2, x, y, z, dx, dy, dz, planes)
-    s3 = _crossing(t, 3, x, y, z, dx, dy, dz, planes)
+    s0 = _crossing(t, 0, x, y, z, dx, dy, dz, cells)
+    s1 = _crossing(t, 1, x, y, z, dx, dy, dz, cells)
+    s2 = _crossing(t, 2, x, y, z, dx, dy, dz, cells)
+    s3 = _crossing(t, 3, x, y, z, dx, dy, dz, cells)
     near, nearer = (1 if s1 < s0 else 0), (3 if s3 < s2 else 2)
     sa, sb = min(s0, s1), min(s2, s3)
     return min(sa, sb), (nearer if sb < sa else near)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, planes, neighbours, metric):
+def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, across):
     """Time (ms) along the straight line from (x, y, z) to (gx, gy, gz), or inf if it leaves.
 
     Where the line meets the boundary the path follows the boundary face towards the goal and
@@ -59,28 +60,28 @@ def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, planes, n
     least = slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
     t, total, done = tetrahedron, 0.0, 0.0
     for _ in range(MAX_CROSSINGS):
-        leave, face = _exit(t, x, y, z, dx, dy, dz, planes)
-        way = travel(metric, t, dx, dy, dz)
+        leave, face = _exit(t, x, y, z, dx, dy, dz, cells)
+        way = travel(cells, t, dx, dy, dz)
         if leave >= ARRIVED:
             return total + (1.0 - done) * way
         leave = max(leave, done)
         total += (leave - done) * way
         done = leave
-        if neighbours[t, face] < 0:
+        if across[t, ACROSS + face] < 0:
             if not slide:
                 return -(total + (1.0 - done) * least)
             x, y, z = x + done * dx, y + done * dy, z + done * dz
             return _slide(
-                x, y, z, t, gx, gy, gz, total, limit, slowness, planes, neighbours, metric
+                x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across
             )
-        t = neighbours[t, face]
+        t = across[t, ACROSS + face]
         if total + (1.0 - done) * least > limit:
             return -(total + (1.0 - done) * least)
     return np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, planes, neighbours, metric):
+def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across):
     """Go on from a point of the boundary, in tetrahedron t, after `total` ms; see `ray_time`."""
     for _ in range(MAX_CROSSINGS):
         dx, dy, dz = gx - x, gy - y, gz - z
@@ -89,22 +90,22 @@ def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, planes, neighbours, m
             return -least
         straight = True
         for _ in range(3):  # an element has at most three boundary faces to slide along
-            leave, face = _exit(t, x, y, z, dx, dy, dz, planes)
+            leave, face = _exit(t, x, y, z, dx, dy, dz, cells)
             leave = min(max(leave, 0.0), 1.0)
-            if leave > 1.0 - ARRIVED or neighbours[t, face] >= 0:
+            if leave > 1.0 - ARRIVED or across[t, ACROSS + face] >= 0:
                 break
             # on a boundary face and heading out: slide along it
-            ax, ay, az = planes[t, 0, face], planes[t, 1, face], planes[t, 2, face]
+            ax, ay, az = cells[t, face], cells[t, 4 + face], cells[t, 8 + face]
             inwards = (ax * dx + ay * dy + az * dz) / (ax * ax + ay * ay + az * az)
             dx, dy, dz = dx - inwards * ax, dy - inwards * ay, dz - inwards * az
             straight = False
-        total += leave * travel(metric, t, dx, dy, dz)
+        total += leave * travel(cells, t, dx, dy, dz)
         x, y, z = x + leave * dx, y + leave * dy, z + leave * dz
         if leave == 1.0:
             if straight:
                 return total
-        elif neighbours[t, face] >= 0:
-            t = neighbours[t, face]
+        elif across[t, ACROSS + face] >= 0:
+            t = across[t, ACROSS + face]
         elif leave <= 1.0 - ARRIVED:
             return np.inf
     return np.inf
