@@ -12,6 +12,7 @@ other, each timed as the median after a warm-up. What is timed and what is not s
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import subprocess
@@ -27,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from fascicle.eikonal.tissue import Tissue
     from fascicle.geometry.heart import Heart
 
 Array = npt.NDArray[np.float64]
@@ -76,6 +78,7 @@ STAGES = (
     ("couple", "couple trees and myocardium"),
     ("ecg", "one ECG"),
     ("forward", "whole forward simulation"),
+    ("same_trees", "whole, only speed and root time new"),
     ("eikonal_alone", "eikonal alone, given sources"),
 )
 
@@ -133,8 +136,9 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
     Returns
     -------
     dict
-        ``grow``, ``couple``, ``ecg``, ``forward``, ``eikonal_alone`` : seconds, for both trees, the
-        coupled activation, one ECG, all three together, and the eikonal equation from
+        ``grow``, ``couple``, ``ecg``, ``forward``, ``same_trees``, ``eikonal_alone`` : seconds, for
+        growing both trees and finding where they meet the tissue, the coupled activation, one ECG,
+        all together, the same where the trees are remembered, and the eikonal equation from
         ``source_vertices`` at ``source_times``. ``eikonal_residual`` : ms, by
         `benchmarks.eikonal_residual.eikonal_residual` on that last activation. ``iterations`` :
         coupled solutions needed. Optional: ``nodes``, ``junctions`` of the two trees together;
@@ -142,7 +146,7 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         CPU time over wall time while measuring (well below 1: a busy machine, measure again).
     """
     from benchmarks.eikonal_residual import eikonal_residual
-    from fascicle.eikonal.activation import default_ball_radius, solve
+    from fascicle.eikonal.activation import attach, solve
     from fascicle.forward import ForwardModel, InvalidTree
 
     model = ForwardModel(_heart(case))
@@ -150,24 +154,27 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
     trees = model.grow(parameters)
     if isinstance(trees, InvalidTree):
         raise RuntimeError(f"the benchmark's parameters give no tree: {trees.reason}")
-    radius = default_ball_radius(model.heart.edge_length)
     roots = (max(0.0, -parameters["root_time"]), max(0.0, parameters["root_time"]))
-    sources = dict(zip(case["source_vertices"].tolist(), case["source_times"], strict=True))
+    anew = itertools.count(1)
+
+    def other_angle() -> dict[str, float]:
+        """Parameters that were never seen, since lately grown trees are remembered."""
+        name = "lv_fascicle_angle_1"
+        return parameters | {name: parameters[name] + 1e-12 * next(anew)}
 
     def couple() -> Array:
-        cv = parameters["cv"]
-        return solve(model.tissue, trees, roots, cv, ball_radius=radius).myocardium
+        return solve(model.tissue, attach(model.tissue, trees), roots, parameters["cv"]).myocardium
 
     def eikonal_alone() -> Array:
-        times = solve(model.tissue, (), (), 1.0, ball_radius=radius, vertex_times=sources)
-        return times.myocardium
+        return _from_vertices(model.tissue, case["source_vertices"], case["source_times"])
 
     activation = couple()
     stages: dict[str, Callable[[], object]] = {
-        "grow": lambda: model.grow(parameters),
+        "grow": lambda: model.grow(other_angle()),
         "couple": couple,
         "ecg": lambda: model.electrocardiograph.leads(activation),
-        "forward": lambda: model.simulate(parameters),
+        "forward": lambda: model.simulate(other_angle()),
+        "same_trees": lambda: model.simulate(parameters),
         "eikonal_alone": eikonal_alone,
     }
     wall, cpu = time.perf_counter(), time.process_time()
@@ -184,6 +191,25 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         "cpu_share": share,
         "versions": {name: version(name) for name in ("fascicle", "numba", "numpy")},
     }
+
+
+def _from_vertices(tissue: Tissue, sources: npt.NDArray[np.int64], times: Array) -> Array:
+    """Activation of the myocardium from times given at vertices: the discrete problem alone."""
+    from fascicle.kernels.arrays import Forest, Sites
+    from fascicle.kernels.coupled import sweep
+
+    count = len(tissue.order)
+    activation = np.full(count, np.inf)
+    activation[sources] = times
+    time_ = activation[tissue.order]
+    none, zero, nothing = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0)
+    sweep(
+        time_, np.full(count, -1), none, np.flatnonzero(np.isfinite(time_)), tissue.mesh,
+        Forest(zero, none, nothing, none),
+        Sites(np.empty((0, 3)), none, none, nothing, nothing, np.zeros(count + 1, np.int64), none),
+    )  # fmt: skip
+    activation[tissue.order] = time_
+    return activation
 
 
 def _median_seconds(stage: Callable[[], object], repeats: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +18,7 @@ from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.ecg.lead_field import unbounded_gradients
 from fascicle.eikonal.tissue import Tissue, barycentric_gradients, build_tissue, find_on_surface
+from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.heart import Heart
@@ -60,16 +62,16 @@ def prepare(heart: Heart, conduction: Conduction, action_potential: ActionPotent
         return build(heart, conduction, action_potential)
     content = f"{version('fascicle')} {heart.digest} {conduction}"
     path = heart.folder / DISPOSABLE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
-    if path.is_file():
-        try:
-            return load(path, heart, action_potential)
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            path.unlink()  # damaged: make it again
-    prepared = build(heart, conduction, action_potential)
-    save(path, prepared)
-    kept = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-    for old in kept[:-KEPT]:
-        old.unlink(missing_ok=True)
+    try:
+        return load(path, heart, action_potential)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        prepared = build(heart, conduction, action_potential)  # not there, or damaged
+    # somebody else's cache, a full disk, or another process tidying up: only this cache is lost
+    with suppress(OSError, InputError):
+        save(path, prepared)
+        kept = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+        for old in kept[:-KEPT]:
+            old.unlink(missing_ok=True)
     return prepared
 
 

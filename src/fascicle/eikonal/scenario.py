@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,21 +59,28 @@ class Slowing:
 
     def segments(self, tree: PurkinjeTree) -> NDArray[np.bool_]:
         """Which segments of its tree it slows, each by the node it ends in."""
-        chosen = np.ones(len(tree.nodes), dtype=bool)
+        chosen = tree.parents >= 0  # no segment ends in the root
+        of_part = f" of its {self.part}" if self.part is not None else ""
         if self.part is not None:
             if self.part not in tree.parts:
                 known = ", ".join(tree.parts)
                 raise InputError(f"the {tree.side} tree has no part '{self.part}'; known: {known}")
             chosen &= tree.parts[self.part]
+            if not chosen.any():
+                raise InputError(
+                    f"slowing of the {tree.side} tree: its {self.part} has no segment; the tree "
+                    "forks at its root"
+                )
         if (self.centre is None) != (self.radius is None):
             raise InputError(f"slowing of the {tree.side} tree: a sphere needs centre and radius")
         if self.centre is not None and self.radius is not None:
             distance = np.linalg.norm(tree.nodes - np.asarray(self.centre), axis=1)
+            nearest = distance[chosen].min(initial=np.inf)
             chosen &= distance <= self.radius
             if not chosen.any():
                 raise InputError(
-                    f"slowing of the {tree.side} tree: no segment ends in the sphere at "
-                    f"{self.centre}; the nearest node is {distance.min():.1f} mm from its centre"
+                    f"slowing of the {tree.side} tree: no segment{of_part} ends in the sphere at "
+                    f"{self.centre}; the nearest ends {nearest:.1f} mm from its centre"
                 )
         return chosen
 
@@ -94,6 +101,8 @@ class Scenario:
         Delays of the junctions from tree to myocardium and back (ms); inf blocks that way.
     trees : tuple of (PurkinjeTree, float)
         Trees beside the heart's own, and when their roots fire (ms).
+    source : str, optional
+        Where it was read from, for messages.
     """
 
     stimuli: tuple[Stimulus, ...] = ()
@@ -102,6 +111,7 @@ class Scenario:
     orthodromic_delay: float = 0.0
     antidromic_delay: float = 0.0
     trees: tuple[tuple[PurkinjeTree, float], ...] = ()
+    source: str | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("orthodromic_delay", "antidromic_delay"):
@@ -117,7 +127,8 @@ class Scenario:
         for stimulus in self.stimuli:
             if not np.isfinite([stimulus.time, *stimulus.position]).all():
                 raise InputError(
-                    f"stimulus at {stimulus.position}: time and position must be finite"
+                    f"stimulus at {stimulus.position}, at {stimulus.time} ms: time and position "
+                    "must be finite"
                 )
 
     @property
@@ -159,6 +170,10 @@ class Scenario:
 
     def root_times(self, trees: Sequence[PurkinjeTree], root_times: Sequence[float]) -> list[float]:
         """When each root fires (ms), inf where it is silent."""
+        names = [tree.side for tree in trees]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two trees are named '{name}'; give each a name of its own")
         times = [*root_times, *(time for _, time in self.trees)]
         for side in self.silent:
             times[tree_number(trees, side)] = np.inf

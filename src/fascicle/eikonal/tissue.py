@@ -97,9 +97,9 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
     order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.arange(len(order))
-    vertices, corners = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
-    place = np.argsort(corners.min(axis=1), kind="stable")
-    corners = np.ascontiguousarray(corners[place], dtype=np.int32)
+    vertices, renumbered = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
+    place = np.argsort(renumbered.min(axis=1), kind="stable")
+    corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)
     scale = conduction.scale(heart)[place]
     conducts = scale > 0
     cells, squares, height, reach = _elements(

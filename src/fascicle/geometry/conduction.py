@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +29,15 @@ class Region:
         Centre of a sphere (mm).
     radius : float, optional
         The elements whose centroid lies within this distance (mm) of it.
+    source : str, optional
+        Where it was read from, for messages.
     """
 
     conductivity: float
     label: int | None = None
     centre: tuple[float, float, float] | None = None
     radius: float | None = None
+    source: str | None = field(default=None, repr=False, compare=False)
 
     def elements(self, heart: Heart) -> NDArray[np.bool_]:
         """Which tetrahedra belong to it, shape (m,).
@@ -44,7 +47,8 @@ class Region:
         InputError
             If it says nothing or two things about where it is, or holds no element.
         """
-        if (self.label is None) == (self.centre is None or self.radius is None):
+        given = [value is not None for value in (self.label, self.centre, self.radius)]
+        if given not in ([True, False, False], [False, True, True]):
             raise InputError(f"{self.name}: give either a label, or a centre and a radius")
         if not 0 <= self.conductivity < np.inf:
             raise InputError(
@@ -70,7 +74,9 @@ class Region:
     @property
     def name(self) -> str:
         """What to call it in messages."""
-        return f"region {self.label}" if self.label is not None else f"region at {self.centre}"
+        origin = f"{self.source}: " if self.source is not None else ""
+        where = f"at {self.centre}" if self.label is None else f"{self.label}"
+        return f"{origin}region {where}"
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,10 @@ def simulate_inputs(
     InputError
         If files cannot be used, one tree is missing, or the parameters give no tree.
     """
+    if scenario is not None:
+        with _naming(scenario):
+            for tree, _ in scenario.trees:
+                _check_at_tissue(f"tree '{tree.side}'", model, tree)
     given = {"cv": cv, "root_time": root_time}
     overrides = {name: value for name, value in given.items() if value is not None}
     for name, value in overrides.items():
@@ -64,7 +70,8 @@ def simulate_inputs(
         source = str(params) if params is not None else "example parameters"
         for name, value in parameters.items():
             _check_plausible(source, name, value)
-        outcome = model.simulate(parameters, scenario)
+        with _naming(scenario):
+            outcome = model.simulate(parameters, scenario)
         if isinstance(outcome, InvalidTree):
             raise InputError(f"{source}: {outcome.reason}; shorten it")
         return outcome, {"parameters": parameters}
@@ -77,19 +84,31 @@ def simulate_inputs(
     trees = []
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
-        _check_at_tissue(path, model, tree)
+        _check_at_tissue(str(path), model, tree)
         _check_side(path, model.heart, tree)
         trees.append(tree)
     files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
-    simulation = model.activate(trees, physics["root_time"], physics["cv"], scenario)
+    with _naming(scenario):
+        simulation = model.activate(trees, physics["root_time"], physics["cv"], scenario)
     return simulation, files | physics
 
 
-def _check_at_tissue(path: Path, model: ForwardModel, tree: PurkinjeTree) -> None:
+@contextmanager
+def _naming(scenario: Scenario | None) -> Iterator[None]:
+    """Name the scenario's file where it does not fit; what else is wrong was refused before."""
+    try:
+        yield
+    except InputError as error:
+        if scenario is None or scenario.source is None:
+            raise
+        raise InputError(f"{scenario.source}: {error}") from None
+
+
+def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None:
     distances = model.tissue.on_surface(tree.nodes[tree.junctions]).distances
     if distances.max() > FURTHEST_JUNCTION:
         raise InputError(
-            f"{path}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
+            f"{what}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
             f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
             "give the tree in the heart's frame, in mm"
         )

@@ -1,0 +1,195 @@
+"""How time and memory grow with the mesh, and with the cores.
+
+    python -m benchmarks.scaling --data CRTDEMO_FOLDER [--million]
+
+The crtdemo heart as published and refined (each tetrahedron into eight) once and twice; with
+--million three times, which takes minutes and many GB to prepare; and a mesh of 300,000 vertices,
+refined twice and then in part. scikit-fem refines (``pip install scikit-fem``). Each in a fresh
+process, pinned to one core, that reads what was prepared for the heart before and simulates
+networks it has not seen: median wall time of the whole forward run, peak memory of the process.
+
+Then the same number of networks one after the other and with `ForwardModel.simulate_many` on two
+threads and two processes: efficiency is the time of one worker over twice the time of two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.forward import _heart, _named_parameters, build_case, pin_to_one_core
+
+if TYPE_CHECKING:
+    from fascicle.forward import ForwardModel
+    from fascicle.geometry.heart import Heart
+
+WANTED = 300_000  # vertices
+NETWORKS = 120  # of the batch
+REPEATS = 5
+
+
+def refined(heart: Heart, times: int) -> Heart:
+    """Each tetrahedron in eight, `times` times."""
+    for _ in range(times):
+        heart = _as_heart(heart, _mesh(heart).refined(1))
+    return heart
+
+
+def partly_refined(heart: Heart, wanted: int) -> Heart:
+    """Bisect as many elements, from one side on, as bring the mesh to `wanted` vertices."""
+    mesh = _mesh(heart)
+    order = np.argsort(heart.vertices[heart.tetrahedra].mean(axis=1)[:, 0])
+    missing = wanted / len(heart.vertices) - 1
+    for share in np.linspace(0.5, 3.0, 6) * missing:
+        finer = mesh.refined(order[: int(share * len(order))])
+        if finer.p.shape[1] >= wanted:
+            break
+    return _as_heart(heart, finer)
+
+
+def _mesh(heart: Heart) -> Any:
+    from skfem import MeshTet
+
+    vertices, tetrahedra = heart.vertices.T.copy(), heart.tetrahedra.T.copy()
+    return MeshTet(vertices, tetrahedra)
+
+
+def _as_heart(heart: Heart, mesh: Any) -> Heart:
+    """The heart on a finer mesh; each element takes the fibre of the nearest coarse one."""
+    from scipy.spatial import KDTree
+
+    vertices, tetrahedra = mesh.p.T.copy(), mesh.t.T.astype(np.int64)
+    coarse = heart.vertices[heart.tetrahedra].mean(axis=1)
+    _, parent = KDTree(coarse).query(vertices[tetrahedra].mean(axis=1))
+    edges = vertices[tetrahedra[:, 1:]] - vertices[tetrahedra[:, :1]]
+    flip = np.linalg.det(edges) < 0
+    tetrahedra[flip] = tetrahedra[flip][:, [1, 0, 2, 3]]
+    return replace(heart, vertices=vertices, tetrahedra=tetrahedra, fibres=heart.fibres[parent])
+
+
+def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
+    """Networks that differ too little to matter, but enough to be grown anew."""
+    number = 0
+    while True:
+        number += 1
+        angle = parameters["lv_fascicle_angle_1"] + 1e-9 * number
+        yield parameters | {"lv_fascicle_angle_1": angle}
+
+
+def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
+    """Time and memory of the forward run on a prepared heart; for a process of its own."""
+    import resource
+
+    from fascicle.ecg.action_potential import Upstroke
+    from fascicle.forward import ForwardModel
+    from fascicle.preparation import load_with_heart
+
+    heart, prepared = load_with_heart(path, Upstroke())
+    model = ForwardModel(heart, prepared=prepared)
+    new = networks(parameters)
+    model.simulate(next(new))
+    seconds = [_seconds(lambda: model.simulate(next(new))) for _ in range(REPEATS)]
+    return {
+        "vertices": len(heart.vertices),
+        "tetrahedra": len(heart.tetrahedra),
+        "seconds": float(np.median(seconds)),
+        "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+    }
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def sizes(heart: Heart, parameters: dict[str, float], million: bool) -> None:
+    """Print a row a mesh."""
+    from fascicle.forward import ForwardModel
+    from fascicle.preparation import save
+
+    print(
+        f"{'vertices':>10}{'tetrahedra':>12}{'prepare, s':>12}{'forward, s':>12}"
+        f"{'a vertex, us':>14}{'memory, GB':>12}"
+    )
+    hearts: list[Callable[[], Heart]] = [
+        lambda: heart,
+        lambda: refined(heart, 1),
+        lambda: refined(heart, 2),
+        lambda: partly_refined(refined(heart, 2), WANTED),
+    ]
+    if million:
+        hearts.append(lambda: refined(heart, 3))
+    for make in hearts:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "model.npz"
+            mesh = make()
+            begin = time.perf_counter()
+            model = ForwardModel(mesh)
+            took = time.perf_counter() - begin
+            save(path, model.prepared, mesh)
+            del model
+            command = [sys.executable, "-m", "benchmarks.scaling", "--measure", str(path)]
+            done = subprocess.run(
+                [*command, json.dumps(parameters)], check=True, stdout=subprocess.PIPE, text=True
+            )
+        row = json.loads(done.stdout.splitlines()[-1])
+        print(
+            f"{row['vertices']:>10}{row['tetrahedra']:>12}{took:>12.1f}{row['seconds']:>12.4f}"
+            f"{1e6 * row['seconds'] / row['vertices']:>14.2f}{row['gigabytes']:>12.2f}"
+        )
+
+
+def batches(model: ForwardModel, parameters: dict[str, float]) -> None:
+    """Print how well two workers are used."""
+    new = networks(parameters)
+
+    def run(executor: Executor) -> float:
+        batch = [next(new) for _ in range(NETWORKS)]
+        model.simulate_many(batch[:4], executor)  # workers are up, and have the heart
+        return _seconds(lambda: model.simulate_many(batch, executor))
+
+    print(f"\n{NETWORKS} networks, crtdemo{'':<14}{'one, s':>10}{'two, s':>10}{'efficiency':>12}")
+    for name, pool in (("threads", ThreadPoolExecutor), ("processes", ProcessPoolExecutor)):
+        with pool(1) as one:
+            alone = run(one)
+        with pool(2) as two:
+            together = run(two)
+        print(f"  {name:<30}{alone:>10.2f}{together:>10.2f}{alone / (2 * together):>12.1%}")
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder of the crtdemo heart")
+    parser.add_argument("--million", action="store_true", help="1.6 million vertices too")
+    parser.add_argument("--measure", nargs=2, help=argparse.SUPPRESS)
+    arguments = parser.parse_args(argv)
+    if arguments.measure is not None:
+        path, parameters = arguments.measure
+        pin_to_one_core()
+        print(json.dumps(measure(Path(path), json.loads(parameters))))
+        return
+    if arguments.data is None:
+        parser.error("--data is needed: the folder with crtdemo_mesh_oriented.vtk")
+    from fascicle.forward import ForwardModel
+
+    case = build_case(arguments.data)
+    heart, named = _heart(case), _named_parameters(case)
+    sizes(heart, named, arguments.million)
+    batches(ForwardModel(heart), named)
+
+
+if __name__ == "__main__":
+    main()
