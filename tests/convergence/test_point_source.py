@@ -1,74 +1,192 @@
-"""A junction in an anisotropic half-space: times against √(dᵀD⁻¹d).
+"""Point sources in an anisotropic cube: times against √(dᵀD⁻¹d).
 
-Measured at edges of about 5.4, 2.7 and 1.35 mm, speeds 0.612 and 0.245 mm/ms, 24 mm box; mean / max
-error (ms) and observed order of the mean over the last halving:
+In a convex block with straight fibres the straight line is the geodesic, so rays give every time to
+rounding, wherever the source lies. Of several sources two things keep times from being exact:
 
-    no ball       4.79 / 9.97    2.89 / 5.69    1.66 / 3.13    0.80
-    two edges     1.34 / 4.02    1.41 / 4.01    1.04 / 2.48    0.44 (the ball shrinks with the mesh)
-    6 mm          3.00 / 7.83    1.24 / 3.87    0.58 / 1.54    1.11
+- where fronts collide, first-order updates interpolate between them and are early. Of 12 sources
+  in a cube of 20 mm, cells of 4 mm, one vertex in ten is, by 0.9 ms on average and 6 ms at most;
+- now and then a ray is dropped that would arrive first further on: at 2 of 100,000 vertices, in an
+  isotropic cube at 80 of them; late by up to 2.4 ms.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
-from builders import OBLIQUE, box, line_tree
+from builders import (
+    OBLIQUE,
+    activate,
+    box_tissue,
+    conduction_for,
+    heart_vertices,
+    line_tree,
+    solve_without_trees,
+    straight_times,
+    vertex_at,
+)
 
-from fascicle.eikonal.activation import BALL_EDGES, solve
-from fascicle.eikonal.tissue import build_tissue
 from fascicle.geometry.conduction import Conduction
 
-SIZE = 24.0  # mm
-CELLS = (6, 12, 24)  # cells of 4, 2 and 1 mm
-FIXED = 6.0  # mm
+SIZE = 40.0  # mm
+SPEEDS = (0.6, 0.25)  # mm/ms along and across the fibre
+ISOTROPIC = (0.6, 0.6)  # mm/ms
+EXACT = 1e-9  # ms
+SOURCES = {
+    "inner": (17.3, 22.1, 19.4),
+    "near a corner": (0.7, 39.2, 38.9),
+    "on a face": (18.9, 0.0, 23.3),
+}
 
 
-def point_source_errors(cells, ball_radius):
-    """Computed minus exact times (ms) from a junction inside a face of a jittered cube."""
-    block = box(SIZE, cells, jitter=0.2, fibre=OBLIQUE, seed=cells)
-    radius = BALL_EDGES * block.edge_length if ball_radius is None else ball_radius
-    tissue = build_tissue(block, Conduction())
-    source = np.array([0.47 * SIZE, 0.55 * SIZE, 0.0])
-    tree = line_tree([source - [0, 0, 1.0], source])
-    activation = solve(tissue, [tree], [-0.25], 4.0, ball_radius=radius)  # 1 mm at 4 mm/ms
-    offset = tissue.vertices - source
-    exact = np.sqrt(np.einsum("ni,ij,nj->n", offset, tissue.metric[0], offset))
-    return activation.myocardium - exact
+def cube(cell, *, size=SIZE, speeds=SPEEDS, jitter=0.2):
+    return box_tissue(
+        size, round(size / cell), jitter=jitter, fibre=OBLIQUE, conduction=conduction_for(*speeds)
+    )
 
 
 @pytest.fixture(scope="module")
-def errors():
-    """By ball (its radius in mm, None for two edges), coarse to fine."""
-    return {
-        ball: [point_source_errors(cells, ball) for cells in CELLS] for ball in (0.0, None, FIXED)
-    }
-
-
-def observed_order(coarse, fine):
-    return np.log2(coarse.mean() / fine.mean())
+def cubes():
+    return {cell: cube(cell) for cell in (4.0, 2.0)}
 
 
 def test_speeds_are_those_of_the_paper():
     """0.612 and 0.245 mm/ms along and across at α = 0.05; a slip of √10 would show here."""
     assert Conduction().speeds == pytest.approx((0.6124, 0.2449), abs=1e-4)
+    assert conduction_for(*SPEEDS).speeds == pytest.approx(SPEEDS, rel=1e-12)
 
 
-def test_no_vertex_is_early(errors):
-    """Straight ways through a convex block are geodesics: only rounding may be early."""
-    assert min(error.min() for series in errors.values() for error in series) > -1e-9
+@pytest.mark.parametrize("cell", [4.0, 2.0])
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_source_that_is_no_vertex_is_exact(cubes, source, cell):
+    """Wanted: mean / max 0.5 / 2 ms at 2 mm and 1.2 / 4 ms at 4 mm. Measured: below 1e-13."""
+    tissue, point = cubes[cell], SOURCES[source]
+    assert np.linalg.norm(heart_vertices(tissue) - point, axis=1).min() > 0.1
+    activation = activate(tissue, [], [], 1.0, stimuli=point, times=[3.0])
+    exact = straight_times(tissue, point, [3.0])
+    np.testing.assert_allclose(activation.myocardium, exact, atol=EXACT, rtol=0)
+    assert activation.captured.all()
+    assert (activation.origin == 0).all()
 
 
-@pytest.mark.parametrize(("ball", "order"), [(0.0, 0.7), (None, 0.35), (FIXED, 0.95)])
-def test_errors_shrink_with_the_mesh(errors, ball, order):
-    """Order of the last halving; a wrong local solver gives 0."""
-    _, middle, fine = errors[ball]
-    assert observed_order(middle, fine) > order
-    assert fine.max() < 0.7 * middle.max()
+@pytest.mark.parametrize("cell", [4.0, 2.0])
+def test_a_junction_is_as_exact_as_a_stimulus(cubes, cell):
+    """A leaf on a face, reached through 20 mm of tree."""
+    tissue, point = cubes[cell], np.array(SOURCES["on a face"])
+    tree = line_tree([point - [0, 20.0, 0], point])
+    activation = activate(tissue, [tree], [1.0], 4.0)
+    exact = straight_times(tissue, point, [6.0])
+    np.testing.assert_allclose(activation.myocardium, exact, atol=EXACT, rtol=0)
 
 
-def test_the_ball_reduces_the_point_source_error(errors):
-    """Everywhere, and on a mesh as coarse as a heart's by more than half."""
-    for with_ball, without in zip(errors[None], errors[0.0], strict=True):
-        assert (with_ball <= without + 1e-9).all()
-        assert with_ball.mean() < 0.7 * without.mean()
-    assert errors[None][0].mean() < 0.4 * errors[0.0][0].mean()
+def many(seed, count=12, size=SIZE, latest=30.0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0, size, (count, 3)), rng.uniform(0, latest, count)
+
+
+@pytest.mark.parametrize("cell", [4.0, 2.0])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_several_sources_at_unequal_times_are_not_late(cubes, seed, cell):
+    """Some fire before a front comes by and some after; the latter must not matter."""
+    points, times = many(seed)
+    activation = activate(cubes[cell], [], [], 1.0, stimuli=points, times=times)
+    error = activation.myocardium - straight_times(cubes[cell], points, times)
+    assert error.max() < EXACT
+    before = [
+        straight_times(cubes[cell], np.delete(points, k, 0), np.delete(times, k), points[k])[0]
+        for k in range(len(points))
+    ]
+    np.testing.assert_array_equal(activation.captured, times < before)
+
+
+# Largest and mean earliness (ms) and the share of vertices, measured: 4.7, 0.14 and 0.13 at 4 mm,
+# 3.6, 0.050 and 0.10 at 2 mm
+EARLY = {4.0: (5.2, 0.16, 0.15), 2.0: (4.0, 0.06, 0.12)}
+
+
+@pytest.mark.parametrize("cell", [4.0, 2.0])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_where_fronts_collide_times_are_early(cubes, seed, cell):
+    """Linear interpolation over a face that two fronts reach from two sides is early: O(h)."""
+    points, times = many(seed)
+    activation = activate(cubes[cell], [], [], 1.0, stimuli=points, times=times)
+    early = straight_times(cubes[cell], points, times) - activation.myocardium
+    largest, mean, share = EARLY[cell]
+    assert early.max() < largest
+    assert early.mean() < mean
+    assert (early > EXACT).mean() < share
+
+
+@pytest.mark.xfail(strict=True, reason="first-order updates interpolate across collisions")
+def test_no_vertex_is_early_where_fronts_collide():
+    """Two fronts in an isotropic cube of right-angled elements: none is obtuse."""
+    tissue = cube(4.0, size=20.0, speeds=ISOTROPIC, jitter=0.0)
+    points, times = [[5.85, 0.03, 19.47], [11.7, 9.43, 15.47]], [6.22, 8.94]
+    activation = activate(tissue, [], [], 1.0, stimuli=points, times=times)
+    assert (activation.myocardium - straight_times(tissue, points, times)).min() > -EXACT
+
+
+@pytest.mark.parametrize(("speeds", "share"), [(SPEEDS, 1e-4), (ISOTROPIC, 2e-3)])
+def test_hardly_a_ray_is_lost(speeds, share):
+    """300 times twelve sources in a small coarse cube: the share of vertices that are late."""
+    tissue, late = cube(4.0, size=20.0, speeds=speeds, jitter=0.25), []
+    for seed in range(300):
+        points, times = many(seed, size=20.0, latest=20.0)
+        activation = activate(tissue, [], [], 1.0, stimuli=points, times=times)
+        late.append(activation.myocardium - straight_times(tissue, points, times))
+    assert (np.array(late) > EXACT).mean() < share
+    assert np.max(late) < 3.0
+
+
+@pytest.mark.xfail(strict=True, reason="rays are dropped that arrive first further on")
+def test_no_ray_is_lost():
+    """`Mesh.slack` lets go of them; isotropic, late rays are moreover out of `reach_of`."""
+    tissue = cube(4.0, size=20.0, speeds=ISOTROPIC, jitter=0.0)
+    points, times = [[0.17, 9.18, 16.25], [2.99, 6.54, 7.31]], [8.96, 24.26]
+    activation = activate(tissue, [], [], 1.0, stimuli=points, times=times)
+    assert (activation.myocardium - straight_times(tissue, points, times)).max() < EXACT
+
+
+# Mean and maximum error (ms) of first-order updates alone at 4, 2 and 1 mm. Measured: 3.77 / 7.76,
+# 2.59 / 5.29 and 1.58 / 3.35, so orders of 0.54 and 0.71 of the mean, 0.55 and 0.66 of the maximum
+FIRST_ORDER = ((4.2, 8.6), (2.9, 5.9), (1.75, 3.7))
+
+
+@pytest.fixture(scope="module")
+def first_order_errors():
+    errors = []
+    for cell in (4.0, 2.0, 1.0):
+        tissue = cube(cell)
+        source = vertex_at(heart_vertices(tissue), [20.0, 20.0, 0.0])
+        time = solve_without_trees(tissue, {source: 0.0})
+        errors.append(time - straight_times(tissue, [20.0, 20.0, 0.0], [0.0]))
+    return errors
+
+
+def test_first_order_updates_alone_are_late_and_converge(first_order_errors):
+    """Without rays; a wrong local solver gives order 0, and the point source h·log h."""
+    for error, (mean, largest) in zip(first_order_errors, FIRST_ORDER, strict=True):
+        assert error.min() > -EXACT
+        assert error.mean() < mean
+        assert error.max() < largest
+    _, middle, fine = first_order_errors
+    assert np.log2(middle.mean() / fine.mean()) > 0.65
+    assert np.log2(middle.max() / fine.max()) > 0.6
+
+
+def test_first_order_updates_are_first_order_away_from_the_point():
+    """From exact times within 10 mm of the source. Mean / max error (ms) measured at 4, 2, 1 mm:
+
+    2.42 / 5.18, 1.12 / 2.73, 0.53 / 1.35, so orders of 1.1 and 1.0.
+    """
+    errors = []
+    for cell in (4.0, 2.0, 1.0):
+        tissue = cube(cell)
+        exact = straight_times(tissue, [20.0, 20.0, 0.0], [0.0])
+        near = np.linalg.norm(heart_vertices(tissue) - [20.0, 20.0, 0.0], axis=1) < 10.0
+        given = {int(v): float(exact[v]) for v in np.flatnonzero(near)}
+        errors.append((solve_without_trees(tissue, given) - exact)[~near])
+    for coarse, fine in pairwise(errors):
+        assert np.log2(coarse.mean() / fine.mean()) > 1.0
+        assert np.log2(coarse.max() / fine.max()) > 0.85

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from builders import GOLDEN, brute_force
+from builders import GOLDEN, _best_on_row, brute_force
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from numba import njit
 
-from fascicle.kernels.local_solver import from_edge, from_face
+from fascicle.kernels.local_solver import from_edge, from_face, from_new_corner
 
 HALVINGS = 60  # golden sections; the interval shrinks to 3e-13
 FLATTEST = 1e-6  # volume over the product of the edges at the vertex; 0.17 in a right-angled corner
+BATCH = 100  # random cases an example
+EXAMPLES = 100  # so 10,000 cases a test
 coordinate = st.floats(-10.0, 10.0)
 corners = st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=3, max_size=3)
 times = st.lists(st.floats(0.0, 40.0), min_size=3, max_size=3)
+seeds = st.integers(0, 2**32 - 1)
+flatness = st.sampled_from([1.0, 0.1, 1e-2, 1e-4])  # thickness of the tetrahedron over its width
+spread = st.sampled_from([0.0, 1.0, 10.0, 40.0])  # ms between the corners' times
 
 
 def gram_of(points, ratio):
@@ -27,6 +33,107 @@ def face(gram, t):
     return from_face(a[0, 0], a[0, 1], a[0, 2], a[1, 1], a[1, 2], a[2, 2], *t)
 
 
+def random_cases(seed, thickness, latest, count=BATCH):
+    """Gram matrices and times of tetrahedra that are neither degenerate nor far from it.
+
+    Of corners in a cube around the vertex most are obtuse there; a random symmetric positive
+    definite D stretches them; `thickness` presses them into a random plane through the vertex.
+    """
+    rng = np.random.default_rng(seed)
+    edges = rng.uniform(-10, 10, (count, 3, 3))
+    edges[:, :, 2] *= thickness
+    turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    speeds = rng.uniform(0.1, 1.0, (count, 3))
+    scaled = np.einsum("nij,njk->nik", edges, turn) / speeds[:, None, :]
+    gram = scaled @ np.swapaxes(scaled, 1, 2)
+    t = rng.uniform(0, latest, (count, 3))
+    lengths = np.sqrt(np.einsum("nii->ni", gram))
+    volume = np.abs(np.linalg.det(scaled)) / 6
+    good = (volume > FLATTEST * lengths.prod(axis=1)) & (lengths.min(axis=1) > 0.05)
+    return gram[good], t[good]
+
+
+@njit
+def references(grams, ts):
+    """Minimum over each whole face, and over its edge opposite the first corner."""
+    whole, rest = np.empty(len(grams)), np.empty(len(grams))
+    for k in range(len(grams)):
+        whole[k] = brute_force(grams[k], ts[k], HALVINGS)
+        rest[k] = _best_on_row(grams[k], ts[k], 0.0, HALVINGS)
+    return whole, rest
+
+
+@given(seeds, flatness, spread)
+@settings(max_examples=EXAMPLES, deadline=None)
+def test_ten_thousand_faces(seed, thickness, latest):
+    """`from_face` is the minimum over the simplex, obtuse and nearly flat faces included."""
+    grams, ts = random_cases(seed, thickness, latest)
+    assume(len(grams))
+    value = np.array([face(g, t) for g, t in zip(grams, ts, strict=True)])
+    lengths = np.sqrt(np.einsum("nii->ni", grams))
+    scale = lengths.max(axis=1) + ts.max(axis=1)
+    whole, _ = references(grams, ts)
+    assert (value >= ts.min(axis=1)).all(), "arrives before its sources"
+    assert (value <= (ts + lengths).min(axis=1)).all(), "later than a way from a vertex"
+    assert (value <= whole + 1e-9 * scale).all(), "a better way was missed"
+    # rounding in a nearly flat face makes λ inexact; the value must still be attainable
+    assert (value >= whole - 1e-6 * scale).all(), "earlier than any way through the face"
+    if thickness == 1.0:
+        regular = np.linalg.det(grams) > 1e-4 * lengths.prod(axis=1) ** 2
+        assert (value >= whole - 1e-9 * scale)[regular].all()
+
+
+@given(seeds, flatness, spread)
+@settings(max_examples=EXAMPLES, deadline=None)
+def test_ten_thousand_new_corners(seed, thickness, latest):
+    """`from_new_corner` and the opposite edge together are the minimum over the face.
+
+    Alone it is never early, and where it says inf the minimum must be on the opposite edge.
+    """
+    grams, ts = random_cases(seed, thickness, latest)
+    assume(len(grams))
+    value = np.array(
+        [
+            from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)
+            for g, t in zip(grams, ts, strict=True)
+        ]
+    )
+    scale = np.sqrt(np.einsum("nii->ni", grams)).max(axis=1) + ts.max(axis=1)
+    whole, rest = references(grams, ts)
+    assert (np.minimum(value, rest) <= whole + 1e-9 * scale).all(), "a better way was missed"
+    assert (value >= whole - 1e-6 * scale).all(), "earlier than any way through the face"
+    touched = np.isfinite(value)
+    assert (rest <= whole + 1e-9 * scale)[~touched].all()
+
+
+def test_new_corner_is_both_used_and_left_out():
+    """The property above would hold of a function that always gives the whole face's minimum."""
+    grams, ts = random_cases(0, 1.0, 10.0, 1000)
+    share = np.mean(
+        [
+            np.isfinite(from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t))
+            for g, t in zip(grams, ts, strict=True)
+        ]
+    )
+    assert 0.5 < share < 0.99
+
+
+@given(seeds, flatness, spread, st.sampled_from([(1,), (2,), (1, 2)]))
+@settings(max_examples=50, deadline=None)
+def test_new_corner_beside_corners_without_a_time(seed, thickness, latest, missing):
+    """Where the front has not been, only the corner and the edge to the other one count."""
+    grams, ts = random_cases(seed, thickness, latest, 50)
+    for g, t in zip(grams, ts, strict=True):
+        t[list(missing)] = np.inf
+        value = from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)
+        reference = t[0] + np.sqrt(g[0, 0])
+        for other in {1, 2} - set(missing):
+            edge = from_edge(g[0, 0], g[0, other], g[other, other], t[0], t[other])
+            reference = min(reference, edge)
+        assert value == reference
+        assert face(g, t) == min(reference, (t + np.sqrt(np.diag(g))).min())
+
+
 @given(corners, times, st.floats(0.2, 5.0))
 @example([(1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)], [0.0, 0.0, 0.0], 1.0)
 @example([(1.0, 0, 0), (1.0, 1e-5, 0), (0, 0, 1.0)], [0.0, 0.1, 0.0], 2.5)  # sliver
@@ -34,6 +141,7 @@ def face(gram, t):
 @example([(9.0, 0, 0), (9.0, 1.0, 0), (9.0, 0, 1.0)], [3.0, 40.0, 3.0], 0.2)
 @settings(max_examples=300, deadline=None)
 def test_from_face_is_the_minimum_over_the_simplex(points, t, ratio):
+    """As above, for the round and equal numbers that Hypothesis likes."""
     gram, t = gram_of(points, ratio), np.array(t)
     lengths = np.sqrt(np.diag(gram))
     assume(lengths.min() > 0.03)
@@ -43,8 +151,13 @@ def test_from_face_is_the_minimum_over_the_simplex(points, t, ratio):
     assert value >= t.min(), "arrives before its sources"
     assert value <= (t + lengths).min(), "later than a way from a vertex"
     assert value <= reference + 1e-9 * scale, "a better way was missed"
-    # rounding in a nearly flat face makes λ inexact; the value must still be attainable
     assert value >= reference - 1e-6 * scale, "earlier than any way through the face"
+    for turn in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
+        g, u = gram[np.ix_(turn, turn)], t[turn]
+        touching = from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *u)
+        rest = _best_on_row(g, u, 0.0, HALVINGS)
+        assert min(touching, rest) <= reference + 1e-9 * scale
+        assert touching >= reference - 1e-6 * scale
 
 
 @given(st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate), times)

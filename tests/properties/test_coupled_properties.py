@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from builders import box_tissue
+from builders import activate, box_tissue, heart_vertices, ray_ways
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.eikonal.activation import solve
+from fascicle.eikonal.activation import attach
+from fascicle.parameters import EXAMPLE_PARAMETERS
 from fascicle.tree.purkinje import PurkinjeTree
 
-TISSUE = box_tissue((30.0, 20.0, 6.0), (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))
-BALL = 6.0  # mm
+SIZE = (30.0, 20.0, 6.0)  # mm
+TISSUE = box_tissue(SIZE, (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))
+VERTICES = heart_vertices(TISSUE)
 
 
 def star(seed, leaves=6):
@@ -31,14 +33,16 @@ def both(seed):
 
 seeds = st.integers(0, 10_000)
 root_times = st.tuples(st.floats(0, 40), st.floats(0, 40))
+points = st.tuples(*(st.floats(0.0, length) for length in SIZE))
 
 
-@given(seeds, root_times, st.integers(0, len(TISSUE.vertices) - 1), st.floats(0.0, 40.0))
-@settings(max_examples=30, deadline=None)
-def test_adding_a_source_never_increases_any_time(seed, roots, vertex, stimulus):
+@given(seeds, root_times, points, st.floats(0.0, 40.0))
+@settings(max_examples=100, deadline=None)
+def test_adding_a_source_never_increases_any_time(seed, roots, point, stimulus):
+    """On a patient's heart it does, where a ray is lost: see `test_monotone_on_a_heart`."""
     trees = both(seed)
-    before = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL)
-    after = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL, vertex_times={vertex: stimulus})
+    before = activate(TISSUE, trees, roots, 2.0)
+    after = activate(TISSUE, trees, roots, 2.0, stimuli=point, times=[stimulus])
     for a, b in zip(
         (after.myocardium, *after.trees), (before.myocardium, *before.trees), strict=True
     ):
@@ -46,33 +50,113 @@ def test_adding_a_source_never_increases_any_time(seed, roots, vertex, stimulus)
 
 
 @given(seeds, root_times, st.floats(-50.0, 50.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_shifting_all_sources_shifts_all_times(seed, roots, shift):
     trees = both(seed)
-    before = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL)
-    after = solve(TISSUE, trees, [t + shift for t in roots], 2.0, ball_radius=BALL)
+    before = activate(TISSUE, trees, roots, 2.0)
+    after = activate(TISSUE, trees, [t + shift for t in roots], 2.0)
     np.testing.assert_allclose(after.myocardium, before.myocardium + shift, atol=1e-9)
 
 
 @given(seeds, root_times)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_order_of_trees_does_not_matter(seed, roots):
     trees = both(seed)
-    one = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL)
-    other = solve(TISSUE, trees[::-1], roots[::-1], 2.0, ball_radius=BALL)
+    one = activate(TISSUE, trees, roots, 2.0)
+    other = activate(TISSUE, trees[::-1], roots[::-1], 2.0)
     np.testing.assert_allclose(one.myocardium, other.myocardium, atol=1e-9)
     np.testing.assert_allclose(one.trees[0], other.trees[1], atol=1e-9)
+    flags = np.concatenate(one.antidromic[::-1])
+    np.testing.assert_array_equal(flags, np.concatenate(other.antidromic))
 
 
 @given(seeds, root_times)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_segments_and_junctions_are_never_outrun(seed, roots):
-    """Both ways, the ends of a segment differ by its travel time at most; junctions fire balls."""
+    """Both ways, the ends of a segment differ by its travel time at most.
+
+    A site and the corners of its element by the straight way, from the site.
+    """
     trees = both(seed)
-    activation = solve(TISSUE, trees, roots, 2.0, ball_radius=BALL)
+    activation = activate(TISSUE, trees, roots, 2.0)
+    site, corners = attach(TISSUE, trees).site, TISSUE.order[TISSUE.mesh.corners]
     for tree, times, root_time in zip(trees, activation.trees, roots, strict=True):
         assert (np.abs(times[1:] - times[0]) <= tree.lengths[1:] / 2.0 + 1e-9).all()
         assert times[0] <= root_time + 1e-9
-        start, vertex, delay = TISSUE.balls(TISSUE.locate(tree.nodes[tree.junctions]), BALL)
-        fired = np.repeat(times[tree.junctions], np.diff(start)) + delay
-        assert (activation.myocardium[vertex] <= fired + 1e-9).all()
+    for position, element, moment in zip(
+        site.positions, site.elements, fired(trees, activation), strict=True
+    ):
+        ways = ray_ways(TISSUE, position, element, VERTICES[corners[element]])
+        assert (activation.myocardium[corners[element]] <= moment + ways + 1e-9).all()
+
+
+def fired(trees, activation):
+    """When each junction fires (ms)."""
+    pairs = zip(trees, activation.trees, strict=True)
+    return np.concatenate([times[tree.junctions] for tree, times in pairs])
+
+
+def test_hardly_a_vertex_or_junction_is_later_than_a_ray():
+    """Rays are followed only where they come first, so one in 100,000 is missed that should not."""
+    late, count = [], 0
+    for seed in range(100):
+        trees = both(2 * seed)
+        activation = activate(TISSUE, trees, [seed % 7, 3.0], 2.0)
+        site, moments = attach(TISSUE, trees).site, fired(trees, activation)
+        goals = np.concatenate([VERTICES, site.positions])
+        times = np.concatenate([activation.myocardium, moments])
+        offers = [
+            moment + ray_ways(TISSUE, position, element, goals)
+            for position, element, moment in zip(
+                site.positions, site.elements, moments, strict=True
+            )
+        ]
+        excess = times - np.min(offers, axis=0)
+        late, count = [*late, *excess[excess > 1e-9]], count + len(goals)
+    assert len(late) < 3e-4 * count
+    assert max(late, default=0.0) < 3.0
+
+
+@given(seeds, root_times)
+@settings(max_examples=30, deadline=None)
+def test_antidromic_flags_say_who_came_first(seed, roots):
+    """A junction is antidromic exactly where it fires before its tree alone would fire it."""
+    trees = both(seed)
+    activation = activate(TISSUE, trees, roots, 2.0)
+    sites = np.concatenate([np.full(len(t.junctions), k) for k, t in enumerate(trees)])
+    for k, (tree, times) in enumerate(zip(trees, activation.trees, strict=True)):
+        through_tree = times[0] + tree.lengths[tree.junctions] / 2.0
+        antidromic = activation.antidromic[k]
+        assert (times[tree.junctions][antidromic] <= through_tree[antidromic] + 1e-9).all()
+        np.testing.assert_allclose(times[tree.junctions][~antidromic], through_tree[~antidromic])
+        entered_by = activation.entered_by[k]
+        assert (antidromic == (entered_by >= 0)).all()
+        own = np.flatnonzero(sites == k)
+        assert (entered_by[antidromic] != own[antidromic]).all()
+
+
+def test_monotone_on_a_heart(crtdemo_model):
+    """A fourth stimulus beside three: the share of vertices that it makes later, and by how much.
+
+    A front that comes first cuts off rays that would have come first further on. Measured in 100
+    runs each, left root late, left root silent, both silent: in 31, 24 and 50 of them a vertex is
+    later, 0.05 to 0.09 % of all, by 0.3 to 0.4 ms on average and 6.2 ms at most; a node of a tree
+    by 0.8 ms.
+    """
+    vertices, tissue = crtdemo_model.heart.vertices, crtdemo_model.tissue
+    trees = crtdemo_model.grow(EXAMPLE_PARAMETERS)
+    differences = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        chosen = vertices[rng.choice(len(vertices), 4, replace=False)] + rng.normal(0, 0.3, (4, 3))
+        moments = rng.uniform(0, 60, 4)
+        three, four = (
+            activate(tissue, trees, (np.inf, 0.0), 3.0, stimuli=chosen[:k], times=moments[:k])
+            for k in (3, 4)
+        )
+        differences.append(four.myocardium - three.myocardium)
+    later = np.array(differences)
+    assert (later > 1e-9).mean() < 2e-3
+    assert later[later > 1e-9].mean() < 0.6
+    assert later.max() < 8.0
+    assert (later < -1.0).any(axis=1).mean() > 0.5, "most stimuli should capture something"

@@ -1,0 +1,204 @@
+"""`simulate_many`: any executor, same results in order, small tasks; and what is remembered."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fascicle.forward
+from fascicle.eikonal.scenario import Scenario, Slowing, Stimulus
+from fascicle.errors import InputError
+from fascicle.forward import REMEMBERED, ForwardModel
+from fascicle.geometry.conduction import Conduction, Region
+from fascicle.parameters import EXAMPLE_PARAMETERS
+from fascicle.tree.purkinje import InvalidTree
+
+SMALL_TASK = 20_000  # bytes
+SEVERAL = [
+    EXAMPLE_PARAMETERS,
+    EXAMPLE_PARAMETERS | {"root_time": -30.0},
+    EXAMPLE_PARAMETERS | {"rv_initial_length": 300.0},  # does not fit
+    EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": 0.2, "cv": 2.2},
+]
+
+
+class FarAway(Executor):
+    """Does everything through pickles, as a cluster does, and weighs them."""
+
+    def __init__(self):
+        self.sizes = []
+
+    def submit(self, fn, /, *args, **kwargs):
+        task = pickle.dumps((fn, args, kwargs))
+        self.sizes.append(len(task))
+        there, there_args, there_kwargs = pickle.loads(task)  # noqa: S301
+        future = Future()
+        try:
+            result = there(*there_args, **there_kwargs)
+            future.set_result(pickle.loads(pickle.dumps(result)))  # noqa: S301
+        except Exception as error:  # noqa: BLE001 - what an executor does
+            future.set_exception(error)
+        return future
+
+
+@pytest.fixture(scope="module")
+def scenario(default_heart):
+    place = tuple(default_heart.vertices[5962].tolist())
+    return Scenario((Stimulus(-5.0, place),), (Slowing("lv", 0.0, "bundle"),), silent=("rv",))
+
+
+@pytest.fixture(scope="module")
+def expected(default_model, scenario):
+    return [default_model.simulate(p, scenario) for p in SEVERAL]
+
+
+def assert_same(found, expected):
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
+        if isinstance(other, InvalidTree):
+            assert one == other
+            continue
+        np.testing.assert_array_equal(one.activation, other.activation)
+        np.testing.assert_array_equal(one.ecg.to_numpy(), other.ecg.to_numpy())
+        assert one.ecg.time.equals(other.ecg.time)
+        np.testing.assert_array_equal(one.coupled.origin, other.coupled.origin)
+        for tree, same in zip(one.trees, other.trees, strict=True):
+            np.testing.assert_array_equal(tree.nodes, same.nodes)
+
+
+def test_expected_differ(expected):
+    """Or else their order would not show."""
+    assert isinstance(expected[2], InvalidTree)
+    times = [e.activation for k, e in enumerate(expected) if k != 2]
+    assert not np.array_equal(times[0], times[2])
+    assert expected[0].ecg.time.to_numpy()[0] == -5.0
+
+
+def test_threads(default_model, scenario, expected):
+    with ThreadPoolExecutor(3) as executor:
+        assert_same(default_model.simulate_many(SEVERAL, executor, scenario), expected)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_processes(default_model, scenario, expected, method):
+    if method not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"no {method} on this machine")
+    context = multiprocessing.get_context(method)
+    with ProcessPoolExecutor(2, mp_context=context) as executor:
+        assert_same(default_model.simulate_many(iter(SEVERAL), executor, scenario), expected)
+
+
+def test_an_executor_as_a_cluster_has_it(default_model, scenario, expected):
+    executor = FarAway()
+    assert_same(default_model.simulate_many(SEVERAL, executor, scenario), expected)
+    assert len(executor.sizes) == len(SEVERAL)
+    assert max(executor.sizes) < SMALL_TASK
+
+
+def test_settings_of_the_model_go_along(default_heart):
+    """Conduction with regions, and growth rules, not only the heart."""
+    place = tuple(default_heart.vertices[5962].tolist())
+    model = ForwardModel(
+        default_heart,
+        Conduction(alpha=0.07, regions=(Region(0.0, centre=place, radius=12.0),)),
+        fascicle.forward.GrowthRules(generations=12),
+    )
+    alone = [model.simulate(p) for p in SEVERAL[:2]]
+    assert alone[0].unreached.any()
+    assert_same(model.simulate_many(SEVERAL[:2], FarAway()), alone)
+
+
+@pytest.mark.xfail(reason="the scenario, trees and all, is pickled into every task")
+def test_a_tree_of_your_own_is_not_sent_with_every_task(default_model):
+    mine = replace(default_model.grow(EXAMPLE_PARAMETERS)[0], side="mine")
+    executor = FarAway()
+    default_model.simulate_many(SEVERAL[:1], executor, Scenario(trees=((mine, 0.0),)))
+    assert max(executor.sizes) < SMALL_TASK
+
+
+def test_two_models_take_turns_in_one_worker(default_model, default_heart):
+    """A worker keeps the last model it read, and must not take it for another."""
+    fast = ForwardModel(default_heart, Conduction(alpha=0.1))
+    for model in (default_model, fast, default_model):
+        assert_same(model.simulate_many(SEVERAL[:1], FarAway()), [model.simulate(SEVERAL[0])])
+
+
+def test_shared_file_is_gone_afterwards(default_model, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    default_model.simulate_many(SEVERAL[:1], FarAway())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("executor", [FarAway, ThreadPoolExecutor])
+def test_a_wrong_parameter_is_refused_as_by_simulate(default_model, executor):
+    with pytest.raises(InputError, match="unknown parameter 'rooot_time'"):
+        default_model.simulate_many([EXAMPLE_PARAMETERS | {"rooot_time": 1.0}], executor())
+
+
+class TestRememberedTrees:
+    @pytest.fixture
+    def grown(self, monkeypatch):
+        """Sides of the trees that are grown from now on."""
+        sides, grow = [], fascicle.forward.grow_from_parameters
+
+        def spy(side, *args):
+            sides.append(side)
+            return grow(side, *args)
+
+        monkeypatch.setattr(fascicle.forward, "grow_from_parameters", spy)
+        return sides
+
+    @pytest.fixture
+    def model(self, default_model):
+        """With nothing remembered yet."""
+        return ForwardModel(default_model.heart, prepared=default_model.prepared)
+
+    def test_speed_and_times_grow_nothing(self, model, grown, default_model):
+        model.simulate(EXAMPLE_PARAMETERS)
+        assert grown == ["lv", "rv"]
+        changed = EXAMPLE_PARAMETERS | {"cv": 2.3, "root_time": -17.0}
+        again = model.simulate(changed)
+        model.simulate(changed, Scenario(silent=("lv",)))
+        trees = model.grow(EXAMPLE_PARAMETERS)
+        assert grown == ["lv", "rv"]
+        fresh = ForwardModel(model.heart, prepared=model.prepared).simulate(changed)
+        assert_same([again], [fresh])
+        assert trees[0] is again.trees[0]
+
+    @pytest.mark.parametrize("name", [n for n in EXAMPLE_PARAMETERS if n[:2] in ("lv", "rv")])
+    def test_every_other_parameter_grows_anew(self, model, grown, name):
+        model.grow(EXAMPLE_PARAMETERS)
+        model.grow(EXAMPLE_PARAMETERS | {name: EXAMPLE_PARAMETERS[name] + 0.01})
+        assert grown == ["lv", "rv"] * 2
+
+    def test_what_does_not_fit_is_remembered_too(self, model, grown):
+        outcomes = [model.simulate(SEVERAL[2] | {"cv": cv}) for cv in (2.0, 3.0)]
+        assert grown == ["lv", "rv"]
+        assert outcomes[0] == outcomes[1]
+        assert isinstance(outcomes[0], InvalidTree)
+
+    def test_a_few_are_remembered(self, model, grown):
+        angles = 0.1 * np.arange(REMEMBERED + 1)
+        for angle in angles:
+            model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angle})
+        grown.clear()
+        model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angles[1]})
+        assert grown == []
+        model.grow(EXAMPLE_PARAMETERS | {"lv_fascicle_angle_1": angles[0]})
+        assert grown == ["lv", "rv"]
+
+    def test_trees_with_a_scenario_do_not_stay(self, model):
+        """An extra tree or stimulus of one call must not be there in the next."""
+        before = model.simulate(EXAMPLE_PARAMETERS)
+        mine = replace(before.trees[0], side="mine")
+        place = tuple(model.heart.vertices[5962].tolist())
+        model.simulate(EXAMPLE_PARAMETERS, Scenario((Stimulus(0.0, place),), trees=((mine, 0.0),)))
+        after = model.simulate(EXAMPLE_PARAMETERS)
+        assert_same([after], [before])
+        assert len(after.trees) == 2
+        assert len(after.coupled.stimuli) == 0

@@ -1,0 +1,258 @@
+"""What depends on a heart alone is kept on disk: read back the same, and never in the way."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fascicle import compilation, preparation
+from fascicle.compilation import STEPS, Compilation
+from fascicle.ecg.action_potential import Upstroke
+from fascicle.errors import InputError
+from fascicle.forward import ForwardModel
+from fascicle.geometry.conduction import Conduction, Region
+from fascicle.io.atomic import DISPOSABLE
+from fascicle.io.hearts import load_heart, write_heart
+from fascicle.parameters import EXAMPLE_PARAMETERS
+from fascicle.preparation import KEPT, prepare
+
+
+@pytest.fixture
+def built(monkeypatch):
+    """How often anything is built from now on."""
+    calls, build = [], preparation.build
+
+    def spy(*args):
+        calls.append(args)
+        return build(*args)
+
+    monkeypatch.setattr(preparation, "build", spy)
+    return calls
+
+
+@pytest.fixture
+def heart(tmp_path):
+    """Four tetrahedra, as if read from a folder."""
+    return replace(compilation._smallest_heart(), folder=tmp_path)
+
+
+def kept(heart):
+    return sorted((heart.folder / DISPOSABLE).glob("*"))
+
+
+def assert_same(one, other):
+    for field in one.tissue.mesh._fields:
+        np.testing.assert_array_equal(
+            getattr(one.tissue.mesh, field), getattr(other.tissue.mesh, field), err_msg=field
+        )
+    for field in ("order", "conducts", "surface", "owner"):
+        np.testing.assert_array_equal(getattr(one.tissue, field), getattr(other.tissue, field))
+    for side in ("lv", "rv"):
+        for field in ("points", "neighbours", "metric"):
+            ours, theirs = (getattr(p.charts[side], field) for p in (one, other))
+            np.testing.assert_array_equal(ours, theirs)
+        assert one.seeds[side].triangle == other.seeds[side].triangle
+    for field in ("corners", "weights"):
+        ours, theirs = (getattr(p.electrocardiograph, field) for p in (one, other))
+        np.testing.assert_array_equal(ours, theirs)
+
+
+class TestCache:
+    def test_second_time_it_is_read(self, heart, built):
+        first = prepare(heart, Conduction(), Upstroke())
+        assert (len(built), len(kept(heart))) == (1, 1)
+        second = prepare(heart, Conduction(), Upstroke())
+        assert (len(built), len(kept(heart))) == (1, 1)
+        assert_same(first, second)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"fibres": np.tile([0.0, 1.0, 0.0], (4, 1))},
+            {"electrodes": np.full((9, 3), 70.0)},
+            {"regions": np.array([0, 0, 1, 1])},
+        ],
+        ids=lambda change: next(iter(change)),
+    )
+    def test_another_heart_has_another_key(self, heart, built, change):
+        prepare(heart, Conduction(), Upstroke())
+        prepare(replace(heart, **change), Conduction(), Upstroke())
+        assert (len(built), len(kept(heart))) == (2, 2)
+
+    @pytest.mark.parametrize(
+        "conduction",
+        [
+            Conduction(alpha=0.06),
+            Conduction(torso=1.0),
+            Conduction(intracellular_t=0.31),
+            Conduction(regions=(Region(0.5, centre=(0.0, 0.0, 0.0), radius=50.0),)),
+        ],
+        ids=["alpha", "torso", "transverse", "region"],
+    )
+    def test_another_conduction_has_another_key(self, heart, built, conduction):
+        plain = prepare(heart, Conduction(), Upstroke())
+        other = prepare(heart, conduction, Upstroke())
+        assert (len(built), len(kept(heart))) == (2, 2)
+        with pytest.raises(AssertionError):
+            assert_same(plain, other)
+
+    def test_names_and_places_are_no_part_of_the_key(self, heart, built):
+        """What a heart is called, or which file a region came from, changes no number."""
+        region = Region(0.5, centre=(0.0, 0.0, 0.0), radius=50.0)
+        prepare(heart, Conduction(regions=(region,)), Upstroke())
+        named = replace(region, source="case.toml")
+        prepare(replace(heart, name="other"), Conduction(regions=(named,)), Upstroke())
+        assert len(built) == 1
+
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            lambda file: file.write_bytes(b""),
+            lambda file: file.write_bytes(b"not a zip file"),
+            lambda file: file.write_bytes(file.read_bytes()[:-500]),
+            lambda file: file.write_bytes(
+                file.read_bytes()[:3000] + b"\xff" * 200 + file.read_bytes()[3200:]
+            ),
+            lambda file: np.savez(file, nothing=np.zeros(3)),
+            lambda file: np.savez(file, nothing=np.array([{"a": 1}])),
+        ],
+        ids=["empty", "text", "truncated", "garbled", "other arrays", "pickle"],
+    )
+    def test_a_damaged_file_is_made_again(self, heart, built, damage):
+        first = prepare(heart, Conduction(), Upstroke())
+        damage(kept(heart)[0])
+        again = prepare(heart, Conduction(), Upstroke())
+        assert len(built) == 2
+        assert_same(first, again)
+        assert_same(first, prepare(heart, Conduction(), Upstroke()))
+        assert (len(built), len(kept(heart))) == (2, 1)
+
+    def test_only_a_few_files_stay(self, heart, built):
+        speeds = [Conduction(alpha=0.05 + 0.01 * k) for k in range(KEPT + 2)]
+        for moment, conduction in enumerate(speeds):
+            prepare(heart, conduction, Upstroke())
+            newest = max(kept(heart), key=lambda file: file.stat().st_mtime_ns)
+            os.utime(newest, (1e9 + moment, 1e9 + moment))  # file systems' clocks are coarse
+            assert len(kept(heart)) == min(moment + 1, KEPT)
+        prepare(heart, speeds[-1], Upstroke())
+        assert len(built) == KEPT + 2
+        prepare(heart, speeds[0], Upstroke())
+        assert len(built) == KEPT + 3
+
+
+class TestWithoutCache:
+    def test_no_folder(self, heart, built):
+        for _ in range(2):
+            prepare(replace(heart, folder=None), Conduction(), Upstroke())
+        assert len(built) == 2
+        assert kept(heart) == []
+
+    def test_folder_that_is_read_only(self, heart, built, monkeypatch):
+        monkeypatch.setattr("os.access", lambda path, mode: False)
+        prepare(heart, Conduction(), Upstroke())
+        assert len(built) == 1
+        assert list(heart.folder.iterdir()) == []
+
+    def test_a_file_in_the_cache_s_place(self, heart, built):
+        (heart.folder / DISPOSABLE).write_text("mine")
+        prepare(heart, Conduction(), Upstroke())
+        assert len(built) == 1
+        assert (heart.folder / DISPOSABLE).read_text() == "mine"
+
+    @pytest.mark.parametrize(
+        "error", [PermissionError(13, "denied"), OSError(28, "full"), InputError("no place")]
+    )
+    def test_a_cache_that_cannot_be_written(self, heart, built, monkeypatch, error):
+        def fail(*_):
+            raise error
+
+        monkeypatch.setattr(preparation, "save", fail)
+        prepared = prepare(heart, Conduction(), Upstroke())
+        assert_same(prepared, preparation.build(heart, Conduction(), Upstroke()))
+
+    def test_a_file_that_another_process_takes_away(self, heart, built, monkeypatch):
+        """Between listing and looking at it."""
+        prepare(heart, Conduction(), Upstroke())
+        gone = heart.folder / DISPOSABLE / "gone.npz"
+        gone.symlink_to(heart.folder / "nowhere.npz")
+        prepare(heart, Conduction(alpha=0.06), Upstroke())
+        assert len(built) == 2
+
+    def test_the_packaged_heart_keeps_nothing(self, default_heart):
+        assert default_heart.folder is None
+
+
+class TestRealHeart:
+    @pytest.fixture(scope="class")
+    def folder(self, default_heart, tmp_path_factory):
+        folder = tmp_path_factory.mktemp("hearts") / "adult"
+        write_heart(default_heart, folder)
+        return folder
+
+    def test_simulations_are_bitwise_the_same(self, folder, built):
+        simulations = [
+            ForwardModel(load_heart(folder)).simulate(EXAMPLE_PARAMETERS) for _ in range(2)
+        ]
+        assert len(built) == 1
+        one, other = simulations
+        np.testing.assert_array_equal(one.activation, other.activation)
+        np.testing.assert_array_equal(one.ecg.to_numpy(), other.ecg.to_numpy())
+        np.testing.assert_array_equal(one.coupled.origin, other.coupled.origin)
+        for tree, same in zip(one.trees, other.trees, strict=True):
+            np.testing.assert_array_equal(tree.nodes, same.nodes)
+
+    def test_writing_over_it_is_allowed_and_begins_anew(self, folder, default_heart, built):
+        """The cache may be lost; the reader's own files may not."""
+        prepare(load_heart(folder), Conduction(), Upstroke())
+        assert (folder / DISPOSABLE).is_dir()
+        write_heart(default_heart, folder)
+        assert not (folder / DISPOSABLE).exists()
+        (folder / "notes.txt").write_text("mine")
+        with pytest.raises(InputError, match=r"notes\.txt"):
+            write_heart(default_heart, folder)
+        (folder / "notes.txt").unlink()
+
+
+class TestCompilation:
+    def test_says_nothing_where_nothing_is_slow(self, monkeypatch):
+        Compilation(lambda *_: None).run()  # now everything is compiled
+        monkeypatch.setattr(compilation, "PATIENCE", 60.0)
+        told = []
+        Compilation(lambda *what: told.append(what)).run()
+        assert told == []
+
+    def test_tells_how_far_it_is_where_it_takes_long(self, monkeypatch):
+        monkeypatch.setattr(compilation, "PATIENCE", 0.0)
+        told, steps = [], compilation._steps
+
+        def slow_steps():
+            import time
+
+            time.sleep(0.1)
+            yield from steps()
+
+        monkeypatch.setattr(compilation, "_steps", slow_steps)
+        Compilation(lambda *what: told.append(what)).run()
+        assert [what[:3] for what in told] == [
+            ("compilation", done, STEPS) for done in range(STEPS + 1)
+        ]
+
+    def test_leaves_no_timer_behind_when_it_fails(self, monkeypatch):
+        import threading
+
+        def broken():
+            raise RuntimeError("no compiler")
+            yield
+
+        monkeypatch.setattr(compilation, "_steps", broken)
+        before, told = threading.active_count(), []
+        with pytest.raises(RuntimeError, match="no compiler"):
+            Compilation(lambda *what: told.append(what)).run()
+        for thread in threading.enumerate():
+            if isinstance(thread, threading.Timer):
+                thread.join(2.0)
+        assert threading.active_count() <= before
+        assert told == []
