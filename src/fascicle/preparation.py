@@ -100,7 +100,8 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
     """Write the arrays, and those of the heart if it is given, whole or not at all."""
     tissue, ecg = prepared.tissue, prepared.electrocardiograph
     arrays: dict[str, NDArray[np.generic]] = {
-        f"mesh.{name}": np.asarray(value) for name, value in tissue.mesh._asdict().items()
+        f"mesh.{name}": np.asarray(value)
+        for name, value in tissue.mesh._asdict().items()
         if name != "across"  # the same memory as the cells
     }
     for name in ("order", "conducts", "surface", "owner"):

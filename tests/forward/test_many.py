@@ -36,11 +36,11 @@ class FarAway(Executor):
     def submit(self, fn, /, *args, **kwargs):
         task = pickle.dumps((fn, args, kwargs))
         self.sizes.append(len(task))
-        there, there_args, there_kwargs = pickle.loads(task)  # noqa: S301
+        there, there_args, there_kwargs = pickle.loads(task)
         future = Future()
         try:
             result = there(*there_args, **there_kwargs)
-            future.set_result(pickle.loads(pickle.dumps(result)))  # noqa: S301
+            future.set_result(pickle.loads(pickle.dumps(result)))
         except Exception as error:  # noqa: BLE001 - what an executor does
             future.set_exception(error)
         return future

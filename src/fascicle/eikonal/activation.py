@@ -189,8 +189,8 @@ def solve(
     )
     factor = np.ones(count)
     factor[: coupling.nodes[-1]] = speed
-    with np.errstate(divide="ignore", invalid="ignore"):  # blocked segments take forever
-        travel = np.where(coupling.lengths > 0, coupling.lengths / (cv * factor), 0.0)
+    travel = np.full(count, np.inf)  # what is blocked takes forever
+    np.divide(coupling.lengths, cv * factor, out=travel, where=factor > 0)
     origin = np.full(vertices + count, FROM_ROOT)
     entered_by = np.full(sites, -1)
     sweep(
@@ -226,7 +226,7 @@ def solve(
         entered,
         coupling.site.positions[junctions:],
         stimulated,
-        firing[coupling.nodes[-1] :] == stimulated,
+        (firing[coupling.nodes[-1] :] == stimulated) & (coupling.site.elements[junctions:] >= 0),
         _pieces(coupling.site.distances, coupling.junctions),
     )
 

@@ -1,11 +1,13 @@
 """Trees and myocardium in one label-correcting sweep."""
 
+import math
+
 import numpy as np
 from numba import njit
 
 from fascicle.kernels.local_solver import from_face, from_new_corner
 from fascicle.kernels.queue import lower, pop
-from fascicle.kernels.ray import ray_time, travel
+from fascicle.kernels.ray import ray_time, slowness_along, travel
 
 # Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
 SETTLED = 1e-10
@@ -14,52 +16,321 @@ SETTLED = 1e-10
 # a medium that is everywhere as at its site.
 NEAR = 0.9
 
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner: a, b, c
 # SIDES[s]: where among a tetrahedron's six squared lengths stand those from corner s to a, b, c,
-# and ab, ac, bc, where a, b, c are the other corners in ascending order
+# and ab, ac, bc
 SIDES = np.array([[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]])
-ABC = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # the other corners
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _earliest(a, b, c, time):
-    """The earliest of three nodes."""
-    if time[b] < time[a]:
-        a = b
-    return c if time[c] < time[a] else a
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _squares_to_corners(point, tetrahedron, mesh):
-    """Squared travel times (ms²) from a point in a tetrahedron to its corners."""
-    squares = np.empty(4)
-    for c in range(4):
-        corner = mesh.vertices[mesh.corners[tetrahedron, c]]
-        squares[c] = travel(
-            mesh.cells, tetrahedron,
-            corner[0] - point[0], corner[1] - point[1], corner[2] - point[2],
-        ) ** 2  # fmt: skip
-    return squares
 
 
 @njit(cache=True, nogil=True)
-def _arrival_inside(point, tetrahedron, mesh, time):
-    """Earliest arrival (ms) at a point of a tetrahedron, from its four faces."""
-    best = np.inf
-    row = mesh.squares[tetrahedron]
-    to_corner = _squares_to_corners(point, tetrahedron, mesh)
-    for skip in range(4):
-        i, j, k = ABC[skip, 0], ABC[skip, 1], ABC[skip, 2]
-        aii, ajj, akk = to_corner[i], to_corner[j], to_corner[k]
-        aij = 0.5 * (aii + ajj - row[SIDES[skip, 3]])
-        aik = 0.5 * (aii + akk - row[SIDES[skip, 4]])
-        ajk = 0.5 * (ajj + akk - row[SIDES[skip, 5]])
-        ti, tj, tk = (
-            time[mesh.corners[tetrahedron, i]],
-            time[mesh.corners[tetrahedron, j]],
-            time[mesh.corners[tetrahedron, k]],
+def _at_best(vertex, x, y, z, square, time, origin, gradient, fired, points):
+    """Time (ms) at a point of the front that fired a vertex, were the medium as it is between them.
+
+    `square` is the squared travel time (ms²) between the two. The front is a sphere about a source
+    w ago; where that is not known, it is least, which makes it earlier.
+    """
+    if time[vertex] == np.inf:
+        return np.inf
+    onwards = (
+        gradient[vertex, 0] * (x - points[vertex, 0])
+        + gradient[vertex, 1] * (y - points[vertex, 1])
+        + gradient[vertex, 2] * (z - points[vertex, 2])
+    )
+    if origin[vertex] < 0:
+        return time[vertex] + onwards
+    w = time[vertex] - fired[origin[vertex]]
+    return fired[origin[vertex]] + math.sqrt(max(w * w + 2.0 * w * onwards + square, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def _lowered(
+    at, i, j, k, ii, jj, kk, arrival, inside, tetrahedron,
+    time, origin, gradient, fired, points, corners, cells,
+):  # fmt: skip
+    """Lower a vertex to its arrival from the face i, j, k; returns whether that was lower.
+
+    Where the corners were fired by fronts that run against each other, the time between them is
+    later than interpolation makes it: then the arrival is at least the earliest that one of these
+    fronts can be there. `ii`, `jj`, `kk` are the squared travel times from the corners (ms²).
+    """
+    first = i
+    if time[j] < time[first]:
+        first = j
+    if time[k] < time[first]:
+        first = k
+    x, y, z = points[at, 0], points[at, 1], points[at, 2]
+    if origin[i] != origin[j] or origin[i] != origin[k]:
+        least = np.inf
+        for turn in range(3):
+            corner = i if turn == 0 else np.int64(j) if turn == 1 else np.int64(k)
+            square = ii if turn == 0 else jj if turn == 1 else kk
+            if time[corner] < arrival:  # others are not on the way
+                own = _at_best(corner, x, y, z, square, time, origin, gradient, fired, points)
+                if own < least:
+                    least, first = own, corner
+        if least > arrival:
+            arrival, inside = least, False
+            if not arrival < time[at] - SETTLED:
+                return False
+    time[at], origin[at] = arrival, origin[first]
+    for d in range(3):
+        if inside:
+            gradient[at, d] = 0.0
+            for c in range(4):
+                gradient[at, d] += time[corners[tetrahedron, c]] * cells[tetrahedron, 4 * d + c]
+        else:
+            gradient[at, d] = gradient[first, d]
+    if not inside and origin[first] >= 0:  # the same sphere as at the corner
+        w = time[first] - fired[origin[first]]
+        slowness_along(
+            cells, tetrahedron,
+            x - points[first, 0], y - points[first, 1], z - points[first, 2], gradient[at],
+        )  # fmt: skip
+        here, there = gradient[at], gradient[first]
+        way = travel(
+            cells, tetrahedron, x - points[first, 0], y - points[first, 1], z - points[first, 2]
         )
-        best = min(best, from_face(aii, aij, aik, ajj, ajk, akk, ti, tj, tk))
+        age = max(arrival - fired[origin[first]], 1e-9)
+        for d in range(3):
+            here[d] = (w * there[d] + way * here[d]) / age
+    return True
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _through_tree(node, vertices, start, link, travel_time, site_of,
+                  time, origin, entered_by, heap, place, size):  # fmt: skip
+    """From a tree node along its segments; returns the queue's size."""
+    now = time[vertices + node]
+    for k in range(start[node], start[node + 1]):
+        other, arrival = vertices + link[k], now + travel_time[k]
+        if arrival < time[other] - SETTLED:
+            time[other], origin[other] = arrival, origin[vertices + node]
+            if site_of[link[k]] >= 0:
+                entered_by[site_of[link[k]]] = -1
+            size = lower(other, time, heap, place, size)
+    return size
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _through_elements(node, star_start, star, star_vertex, reach, height, squares,
+                      points, corners, cells, time, origin, gradient, fired,
+                      heap, place, size):  # fmt: skip
+    """From a vertex through the elements around it; returns the queue's size."""
+    now = time[node]
+    for k in range(star_start[node], star_start[node + 1]):
+        va, vb, vc = star_vertex[k, 0], star_vertex[k, 1], star_vertex[k, 2]
+        ta, tb, tc = time[va], time[vb], time[vc]
+        # corner a from the face of the node, b and c; then the others
+        to_a = now + reach[k, 0] < ta and min(now, tb, tc) + height[k, 0] < ta
+        to_b = now + reach[k, 1] < tb and min(now, ta, tc) + height[k, 1] < tb
+        to_c = now + reach[k, 2] < tc and min(now, ta, tb) + height[k, 2] < tc
+        if not (to_a or to_b or to_c):
+            continue
+        t, s = star[k] >> 2, star[k] & 3
+        sa, sb, sc = squares[t, SIDES[s, 0]], squares[t, SIDES[s, 1]], squares[t, SIDES[s, 2]]
+        ab, ac, bc = squares[t, SIDES[s, 3]], squares[t, SIDES[s, 4]], squares[t, SIDES[s, 5]]
+        if to_a:
+            arrival, inside = from_new_corner(
+                sa, 0.5 * (sa + ab - sb), 0.5 * (sa + ac - sc),
+                ab, 0.5 * (ab + ac - bc), ac, now, tb, tc,
+            )  # fmt: skip
+            if arrival < ta - SETTLED and _lowered(
+                va, node, vb, vc, sa, ab, ac, arrival, inside, t,
+                time, origin, gradient, fired, points, corners, cells,
+            ):  # fmt: skip
+                ta = time[va]
+                size = lower(va, time, heap, place, size)
+        if to_b:
+            arrival, inside = from_new_corner(
+                sb, 0.5 * (sb + ab - sa), 0.5 * (sb + bc - sc),
+                ab, 0.5 * (ab + bc - ac), bc, now, ta, tc,
+            )  # fmt: skip
+            if arrival < tb - SETTLED and _lowered(
+                vb, node, va, vc, sb, ab, bc, arrival, inside, t,
+                time, origin, gradient, fired, points, corners, cells,
+            ):  # fmt: skip
+                tb = time[vb]
+                size = lower(vb, time, heap, place, size)
+        if to_c:
+            arrival, inside = from_new_corner(
+                sc, 0.5 * (sc + ac - sa), 0.5 * (sc + bc - sb),
+                ac, 0.5 * (ac + bc - ab), bc, now, ta, tb,
+            )  # fmt: skip
+            if arrival < tc - SETTLED and _lowered(
+                vc, node, va, vb, sc, ac, bc, arrival, inside, t,
+                time, origin, gradient, fired, points, corners, cells,
+            ):  # fmt: skip
+                size = lower(vc, time, heap, place, size)
+    return size
+
+
+@njit(cache=True, nogil=True)
+def _arrival_inside(
+    x, y, z, t, squares, points, corners, cells, time, origin, gradient, fired
+):  # fmt: skip
+    """Earliest arrival (ms) at a point of tetrahedron t, from its four faces."""
+    best = np.inf
+    to_corner = np.empty(4)
+    for c in range(4):
+        v = corners[t, c]
+        to_corner[c] = travel(cells, t, points[v, 0] - x, points[v, 1] - y, points[v, 2] - z) ** 2
+    for skip in range(4):
+        i, j, k = OTHERS[skip, 0], OTHERS[skip, 1], OTHERS[skip, 2]
+        aii, ajj, akk = to_corner[i], to_corner[j], to_corner[k]
+        aij = 0.5 * (aii + ajj - squares[t, SIDES[skip, 3]])
+        aik = 0.5 * (aii + akk - squares[t, SIDES[skip, 4]])
+        ajk = 0.5 * (ajj + akk - squares[t, SIDES[skip, 5]])
+        vi, vj, vk = corners[t, i], corners[t, j], corners[t, k]
+        arrival = from_face(aii, aij, aik, ajj, ajk, akk, time[vi], time[vj], time[vk])
+        if arrival < best and (origin[vi] != origin[vj] or origin[vi] != origin[vk]):
+            least = min(
+                _at_best(vi, x, y, z, aii, time, origin, gradient, fired, points),
+                _at_best(vj, x, y, z, ajj, time, origin, gradient, fired, points),
+                _at_best(vk, x, y, z, akk, time, origin, gradient, fired, points),
+            )
+            arrival = max(arrival, least)
+        best = min(best, arrival)
     return best
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _into_trees(node, reader_start, reader, positions, elements, node_of, delay, squares,
+                points, corners, cells, time, origin, gradient, fired, entered_by,
+                heap, place, size):  # fmt: skip
+    """From a vertex to the sites in the elements around it; returns the queue's size."""
+    for k in range(reader_start[node], reader_start[node + 1]):
+        site = reader[k]
+        other, t = node_of[site], elements[site]
+        earliest = time[node]
+        for c in range(4):
+            earliest = min(earliest, time[corners[t, c]])
+        if earliest + delay[site] >= time[other]:
+            continue
+        arrival = delay[site] + _arrival_inside(
+            positions[site, 0], positions[site, 1], positions[site, 2], t,
+            squares, points, corners, cells, time, origin, gradient, fired,
+        )  # fmt: skip
+        if arrival < time[other] - SETTLED:
+            time[other], origin[other], entered_by[site] = arrival, site, origin[node]
+            size = lower(other, time, heap, place, size)
+    return size
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _find(target, site, head, ray_site, ray_next):
+    """The ray from a site to a target, or -1."""
+    entry = head[target]
+    while entry >= 0 and ray_site[entry] != site:
+        entry = ray_next[entry]
+    return entry
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _fire(site, fired, positions, elements, points, corners, cells, time, origin, gradient,
+          heap, place, size, head, ray_site, ray_way, ray_next, rays):  # fmt: skip
+    """From a site to the corners of its element, along its first rays.
+
+    Returns the sizes of the queue and of the list of rays.
+    """
+    t = elements[site]
+    for c in range(4):
+        vertex = corners[t, c]
+        x = points[vertex, 0] - positions[site, 0]
+        y = points[vertex, 1] - positions[site, 1]
+        z = points[vertex, 2] - positions[site, 2]
+        way = travel(cells, t, x, y, z)
+        if _find(vertex, site, head, ray_site, ray_next) < 0:
+            ray_site[rays], ray_way[rays], ray_next[rays] = site, way, head[vertex]
+            head[vertex] = rays
+            rays += 1
+        if fired[site] + way < time[vertex] - SETTLED:
+            time[vertex], origin[vertex] = fired[site] + way, site
+            slowness_along(cells, t, x, y, z, gradient[vertex])
+        # its new ray is to be followed even where it is not the first
+        size = lower(vertex, time, heap, place, size)
+    return size, rays
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _along_rays(node, fired, link_start, link, reader_start, reader, positions, elements, node_of,
+                antidromic, points, cells, across, slowness, slack,
+                time, origin, gradient, entered_by, heap, place, size,
+                head, ray_site, ray_way, ray_next, rays):  # fmt: skip
+    """From a vertex along the rays that come through it.
+
+    Returns the sizes of the queue and of the list of rays, and how many were traced.
+    """
+    vertices, traced = len(points), 0
+    now = time[node]
+    degree = link_start[node + 1] - link_start[node]
+    targets = degree + reader_start[node + 1] - reader_start[node]
+    here = head[node]
+    while here >= 0:
+        site, way = ray_site[here], ray_way[here]
+        here = ray_next[here]
+        if way < 0.0 or not (fired[site] + way - now) * way <= slack:
+            continue
+        spare = slack / max(way, 1e-3)
+        first = fired[site] + way <= now + SETTLED
+        px, py, pz = positions[site, 0], positions[site, 1], positions[site, 2]
+        for k in range(targets):
+            if k < degree:
+                target = link[link_start[node] + k]
+                other, delay = target, 0.0
+                x, y, z = points[target, 0], points[target, 1], points[target, 2]
+            else:
+                entered = reader[reader_start[node] + k - degree]
+                if entered == site:
+                    continue
+                target, other, delay = vertices + entered, node_of[entered], antidromic[entered]
+                x, y, z = positions[entered, 0], positions[entered, 1], positions[entered, 2]
+            limit = time[other] + spare - fired[site] - delay
+            # as fast as the medium is at the site, would it be anywhere near first?
+            if NEAR * travel(cells, elements[site], x - px, y - py, z - pz) >= limit:
+                continue
+            entry = _find(target, site, head, ray_site, ray_next)
+            new = entry < 0
+            if new:
+                entry = rays
+                ray_site[rays], ray_way[rays], ray_next[rays] = site, -0.0, head[target]
+                head[target] = rays
+                rays += 1
+            if new or (ray_way[entry] < 0.0 and -ray_way[entry] < limit):
+                # not tried yet, or given up when this much was not wanted
+                traced += 1
+                new = True
+                ray_way[entry], end = ray_time(
+                    px, py, pz, elements[site], x, y, z, limit, slowness, first, cells, across
+                )
+            else:
+                end = elements[site]
+            if ray_way[entry] < 0.0:
+                continue
+            arrival = fired[site] + ray_way[entry] + delay
+            if arrival < time[other] - SETTLED:
+                time[other] = arrival
+                if k < degree:
+                    origin[other] = site
+                    slowness_along(cells, end, x - px, y - py, z - pz, gradient[other])
+                else:
+                    origin[other], entered_by[entered] = entered, site
+                size = lower(other, time, heap, place, size)
+            elif (
+                new
+                and k < degree
+                and place[other] < 0
+                and (arrival - time[other]) * ray_way[entry] <= slack
+            ):  # taken before this ray came, which is to be followed too
+                size = lower(other, time, heap, place, size)
+    return size, rays, traced
+
+
+@njit(cache=True, nogil=True)
+def _longer(array, capacity):
+    """A copy with room for more."""
+    longer = np.empty(capacity, array.dtype)
+    longer[: len(array)] = array
+    return longer
 
 
 @njit(cache=True, nogil=True)
@@ -74,16 +345,17 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
     fired site also offers its neighbourhood the travel time along straight rays, which is exact
     where the medium is uniform and late, never early, where it is not. Rays are followed from
     vertex to neighbour for as long as they are (within `Mesh.slack`) the first to arrive.
+    Interpolation is early where fronts collide; there it is bounded by their tangents.
 
     Parameters
     ----------
     time : (vertices + tree nodes,) array
         Times (ms); inf but at the sources. Overwritten.
     origin : (vertices + tree nodes,) array
-        The site that fired each vertex, or by which the front entered a tree; -1 at the sources.
-        Overwritten.
+        -1; overwritten by the site that fired each vertex, or by which the front entered a
+        tree; -1 stays where neither is so.
     entered_by : (sites,) array
-        The site whose front entered a tree there; else -1. Overwritten.
+        -1; overwritten by the site whose front entered a tree at each site.
     sources : (s,) array
         Nodes whose time is given.
     mesh, forest, sites : Mesh, Forest, Sites
@@ -91,202 +363,74 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
 
     Returns
     -------
-    taken, rays : int
+    taken, traced : int
         Nodes taken from the queue, counting repeats, and rays traced.
     """
-    points, corners, squares = mesh.vertices, mesh.corners, mesh.squares
-    reach, height, cells, across = mesh.reach, mesh.height, mesh.cells, mesh.across
+    points, corners, squares, cells = mesh.vertices, mesh.corners, mesh.squares, mesh.cells
     star_start, star, star_vertex = mesh.star_start, mesh.star, mesh.star_vertex
+    reach, height, across = mesh.reach, mesh.height, mesh.across
     link_start, link = mesh.link_start, mesh.link
     tree_start, tree_link, tree_time = forest.start, forest.node, forest.time
     site_of = forest.site
-    place_of, element_of, node_of = sites.positions, sites.elements, sites.node
+    positions, elements, node_of = sites.positions, sites.elements, sites.node
     orthodromic, antidromic = sites.orthodromic, sites.antidromic
-    reader_start, readers_at = sites.reader_start, sites.reader
+    reader_start, reader = sites.reader_start, sites.reader
     slowness, slack = mesh.slowness, mesh.slack
     vertices = len(points)
-    heap = np.empty(len(time), np.int64)
-    place = np.full(len(time), -1, np.int64)
-    size = 0
+    gradient = np.zeros((vertices, 3))  # of the time at each vertex, as the first front has it
+    fired = np.full(len(node_of), np.inf)  # when each site fires the myocardium
+    heap, place, size = np.empty(len(time), np.int64), np.full(len(time), -1, np.int64), 0
     for source in sources:
         size = lower(source, time, heap, place, size)
-    # the rays that were tried at each target (vertices, then sites), as linked lists
+    # the rays that were tried at each target (vertices, then sites), as linked lists: the site
+    # each comes from, and the time it takes, or below 0 the least that it can take where that was
+    # enough to know
+    capacity, rays = 8 * vertices + 64, 0
     head = np.full(vertices + len(node_of), -1, np.int64)
-    capacity = 8 * vertices + 64
-    ray_site = np.empty(capacity, np.int32)
-    ray_way = np.empty(capacity)
+    ray_site, ray_way = np.empty(capacity, np.int32), np.empty(capacity)
     ray_next = np.empty(capacity, np.int64)
-    rays = 0
-    fired = np.full(len(node_of), np.inf)
-    taken, traced = 0, 0
+    taken = traced = 0
     while size > 0:
         node, size = pop(time, heap, place, size)
         taken += 1
-        now = time[node]
+        new = 4
+        if node < vertices:  # the most rays it can add: one for each ray here and target around
+            new, entry = 0, head[node]
+            while entry >= 0:
+                new, entry = new + 1, ray_next[entry]
+            targets = link_start[node + 1] - link_start[node]
+            new *= targets + reader_start[node + 1] - reader_start[node]
+        if rays + new > capacity:
+            capacity = 2 * (rays + new)
+            ray_site, ray_way = _longer(ray_site, capacity), _longer(ray_way, capacity)
+            ray_next = _longer(ray_next, capacity)
         if node >= vertices:
-            tree_node = node - vertices
-            for k in range(tree_start[tree_node], tree_start[tree_node + 1]):
-                other, arrival = vertices + tree_link[k], now + tree_time[k]
-                if arrival < time[other] - SETTLED:
-                    time[other], origin[other] = arrival, origin[node]
-                    if site_of[tree_link[k]] >= 0:
-                        entered_by[site_of[tree_link[k]]] = -1
-                    size = lower(other, time, heap, place, size)
-            site = site_of[tree_node]
-            if site < 0 or element_of[site] < 0:
-                continue
-            fired[site] = now + orthodromic[site]
-            element = element_of[site]
-            for c in range(4):
-                vertex = corners[element, c]
-                way = travel(
-                    cells, element,
-                    points[vertex, 0] - place_of[site, 0],
-                    points[vertex, 1] - place_of[site, 1],
-                    points[vertex, 2] - place_of[site, 2],
+            size = _through_tree(
+                node - vertices, vertices, tree_start, tree_link, tree_time, site_of,
+                time, origin, entered_by, heap, place, size,
+            )  # fmt: skip
+            site = site_of[node - vertices]
+            if site >= 0 and elements[site] >= 0 and orthodromic[site] < np.inf:
+                fired[site] = time[node] + orthodromic[site]
+                size, rays = _fire(
+                    site, fired, positions, elements, points, corners, cells,
+                    time, origin, gradient, heap, place, size,
+                    head, ray_site, ray_way, ray_next, rays,
                 )  # fmt: skip
-                entry = head[vertex]
-                while entry >= 0 and ray_site[entry] != site:
-                    entry = ray_next[entry]
-                if entry < 0 and fired[site] < np.inf:
-                    if rays == capacity:
-                        capacity *= 2
-                        ray_site = _longer(ray_site, capacity)
-                        ray_way = _longer(ray_way, capacity)
-                        ray_next = _longer(ray_next, capacity)
-                    ray_site[rays], ray_way[rays], ray_next[rays] = site, way, head[vertex]
-                    head[vertex] = rays
-                    rays += 1
-                if fired[site] + way < time[vertex] - SETTLED:
-                    time[vertex], origin[vertex] = fired[site] + way, site
-                    size = lower(vertex, time, heap, place, size)
             continue
-
-        # through the elements around the vertex
-        for k in range(star_start[node], star_start[node + 1]):
-            va, vb, vc = star_vertex[k, 0], star_vertex[k, 1], star_vertex[k, 2]
-            ta, tb, tc = time[va], time[vb], time[vc]
-            # corner a from the face of the node, b and c; then the others
-            to_a = now + reach[k, 0] < ta and min(now, tb, tc) + height[k, 0] < ta
-            to_b = now + reach[k, 1] < tb and min(now, ta, tc) + height[k, 1] < tb
-            to_c = now + reach[k, 2] < tc and min(now, ta, tb) + height[k, 2] < tc
-            if not (to_a or to_b or to_c):
-                continue
-            tetrahedron, s = star[k] >> 2, star[k] & 3
-            sa = squares[tetrahedron, SIDES[s, 0]]
-            sb = squares[tetrahedron, SIDES[s, 1]]
-            sc = squares[tetrahedron, SIDES[s, 2]]
-            ab = squares[tetrahedron, SIDES[s, 3]]
-            ac = squares[tetrahedron, SIDES[s, 4]]
-            bc = squares[tetrahedron, SIDES[s, 5]]
-            if to_a:
-                arrival = from_new_corner(
-                    sa, 0.5 * (sa + ab - sb), 0.5 * (sa + ac - sc),
-                    ab, 0.5 * (ab + ac - bc), ac, now, tb, tc,
-                )  # fmt: skip
-                if arrival < ta - SETTLED:
-                    time[va] = ta = arrival
-                    origin[va] = origin[_earliest(node, vb, vc, time)]
-                    size = lower(va, time, heap, place, size)
-            if to_b:
-                arrival = from_new_corner(
-                    sb, 0.5 * (sb + ab - sa), 0.5 * (sb + bc - sc),
-                    ab, 0.5 * (ab + bc - ac), bc, now, ta, tc,
-                )  # fmt: skip
-                if arrival < tb - SETTLED:
-                    time[vb] = tb = arrival
-                    origin[vb] = origin[_earliest(node, va, vc, time)]
-                    size = lower(vb, time, heap, place, size)
-            if to_c:
-                arrival = from_new_corner(
-                    sc, 0.5 * (sc + ac - sa), 0.5 * (sc + bc - sb),
-                    ac, 0.5 * (ac + bc - ab), bc, now, ta, tb,
-                )  # fmt: skip
-                if arrival < tc - SETTLED:
-                    time[vc] = arrival
-                    origin[vc] = origin[_earliest(node, va, vb, time)]
-                    size = lower(vc, time, heap, place, size)
-        for k in range(reader_start[node], reader_start[node + 1]):
-            site = readers_at[k]
-            other = node_of[site]
-            earliest = now
-            for corner in range(4):
-                earliest = min(earliest, time[corners[element_of[site], corner]])
-            if earliest + antidromic[site] >= time[other]:
-                continue
-            arrival = antidromic[site] + _arrival_inside(
-                sites.positions[site], element_of[site], mesh, time
-            )
-            if arrival < time[other] - SETTLED:
-                time[other], origin[other], entered_by[site] = arrival, site, origin[node]
-                size = lower(other, time, heap, place, size)
-
-        # along rays
-        here = head[node]
-        while here >= 0:
-            site = ray_site[here]
-            way = ray_way[here]
-            if way >= 0.0 and (fired[site] + way - now) * way <= slack:
-                spare = slack / max(way, 1e-3)
-                first = fired[site] + way <= now + SETTLED
-                px, py, pz = place_of[site, 0], place_of[site, 1], place_of[site, 2]
-                links = link_start[node + 1] - link_start[node]
-                readers = reader_start[node + 1] - reader_start[node]
-                for k in range(links + readers):
-                    if k < links:
-                        target = link[link_start[node] + k]
-                        other, delay = target, 0.0
-                        gx, gy, gz = points[target, 0], points[target, 1], points[target, 2]
-                    else:
-                        reader = readers_at[reader_start[node] + k - links]
-                        if reader == site:
-                            continue
-                        target, other = vertices + reader, node_of[reader]
-                        delay = antidromic[reader]
-                        gx, gy, gz = place_of[reader, 0], place_of[reader, 1], place_of[reader, 2]
-                    # as fast as the medium is at the site, would it be anywhere near first?
-                    guess = travel(cells, element_of[site], gx - px, gy - py, gz - pz)
-                    if fired[site] + NEAR * guess + delay >= time[other]:
-                        continue
-                    limit = time[other] + spare - fired[site] - delay
-                    entry = head[target]
-                    while entry >= 0 and ray_site[entry] != site:
-                        entry = ray_next[entry]
-                    if entry < 0:
-                        if rays == capacity:
-                            capacity *= 2
-                            ray_site = _longer(ray_site, capacity)
-                            ray_way = _longer(ray_way, capacity)
-                            ray_next = _longer(ray_next, capacity)
-                        entry = rays
-                        ray_site[rays], ray_next[rays] = site, head[target]
-                        ray_way[rays] = -0.0
-                        head[target] = rays
-                        rays += 1
-                        untraced = True
-                    else:  # given up before, and may be wanted now
-                        untraced = ray_way[entry] < 0.0 and -ray_way[entry] < limit
-                    if untraced:
-                        traced += 1
-                        ray_way[entry] = ray_time(
-                            px, py, pz, element_of[site], gx, gy, gz, limit, slowness, first,
-                            cells, across,
-                        )  # fmt: skip
-                    if ray_way[entry] < 0.0:
-                        continue
-                    arrival = fired[site] + ray_way[entry] + delay
-                    if arrival < time[other] - SETTLED:
-                        time[other], origin[other] = arrival, site
-                        if k >= links:
-                            origin[other], entered_by[reader] = reader, site
-                        size = lower(other, time, heap, place, size)
-            here = ray_next[here]
+        size = _through_elements(
+            node, star_start, star, star_vertex, reach, height, squares, points, corners, cells,
+            time, origin, gradient, fired, heap, place, size,
+        )  # fmt: skip
+        size = _into_trees(
+            node, reader_start, reader, positions, elements, node_of, antidromic, squares,
+            points, corners, cells, time, origin, gradient, fired, entered_by, heap, place, size,
+        )  # fmt: skip
+        size, rays, more = _along_rays(
+            node, fired, link_start, link, reader_start, reader, positions, elements, node_of,
+            antidromic, points, cells, across, slowness, slack,
+            time, origin, gradient, entered_by, heap, place, size,
+            head, ray_site, ray_way, ray_next, rays,
+        )  # fmt: skip
+        traced += more
     return taken, traced
-
-
-@njit(cache=True, nogil=True)
-def _longer(array, capacity):
-    """A copy with room for more."""
-    longer = np.empty(capacity, array.dtype)
-    longer[: len(array)] = array
-    return longer

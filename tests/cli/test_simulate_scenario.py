@@ -1,0 +1,231 @@
+"""`fascicle simulate --scenario`: what it writes and says, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from fascicle.io.hearts import load_heart
+
+FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "sites.csv", "summary.json"]
+
+
+@pytest.fixture
+def case(tmp_path):
+    """Write a scenario file."""
+
+    def write(text):
+        path = tmp_path / "case.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def corner(small_heart):
+    """The tissue's vertex nearest to the origin."""
+    vertices = load_heart(small_heart).vertices
+    return vertices[np.linalg.norm(vertices, axis=1).argmin()].tolist()
+
+
+@pytest.fixture
+def simulated(small_heart, parameters, case, outside, run):
+    def call(text, *arguments, name="sim"):
+        out = outside / name
+        ended = run(
+            "simulate", small_heart, "--params", parameters(), "--scenario", case(text),
+            *arguments, "--out", out,
+        )  # fmt: skip
+        assert (ended.status, ended.err) == (0, ""), ended
+        return out, ended.out
+
+    return call
+
+
+def activation(folder):
+    return np.asarray(pv.read(folder / "activation.vtu")["activation"])
+
+
+class TestOutputs:
+    def test_pacing_alone(self, simulated, corner):
+        out, said = simulated(
+            f'silent = ["lv", "rv"]\n[[stimulus]]\nposition = {corner}\ntime = -20.5\n'
+        )
+        assert sorted(p.name for p in out.iterdir()) == FILES
+        assert activation(out).min() == -20.5
+        with (out / "ecg.csv").open() as file:
+            times = [float(row["time_ms"]) for row in csv.DictReader(file)]
+        assert times[0] == -21.0
+        with (out / "sites.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert (rows[-1]["kind"], rows[-1]["fired"]) == ("stimulus", "captured")
+        assert "1 of 1 captured" in said
+        inputs = json.loads((out / "summary.json").read_text())["inputs"]
+        assert inputs["scenario"].endswith("case.toml")
+
+    def test_blocked_bundle_is_told_in_numbers(self, simulated, run, small_heart, parameters):
+        plain, _ = simulated("", name="plain")
+        blocked, said = simulated(
+            '[[slowing]]\ntree = "lv"\npart = "bundle"\nspeed = 0\n', name="blocked"
+        )
+        first, second = (json.loads((f / "summary.json").read_text()) for f in (plain, blocked))
+        assert (
+            second["trees"]["lv"]["antidromic_junctions"]
+            > (first["trees"]["lv"]["antidromic_junctions"])
+        )
+        line = next(line for line in said.splitlines() if line.startswith("lv tree"))
+        assert f"{second['trees']['lv']['antidromic_junctions']} antidromic" in line
+
+    def test_scar_is_reported(self, simulated, corner):
+        out, said = simulated(f"[[region]]\ncentre = {corner}\nradius = 12\nconductivity = 0\n")
+        unreached = np.isinf(activation(out))
+        assert unreached.any()
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["unreached_vertices"] == unreached.sum()
+        assert summary["unreached_volume_ml"] > 0
+        assert f"never reached          {unreached.sum()} vertices" in said
+        with (out / "ecg.csv").open() as file:
+            rows = np.array(list(csv.reader(file))[1:], dtype=float)
+        assert np.isfinite(rows).all()
+
+    def test_a_third_tree(self, simulated, small_heart, outside):
+        """The left tree under another name, written and named after it."""
+        plain, _ = simulated("", name="plain")
+        tree = pv.read(plain / "lv_tree.vtu")
+        root = np.asarray(tree.points)[np.asarray(tree["activation"]).argmin()].tolist()
+        out, said = simulated(
+            'silent = ["lv"]\n[[tree]]\nname = "band"\n'
+            f'file = "{plain / "lv_tree.vtu"}"\ntime = -2.5\nroot = {root}\n',
+            name="third",
+        )
+        assert sorted(p.name for p in out.iterdir()) == sorted([*FILES, "band_tree.vtu"])
+        band = pv.read(out / "band_tree.vtu")
+        assert np.asarray(band["activation"]).min() == -2.5
+        assert "band tree" in said
+        assert set(json.loads((out / "summary.json").read_text())["trees"]) == {"lv", "rv", "band"}
+
+    def test_works_with_trees_of_your_own(self, small_heart, simulated, case, outside, run, corner):
+        plain, _ = simulated("", name="plain")
+        scenario = case(f"[[stimulus]]\nposition = {corner}\ntime = -40\n")
+        out = outside / "own"
+        ended = run(
+            "simulate", small_heart, "--lv-tree", plain / "lv_tree.vtu", "--rv-tree",
+            plain / "rv_tree.vtu", "--scenario", scenario, "--out", out,
+        )  # fmt: skip
+        assert (ended.status, ended.err) == (0, "")
+        assert activation(out).min() == -40
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("hello", ["not valid TOML"]),
+            ("stimuli = 1", ["unknown key 'stimuli'", "known: stimulus"]),
+            ('silent = ["septum"]', ["no tree 'septum'; known: lv, rv"]),
+            ('silent = ["lv", "rv"]', ["nothing activates the myocardium", "add a stimulus"]),
+            ("[delay]\northodromic = inf", ["nothing activates the myocardium"]),
+            ('[[slowing]]\ntree = "lv"\nspeed = -1', ["slowing 1: 'speed' is -1", "0 (block)"]),
+            (
+                '[[slowing]]\ntree = "rv"\npart = "fascicle 9"\nspeed = 0',
+                ["the rv tree has no part 'fascicle 9'; known: bundle, fascicle 1, fascicle 2"],
+            ),
+            (
+                '[[slowing]]\ntree = "rv"\nspeed = 0\nradius = 3',
+                ["slowing of the rv tree: a sphere needs centre and radius"],
+            ),
+            (
+                "[[stimulus]]\nposition = [0, 0, 900]\ntime = 0",
+                ["stimulus at (0, 0, 900)", "mm from the tissue"],
+            ),
+            (
+                '[[stimulus]]\nposition = [0, 0, 900]\ntime = 0\ntree = "lv"',
+                ["stimulus at (0.0, 0.0, 900.0)", "nearest node of the lv tree"],
+            ),
+            ("[[region]]\nconductivity = 0\nlabel = 1", ["region 1: the heart has no labels"]),
+            (
+                "[[region]]\nconductivity = 0\nlabel = 1\ncentre = [1, 1, 1]\nradius = 9",
+                ["region 1: give either a label, or a centre and a radius"],
+            ),
+            (
+                "[[region]]\nconductivity = 0\ncentre = [0, 0, 900]\nradius = 9",
+                ["region at (0.0, 0.0, 900.0) holds no element; the nearest is 8"],
+            ),
+            (
+                '[[tree]]\nname = "../../band"\nfile = "a.vtu"\ntime = 0\nroot = [0, 0, 0]',
+                ["tree 1: 'name' is '../../band'"],
+            ),
+            (
+                '[[tree]]\nname = "band"\nfile = "a.vtu"\ntime = 0\nroot = [0, 0, 0]',
+                ["a.vtu: no such file"],
+            ),
+        ],
+    )
+    def test_one_line_that_names_the_scenario(
+        self, small_heart, parameters, case, outside, refused, text, words
+    ):
+        path = case(text)
+        arguments = ["--params", parameters(), "--scenario", path, "--out", outside / "sim"]
+        message = refused(["simulate", small_heart, *arguments], *words)
+        assert message.startswith(f"error: {path}: ")
+        assert list(outside.iterdir()) == []
+
+    @pytest.mark.parametrize("name", ["lv", "rv"])
+    def test_a_third_tree_takes_no_name_that_is_taken(
+        self, simulated, small_heart, parameters, case, outside, refused, name
+    ):
+        plain, _ = simulated("", name="plain")
+        tree = pv.read(plain / "lv_tree.vtu")
+        root = np.asarray(tree.points)[np.asarray(tree["activation"]).argmin()].tolist()
+        path = case(
+            f'[[tree]]\nname = "{name}"\nfile = "{plain / "lv_tree.vtu"}"\ntime = 0\n'
+            f"root = {root}\n"
+        )
+        refused(
+            ["simulate", small_heart, "--params", parameters(), "--scenario", path, "--out",
+             outside / "sim"],
+            f"case.toml: two trees are named '{name}'",
+        )  # fmt: skip
+        assert list(outside.iterdir()) == [plain]
+
+    def test_missing_file(self, small_heart, outside, tmp_path, refused):
+        path = tmp_path / "none.toml"
+        refused(
+            ["simulate", small_heart, "--scenario", path, "--out", outside / "sim"],
+            f"{path}: no such file (scenario)",
+        )
+        assert list(outside.iterdir()) == []
+
+    def test_not_toml_by_its_name(self, small_heart, outside, tmp_path, refused):
+        path = tmp_path / "case.json"
+        path.write_text("{}")
+        refused(
+            ["simulate", small_heart, "--scenario", path, "--out", outside / "sim"],
+            f"{path}: cannot read '.json' as scenario; use one of .toml",
+        )
+
+    def test_wrong_parameters_are_not_blamed_on_it(
+        self, small_heart, parameters, case, outside, refused
+    ):
+        file = parameters(rv_initial_length=300.0)
+        message = refused(
+            ["simulate", small_heart, "--params", file, "--scenario", case(""), "--out",
+             outside / "sim"],
+            "RV bundle leaves the endocardium",
+        )  # fmt: skip
+        assert message.startswith(f"error: {file}: ")
+
+
+def test_help_shows_what_a_scenario_looks_like(run):
+    ended = run("simulate", "--help")
+    assert ended.status == 0
+    lines = [line.strip() for line in ended.out.splitlines()]
+    start = next(k for k, line in enumerate(lines) if line.startswith("[[stimulus]]"))
+    following = [line for line in lines[start + 1 :] if line][:2]
+    assert following[0].startswith("position = [")
+    assert following[1].startswith("time = ")
