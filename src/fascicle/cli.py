@@ -140,13 +140,18 @@ def simulate(
     From parameters (an example network if none are given; --cv and --root-time override them),
     or from two trees that you bring. A scenario adds what is beyond the heart's own beat:
 
-        silent = ["lv"]                  # trees whose root does not fire
+    ```toml
+    silent = ["lv"]                # trees whose root does not fire
 
-        [[stimulus]]                     # pacing site in the myocardium (mm, ms)
+    [[stimulus]]                   # pacing site in the myocardium (mm, ms)
+    position = [73.4, -56.2, -39.1]
+    time = 0.0
 
-        position = [12.0, -3.5, 40.0]
-
-        time = 0.0
+    [[slowing]]
+    tree = "rv"
+    part = "bundle"                # or "fascicle 1", "fascicle 2", or a sphere
+    speed = 0.0                    # factor on the speed; 0 blocks
+    ```
     """
     from fascicle.compilation import Compilation
     from fascicle.forward import ForwardModel

@@ -28,6 +28,7 @@ from fascicle.tree.grow import GrowthRules, grow_from_parameters
 from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
+LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
 PHYSIOLOGY = ("root_time", "cv")  # parameters that change no tree
 
 
@@ -220,6 +221,12 @@ class ForwardModel:
                 "nothing activates the myocardium; let a root fire, unblock a bundle, or add a "
                 "stimulus"
             )
+        reached = coupled.myocardium[np.isfinite(coupled.myocardium)]
+        if np.ptp(reached) > LONGEST:
+            raise InputError(
+                f"activation takes {np.ptp(reached):.3g} ms from first to last, more than "
+                f"{LONGEST:g}; check speeds, delays and times of stimuli"
+            )
         return Simulation(self._ecg(coupled), coupled.myocardium, trees, coupled)
 
     def _ecg(self, coupled: Activation) -> xr.DataArray:
@@ -288,13 +295,15 @@ _READ: dict[str, ForwardModel] = {}
 def _simulate_shared(
     shared: _Shared, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree:
-    if shared.path not in _READ:
-        _READ.clear()
+    model = _READ.get(shared.path)
+    if model is None:
         heart, prepared = load_with_heart(Path(shared.path), shared.action_potential)
-        _READ[shared.path] = ForwardModel(
+        model = ForwardModel(
             heart, shared.conduction, shared.rules, shared.action_potential, prepared
         )
-    return _READ[shared.path].simulate(parameters, scenario)
+        _READ.clear()  # another thread of this worker may have read another model
+        _READ[shared.path] = model
+    return model.simulate(parameters, scenario)
 
 
 def _roots(root_time: float) -> tuple[float, float]:

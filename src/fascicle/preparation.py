@@ -27,6 +27,7 @@ from fascicle.io.atomic import DISPOSABLE, atomic_path
 from fascicle.kernels.arrays import Mesh
 from fascicle.tree.grow import Seed, find_seed
 
+FORMAT = 1  # of the files; another number makes them anew
 KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
 SCALARS = ("slowness", "slack")  # fields of Mesh that are numbers
@@ -60,7 +61,7 @@ def prepare(heart: Heart, conduction: Conduction, action_potential: ActionPotent
     """
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return build(heart, conduction, action_potential)
-    content = f"{version('fascicle')} {heart.digest} {conduction}"
+    content = f"{version('fascicle')} {FORMAT} {heart.digest} {conduction}"
     path = heart.folder / DISPOSABLE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
     try:
         return load(path, heart, action_potential)

@@ -154,7 +154,6 @@ def test_a_block_is_bypassed_through_the_myocardium():
     assert activation.antidromic[0].tolist() == [False, True]
 
 
-@pytest.mark.xfail(strict=True, reason="a blocked segment of no length conducts")
 def test_a_blocked_segment_of_no_length_is_passed_neither_way():
     tree = line_tree([[0, 8, 9], [10, 8, 9], [10, 8, 9], [20, 8, 9]])
     speed = np.array([1.0, 1.0, 0.0, 1.0])

@@ -113,14 +113,6 @@ def test_settings_of_the_model_go_along(default_heart):
     assert_same(model.simulate_many(SEVERAL[:2], FarAway()), alone)
 
 
-@pytest.mark.xfail(reason="the scenario, trees and all, is pickled into every task")
-def test_a_tree_of_your_own_is_not_sent_with_every_task(default_model):
-    mine = replace(default_model.grow(EXAMPLE_PARAMETERS)[0], side="mine")
-    executor = FarAway()
-    default_model.simulate_many(SEVERAL[:1], executor, Scenario(trees=((mine, 0.0),)))
-    assert max(executor.sizes) < SMALL_TASK
-
-
 def test_two_models_take_turns_in_one_worker(default_model, default_heart):
     """A worker keeps the last model it read, and must not take it for another."""
     fast = ForwardModel(default_heart, Conduction(alpha=0.1))

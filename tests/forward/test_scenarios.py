@@ -49,7 +49,7 @@ def leads(simulation):
 def same_but_for_ties(times, expected):
     """Where two rays arrive at once, which is followed first decides by about 1 ms."""
     difference = np.abs(times - expected)
-    return (difference > 1e-9).mean() < 5e-3 and difference.max() < 1.5
+    return (difference > 1e-9).mean() < 1e-3 and difference.max() < 1.0
 
 
 def along_path(tree, values):
@@ -82,8 +82,9 @@ class TestStimuli:
         alone = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH, **ALONE)
         paced = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH)
         later = paced.activation - alone.activation
-        assert later.max() < 1.5, "only by the error where two fronts meet"
-        assert (later > 0.02).mean() < 5e-3
+        # where its front comes back and meets itself, the bound on interpolation may tell
+        assert (later > 1e-9).mean() < 0.01
+        assert later.max() < 2.0
         assert paced.total_activation_time < 0.8 * alone.total_activation_time
         number = sum(len(tree.junctions) for tree in paced.trees)
         own, junction_times = (
@@ -146,11 +147,10 @@ class TestStimuli:
         """A His-side stimulus of both trees at −30 ms is the normal beat 30 ms earlier."""
         roots = [Stimulus(-30.0, tuple(tree.nodes[tree.root]), tree.side) for tree in normal.trees]
         early = simulate(stimuli=tuple(roots))
-        assert same_but_for_ties(early.activation, normal.activation - 30.0)
+        np.testing.assert_allclose(early.activation, normal.activation - 30.0, atol=1e-9)
         assert early.ecg.time.to_numpy()[0] == 0.0, "the trees fire earlier, the myocardium not"
-        np.testing.assert_allclose(leads(early), leads(normal)[:, 30:], rtol=0, atol=1e-2)
+        np.testing.assert_allclose(leads(early), leads(normal)[:, 30:], rtol=0, atol=1e-9)
 
-    @pytest.mark.xfail(reason="what a front has entered sends out rays under its own number")
     def test_origin_is_never_what_the_front_came_to(self, simulate, normal, place):
         """Neither a junction that fired backwards nor a stimulus that came too late."""
         number = sum(len(tree.junctions) for tree in normal.trees)

@@ -306,7 +306,6 @@ class TestTables:
         assert (times[origin] <= np.asarray(mesh["activation"]) + 1e-4).all()
         assert origin[5962] == len(rows) - 2
 
-    @pytest.mark.xfail(reason="a stimulus that meets no conducting element counts as captured")
     def test_a_stimulus_in_scar_does_not_capture(self, default_heart):
         from fascicle.forward import ForwardModel
         from fascicle.geometry.conduction import Conduction

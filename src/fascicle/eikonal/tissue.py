@@ -111,6 +111,7 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
     tetrahedron, corner = star >> 2, star & 3
     links = _links(number[heart.edges], len(vertices))
     along, transverse = conduction.speeds
+    slowest = min(along, transverse) * np.sqrt(np.median(scale[conducts]))
     surface, owner = boundary_triangles(corners)
     mesh = Mesh(
         vertices=vertices,
@@ -126,7 +127,7 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
         link_start=links.indptr.astype(np.int64),
         link=links.indices.astype(np.int32),
         slowness=float(1 / (max(along, transverse) * np.sqrt(scale.max()))),
-        slack=float((heart.edge_length / min(along, transverse)) ** 2 / 8),
+        slack=float((heart.edge_length / slowest) ** 2 / 4),
     )
     return Tissue(mesh, order, conducts, surface, owner, find_on_surface(vertices, surface))
 

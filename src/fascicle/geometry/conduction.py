@@ -108,6 +108,8 @@ class Conduction:
         scale = np.ones(len(heart.tetrahedra))
         for region in self.regions:
             scale[region.elements(heart)] = region.conductivity
+        if not (scale > 0).any():
+            raise InputError("no tissue conducts; make the regions of conductivity 0 smaller")
         return scale
 
     @property

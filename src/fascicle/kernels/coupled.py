@@ -26,73 +26,64 @@ SIDES = np.array([[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2
 def _at_best(vertex, x, y, z, square, time, origin, gradient, fired, points):
     """Time (ms) at a point of the front that fired a vertex, were the medium as it is between them.
 
-    `square` is the squared travel time (ms²) between the two. The front is a sphere about a source
-    w ago; where that is not known, it is least, which makes it earlier.
+    The front is a sphere about its site, as far as it can be told at the vertex. `square` is the
+    squared travel time (ms²) between vertex and point.
     """
-    if time[vertex] == np.inf:
-        return np.inf
+    if origin[vertex] < 0:
+        return time[vertex]
     onwards = (
         gradient[vertex, 0] * (x - points[vertex, 0])
         + gradient[vertex, 1] * (y - points[vertex, 1])
         + gradient[vertex, 2] * (z - points[vertex, 2])
     )
-    if origin[vertex] < 0:
-        return time[vertex] + onwards
     w = time[vertex] - fired[origin[vertex]]
     return fired[origin[vertex]] + math.sqrt(max(w * w + 2.0 * w * onwards + square, 0.0))
 
 
 @njit(cache=True, nogil=True)
 def _lowered(
-    at, i, j, k, ii, jj, kk, arrival, inside, tetrahedron,
-    time, origin, gradient, fired, points, corners, cells,
+    at, i, j, k, ii, jj, kk, arrival, others, tetrahedron,
+    time, origin, gradient, fired, points, cells,
 ):  # fmt: skip
     """Lower a vertex to its arrival from the face i, j, k; returns whether that was lower.
 
     Where the corners were fired by fronts that run against each other, the time between them is
     later than interpolation makes it: then the arrival is at least the earliest that one of these
-    fronts can be there. `ii`, `jj`, `kk` are the squared travel times from the corners (ms²).
+    fronts can be there. `ii`, `jj`, `kk` are the squared travel times from the corners (ms²);
+    `others` is as `from_new_corner` returns it, with i for its first corner.
     """
+    with_j, with_k = others & 1 > 0, others & 2 > 0
     first = i
-    if time[j] < time[first]:
+    if with_j and time[j] < time[first]:
         first = j
-    if time[k] < time[first]:
+    if with_k and time[k] < time[first]:
         first = k
     x, y, z = points[at, 0], points[at, 1], points[at, 2]
-    if origin[i] != origin[j] or origin[i] != origin[k]:
-        least = np.inf
-        for turn in range(3):
-            corner = i if turn == 0 else np.int64(j) if turn == 1 else np.int64(k)
-            square = ii if turn == 0 else jj if turn == 1 else kk
-            if time[corner] < arrival:  # others are not on the way
-                own = _at_best(corner, x, y, z, square, time, origin, gradient, fired, points)
-                if own < least:
-                    least, first = own, corner
+    if (with_j and origin[j] != origin[i]) or (with_k and origin[k] != origin[i]):
+        least = _at_best(i, x, y, z, ii, time, origin, gradient, fired, points)
+        first = i
+        if with_j:
+            own = _at_best(j, x, y, z, jj, time, origin, gradient, fired, points)
+            if own < least:
+                least, first = own, j
+        if with_k:
+            own = _at_best(k, x, y, z, kk, time, origin, gradient, fired, points)
+            if own < least:
+                least, first = own, k
         if least > arrival:
-            arrival, inside = least, False
+            arrival, others = least, 0
             if not arrival < time[at] - SETTLED:
                 return False
     time[at], origin[at] = arrival, origin[first]
+    if origin[first] < 0:  # from vertices that were given a time: all of one front
+        return True
+    # the same sphere as at the first corner
+    dx, dy, dz = x - points[first, 0], y - points[first, 1], z - points[first, 2]
+    w, age = time[first] - fired[origin[first]], arrival - fired[origin[first]]
+    way = travel(cells, tetrahedron, dx, dy, dz)
+    slowness_along(cells, tetrahedron, dx, dy, dz, gradient[at])
     for d in range(3):
-        if inside:
-            gradient[at, d] = 0.0
-            for c in range(4):
-                gradient[at, d] += time[corners[tetrahedron, c]] * cells[tetrahedron, 4 * d + c]
-        else:
-            gradient[at, d] = gradient[first, d]
-    if not inside and origin[first] >= 0:  # the same sphere as at the corner
-        w = time[first] - fired[origin[first]]
-        slowness_along(
-            cells, tetrahedron,
-            x - points[first, 0], y - points[first, 1], z - points[first, 2], gradient[at],
-        )  # fmt: skip
-        here, there = gradient[at], gradient[first]
-        way = travel(
-            cells, tetrahedron, x - points[first, 0], y - points[first, 1], z - points[first, 2]
-        )
-        age = max(arrival - fired[origin[first]], 1e-9)
-        for d in range(3):
-            here[d] = (w * there[d] + way * here[d]) / age
+        gradient[at, d] = (w * gradient[first, d] + way * gradient[at, d]) / age
     return True
 
 
@@ -130,35 +121,35 @@ def _through_elements(node, star_start, star, star_vertex, reach, height, square
         sa, sb, sc = squares[t, SIDES[s, 0]], squares[t, SIDES[s, 1]], squares[t, SIDES[s, 2]]
         ab, ac, bc = squares[t, SIDES[s, 3]], squares[t, SIDES[s, 4]], squares[t, SIDES[s, 5]]
         if to_a:
-            arrival, inside = from_new_corner(
+            arrival, others = from_new_corner(
                 sa, 0.5 * (sa + ab - sb), 0.5 * (sa + ac - sc),
                 ab, 0.5 * (ab + ac - bc), ac, now, tb, tc,
             )  # fmt: skip
             if arrival < ta - SETTLED and _lowered(
-                va, node, vb, vc, sa, ab, ac, arrival, inside, t,
-                time, origin, gradient, fired, points, corners, cells,
+                va, node, vb, vc, sa, ab, ac, arrival, others, t,
+                time, origin, gradient, fired, points, cells,
             ):  # fmt: skip
                 ta = time[va]
                 size = lower(va, time, heap, place, size)
         if to_b:
-            arrival, inside = from_new_corner(
+            arrival, others = from_new_corner(
                 sb, 0.5 * (sb + ab - sa), 0.5 * (sb + bc - sc),
                 ab, 0.5 * (ab + bc - ac), bc, now, ta, tc,
             )  # fmt: skip
             if arrival < tb - SETTLED and _lowered(
-                vb, node, va, vc, sb, ab, bc, arrival, inside, t,
-                time, origin, gradient, fired, points, corners, cells,
+                vb, node, va, vc, sb, ab, bc, arrival, others, t,
+                time, origin, gradient, fired, points, cells,
             ):  # fmt: skip
                 tb = time[vb]
                 size = lower(vb, time, heap, place, size)
         if to_c:
-            arrival, inside = from_new_corner(
+            arrival, others = from_new_corner(
                 sc, 0.5 * (sc + ac - sa), 0.5 * (sc + bc - sb),
                 ac, 0.5 * (ac + bc - ab), bc, now, ta, tb,
             )  # fmt: skip
             if arrival < tc - SETTLED and _lowered(
-                vc, node, va, vb, sc, ac, bc, arrival, inside, t,
-                time, origin, gradient, fired, points, corners, cells,
+                vc, node, va, vb, sc, ac, bc, arrival, others, t,
+                time, origin, gradient, fired, points, cells,
             ):  # fmt: skip
                 size = lower(vc, time, heap, place, size)
     return size
@@ -201,17 +192,18 @@ def _into_trees(node, reader_start, reader, positions, elements, node_of, delay,
     for k in range(reader_start[node], reader_start[node + 1]):
         site = reader[k]
         other, t = node_of[site], elements[site]
-        earliest = time[node]
+        earliest = node
         for c in range(4):
-            earliest = min(earliest, time[corners[t, c]])
-        if earliest + delay[site] >= time[other]:
+            if time[corners[t, c]] < time[earliest]:
+                earliest = corners[t, c]
+        if time[earliest] + delay[site] >= time[other]:
             continue
         arrival = delay[site] + _arrival_inside(
             positions[site, 0], positions[site, 1], positions[site, 2], t,
             squares, points, corners, cells, time, origin, gradient, fired,
         )  # fmt: skip
         if arrival < time[other] - SETTLED:
-            time[other], origin[other], entered_by[site] = arrival, site, origin[node]
+            time[other], origin[other], entered_by[site] = arrival, site, origin[earliest]
             size = lower(other, time, heap, place, size)
     return size
 
@@ -410,7 +402,9 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
                 time, origin, entered_by, heap, place, size,
             )  # fmt: skip
             site = site_of[node - vertices]
-            if site >= 0 and elements[site] >= 0 and orthodromic[site] < np.inf:
+            if site < 0 or entered_by[site] >= 0:
+                continue  # where a front has entered, it is in the tissue already
+            if elements[site] >= 0 and orthodromic[site] < np.inf:
                 fired[site] = time[node] + orthodromic[site]
                 size, rays = _fire(
                     site, fired, positions, elements, points, corners, cells,
