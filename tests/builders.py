@@ -78,7 +78,7 @@ def ray_ways(tissue: Tissue, start, element, goals) -> np.ndarray:
     """Time (ms) of the ray from a point in an element to each goal, followed to its end."""
     mesh = tissue.mesh
     ways = [
-        ray_time(*start, element, *goal, np.inf, mesh.slowness, True, *ray_arrays(mesh))[0]
+        ray_time(*start, element, *goal, np.inf, mesh.slowness, True, *ray_arrays(mesh))
         for goal in goals
     ]
     return np.where(np.array(ways) >= 0, ways, np.inf)
@@ -223,24 +223,21 @@ def brute_force(gram, t, halvings):
     return min(best, fa, fb)
 
 
-def offers(tissue: Tissue, time, halvings=26, origin=None) -> np.ndarray:
+def offers(tissue: Tissue, time, halvings=26) -> np.ndarray:
     """The earliest time that any tetrahedron offers each of the heart's vertices (ms).
-
-    With the vertices' origins, only from faces that one and the same front has passed.
 
     26 golden sections leave 4e-6 of a side, so 1e-10 ms in a smooth minimum.
     """
     mesh, offered = tissue.mesh, np.empty(len(time))
     metric = np.ascontiguousarray(metric_matrices(tissue))
     offered[tissue.order] = lowest_offers(
-        mesh.vertices, mesh.corners, metric, time[tissue.order], halvings,
-        np.zeros(len(time), np.int64) if origin is None else origin[tissue.order],
-    )  # fmt: skip
+        mesh.vertices, mesh.corners, metric, time[tissue.order], halvings
+    )
     return offered
 
 
 @njit(cache=True)
-def lowest_offers(vertices, corners, metric, time, halvings, origin):
+def lowest_offers(vertices, corners, metric, time, halvings):
     """The earliest time that any tetrahedron offers each vertex (ms), by brute force.
 
     Faces that are entirely later than the vertex cannot lower it and are left out.
@@ -250,15 +247,13 @@ def lowest_offers(vertices, corners, metric, time, halvings, origin):
     for e in range(len(corners)):
         for at in range(4):
             vertex = corners[e, at]
-            k, fronts = 0, 0
-            first = corners[e, 0 if at > 0 else 1]
+            k = 0
             for c in range(4):
                 if c != at:
-                    fronts += origin[corners[e, c]] != origin[first]
                     edges[k] = vertices[corners[e, c]] - vertices[vertex]
                     t[k] = time[corners[e, c]]
                     k += 1
-            if fronts > 0 or t.min() >= time[vertex]:
+            if t.min() >= time[vertex]:
                 continue
             gram[:] = edges @ metric[e] @ edges.T
             offers[vertex] = min(offers[vertex], brute_force(gram, t, halvings))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -121,7 +120,7 @@ class ForwardModel:
         self.charts, self.seeds = prepared.charts, prepared.seeds
         self.tissue = prepared.tissue
         self.electrocardiograph = prepared.electrocardiograph
-        self._grown = lru_cache(maxsize=REMEMBERED)(self._grow)
+        self._remembered: dict[tuple[tuple[str, float], ...], Coupling | InvalidTree] = {}
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
@@ -129,13 +128,24 @@ class ForwardModel:
         Networks that were grown lately are remembered: where only root time and speed change, no
         tree is grown again.
         """
-        grown = self._grown(tuple(sorted(_anatomy(parameters).items())))
+        grown = self._grown(parameters)
         return grown if isinstance(grown, InvalidTree) else grown.trees
 
-    def _grow(self, anatomy: tuple[tuple[str, float], ...]) -> Coupling | InvalidTree:
+    def _grown(self, parameters: Mapping[str, float]) -> Coupling | InvalidTree:
+        anatomy = {name: value for name, value in parameters.items() if name not in PHYSIOLOGY}
+        key = tuple(sorted(anatomy.items()))
+        grown = self._remembered.get(key)
+        if grown is None:
+            grown = self._grow(anatomy)
+            for oldest in list(self._remembered)[: 1 - REMEMBERED]:
+                self._remembered.pop(oldest, None)  # another thread may have been faster
+            self._remembered[key] = grown
+        return grown
+
+    def _grow(self, anatomy: Mapping[str, float]) -> Coupling | InvalidTree:
         trees = []
         for side, chart in self.charts.items():
-            tree = grow_from_parameters(side, chart, self.seeds[side], dict(anatomy), self.rules)
+            tree = grow_from_parameters(side, chart, self.seeds[side], anatomy, self.rules)
             if isinstance(tree, InvalidTree):
                 return tree
             trees.append(tree)
@@ -168,7 +178,7 @@ class ForwardModel:
         for name, value in parameters.items():
             if (name == "cv" or "_length" in name) and value <= 0:
                 raise InputError(f"parameter '{name}' is {value}; it must be positive")
-        grown = self._grown(tuple(sorted(_anatomy(parameters).items())))
+        grown = self._grown(parameters)
         if isinstance(grown, InvalidTree):
             return grown
         return self._activate(grown, _roots(parameters["root_time"]), parameters["cv"], scenario)
@@ -309,11 +319,6 @@ def _simulate_shared(
 def _roots(root_time: float) -> tuple[float, float]:
     """When the left and the right root fire (ms), the earlier one at 0."""
     return max(0.0, -root_time), max(0.0, root_time)
-
-
-def _anatomy(parameters: Mapping[str, float]) -> dict[str, float]:
-    """The parameters that the trees depend on."""
-    return {name: value for name, value in parameters.items() if name not in PHYSIOLOGY}
 
 
 def _check_stimuli(scenario: Scenario, coupling: Coupling) -> None:

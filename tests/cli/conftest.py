@@ -240,3 +240,11 @@ def parameters(tmp_path):
         return path
 
     return write
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled():
+    """Compile the kernels before a program says on its standard error that it does."""
+    from fascicle.compilation import Compilation
+
+    Compilation(lambda *_: None).run()

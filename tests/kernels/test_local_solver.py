@@ -94,7 +94,7 @@ def test_ten_thousand_new_corners(seed, thickness, latest):
     assume(len(grams))
     value = np.array(
         [
-            from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)[0]
+            from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)
             for g, t in zip(grams, ts, strict=True)
         ]
     )
@@ -111,9 +111,7 @@ def test_new_corner_is_both_used_and_left_out():
     grams, ts = random_cases(0, 1.0, 10.0, 1000)
     share = np.mean(
         [
-            np.isfinite(
-                from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)[0]
-            )
+            np.isfinite(from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t))
             for g, t in zip(grams, ts, strict=True)
         ]
     )
@@ -127,7 +125,7 @@ def test_new_corner_beside_corners_without_a_time(seed, thickness, latest, missi
     grams, ts = random_cases(seed, thickness, latest, 50)
     for g, t in zip(grams, ts, strict=True):
         t[list(missing)] = np.inf
-        value = from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)[0]
+        value = from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *t)
         reference = t[0] + np.sqrt(g[0, 0])
         for other in {1, 2} - set(missing):
             edge = from_edge(g[0, 0], g[0, other], g[other, other], t[0], t[other])
@@ -156,7 +154,7 @@ def test_from_face_is_the_minimum_over_the_simplex(points, t, ratio):
     assert value >= reference - 1e-6 * scale, "earlier than any way through the face"
     for turn in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
         g, u = gram[np.ix_(turn, turn)], t[turn]
-        touching = from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *u)[0]
+        touching = from_new_corner(g[0, 0], g[0, 1], g[0, 2], g[1, 1], g[1, 2], g[2, 2], *u)
         rest = _best_on_row(g, u, 0.0, HALVINGS)
         assert min(touching, rest) <= reference + 1e-9 * scale
         assert touching >= reference - 1e-6 * scale

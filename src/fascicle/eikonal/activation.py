@@ -215,6 +215,14 @@ def solve(
             coupling.reader,
         ),
     )
+    # a site that a front has entered passes it on under its own number; the front is another's
+    front = np.arange(sites)
+    for _ in range(sites):  # as often as a front can be passed on
+        if not (entered_by[front] >= 0).any():
+            break
+        front = np.where(entered_by[front] >= 0, entered_by[front], front)
+    origin = np.where(origin >= 0, front[origin], FROM_ROOT) if sites else origin
+    entered_by = np.where(entered_by >= 0, front, -1)
     entered = _pieces(entered_by, coupling.junctions)
     myocardium, fired_by = np.empty(vertices), np.empty(vertices, dtype=np.int64)
     myocardium[tissue.order], fired_by[tissue.order] = time[:vertices], origin[:vertices]

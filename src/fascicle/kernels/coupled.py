@@ -1,13 +1,12 @@
 """Trees and myocardium in one label-correcting sweep."""
 
-import math
 
 import numpy as np
 from numba import njit
 
 from fascicle.kernels.local_solver import from_face, from_new_corner
 from fascicle.kernels.queue import lower, pop
-from fascicle.kernels.ray import ray_time, slowness_along, travel
+from fascicle.kernels.ray import ray_time, travel
 
 # Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
 SETTLED = 1e-10
@@ -22,69 +21,12 @@ OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each cor
 SIDES = np.array([[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]])
 
 
-@njit(cache=True, nogil=True)
-def _at_best(vertex, x, y, z, square, time, origin, gradient, fired, points):
-    """Time (ms) at a point of the front that fired a vertex, were the medium as it is between them.
-
-    The front is a sphere about its site, as far as it can be told at the vertex. `square` is the
-    squared travel time (ms²) between vertex and point.
-    """
-    if origin[vertex] < 0:
-        return time[vertex]
-    onwards = (
-        gradient[vertex, 0] * (x - points[vertex, 0])
-        + gradient[vertex, 1] * (y - points[vertex, 1])
-        + gradient[vertex, 2] * (z - points[vertex, 2])
-    )
-    w = time[vertex] - fired[origin[vertex]]
-    return fired[origin[vertex]] + math.sqrt(max(w * w + 2.0 * w * onwards + square, 0.0))
-
-
-@njit(cache=True, nogil=True)
-def _lowered(
-    at, i, j, k, ii, jj, kk, arrival, others, tetrahedron,
-    time, origin, gradient, fired, points, cells,
-):  # fmt: skip
-    """Lower a vertex to its arrival from the face i, j, k; returns whether that was lower.
-
-    Where the corners were fired by fronts that run against each other, the time between them is
-    later than interpolation makes it: then the arrival is at least the earliest that one of these
-    fronts can be there. `ii`, `jj`, `kk` are the squared travel times from the corners (ms²);
-    `others` is as `from_new_corner` returns it, with i for its first corner.
-    """
-    with_j, with_k = others & 1 > 0, others & 2 > 0
-    first = i
-    if with_j and time[j] < time[first]:
-        first = j
-    if with_k and time[k] < time[first]:
-        first = k
-    x, y, z = points[at, 0], points[at, 1], points[at, 2]
-    if (with_j and origin[j] != origin[i]) or (with_k and origin[k] != origin[i]):
-        least = _at_best(i, x, y, z, ii, time, origin, gradient, fired, points)
-        first = i
-        if with_j:
-            own = _at_best(j, x, y, z, jj, time, origin, gradient, fired, points)
-            if own < least:
-                least, first = own, j
-        if with_k:
-            own = _at_best(k, x, y, z, kk, time, origin, gradient, fired, points)
-            if own < least:
-                least, first = own, k
-        if least > arrival:
-            arrival, others = least, 0
-            if not arrival < time[at] - SETTLED:
-                return False
-    time[at], origin[at] = arrival, origin[first]
-    if origin[first] < 0:  # from vertices that were given a time: all of one front
-        return True
-    # the same sphere as at the first corner
-    dx, dy, dz = x - points[first, 0], y - points[first, 1], z - points[first, 2]
-    w, age = time[first] - fired[origin[first]], arrival - fired[origin[first]]
-    way = travel(cells, tetrahedron, dx, dy, dz)
-    slowness_along(cells, tetrahedron, dx, dy, dz, gradient[at])
-    for d in range(3):
-        gradient[at, d] = (w * gradient[first, d] + way * gradient[at, d]) / age
-    return True
+@njit(cache=True, nogil=True, inline="always")
+def _earliest(a, b, c, time):
+    """The earliest of three nodes."""
+    if time[b] < time[a]:
+        a = b
+    return c if time[c] < time[a] else a
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -104,8 +46,7 @@ def _through_tree(node, vertices, start, link, travel_time, site_of,
 
 @njit(cache=True, nogil=True, inline="always")
 def _through_elements(node, star_start, star, star_vertex, reach, height, squares,
-                      points, corners, cells, time, origin, gradient, fired,
-                      heap, place, size):  # fmt: skip
+                      time, origin, heap, place, size):  # fmt: skip
     """From a vertex through the elements around it; returns the queue's size."""
     now = time[node]
     for k in range(star_start[node], star_start[node + 1]):
@@ -121,44 +62,37 @@ def _through_elements(node, star_start, star, star_vertex, reach, height, square
         sa, sb, sc = squares[t, SIDES[s, 0]], squares[t, SIDES[s, 1]], squares[t, SIDES[s, 2]]
         ab, ac, bc = squares[t, SIDES[s, 3]], squares[t, SIDES[s, 4]], squares[t, SIDES[s, 5]]
         if to_a:
-            arrival, others = from_new_corner(
+            arrival = from_new_corner(
                 sa, 0.5 * (sa + ab - sb), 0.5 * (sa + ac - sc),
                 ab, 0.5 * (ab + ac - bc), ac, now, tb, tc,
             )  # fmt: skip
-            if arrival < ta - SETTLED and _lowered(
-                va, node, vb, vc, sa, ab, ac, arrival, others, t,
-                time, origin, gradient, fired, points, cells,
-            ):  # fmt: skip
-                ta = time[va]
+            if arrival < ta - SETTLED:
+                time[va] = ta = arrival
+                origin[va] = origin[_earliest(node, vb, vc, time)]
                 size = lower(va, time, heap, place, size)
         if to_b:
-            arrival, others = from_new_corner(
+            arrival = from_new_corner(
                 sb, 0.5 * (sb + ab - sa), 0.5 * (sb + bc - sc),
                 ab, 0.5 * (ab + bc - ac), bc, now, ta, tc,
             )  # fmt: skip
-            if arrival < tb - SETTLED and _lowered(
-                vb, node, va, vc, sb, ab, bc, arrival, others, t,
-                time, origin, gradient, fired, points, cells,
-            ):  # fmt: skip
-                tb = time[vb]
+            if arrival < tb - SETTLED:
+                time[vb] = tb = arrival
+                origin[vb] = origin[_earliest(node, va, vc, time)]
                 size = lower(vb, time, heap, place, size)
         if to_c:
-            arrival, others = from_new_corner(
+            arrival = from_new_corner(
                 sc, 0.5 * (sc + ac - sa), 0.5 * (sc + bc - sb),
                 ac, 0.5 * (ac + bc - ab), bc, now, ta, tb,
             )  # fmt: skip
-            if arrival < tc - SETTLED and _lowered(
-                vc, node, va, vb, sc, ac, bc, arrival, others, t,
-                time, origin, gradient, fired, points, cells,
-            ):  # fmt: skip
+            if arrival < tc - SETTLED:
+                time[vc] = arrival
+                origin[vc] = origin[_earliest(node, va, vb, time)]
                 size = lower(vc, time, heap, place, size)
     return size
 
 
 @njit(cache=True, nogil=True)
-def _arrival_inside(
-    x, y, z, t, squares, points, corners, cells, time, origin, gradient, fired
-):  # fmt: skip
+def _arrival_inside(x, y, z, t, squares, points, corners, cells, time):
     """Earliest arrival (ms) at a point of tetrahedron t, from its four faces."""
     best = np.inf
     to_corner = np.empty(4)
@@ -172,21 +106,13 @@ def _arrival_inside(
         aik = 0.5 * (aii + akk - squares[t, SIDES[skip, 4]])
         ajk = 0.5 * (ajj + akk - squares[t, SIDES[skip, 5]])
         vi, vj, vk = corners[t, i], corners[t, j], corners[t, k]
-        arrival = from_face(aii, aij, aik, ajj, ajk, akk, time[vi], time[vj], time[vk])
-        if arrival < best and (origin[vi] != origin[vj] or origin[vi] != origin[vk]):
-            least = min(
-                _at_best(vi, x, y, z, aii, time, origin, gradient, fired, points),
-                _at_best(vj, x, y, z, ajj, time, origin, gradient, fired, points),
-                _at_best(vk, x, y, z, akk, time, origin, gradient, fired, points),
-            )
-            arrival = max(arrival, least)
-        best = min(best, arrival)
+        best = min(best, from_face(aii, aij, aik, ajj, ajk, akk, time[vi], time[vj], time[vk]))
     return best
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _into_trees(node, reader_start, reader, positions, elements, node_of, delay, squares,
-                points, corners, cells, time, origin, gradient, fired, entered_by,
+                points, corners, cells, time, origin, entered_by,
                 heap, place, size):  # fmt: skip
     """From a vertex to the sites in the elements around it; returns the queue's size."""
     for k in range(reader_start[node], reader_start[node + 1]):
@@ -200,7 +126,7 @@ def _into_trees(node, reader_start, reader, positions, elements, node_of, delay,
             continue
         arrival = delay[site] + _arrival_inside(
             positions[site, 0], positions[site, 1], positions[site, 2], t,
-            squares, points, corners, cells, time, origin, gradient, fired,
+            squares, points, corners, cells, time,
         )  # fmt: skip
         if arrival < time[other] - SETTLED:
             time[other], origin[other], entered_by[site] = arrival, site, origin[earliest]
@@ -218,7 +144,7 @@ def _find(target, site, head, ray_site, ray_next):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _fire(site, fired, positions, elements, points, corners, cells, time, origin, gradient,
+def _fire(site, fired, positions, elements, points, corners, cells, time, origin,
           heap, place, size, head, ray_site, ray_way, ray_next, rays):  # fmt: skip
     """From a site to the corners of its element, along its first rays.
 
@@ -237,7 +163,6 @@ def _fire(site, fired, positions, elements, points, corners, cells, time, origin
             rays += 1
         if fired[site] + way < time[vertex] - SETTLED:
             time[vertex], origin[vertex] = fired[site] + way, site
-            slowness_along(cells, t, x, y, z, gradient[vertex])
         # its new ray is to be followed even where it is not the first
         size = lower(vertex, time, heap, place, size)
     return size, rays
@@ -246,7 +171,7 @@ def _fire(site, fired, positions, elements, points, corners, cells, time, origin
 @njit(cache=True, nogil=True, inline="always")
 def _along_rays(node, fired, link_start, link, reader_start, reader, positions, elements, node_of,
                 antidromic, points, cells, across, slowness, slack,
-                time, origin, gradient, entered_by, heap, place, size,
+                time, origin, entered_by, heap, place, size,
                 head, ray_site, ray_way, ray_next, rays):  # fmt: skip
     """From a vertex along the rays that come through it.
 
@@ -291,11 +216,9 @@ def _along_rays(node, fired, link_start, link, reader_start, reader, positions, 
                 # not tried yet, or given up when this much was not wanted
                 traced += 1
                 new = True
-                ray_way[entry], end = ray_time(
+                ray_way[entry] = ray_time(
                     px, py, pz, elements[site], x, y, z, limit, slowness, first, cells, across
                 )
-            else:
-                end = elements[site]
             if ray_way[entry] < 0.0:
                 continue
             arrival = fired[site] + ray_way[entry] + delay
@@ -303,7 +226,6 @@ def _along_rays(node, fired, link_start, link, reader_start, reader, positions, 
                 time[other] = arrival
                 if k < degree:
                     origin[other] = site
-                    slowness_along(cells, end, x - px, y - py, z - pz, gradient[other])
                 else:
                     origin[other], entered_by[entered] = entered, site
                 size = lower(other, time, heap, place, size)
@@ -337,7 +259,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
     fired site also offers its neighbourhood the travel time along straight rays, which is exact
     where the medium is uniform and late, never early, where it is not. Rays are followed from
     vertex to neighbour for as long as they are (within `Mesh.slack`) the first to arrive.
-    Interpolation is early where fronts collide; there it is bounded by their tangents.
+    Where fronts collide, linear interpolation between them is early, by a part of an edge's time.
 
     Parameters
     ----------
@@ -369,7 +291,6 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
     reader_start, reader = sites.reader_start, sites.reader
     slowness, slack = mesh.slowness, mesh.slack
     vertices = len(points)
-    gradient = np.zeros((vertices, 3))  # of the time at each vertex, as the first front has it
     fired = np.full(len(node_of), np.inf)  # when each site fires the myocardium
     heap, place, size = np.empty(len(time), np.int64), np.full(len(time), -1, np.int64), 0
     for source in sources:
@@ -402,28 +323,26 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
                 time, origin, entered_by, heap, place, size,
             )  # fmt: skip
             site = site_of[node - vertices]
-            if site < 0 or entered_by[site] >= 0:
-                continue  # where a front has entered, it is in the tissue already
-            if elements[site] >= 0 and orthodromic[site] < np.inf:
+            if site >= 0 and elements[site] >= 0 and orthodromic[site] < np.inf:
                 fired[site] = time[node] + orthodromic[site]
                 size, rays = _fire(
                     site, fired, positions, elements, points, corners, cells,
-                    time, origin, gradient, heap, place, size,
+                    time, origin, heap, place, size,
                     head, ray_site, ray_way, ray_next, rays,
                 )  # fmt: skip
             continue
         size = _through_elements(
-            node, star_start, star, star_vertex, reach, height, squares, points, corners, cells,
-            time, origin, gradient, fired, heap, place, size,
+            node, star_start, star, star_vertex, reach, height, squares,
+            time, origin, heap, place, size,
         )  # fmt: skip
         size = _into_trees(
             node, reader_start, reader, positions, elements, node_of, antidromic, squares,
-            points, corners, cells, time, origin, gradient, fired, entered_by, heap, place, size,
+            points, corners, cells, time, origin, entered_by, heap, place, size,
         )  # fmt: skip
         size, rays, more = _along_rays(
             node, fired, link_start, link, reader_start, reader, positions, elements, node_of,
             antidromic, points, cells, across, slowness, slack,
-            time, origin, gradient, entered_by, heap, place, size,
+            time, origin, entered_by, heap, place, size,
             head, ray_site, ray_way, ray_next, rays,
         )  # fmt: skip
         traced += more

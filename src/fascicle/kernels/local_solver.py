@@ -92,19 +92,15 @@ def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
 def from_new_corner(ass, as1, as2, a11, a12, a22, ts, t1, t2):
     """Earliest arrival (ms) from a face by ways that touch its first corner, s; inf where none can.
 
-    Returns also which other corners have a part in it: 0 none, 1 the second, 2 the third, 3 both.
-
     What the rest of the face offers was known before s had its time, so it is not looked at. The
     objective is convex. Where its minimum in the face's plane lies outside the face, the minimum
     on the face lies on an edge that faces it: one opposite a corner whose weight is negative.
     """
-    best, others = ts + math.sqrt(ass), 0
-    if t1 == np.inf or t2 == np.inf:
-        if t1 < np.inf:
-            other = from_edge(ass, as1, a11, ts, t1)
-            return (other, 1) if other < best else (best, 0)
-        other = from_edge(ass, as2, a22, ts, t2) if t2 < np.inf else np.inf
-        return (other, 2) if other < best else (best, 0)
+    if not t1 < np.inf:
+        best = ts + math.sqrt(ass)
+        return min(best, from_edge(ass, as2, a22, ts, t2)) if t2 < np.inf else best
+    if not t2 < np.inf:
+        return min(ts + math.sqrt(ass), from_edge(ass, as1, a11, ts, t1))
     qss = a11 * a22 - a12 * a12
     qs1 = as2 * a12 - as1 * a22
     qs2 = as1 * a12 - as2 * a11
@@ -124,13 +120,10 @@ def from_new_corner(ass, as1, as2, a11, a12, a22, ts, t1, t2):
             mu = (b + math.sqrt(disc)) / a
             beyond1, beyond2 = mu * s1 < v1, mu * s2 < v2
             if not (beyond1 or beyond2):
-                return (ts + mu if mu * ss >= vs else np.inf), 3
+                return ts + mu if mu * ss >= vs else np.inf
+    best = ts + math.sqrt(ass)
     if beyond2:
-        other = from_edge(ass, as1, a11, ts, t1)
-        if other < best:
-            best, others = other, 1
+        best = min(best, from_edge(ass, as1, a11, ts, t1))
     if beyond1:
-        other = from_edge(ass, as2, a22, ts, t2)
-        if other < best:
-            best, others = other, 2
-    return best, others
+        best = min(best, from_edge(ass, as2, a22, ts, t2))
+    return best

@@ -20,19 +20,6 @@ def travel(cells, t, x, y, z):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
-def slowness_along(cells, t, x, y, z, slowness):
-    """D⁻¹d/√(dᵀD⁻¹d) for d = (x, y, z) in tetrahedron t, the travel time's gradient (ms/mm).
-
-    Written into `slowness`; 0 where d is.
-    """
-    a = cells[t, 16] * x + cells[t, 19] * y + cells[t, 20] * z
-    b = cells[t, 19] * x + cells[t, 17] * y + cells[t, 21] * z
-    c = cells[t, 20] * x + cells[t, 21] * y + cells[t, 18] * z
-    length = math.sqrt(max(a * x + b * y + c * z, 1e-300))
-    slowness[0], slowness[1], slowness[2] = a / length, b / length, c / length
-
-
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _crossing(t, k, x, y, z, dx, dy, dz, cells):
     """Where the line p + s·d leaves through face k of tetrahedron t: s, or inf."""
@@ -66,9 +53,8 @@ def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, ac
     the geodesic's time, so the result is never early. The line starts in `tetrahedron`; the
     arrays are those of `fascicle.kernels.arrays.Mesh`.
 
-    As soon as it is certain that the time is above `limit` (ms), or where it meets the boundary and
-    is not to `slide` along it, gives up and returns a lower bound with a minus sign. Returns also
-    the tetrahedron where it ends.
+    As soon as it is certain that the time is above `limit` (ms), gives up and returns a lower
+    bound of it with a minus sign.
     """
     dx, dy, dz = gx - x, gy - y, gz - z
     least = slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -77,19 +63,19 @@ def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, ac
         leave, face = _exit(t, x, y, z, dx, dy, dz, cells)
         way = travel(cells, t, dx, dy, dz)
         if leave >= ARRIVED:
-            return total + (1.0 - done) * way, t
+            return total + (1.0 - done) * way
         leave = max(leave, done)
         total += (leave - done) * way
         done = leave
         if across[t, ACROSS + face] < 0:
             if not slide:
-                return -(total + (1.0 - done) * least), t
+                return -(total + (1.0 - done) * least)
             x, y, z = x + done * dx, y + done * dy, z + done * dz
             return _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across)
         t = across[t, ACROSS + face]
         if total + (1.0 - done) * least > limit:
-            return -(total + (1.0 - done) * least), t
-    return np.inf, t
+            return -(total + (1.0 - done) * least)
+    return np.inf
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -99,7 +85,7 @@ def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across):
         dx, dy, dz = gx - x, gy - y, gz - z
         least = total + slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
         if least > limit:
-            return -least, t
+            return -least
         straight = True
         for _ in range(3):  # an element has at most three boundary faces to slide along
             leave, face = _exit(t, x, y, z, dx, dy, dz, cells)
@@ -115,9 +101,9 @@ def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across):
         x, y, z = x + leave * dx, y + leave * dy, z + leave * dz
         if leave == 1.0:
             if straight:
-                return total, t
+                return total
         elif across[t, ACROSS + face] >= 0:
             t = across[t, ACROSS + face]
         elif leave <= 1.0 - ARRIVED:
-            return np.inf, t
-    return np.inf, t
+            return np.inf
+    return np.inf
