@@ -81,10 +81,7 @@ class TestStimuli:
     def test_trees_carry_its_front_and_are_the_origin_there(self, simulate, place):
         alone = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH, **ALONE)
         paced = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH)
-        later = paced.activation - alone.activation
-        # where its front comes back and meets itself, the bound on interpolation may tell
-        assert (later > 1e-9).mean() < 0.01
-        assert later.max() < 2.0
+        assert (paced.activation <= alone.activation + 1e-9).all()
         assert paced.total_activation_time < 0.8 * alone.total_activation_time
         number = sum(len(tree.junctions) for tree in paced.trees)
         own, junction_times = (

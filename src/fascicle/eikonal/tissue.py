@@ -127,7 +127,7 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
         link_start=links.indptr.astype(np.int64),
         link=links.indices.astype(np.int32),
         slowness=float(1 / (max(along, transverse) * np.sqrt(scale.max()))),
-        slack=float((heart.edge_length / slowest) ** 2 / 4),
+        slack=float((heart.edge_length / slowest) ** 2 / 8),
     )
     return Tissue(mesh, order, conducts, surface, owner, find_on_surface(vertices, surface))
 

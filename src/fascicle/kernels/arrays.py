@@ -43,8 +43,8 @@ class Mesh(NamedTuple):
     slack : float
         A ray is followed through a vertex for as long as the product of how long it took and by
         how much it comes late is at most this (ms²). Along an edge that takes h, the linear
-        interpolation of a spherical wave of age w is late by at most h²/8w. With twice that for
-        the mean edge, hardly a ray is dropped that would arrive first further on.
+        interpolation of a spherical wave of age w is late by at most h²/8w, so with h²/8 hardly a
+        ray is dropped that would arrive first further on.
     """
 
     vertices: NDArray[np.float64]
