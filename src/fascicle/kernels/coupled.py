@@ -1,6 +1,5 @@
 """Trees and myocardium in one label-correcting sweep."""
 
-
 import numpy as np
 from numba import njit
 
