@@ -270,7 +270,6 @@ class TestTables:
         assert [row["fired"] for row in rows[-2:]] == ["captured", "came too late"]
         assert [row["time_ms"] for row in rows[-2:]] == ["-10.0000", "400.0000"]
 
-    @pytest.mark.xfail(reason="entered_by is the origin of a corner that may come later")
     def test_what_entered_is_told_for_antidromic_junctions_only(self, rows):
         for row in rows:
             assert (row["entered_by"] != "") == (row["fired"] == "antidromic")
@@ -292,7 +291,6 @@ class TestTables:
         for tree in silent.trees:
             assert sides[tree.side]["silent_junctions"] == len(tree.junctions)
 
-    @pytest.mark.xfail(reason="what a front has entered sends out rays under its own number")
     def test_origins_lead_into_the_table(self, rows, simulation, default_heart, tmp_path):
         """On the written map: -1 nowhere, and every origin fired before the vertex."""
         write_simulation(default_heart, simulation, tmp_path / "out", {})
