@@ -89,8 +89,6 @@ def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
 
 def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
     """Time and memory of the forward run on a prepared heart; for a process of its own."""
-    import resource
-
     from fascicle.ecg.action_potential import Upstroke
     from fascicle.forward import ForwardModel
     from fascicle.preparation import load_with_heart
@@ -104,8 +102,16 @@ def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
         "vertices": len(heart.vertices),
         "tetrahedra": len(heart.tetrahedra),
         "seconds": float(np.median(seconds)),
-        "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        "gigabytes": _peak_gigabytes(),
     }
+
+
+def _peak_gigabytes() -> float:
+    """Peak memory of this process (Linux); `getrusage` would count what its parent had too."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM"):
+            return float(line.split()[1]) / 1e6
+    return float("nan")
 
 
 def _seconds(work: Callable[[], object]) -> float:

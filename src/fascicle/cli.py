@@ -172,7 +172,7 @@ def simulate(
     summary = write_simulation(loaded, simulation, out, inputs)
     print(f"total activation time  {simulation.total_activation_time:.1f} ms")
     print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
-    _print_sites(simulation)
+    _print_sites(simulation, summary["trees"])
     if summary["unreached_vertices"]:
         print(
             f"never reached          {summary['unreached_vertices']} vertices, "
@@ -339,25 +339,17 @@ def _print_heart(heart: Heart, charts: Mapping[str, Chart]) -> None:
     print("  electrodes   9, in place")
 
 
-def _print_sites(simulation: Simulation) -> None:
-    for tree, times, antidromic, distance in zip(
-        simulation.trees,
-        simulation.coupled.trees,
-        simulation.coupled.antidromic,
-        simulation.coupled.junction_distances,
-        strict=True,
-    ):
-        never = sum(time == float("inf") for time in times[tree.junctions])
+def _print_sites(simulation: Simulation, trees: Mapping[str, Mapping[str, float]]) -> None:
+    for side, tree in trees.items():
+        backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
         print(
-            f"{tree.side + ' tree':<22} {len(tree.junctions)} junctions: "
-            f"{len(tree.junctions) - antidromic.sum() - never} orthodromic, {antidromic.sum()} "
-            f"antidromic, {never} silent; up to {distance.max(initial=0.0):.1f} mm from the tissue"
+            f"{side + ' tree':<22} {tree['junctions']} junctions: "
+            f"{tree['junctions'] - backwards - silent} orthodromic, {backwards} antidromic, "
+            f"{silent} silent; up to {tree['largest_junction_distance_mm']:.1f} mm from the tissue"
         )
-    if len(simulation.coupled.captured):
-        print(
-            f"stimuli                {simulation.coupled.captured.sum()} of "
-            f"{len(simulation.coupled.captured)} captured the myocardium"
-        )
+    captured = simulation.coupled.captured
+    if len(captured):
+        print(f"stimuli                {captured.sum()} of {len(captured)} captured the myocardium")
 
 
 def _print_target(target: Target) -> None:

@@ -140,7 +140,7 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
         )
 
 
-def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, object]:
+def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
     """Say a few numbers about a simulation, as written to `summary.json`."""
     sides: dict[str, object] = {}
     for tree, times, antidromic, distance in zip(
@@ -179,7 +179,7 @@ def unreached_volume(heart: Heart, simulation: Simulation) -> float:
 
 def write_simulation(
     heart: Heart, simulation: Simulation, folder: Path, inputs: dict[str, object]
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Write a simulation's folder, whole or not at all; returns the summary."""
     content = summary(heart, simulation, inputs)
     with atomic_folder(folder) as temporary:
