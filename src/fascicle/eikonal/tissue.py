@@ -78,13 +78,17 @@ class Tissue:
     def inside(self, points: NDArray[np.float64]) -> Site:
         """The same points where they lie in the tissue, else the nearest of its surface."""
         site = self.on_surface(points)
+        if not len(points):
+            return site
         positions, elements, distances = site.positions.copy(), site.elements, site.distances
-        cells = self.mesh.cells
+        corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
+        cells.init(self.mesh.vertices, corners)
         for k, point in enumerate(points):
-            weights = point @ cells[:, :12].reshape(-1, 3, 4) + cells[:, 12:16]
-            element = int(np.where(self.conducts, weights.min(axis=1), -np.inf).argmax())
-            if weights[element].min() >= -1e-9:
-                positions[k], elements[k], distances[k] = point, element, 0.0
+            around = np.array(cells.find(self.mesh.vertices, corners, point), dtype=np.int64)
+            if around.size:
+                conducting = around[self.conducts[around]]
+                elements[k] = conducting[0] if conducting.size else -1
+                positions[k], distances[k] = point, 0.0
         return Site(positions, elements, distances)
 
 
