@@ -11,8 +11,8 @@ from fascicle.kernels.ray import ray_time, travel
 SETTLED = 1e-10
 
 # A ray is traced only if it would arrive first were it to take this share of what it would take in
-# a medium that is everywhere as at its site.
-NEAR = 0.9
+# a medium that is everywhere as at its site; otherwise that guess stands for it.
+NEAR = 0.8
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner: a, b, c
 # SIDES[s]: where among a tetrahedron's six squared lengths stand those from corner s to a, b, c,
@@ -144,7 +144,7 @@ def _find(target, site, head, ray_site, ray_next):
 
 @njit(cache=True, nogil=True, inline="always")
 def _fire(site, fired, positions, elements, points, corners, cells, time, origin,
-          heap, place, size, head, ray_site, ray_way, ray_next, rays):  # fmt: skip
+          heap, place, size, head, ray_site, ray_way, ray_next, guessed, rays):  # fmt: skip
     """From a site to the corners of its element, along its first rays.
 
     Returns the sizes of the queue and of the list of rays.
@@ -158,7 +158,7 @@ def _fire(site, fired, positions, elements, points, corners, cells, time, origin
         way = travel(cells, t, x, y, z)
         if _find(vertex, site, head, ray_site, ray_next) < 0:
             ray_site[rays], ray_way[rays], ray_next[rays] = site, way, head[vertex]
-            head[vertex] = rays
+            guessed[rays], head[vertex] = False, rays
             rays += 1
         if fired[site] + way < time[vertex] - SETTLED:
             time[vertex], origin[vertex] = fired[site] + way, site
@@ -171,7 +171,7 @@ def _fire(site, fired, positions, elements, points, corners, cells, time, origin
 def _along_rays(node, fired, link_start, link, reader_start, reader, positions, elements, node_of,
                 antidromic, points, cells, across, slowness, slack,
                 time, origin, entered_by, heap, place, size,
-                head, ray_site, ray_way, ray_next, rays):  # fmt: skip
+                head, ray_site, ray_way, ray_next, guessed, rays):  # fmt: skip
     """From a vertex along the rays that come through it.
 
     Returns the sizes of the queue and of the list of rays, and how many were traced.
@@ -200,21 +200,30 @@ def _along_rays(node, fired, link_start, link, reader_start, reader, positions, 
                     continue
                 target, other, delay = vertices + entered, node_of[entered], antidromic[entered]
                 x, y, z = positions[entered, 0], positions[entered, 1], positions[entered, 2]
-            limit = time[other] + spare - fired[site] - delay
-            # as fast as the medium is at the site, would it be anywhere near first?
-            if NEAR * travel(cells, elements[site], x - px, y - py, z - pz) >= limit:
-                continue
             entry = _find(target, site, head, ray_site, ray_next)
+            # as fast as the medium is at the site, could it be first?
+            guess = travel(cells, elements[site], x - px, y - py, z - pz)
+            if fired[site] + NEAR * guess + delay >= time[other]:
+                # if not, but nearly so, it is followed at that guess
+                late = fired[site] + guess - time[other]
+                if entry < 0 and k < degree and late * guess <= slack:
+                    ray_site[rays], ray_way[rays], ray_next[rays] = site, guess, head[target]
+                    guessed[rays], head[target] = True, rays
+                    rays += 1
+                    if place[other] < 0:  # taken before this ray came
+                        size = lower(other, time, heap, place, size)
+                continue
+            limit = time[other] + spare - fired[site] - delay
             new = entry < 0
             if new:
                 entry = rays
                 ray_site[rays], ray_way[rays], ray_next[rays] = site, -0.0, head[target]
-                head[target] = rays
+                guessed[rays], head[target] = False, rays
                 rays += 1
-            if new or (ray_way[entry] < 0.0 and -ray_way[entry] < limit):
+            if new or guessed[entry] or (ray_way[entry] < 0.0 and -ray_way[entry] < limit):
                 # not tried yet, or given up when this much was not wanted
                 traced += 1
-                new = True
+                new, guessed[entry] = True, False
                 ray_way[entry] = ray_time(
                     px, py, pz, elements[site], x, y, z, limit, slowness, first, cells, across
                 )
@@ -295,12 +304,12 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
     for source in sources:
         size = lower(source, time, heap, place, size)
     # the rays that were tried at each target (vertices, then sites), as linked lists: the site
-    # each comes from, and the time it takes, or below 0 the least that it can take where that was
-    # enough to know
+    # each comes from, and the time it takes (below 0 the least that it can take, where that was
+    # enough to know), or a guess of it
     capacity, rays = 8 * vertices + 64, 0
     head = np.full(vertices + len(node_of), -1, np.int64)
     ray_site, ray_way = np.empty(capacity, np.int32), np.empty(capacity)
-    ray_next = np.empty(capacity, np.int64)
+    ray_next, guessed = np.empty(capacity, np.int64), np.empty(capacity, np.bool_)
     taken = traced = 0
     while size > 0:
         node, size = pop(time, heap, place, size)
@@ -315,7 +324,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
         if rays + new > capacity:
             capacity = 2 * (rays + new)
             ray_site, ray_way = _longer(ray_site, capacity), _longer(ray_way, capacity)
-            ray_next = _longer(ray_next, capacity)
+            ray_next, guessed = _longer(ray_next, capacity), _longer(guessed, capacity)
         if node >= vertices:
             size = _through_tree(
                 node - vertices, vertices, tree_start, tree_link, tree_time, site_of,
@@ -327,7 +336,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
                 size, rays = _fire(
                     site, fired, positions, elements, points, corners, cells,
                     time, origin, heap, place, size,
-                    head, ray_site, ray_way, ray_next, rays,
+                    head, ray_site, ray_way, ray_next, guessed, rays,
                 )  # fmt: skip
             continue
         size = _through_elements(
@@ -342,7 +351,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites):
             node, fired, link_start, link, reader_start, reader, positions, elements, node_of,
             antidromic, points, cells, across, slowness, slack,
             time, origin, entered_by, heap, place, size,
-            head, ray_site, ray_way, ray_next, rays,
+            head, ray_site, ray_way, ray_next, guessed, rays,
         )  # fmt: skip
         traced += more
     return taken, traced
