@@ -69,7 +69,7 @@ def straight_times(tissue: Tissue, points, times, at=None) -> np.ndarray:
     """
     at = heart_vertices(tissue) if at is None else np.reshape(at, (-1, 3))
     offset = at[:, None] - np.reshape(points, (-1, 3))
-    metric = metric_matrices(tissue)[0]
+    metric = tissue.mesh.metric[0]
     ways = np.sqrt(np.einsum("npi,ij,npj->np", offset, metric, offset))
     return (ways + np.asarray(times)).min(axis=1)
 
@@ -160,11 +160,6 @@ def solve_without_trees(tissue: Tissue, vertex_times) -> np.ndarray:
     return solved
 
 
-def metric_matrices(tissue: Tissue) -> np.ndarray:
-    """D⁻¹ of every tetrahedron of the mesh (ms²/mm²), shape (m, 3, 3)."""
-    return tissue.mesh.cells[:, 16:22][:, [0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(-1, 3, 3)
-
-
 def heart_vertices(tissue: Tissue) -> np.ndarray:
     """Positions (mm) in the heart's own order, which is that of activation times."""
     vertices = np.empty_like(tissue.mesh.vertices)
@@ -229,7 +224,7 @@ def offers(tissue: Tissue, time, halvings=26) -> np.ndarray:
     26 golden sections leave 4e-6 of a side, so 1e-10 ms in a smooth minimum.
     """
     mesh, offered = tissue.mesh, np.empty(len(time))
-    metric = np.ascontiguousarray(metric_matrices(tissue))
+    metric = np.ascontiguousarray(tissue.mesh.metric)
     offered[tissue.order] = lowest_offers(
         mesh.vertices, mesh.corners, metric, time[tissue.order], halvings
     )

@@ -21,7 +21,6 @@ from builders import (
     brute_force,
     heart_vertices,
     line_tree,
-    metric_matrices,
     ray_ways,
     solve_without_trees,
 )
@@ -60,7 +59,7 @@ def read(tissue, site, time):
     No front comes through the boundary face that a point lies in. Its interpolated time would be
     earlier by up to 0.5 ms on a patient's heart.
     """
-    mesh, metric = tissue.mesh, metric_matrices(tissue)
+    mesh, metric = tissue.mesh, tissue.mesh.metric
     arrivals = np.full(len(site.elements), np.inf)
     for k, element in enumerate(site.elements):
         corners = mesh.corners[element]

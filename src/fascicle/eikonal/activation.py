@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.eikonal.tissue import Site, Tissue
+from fascicle.eikonal.tissue import Site, Tissue, grouped
 from fascicle.kernels.arrays import Forest, Sites
 from fascicle.kernels.coupled import sweep
 from fascicle.tree.purkinje import PurkinjeTree
@@ -267,8 +267,7 @@ def _links(
         )
     child = np.flatnonzero(parents >= 0)
     tail = np.concatenate([child, parents[child]])
-    order = np.argsort(tail, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(tail, minlength=count))])
+    start, order = grouped(tail, count)
     head, segment = np.concatenate([parents[child], child]), np.concatenate([child, child])
     return start, head[order], segment[order]
 
@@ -277,6 +276,5 @@ def _readers(tissue: Tissue, site: Site) -> tuple[NDArray[np.int64], NDArray[np.
     """The sites whose element has each vertex as a corner, as start and list."""
     attached = np.flatnonzero(site.elements >= 0)
     corners = tissue.mesh.corners[site.elements[attached]].ravel()
-    order = np.argsort(corners, kind="stable")
-    counts = np.bincount(corners, minlength=len(tissue.mesh.vertices))
-    return np.concatenate([[0], np.cumsum(counts)]), attached[order // 4]
+    start, order = grouped(corners, len(tissue.mesh.vertices))
+    return start, attached[order // 4]

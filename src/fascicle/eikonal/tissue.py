@@ -13,12 +13,11 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, boundary_triangles
 from fascicle.kernels.arrays import Mesh
+from fascicle.kernels.coupled import OTHERS
 from fascicle.kernels.ray import ACROSS
 
 CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-
-OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner
 
 
 @dataclass(frozen=True)
@@ -186,10 +185,17 @@ def _stars(
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The conducting tetrahedra of each vertex as 4·tetrahedron + corner, and where they start."""
     flat = np.flatnonzero(np.repeat(conducts, 4))  # flat index = 4·tetrahedron + corner
-    vertex = corners.ravel()[flat]
-    order = np.argsort(vertex, kind="stable")
-    counts = np.bincount(vertex, minlength=count)
-    return np.concatenate([[0], np.cumsum(counts)]), flat[order].astype(np.int32)
+    start, order = grouped(corners.ravel()[flat], count)
+    return start, flat[order].astype(np.int32)
+
+
+def grouped(groups: NDArray[np.integer], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where each of `count` groups starts among the items in the order of their groups; that order.
+
+    Items of one group stay in the order in which they came.
+    """
+    sizes = np.bincount(groups, minlength=count)
+    return np.concatenate([[0], np.cumsum(sizes)]), np.argsort(groups, kind="stable")
 
 
 def _rounded_down(values: NDArray[np.float64]) -> NDArray[np.float32]:

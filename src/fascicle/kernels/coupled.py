@@ -44,6 +44,24 @@ def _through_tree(node, vertices, start, link, travel_time, site_of,
 
 
 @njit(cache=True, nogil=True, inline="always")
+def _offer(at, known, s, j, k, ss, jj, kk, sj, sk, jk, ts, tj, tk,
+           time, origin, heap, place, size):  # fmt: skip
+    """From the face s, j, k to the corner `at`, whose time so far is `known`.
+
+    `ss`, `jj`, `kk` are the squared travel times from the face's corners to `at`, `sj`, `sk`, `jk`
+    those between them (ms²). Returns the corner's time and the queue's size.
+    """
+    arrival = from_new_corner(
+        ss, 0.5 * (ss + jj - sj), 0.5 * (ss + kk - sk), jj, 0.5 * (jj + kk - jk), kk, ts, tj, tk
+    )
+    if arrival < known - SETTLED:
+        time[at] = known = arrival
+        origin[at] = origin[_earliest(s, j, k, time)]
+        size = lower(at, time, heap, place, size)
+    return known, size
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _through_elements(node, star_start, star, star_vertex, reach, height, squares,
                       time, origin, heap, place, size):  # fmt: skip
     """From a vertex through the elements around it; returns the queue's size."""
@@ -61,32 +79,14 @@ def _through_elements(node, star_start, star, star_vertex, reach, height, square
         sa, sb, sc = squares[t, SIDES[s, 0]], squares[t, SIDES[s, 1]], squares[t, SIDES[s, 2]]
         ab, ac, bc = squares[t, SIDES[s, 3]], squares[t, SIDES[s, 4]], squares[t, SIDES[s, 5]]
         if to_a:
-            arrival = from_new_corner(
-                sa, 0.5 * (sa + ab - sb), 0.5 * (sa + ac - sc),
-                ab, 0.5 * (ab + ac - bc), ac, now, tb, tc,
-            )  # fmt: skip
-            if arrival < ta - SETTLED:
-                time[va] = ta = arrival
-                origin[va] = origin[_earliest(node, vb, vc, time)]
-                size = lower(va, time, heap, place, size)
+            ta, size = _offer(va, ta, node, vb, vc, sa, ab, ac, sb, sc, bc, now, tb, tc,
+                              time, origin, heap, place, size)  # fmt: skip
         if to_b:
-            arrival = from_new_corner(
-                sb, 0.5 * (sb + ab - sa), 0.5 * (sb + bc - sc),
-                ab, 0.5 * (ab + bc - ac), bc, now, ta, tc,
-            )  # fmt: skip
-            if arrival < tb - SETTLED:
-                time[vb] = tb = arrival
-                origin[vb] = origin[_earliest(node, va, vc, time)]
-                size = lower(vb, time, heap, place, size)
+            tb, size = _offer(vb, tb, node, va, vc, sb, ab, bc, sa, sc, ac, now, ta, tc,
+                              time, origin, heap, place, size)  # fmt: skip
         if to_c:
-            arrival = from_new_corner(
-                sc, 0.5 * (sc + ac - sa), 0.5 * (sc + bc - sb),
-                ac, 0.5 * (ac + bc - ab), bc, now, ta, tb,
-            )  # fmt: skip
-            if arrival < tc - SETTLED:
-                time[vc] = arrival
-                origin[vc] = origin[_earliest(node, va, vb, time)]
-                size = lower(vc, time, heap, place, size)
+            tc, size = _offer(vc, tc, node, va, vb, sc, ac, bc, sa, sb, ab, now, ta, tb,
+                              time, origin, heap, place, size)  # fmt: skip
     return size
 
 
@@ -143,6 +143,14 @@ def _find(target, site, head, ray_site, ray_next):
 
 
 @njit(cache=True, nogil=True, inline="always")
+def _note(target, site, way, guess, head, ray_site, ray_way, ray_next, guessed, rays):
+    """Add a ray to a target's list; returns how many rays there are."""
+    ray_site[rays], ray_way[rays], guessed[rays] = site, way, guess
+    ray_next[rays], head[target] = head[target], rays
+    return rays + 1
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _fire(site, fired, positions, elements, points, corners, cells, time, origin,
           heap, place, size, head, ray_site, ray_way, ray_next, guessed, rays):  # fmt: skip
     """From a site to the corners of its element, along its first rays.
@@ -157,9 +165,7 @@ def _fire(site, fired, positions, elements, points, corners, cells, time, origin
         z = points[vertex, 2] - positions[site, 2]
         way = travel(cells, t, x, y, z)
         if _find(vertex, site, head, ray_site, ray_next) < 0:
-            ray_site[rays], ray_way[rays], ray_next[rays] = site, way, head[vertex]
-            guessed[rays], head[vertex] = False, rays
-            rays += 1
+            rays = _note(vertex, site, way, False, head, ray_site, ray_way, ray_next, guessed, rays)
         if fired[site] + way < time[vertex] - SETTLED:
             time[vertex], origin[vertex] = fired[site] + way, site
         # its new ray is to be followed even where it is not the first
@@ -207,9 +213,9 @@ def _along_rays(node, fired, link_start, link, reader_start, reader, positions, 
                 # if not, but nearly so, it is followed at that guess
                 late = fired[site] + guess - time[other]
                 if entry < 0 and k < degree and late * guess <= slack:
-                    ray_site[rays], ray_way[rays], ray_next[rays] = site, guess, head[target]
-                    guessed[rays], head[target] = True, rays
-                    rays += 1
+                    rays = _note(
+                        target, site, guess, True, head, ray_site, ray_way, ray_next, guessed, rays
+                    )
                     if place[other] < 0:  # taken before this ray came
                         size = lower(other, time, heap, place, size)
                 continue
@@ -217,9 +223,9 @@ def _along_rays(node, fired, link_start, link, reader_start, reader, positions, 
             new = entry < 0
             if new:
                 entry = rays
-                ray_site[rays], ray_way[rays], ray_next[rays] = site, -0.0, head[target]
-                guessed[rays], head[target] = False, rays
-                rays += 1
+                rays = _note(
+                    target, site, -0.0, False, head, ray_site, ray_way, ray_next, guessed, rays
+                )
             if new or guessed[entry] or (ray_way[entry] < 0.0 and -ray_way[entry] < limit):
                 # not tried yet, or given up when this much was not wanted
                 traced += 1
