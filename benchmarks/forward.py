@@ -28,7 +28,6 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from fascicle.eikonal.tissue import Tissue
     from fascicle.geometry.heart import Heart
 
 Array = npt.NDArray[np.float64]
@@ -146,7 +145,7 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         CPU time over wall time while measuring (well below 1: a busy machine, measure again).
     """
     from benchmarks.eikonal_residual import eikonal_residual
-    from fascicle.eikonal.activation import attach, solve
+    from fascicle.eikonal.activation import attach, solve, solve_from_vertices
     from fascicle.forward import ForwardModel, InvalidTree
 
     model = ForwardModel(_heart(case))
@@ -166,7 +165,9 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         return solve(model.tissue, attach(model.tissue, trees), roots, parameters["cv"]).myocardium
 
     def eikonal_alone() -> Array:
-        return _from_vertices(model.tissue, case["source_vertices"], case["source_times"])
+        times = np.full(len(case["vertices"]), np.inf)
+        times[case["source_vertices"]] = case["source_times"]
+        return solve_from_vertices(model.tissue, times)
 
     activation = couple()
     stages: dict[str, Callable[[], object]] = {
@@ -191,25 +192,6 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         "cpu_share": share,
         "versions": {name: version(name) for name in ("fascicle", "numba", "numpy")},
     }
-
-
-def _from_vertices(tissue: Tissue, sources: npt.NDArray[np.int64], times: Array) -> Array:
-    """Activation of the myocardium from times given at vertices: the discrete problem alone."""
-    from fascicle.kernels.arrays import Forest, Sites
-    from fascicle.kernels.coupled import sweep
-
-    count = len(tissue.order)
-    activation = np.full(count, np.inf)
-    activation[sources] = times
-    time_ = activation[tissue.order]
-    none, zero, nothing = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0)
-    sweep(
-        time_, np.full(count, -1), none, np.flatnonzero(np.isfinite(time_)), tissue.mesh,
-        Forest(zero, none, nothing, none),
-        Sites(np.empty((0, 3)), none, none, nothing, nothing, np.zeros(count + 1, np.int64), none),
-    )  # fmt: skip
-    activation[tissue.order] = time_
-    return activation
 
 
 def _median_seconds(stage: Callable[[], object], repeats: int) -> float:

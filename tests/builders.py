@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from fascicle.eikonal.activation import attach, solve
+from fascicle.eikonal.activation import attach, solve, solve_from_vertices
 from fascicle.eikonal.tissue import Tissue, build_tissue
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
 from fascicle.geometry.heart import Heart, signed_volumes
-from fascicle.kernels.arrays import Forest, Sites
-from fascicle.kernels.coupled import sweep
 from fascicle.kernels.ray import ray_time
 from fascicle.tree.purkinje import PurkinjeTree
 
@@ -140,24 +138,10 @@ def activate(tissue: Tissue, trees, root_times, cv, *, stimuli=(), times=(), **o
 
 
 def solve_without_trees(tissue: Tissue, vertex_times) -> np.ndarray:
-    """Myocardium alone, by the kernel's sweep without rays, from given times at vertices (ms).
-
-    Vertices are the heart's.
-    """
-    vertices = len(tissue.mesh.vertices)
-    time = np.full(vertices, np.inf)
-    time[list(vertex_times)] = list(vertex_times.values())
-    time = time[tissue.order]
-    none, one = np.empty(0, np.int64), np.zeros(1, np.int64)
-    sweep(
-        time, np.full(vertices, -1), none, np.flatnonzero(np.isfinite(time)), tissue.mesh,
-        Forest(one, none, np.empty(0), none),
-        Sites(np.empty((0, 3)), none, none, np.empty(0), np.empty(0),
-              np.zeros(vertices + 1, np.int64), none),
-    )  # fmt: skip
-    solved = np.empty(vertices)
-    solved[tissue.order] = time
-    return solved
+    """Myocardium alone, from a mapping of the heart's vertices to their times (ms)."""
+    times = np.full(len(tissue.order), np.inf)
+    times[list(vertex_times)] = list(vertex_times.values())
+    return solve_from_vertices(tissue, times)
 
 
 def heart_vertices(tissue: Tissue) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -37,8 +38,10 @@ class Simulation:
 
     Attributes
     ----------
-    ecg : xarray.DataArray
-        Twelve leads (mV), dimensions ``lead`` and ``time`` (ms).
+    leads : (12, n_time) array
+        The twelve leads of `fascicle.leads.LEADS` (mV), every 1 ms.
+    onset : float
+        Time of their first sample (ms).
     activation : (n,) array
         Activation time of each vertex of the heart (ms); inf where no front arrives.
     trees : tuple of PurkinjeTree
@@ -47,10 +50,24 @@ class Simulation:
         Times in the trees, how each junction fired, and from where each vertex was.
     """
 
-    ecg: xr.DataArray
+    leads: NDArray[np.float64]
+    onset: float
     activation: NDArray[np.float64]
     trees: tuple[PurkinjeTree, ...]
     coupled: Activation
+
+    @cached_property
+    def ecg(self) -> xr.DataArray:
+        """The twelve leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
+        ecg = xr.DataArray(
+            self.leads,
+            coords={"lead": list(LEADS), "time": self.onset + np.arange(self.leads.shape[1]) * STEP},
+            dims=("lead", "time"),
+            name="ecg",
+            attrs={"units": "mV"},
+        )
+        ecg["time"].attrs["units"] = "ms"
+        return ecg
 
     @property
     def total_activation_time(self) -> float:
@@ -69,7 +86,7 @@ class Simulation:
     @property
     def qrs_duration(self) -> float:
         """QRS duration (ms), found in the ECG by the rule that finds it in recordings."""
-        onset, offset = qrs_window(self.ecg.to_numpy(), STEP)
+        onset, offset = qrs_window(self.leads, STEP)
         return (offset - onset) * STEP
 
 
@@ -237,20 +254,10 @@ class ForwardModel:
                 f"activation takes {np.ptp(reached):.3g} ms from first to last, more than "
                 f"{LONGEST:g}; check speeds, delays and times of stimuli"
             )
-        return Simulation(self._ecg(coupled), coupled.myocardium, trees, coupled)
-
-    def _ecg(self, coupled: Activation) -> xr.DataArray:
-        values = self.electrocardiograph.leads(coupled.myocardium)
-        time = first_sample(coupled.myocardium) + np.arange(values.shape[1]) * STEP
-        ecg = xr.DataArray(
-            values,
-            coords={"lead": list(LEADS), "time": time},
-            dims=("lead", "time"),
-            name="ecg",
-            attrs={"units": "mV"},
+        times = coupled.myocardium
+        return Simulation(
+            self.electrocardiograph.leads(times), first_sample(times), times, trees, coupled
         )
-        ecg["time"].attrs["units"] = "ms"
-        return ecg
 
     def simulate_many(
         self,

@@ -24,13 +24,13 @@ from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.heart import Heart
 from fascicle.harmonic.chart import Chart, build_chart
 from fascicle.io.atomic import DISPOSABLE, atomic_path
-from fascicle.kernels.arrays import Mesh
+from fascicle.kernels.arrays import Mesh, Table
 from fascicle.tree.grow import Seed, find_seed
 
-FORMAT = 1  # of the files; another number makes them anew
+FORMAT = 2  # of the files; another number makes them anew
 KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
-SCALARS = ("slowness", "slack")  # fields of Mesh that are numbers
+SCALARS = ("slowness",)  # fields of Mesh that are numbers
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,8 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
         for name, value in tissue.mesh._asdict().items()
         if name != "across"  # the same memory as the cells
     }
+    for name, value in tissue.table._asdict().items():
+        arrays[f"table.{name}"] = value
     for name in ("order", "conducts", "surface", "owner"):
         arrays[f"tissue.{name}"] = getattr(tissue, name)
     for name in ("corners", "weights"):
@@ -173,6 +175,7 @@ def _prepared(
     mesh, surface = Mesh(**fields), arrays["tissue.surface"]
     tissue = Tissue(
         mesh,
+        Table(*(arrays[f"table.{name}"] for name in Table._fields)),
         arrays["tissue.order"],
         arrays["tissue.conducts"],
         surface,

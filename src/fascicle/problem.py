@@ -61,13 +61,13 @@ class Problem:
 
     def align(self, simulation: Simulation) -> Alignment:
         """Best alignment of a simulation with the mean recorded QRS."""
-        return align(simulation.ecg.to_numpy(), self.target.qrs, free_gain=self.free_gain)
+        return align(simulation.leads, self.target.qrs, free_gain=self.free_gain)
 
     def predicted(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
         start = self.target.qrs_samples.start
         at_beat = Alignment(alignment.loss, alignment.shift - start, alignment.gain)
-        return placed(simulation.ecg.to_numpy(), at_beat, len(self.target.time))
+        return placed(simulation.leads, at_beat, len(self.target.time))
 
     def beat_errors(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
         """Mismatch with every recorded beat (mV²), shape (n_beats,).
@@ -75,7 +75,7 @@ class Problem:
         The beats are aligned with one another, so one alignment with their mean serves all.
         """
         recorded = self.target.qrs_beats
-        simulated = placed(simulation.ecg.to_numpy(), alignment, recorded.shape[2])
+        simulated = placed(simulation.leads, alignment, recorded.shape[2])
         return np.asarray(((recorded - simulated) ** 2).sum(axis=(1, 2)) / recorded.shape[2])
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.eikonal.tissue import Site, Tissue, grouped
-from fascicle.kernels.arrays import Forest, Sites
-from fascicle.kernels.coupled import sweep
+from fascicle.eikonal.near_field import grouped, surround
+from fascicle.eikonal.tissue import Site, Tissue
+from fascicle.kernels.arrays import Forest, Queue, Sites
+from fascicle.kernels.coupled import settle_trees, sweep
 from fascicle.tree.purkinje import PurkinjeTree
 
 FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
@@ -41,14 +42,22 @@ class Coupling:
     site: Site
     nodes: NDArray[np.int64]
     junctions: NDArray[np.int64]
-    link_start: NDArray[np.int64]
-    link_node: NDArray[np.int64]
-    link_segment: NDArray[np.int64]
+    order: NDArray[np.int64]
+    parents: NDArray[np.int64]
     lengths: NDArray[np.float64]
+    child_start: NDArray[np.int64]
+    child: NDArray[np.int64]
     site_node: NDArray[np.int64]
     node_site: NDArray[np.int64]
     reader_start: NDArray[np.int64]
     reader: NDArray[np.int64]
+    to_corner: NDArray[np.float64]
+    near_start: NDArray[np.int64]
+    near: NDArray[np.int32]
+    near_way: NDArray[np.float64]
+    beside_start: NDArray[np.int64]
+    beside: NDArray[np.int32]
+    beside_way: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -119,18 +128,16 @@ def attach(
     ).astype(np.int64)
     node_site = np.full(count, -1, dtype=np.int64)
     node_site[site_node] = np.arange(len(site_node))
-    reader_start, reader = _readers(tissue, site)
     return Coupling(
         tuple(trees),
         site,
         nodes,
         junctions,
-        *_links(trees, nodes, count),
-        np.concatenate([*(tree.lengths for tree in trees), np.zeros(len(stimuli))]),
+        *_graph(trees, nodes, count),
         site_node,
         node_site,
-        reader_start,
-        reader,
+        *_readers(tissue, site),
+        *surround(site.positions, site.elements, site.triangles, tissue.mesh, tissue.table),
     )
 
 
@@ -191,29 +198,40 @@ def solve(
     factor[: coupling.nodes[-1]] = speed
     travel = np.full(count, np.inf)  # what is blocked takes forever
     np.divide(coupling.lengths, cv * factor, out=travel, where=factor > 0)
+    forest = Forest(
+        coupling.order,
+        coupling.parents,
+        travel,
+        coupling.child_start,
+        coupling.child,
+        coupling.node_site,
+    )
+    settle_trees(firing, forest)
     origin = np.full(vertices + count, FROM_ROOT)
     entered_by = np.full(sites, -1)
     sweep(
         time,
         origin,
         entered_by,
-        np.flatnonzero(np.isfinite(time)),
+        vertices + coupling.site_node[np.isfinite(firing[coupling.site_node])],
         tissue.mesh,
-        Forest(
-            coupling.link_start,
-            coupling.link_node,
-            travel[coupling.link_segment],
-            coupling.node_site,
-        ),
+        forest,
         Sites(
-            coupling.site.positions,
             coupling.site.elements,
+            coupling.to_corner,
             coupling.site_node + vertices,
             delays[0],
             delays[1],
             coupling.reader_start,
             coupling.reader,
+            coupling.near_start,
+            coupling.near,
+            coupling.near_way,
+            coupling.beside_start,
+            coupling.beside,
+            coupling.beside_way,
         ),
+        _queue(len(time)),
     )
     # a site that a front has entered passes it on under its own number; the front is another's
     front = np.arange(sites)
@@ -239,10 +257,51 @@ def solve(
     )
 
 
+def solve_from_vertices(
+    tissue: Tissue, times: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solve the eikonal equation in the myocardium alone, from times at vertices.
+
+    First order: without a site there is no straight way.
+
+    Parameters
+    ----------
+    tissue : Tissue
+        The myocardium.
+    times : (n,) array
+        When each vertex of the heart is fired (ms); inf where it is not.
+
+    Returns
+    -------
+    (n,) array
+        Activation times (ms); inf where no front arrives.
+    """
+    count = len(times)
+    time = np.ascontiguousarray(times[tissue.order])
+    none, zero, nothing = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0)
+    few = np.empty(0, np.int32)
+    sites = Sites(
+        none, np.empty((0, 4)), none, nothing, nothing, np.zeros(count + 1, np.int64), none,
+        zero, few, nothing, zero, few, nothing,
+    )  # fmt: skip
+    sweep(
+        time, np.full(count, FROM_ROOT), none, np.flatnonzero(np.isfinite(time)), tissue.mesh,
+        Forest(none, none, nothing, zero, none, none), sites, _queue(count),
+    )  # fmt: skip
+    solved = np.empty(count)
+    solved[tissue.order] = time
+    return solved
+
+
+def _queue(nodes: int) -> Queue:
+    return Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
+
+
 def _together(one: Site, other: Site) -> Site:
     return Site(
         np.concatenate([one.positions, other.positions]),
         np.concatenate([one.elements, other.elements]),
+        np.concatenate([one.triangles, other.triangles]),
         np.concatenate([one.distances, other.distances]),
     )
 
@@ -256,20 +315,31 @@ def _pieces(values: NDArray[Any], starts: NDArray[np.int64]) -> tuple[NDArray[An
     return tuple(values[a:b] for a, b in pairwise(starts))
 
 
-def _links(
-    trees: Sequence[PurkinjeTree], nodes: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The trees as one graph: start, neighbour, and the node that the segment between ends in."""
-    parents = np.full(count, -1, dtype=np.int64)
+def _graph(trees: Sequence[PurkinjeTree], nodes: NDArray[np.int64], count: int) -> tuple[
+    NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]
+]:
+    """The trees as one: order, parents, lengths, where each node's children start, and children."""
+    parents, lengths = np.full(count, -1, dtype=np.int64), np.zeros(count)
     for tree, first in zip(trees, nodes[:-1], strict=True):
-        parents[first : first + len(tree.nodes)] = np.where(
-            tree.parents >= 0, tree.parents + first, -1
-        )
+        part = slice(first, first + len(tree.nodes))
+        parents[part] = np.where(tree.parents >= 0, tree.parents + first, -1)
+        lengths[part] = tree.lengths
     child = np.flatnonzero(parents >= 0)
-    tail = np.concatenate([child, parents[child]])
-    start, order = grouped(tail, count)
-    head, segment = np.concatenate([parents[child], child]), np.concatenate([child, child])
-    return start, head[order], segment[order]
+    start, order = grouped(parents[child], count)
+    child = child[order]
+    return _parents_first(parents), parents, lengths, start, child
+
+
+def _parents_first(parents: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The nodes, each after its parent; in their own order if that is so."""
+    order = np.arange(len(parents))
+    if (parents < order).all():
+        return order
+    depth, above = np.zeros(len(parents), dtype=np.int64), parents.copy()
+    while (above >= 0).any():
+        depth += above >= 0
+        above = np.where(above >= 0, parents[above], -1)
+    return np.argsort(depth, kind="stable")
 
 
 def _readers(tissue: Tissue, site: Site) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -12,12 +12,13 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, boundary_triangles
-from fascicle.kernels.arrays import Mesh
-from fascicle.kernels.coupled import OTHERS
+from fascicle.eikonal.near_field import build_table, grouped
+from fascicle.kernels.arrays import Mesh, Table
 from fascicle.kernels.ray import ACROSS
 
 CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,15 @@ class Site:
         Positions in the tissue (mm).
     elements : (n,) array
         Tetrahedron of each; -1 where it does not conduct.
+    triangles : (n,) array
+        The boundary triangle that each lies in; -1 inside the tissue.
     distances : (n,) array
         How far the points asked for are from these (mm).
     """
 
     positions: NDArray[np.float64]
     elements: NDArray[np.int64]
+    triangles: NDArray[np.int64]
     distances: NDArray[np.float64]
 
 
@@ -47,6 +51,8 @@ class Tissue:
     ----------
     mesh : Mesh
         Geometry, metric and adjacency of what conducts, renumbered.
+    table : Table
+        Straight ways from the endocardia.
     order : (n,) array
         The heart's vertex that each vertex of `mesh` is.
     conducts : (m,) bool array
@@ -59,6 +65,7 @@ class Tissue:
     """
 
     mesh: Mesh
+    table: Table
     order: NDArray[np.int64]
     conducts: NDArray[np.bool_]
     surface: NDArray[np.int64]
@@ -72,14 +79,15 @@ class Tissue:
         )
         elements = self.owner[triangle]
         elements = np.where(self.conducts[elements], elements, -1)
-        return Site(np.asarray(nearest), elements, np.sqrt(square))
+        return Site(np.asarray(nearest), elements, np.asarray(triangle), np.sqrt(square))
 
     def inside(self, points: NDArray[np.float64]) -> Site:
         """The same points where they lie in the tissue, else the nearest of its surface."""
         site = self.on_surface(points)
         if not len(points):
             return site
-        positions, elements, distances = site.positions.copy(), site.elements, site.distances
+        positions, elements = site.positions.copy(), site.elements
+        triangles, distances = site.triangles.copy(), site.distances
         corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
         cells.init(self.mesh.vertices, corners)
         for k, point in enumerate(points):
@@ -87,8 +95,8 @@ class Tissue:
             if around.size:
                 conducting = around[self.conducts[around]]
                 elements[k] = conducting[0] if conducting.size else -1
-                positions[k], distances[k] = point, 0.0
-        return Site(positions, elements, distances)
+                positions[k], triangles[k], distances[k] = point, -1, 0.0
+        return Site(positions, elements, triangles, distances)
 
 
 def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
@@ -105,34 +113,31 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
     corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)
     scale = conduction.scale(heart)[place]
     conducts = scale > 0
-    cells, squares, height, reach = _elements(
+    cells, solver, least = _elements(
         vertices, corners, heart.fibres[place], np.where(conducts, scale, 1.0), conduction
     )
     across = cells.view(np.int32)
     across[:, ACROSS : ACROSS + 4] = _face_neighbours(corners, conducts)
     start, star = _stars(corners, conducts, len(vertices))
     tetrahedron, corner = star >> 2, star & 3
-    links = _links(number[heart.edges], len(vertices))
-    along, transverse = conduction.speeds
-    slowest = min(along, transverse) * np.sqrt(np.median(scale[conducts]))
-    surface, owner = boundary_triangles(corners)
     mesh = Mesh(
-        vertices=vertices,
-        corners=corners,
-        cells=cells,
-        across=across,
-        squares=squares,
-        star_start=start,
-        star=star,
-        star_vertex=corners[tetrahedron[:, None], OTHERS[corner]],
-        reach=reach[tetrahedron, corner],
-        height=height[tetrahedron[:, None], OTHERS[corner]],
-        link_start=links.indptr.astype(np.int64),
-        link=links.indices.astype(np.int32),
-        slowness=float(1 / (max(along, transverse) * np.sqrt(scale.max()))),
-        slack=float((heart.edge_length / slowest) ** 2 / 8),
+        vertices,
+        corners,
+        cells,
+        across,
+        solver,
+        start,
+        np.column_stack([corners[tetrahedron[:, None], OTHERS[corner]], star]),
+        least[tetrahedron, corner],
+        *_edges(corners[conducts], solver[conducts, 6:], len(vertices)),
+        slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
     )
-    return Tissue(mesh, order, conducts, surface, owner, find_on_surface(vertices, surface))
+    surface, owner = boundary_triangles(corners)
+    tree = find_on_surface(vertices, surface)
+    endocardia = _triangles_at(heart, vertices, surface, tree)
+    endocardia = endocardia[conducts[owner[endocardia]]]
+    table = build_table(mesh, surface, owner, endocardia, heart.edge_length)
+    return Tissue(mesh, table, order, conducts, surface, owner, tree)
 
 
 def _elements(
@@ -141,11 +146,12 @@ def _elements(
     fibres: NDArray[np.float64],
     scale: NDArray[np.float64],
     conduction: Conduction,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
-    """`Mesh.cells` but for the neighbours, `squares`; heights (m, 4) and reaches (m, 4, 3)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
+    """`Mesh.cells` but for the neighbours, `Mesh.solver`, and `Mesh.least` by corner (m, 4)."""
     count = len(corners)
-    cells, squares = np.zeros((count, 24)), np.empty((count, 6))
-    height, reach = np.empty((count, 4), np.float32), np.empty((count, 4, 3), np.float32)
+    cells, solver = np.zeros((count, 24)), np.empty((count, 12))
+    least = np.empty((count, 4), np.float32)
+    one, other = np.array(EDGES).T
     for first in range(0, count, CHUNK):
         part = slice(first, first + CHUNK)
         points = vertices[corners[part]]
@@ -155,13 +161,40 @@ def _elements(
         cells[part, 12:16] = -np.einsum("mki,mi->mk", gradients, points[:, 0])
         cells[part, 12] += 1
         cells[part, 16:22] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        edges = np.stack([points[:, j] - points[:, i] for i, j in EDGES], axis=1)
-        squares[part] = np.einsum("mei,mij,mej->me", edges, metric, edges)
-        inverse = np.linalg.inv(metric)
-        rate = np.einsum("mki,mij,mkj->mk", gradients, inverse, gradients)
-        height[part] = _rounded_down(1 / np.sqrt(rate))
-        reach[part] = _rounded_down(_reach(squares[part]))
-    return cells, squares, height, reach
+        steered = np.einsum("mij,mkj->mki", np.linalg.inv(metric), gradients)
+        solver[part, :6] = np.einsum("mei,mei->me", gradients[:, one], steered[:, other])
+        edges = points[:, other] - points[:, one]
+        solver[part, 6:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
+        least[part] = _rounded_down(_reach(solver[part, 6:]).min(axis=2))
+    return cells, solver, least
+
+
+def _edges(
+    corners: NDArray[np.int32], squares: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """The vertices that share an edge with each, and the least travel times to them."""
+    one, other = np.array(EDGES).T
+    tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
+    head = np.concatenate([corners[:, other], corners[:, one]]).ravel()
+    pair = tail * count + head
+    order = np.argsort(pair, kind="stable")
+    first = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    least = np.minimum.reduceat(np.tile(squares.ravel(), 2)[order], first)
+    edge = order[first]
+    start = np.concatenate([[0], np.cumsum(np.bincount(tail[edge], minlength=count))])
+    return start, head[edge], np.sqrt(least)
+
+
+def _triangles_at(
+    heart: Heart, vertices: NDArray[np.float64], surface: NDArray[np.int64], tree: igl.AABB
+) -> NDArray[np.int64]:
+    """The boundary triangles that the endocardia lie on."""
+    points = []
+    for endocardium in heart.endocardia:
+        corners = endocardium.vertices[endocardium.triangles]
+        sides = (corners + np.roll(corners, 1, axis=1)) / 2
+        points += [endocardium.vertices, corners.mean(axis=1), sides.reshape(-1, 3)]
+    return np.unique(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
 
 
 def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -> igl.AABB:
@@ -187,15 +220,6 @@ def _stars(
     flat = np.flatnonzero(np.repeat(conducts, 4))  # flat index = 4·tetrahedron + corner
     start, order = grouped(corners.ravel()[flat], count)
     return start, flat[order].astype(np.int32)
-
-
-def grouped(groups: NDArray[np.integer], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where each of `count` groups starts among the items in the order of their groups; that order.
-
-    Items of one group stay in the order in which they came.
-    """
-    sizes = np.bincount(groups, minlength=count)
-    return np.concatenate([[0], np.cumsum(sizes)]), np.argsort(groups, kind="stable")
 
 
 def _rounded_down(values: NDArray[np.float64]) -> NDArray[np.float32]:

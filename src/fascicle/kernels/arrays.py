@@ -25,42 +25,34 @@ class Mesh(NamedTuple):
     across : (m, 48) array
         The memory of `cells` as whole numbers; columns 44-47 are the tetrahedra across the faces
         opposite each corner, -1 where no conducting one is.
-    squares : (m, 6) array
-        Squared travel times (ms²) along its edges 01, 02, 03, 12, 13, 23.
-    star_start, star : (n + 1,) and (4m,) arrays
-        The tetrahedra of each vertex, as 4·tetrahedron + corner.
-    star_vertex : (4m, 3) array
-        Their other corners.
-    reach : (4m, 3) array
-        By how much (ms) the other corners are at least later than the vertex if the front comes
-        to them through the vertex and the rest of the opposite face; may be negative.
-    height : (4m, 3) array
-        By how much (ms) they are at least later than the earliest corner of the opposite face.
-    link_start, link : (n + 1,) and (l,) arrays
-        The vertices that share an edge with each vertex.
+    solver : (m, 12) array
+        What the local solver needs of each: the products ∇λᵢ·D∇λⱼ (1/ms²) of its corners'
+        barycentric coordinates for the pairs 01, 02, 03, 12, 13, 23, and the squared travel times
+        (ms²) along those edges.
+    star_start, star : (n + 1,) and (4m, 4) arrays
+        The tetrahedra of each vertex: the other three corners, in ascending order of their place
+        in the tetrahedron, and 4·tetrahedron + the vertex's own place.
+    least : (4m,) array
+        By how much (ms) any of the other corners is at least later than the vertex if the front
+        comes to it through the vertex and the rest of the opposite face; may be negative.
+    link_start, link, link_time : (n + 1,), (l,) and (l,) arrays
+        The vertices that share an edge with each vertex, and the travel times to them (ms).
     slowness : float
         Least travel time over distance anywhere (ms/mm).
-    slack : float
-        A ray is followed through a vertex for as long as the product of how long it took and by
-        how much it comes late is at most this (ms²). Along an edge that takes h, the linear
-        interpolation of a spherical wave of age w is late by at most h²/8w, so with h²/8 hardly a
-        ray is dropped that would arrive first further on.
     """
 
     vertices: NDArray[np.float64]
     corners: NDArray[np.int32]
     cells: NDArray[np.float64]
     across: NDArray[np.int32]
-    squares: NDArray[np.float64]
+    solver: NDArray[np.float64]
     star_start: NDArray[np.int64]
     star: NDArray[np.int32]
-    star_vertex: NDArray[np.int32]
-    reach: NDArray[np.float32]
-    height: NDArray[np.float32]
+    least: NDArray[np.float32]
     link_start: NDArray[np.int64]
     link: NDArray[np.int32]
+    link_time: NDArray[np.float64]
     slowness: float
-    slack: float
 
     @property
     def metric(self) -> NDArray[np.float64]:
@@ -68,20 +60,48 @@ class Mesh(NamedTuple):
         return self.cells[:, [16, 19, 20, 19, 17, 21, 20, 21, 18]].reshape(-1, 3, 3)
 
 
+class Table(NamedTuple):
+    """Straight ways from the triangles of the endocardia to the vertices around them.
+
+    Attributes
+    ----------
+    row : (b,) array
+        Row of each boundary triangle, -1 for those that have none.
+    opposite : (b,) array
+        The corner of its tetrahedron that each triangle does not have.
+    start, vertex : (r + 1,) and (p,) arrays
+        The vertices in each row.
+    square : (p, 6) array
+        Squared travel times (ms²) to each, from the points `fascicle.kernels.near.POINTS`.
+    """
+
+    row: NDArray[np.int32]
+    opposite: NDArray[np.int8]
+    start: NDArray[np.int64]
+    vertex: NDArray[np.int32]
+    square: NDArray[np.float32]
+
+
 class Forest(NamedTuple):
     """All trees as one graph; a stimulus in the myocardium is a tree of one node.
 
     Attributes
     ----------
-    start, node, time : (k + 1,), (l,) and (l,) arrays
-        Neighbours of each tree node and the travel times to them (ms; inf where blocked).
+    order : (k,) array
+        The nodes, each after its parent.
+    parent, time : (k,) arrays
+        Parent of each node, -1 at a root, and the travel time from it (ms; inf where blocked).
+    child_start, child : (k + 1,) and (c,) arrays
+        Children of each node.
     site : (k,) array
         Number of the site at each node, or -1.
     """
 
-    start: NDArray[np.int64]
-    node: NDArray[np.int64]
+    order: NDArray[np.int64]
+    parent: NDArray[np.int64]
     time: NDArray[np.float64]
+    child_start: NDArray[np.int64]
+    child: NDArray[np.int64]
     site: NDArray[np.int64]
 
 
@@ -90,22 +110,47 @@ class Sites(NamedTuple):
 
     Attributes
     ----------
-    positions : (j, 3) array
-        Positions in the tissue (mm).
-    elements : (j,) array
+    element : (j,) array
         Tetrahedron of each; -1 where a site meets no conducting tissue.
+    to_corner : (j, 4) array
+        Squared travel times (ms²) to its corners.
     node : (j,) array
         Tree node of each.
     orthodromic, antidromic : (j,) arrays
         Delays (ms) from tree to myocardium and back; inf where there is no way.
     reader_start, reader : (n + 1,) and (4j,) arrays
         The sites whose element has each vertex as a corner.
+    near_start, near, near_way : (j + 1,), (p,) and (p,) arrays
+        The vertices around each site, and the time (ms) that the straight way to each takes.
+    beside_start, beside, beside_way : (j + 1,), (q,) and (q,) arrays
+        The sites around each site, likewise.
     """
 
-    positions: NDArray[np.float64]
-    elements: NDArray[np.int64]
+    element: NDArray[np.int64]
+    to_corner: NDArray[np.float64]
     node: NDArray[np.int64]
     orthodromic: NDArray[np.float64]
     antidromic: NDArray[np.float64]
     reader_start: NDArray[np.int64]
     reader: NDArray[np.int64]
+    near_start: NDArray[np.int64]
+    near: NDArray[np.int32]
+    near_way: NDArray[np.float64]
+    beside_start: NDArray[np.int64]
+    beside: NDArray[np.int32]
+    beside_way: NDArray[np.float64]
+
+
+class Queue(NamedTuple):
+    """Room for the nodes that wait to be taken.
+
+    Attributes
+    ----------
+    heap : (n + k,) array
+        Anything.
+    place : (n + k,) array
+        -1: where in the heap each node is.
+    """
+
+    heap: NDArray[np.int64]
+    place: NDArray[np.int64]

@@ -12,7 +12,8 @@ unknowns, or at a vertex.
 import math
 
 import numpy as np
-from numba import njit
+
+from fascicle.kernels.jit import kernel
 
 # A determinant below this fraction of the product of the diagonal is a flat element, whose inside
 # is not used. Right for a face that contains the point asked for; meshes with flat elements are
@@ -20,7 +21,7 @@ from numba import njit
 FLAT = 1e-14
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def from_edge(a11, a12, a22, t1, t2):
     """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end."""
     det = a11 * a22 - a12 * a12
@@ -43,7 +44,7 @@ def from_edge(a11, a12, a22, t1, t2):
     return base + mu
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
     """Earliest arrival (ms) through the inside of a face; inf where the minimum is on its rim."""
     q11 = a22 * a33 - a23 * a23
@@ -73,7 +74,7 @@ def from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
     return base + mu
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
     """Earliest arrival (ms) from a face with its edges and vertices; times may be inf."""
     best = min(t1 + math.sqrt(a11), t2 + math.sqrt(a22), t3 + math.sqrt(a33))
@@ -88,42 +89,43 @@ def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
     return best
 
 
-@njit(cache=True, nogil=True)
-def from_new_corner(ass, as1, as2, a11, a12, a22, ts, t1, t2):
-    """Earliest arrival (ms) from a face by ways that touch its first corner, s; inf where none can.
+@kernel(inline="always")
+def from_new_corner(pas, paj, pak, psj, psk, pjk, ss, jj, kk, sj, sk, tj, tk, use_j, use_k):
+    """How long after corner s (ms) its face s, j, k fires corner a, by ways that touch s; or inf.
 
-    What the rest of the face offers was known before s had its time, so it is not looked at. The
-    objective is convex. Where its minimum in the face's plane lies outside the face, the minimum
-    on the face lies on an edge that faces it: one opposite a corner whose weight is negative.
+    What the rest of the face offers is known without s. The way from s itself, along the edge, is
+    left out. The objective is convex: where its minimum in the face's plane lies outside the face,
+    the minimum on the face lies on an edge that faces it, one opposite a corner whose weight is
+    negative.
+
+    Parameters
+    ----------
+    pas, paj, pak, psj, psk, pjk : float
+        Products ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²). The
+        time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²), which is 1 in a front; the front
+        comes through the face if it leaves each of its corners behind: Σⱼ pᵢⱼ τⱼ ≤ 0.
+    ss, jj, kk, sj, sk : float
+        Squared travel times (ms²) from a to s, j and k, and from s to j and k.
+    tj, tk : float
+        Times of j and k, less that of s (ms).
+    use_j, use_k : bool
+        Which of the two have a time to be used.
     """
-    if not t1 < np.inf:
-        best = ts + math.sqrt(ass)
-        return min(best, from_edge(ass, as2, a22, ts, t2)) if t2 < np.inf else best
-    if not t2 < np.inf:
-        return min(ts + math.sqrt(ass), from_edge(ass, as1, a11, ts, t1))
-    qss = a11 * a22 - a12 * a12
-    qs1 = as2 * a12 - as1 * a22
-    qs2 = as1 * a12 - as2 * a11
-    det = ass * qss + as1 * qs1 + as2 * qs2
-    beyond1 = beyond2 = True
-    if det > FLAT * ass * a11 * a22:
-        q11 = ass * a22 - as2 * as2
-        q12 = as1 * as2 - ass * a12
-        q22 = ass * a11 - as1 * as1
-        d1, d2 = t1 - ts, t2 - ts
-        ss, s1, s2 = qss + qs1 + qs2, qs1 + q11 + q12, qs2 + q12 + q22
-        vs, v1, v2 = qs1 * d1 + qs2 * d2, q11 * d1 + q12 * d2, q12 * d1 + q22 * d2
-        a = ss + s1 + s2
-        b = s1 * d1 + s2 * d2
-        disc = b * b - a * (v1 * d1 + v2 * d2 - det)
+    way = np.inf
+    beyond_j, beyond_k = use_k, use_j  # without k, the edge from s to j is all there is
+    if use_j and use_k:
+        beyond_j = beyond_k = True
+        paa, pjj, pkk = -(pas + paj + pak), -(paj + psj + pjk), -(pak + psk + pjk)
+        b = paj * tj + pak * tk
+        vj, vk = pjj * tj + pjk * tk, pjk * tj + pkk * tk
+        disc = b * b - paa * (vj * tj + vk * tk - 1.0)
         if disc >= 0.0:
-            mu = (b + math.sqrt(disc)) / a
-            beyond1, beyond2 = mu * s1 < v1, mu * s2 < v2
-            if not (beyond1 or beyond2):
-                return ts + mu if mu * ss >= vs else np.inf
-    best = ts + math.sqrt(ass)
-    if beyond2:
-        best = min(best, from_edge(ass, as1, a11, ts, t1))
-    if beyond1:
-        best = min(best, from_edge(ass, as2, a22, ts, t2))
-    return best
+            mu = (math.sqrt(disc) - b) / paa
+            beyond_j, beyond_k = paj * mu + vj > 0.0, pak * mu + vk > 0.0
+            if not (beyond_j or beyond_k) and pas * mu + psj * tj + psk * tk <= 0.0:
+                way = mu
+    if beyond_k:
+        way = min(way, from_edge(ss, 0.5 * (ss + jj - sj), jj, 0.0, tj))
+    if beyond_j:
+        way = min(way, from_edge(ss, 0.5 * (ss + kk - sk), kk, 0.0, tk))
+    return way

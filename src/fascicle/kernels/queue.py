@@ -1,9 +1,9 @@
 """A binary heap of node numbers, ordered by time, in which a node's time can be lowered."""
 
-from numba import njit
+from fascicle.kernels.jit import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def lower(node, time, heap, place, size):
     """Enter `node`, or move it up after its time was lowered; returns the heap's size."""
     i = place[node]
@@ -23,7 +23,7 @@ def lower(node, time, heap, place, size):
     return size
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def pop(time, heap, place, size):
     """Take the earliest node out; returns it and the heap's size."""
     first = heap[0]

@@ -3,15 +3,17 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from fascicle.kernels.jit import kernel
 
 ACROSS = 44  # column of the first neighbour in `Mesh.across`
-MAX_CROSSINGS = 2000  # elements a path may cross before it is given up
+MAX_CROSSINGS = 2000  # elements a straight path may cross before it is given up
+MAX_SLIDES = 100  # and elements it may pass once it follows the boundary
 PARALLEL = 1e-12  # a coordinate that changes less along a line is taken not to reach 0
 ARRIVED = 1.0 - 1e-9  # share of the way at which rounding decides what is crossed next
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def travel(cells, t, x, y, z):
     """√(dᵀD⁻¹d) for d = (x, y, z) in tetrahedron t (ms)."""
     return math.sqrt(
@@ -20,7 +22,7 @@ def travel(cells, t, x, y, z):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _crossing(t, k, x, y, z, dx, dy, dz, cells):
     """Where the line p + s·d leaves through face k of tetrahedron t: s, or inf."""
     ax, ay, az = cells[t, k], cells[t, 4 + k], cells[t, 8 + k]
@@ -29,7 +31,7 @@ def _crossing(t, k, x, y, z, dx, dy, dz, cells):
     return s if rate < -PARALLEL else np.inf
 
 
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+@kernel(inline="always", error_model="numpy")
 def _exit(t, x, y, z, dx, dy, dz, cells):
     """Where the line leaves tetrahedron t: s, and through which face.
 
@@ -44,7 +46,7 @@ def _exit(t, x, y, z, dx, dy, dz, cells):
     return min(sa, sb), (nearer if sb < sa else near)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, across):
     """Time (ms) along the straight line from (x, y, z) to (gx, gy, gz), or inf if it leaves.
 
@@ -78,10 +80,10 @@ def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, ac
     return np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across):
     """Go on from a point of the boundary, in tetrahedron t, after `total` ms; see `ray_time`."""
-    for _ in range(MAX_CROSSINGS):
+    for _ in range(MAX_SLIDES):
         dx, dy, dz = gx - x, gy - y, gz - z
         least = total + slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
         if least > limit:

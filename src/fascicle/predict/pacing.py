@@ -81,7 +81,7 @@ def qrs_aligned(
     lead_in = 10  # samples shown before the onset
     cut = []
     for simulation in simulations:
-        values = simulation.ecg.to_numpy()
+        values = simulation.leads
         onset, _ = qrs_window(values, STEP)
         padded = np.pad(values, ((0, 0), (lead_in, 0)))
         cut.append(padded[:, onset:])

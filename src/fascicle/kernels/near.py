@@ -1,0 +1,220 @@
+"""Straight ways from a site to the vertices and other sites around it.
+
+From a point of a boundary triangle, the squared travel time to a vertex is a quadratic function of
+where in the triangle the point lies: exactly, in a uniform medium. A table holds it at six points
+of each triangle of the endocardia; in between it is interpolated. From any other site ways are
+traced.
+"""
+
+import math
+
+import numpy as np
+
+from fascicle.kernels.jit import kernel
+from fascicle.kernels.ray import ray_time, travel
+
+# The six points, as barycentric coordinates. Inside the triangle, so that the ways start in its
+# element: its corners and the middles of its sides, moved a little towards the centre.
+INSET = 0.002
+POINTS = np.array(
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0],
+     [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]]
+) * (1.0 - 3.0 * INSET) + INSET  # fmt: skip
+
+
+def _monomials(weights):
+    """The products of two barycentric coordinates: a², b², c², ab, ac, bc."""
+    a, b, c = weights.T
+    return np.stack([a * a, b * b, c * c, a * b, a * c, b * c], axis=1)
+
+
+# Row i: what monomial i of a point contributes to the weight of each of the six
+BASIS = np.linalg.inv(_monomials(POINTS))
+
+
+@kernel()
+def trace_ways(points, elements, start, vertex, longest, mesh, square):
+    """Squared travel times (ms²) from six points each to the vertices around them.
+
+    Parameters
+    ----------
+    points : (r, 6, 3) array
+        Where the ways start (mm).
+    elements : (r,) array
+        The tetrahedron in which each six lie.
+    start, vertex : (r + 1,) and (p,) arrays
+        The vertices that each six are traced to.
+    longest : float
+        Ways that take longer (ms) are given up.
+    mesh : Mesh
+        The myocardium.
+    square : (p, 6) array
+        Overwritten by the squared times, inf where a way was given up.
+    """
+    for r in range(len(elements)):
+        for k in range(start[r], start[r + 1]):
+            goal = mesh.vertices[vertex[k]]
+            for i in range(6):
+                way = ray_time(
+                    points[r, i, 0], points[r, i, 1], points[r, i, 2], elements[r],
+                    goal[0], goal[1], goal[2], longest, mesh.slowness, True,
+                    mesh.cells, mesh.across,
+                )  # fmt: skip
+                square[k, i] = way * way if way >= 0.0 else np.inf
+                if square[k, i] == np.inf:  # of no use without all six
+                    break
+
+
+@kernel()
+def locate(positions, elements, mesh, share, to_corner):
+    """Barycentric coordinates of each site, and squared times (ms²) to its element's corners.
+
+    Parameters
+    ----------
+    positions, elements : (j, 3) and (j,) arrays
+        Where the sites lie (mm), and the tetrahedron of each; -1 where there is none.
+    mesh : Mesh
+        The myocardium.
+    share, to_corner : (j, 4) arrays
+        Overwritten, but for sites without an element.
+    """
+    cells = mesh.cells
+    for s in range(len(elements)):
+        t, x, y, z = elements[s], positions[s, 0], positions[s, 1], positions[s, 2]
+        for c in range(4 if t >= 0 else 0):
+            share[s, c] = cells[t, c] * x + cells[t, 4 + c] * y + cells[t, 8 + c] * z
+            share[s, c] += cells[t, 12 + c]
+            v = mesh.corners[t, c]
+            to_corner[s, c] = travel(
+                cells, t, mesh.vertices[v, 0] - x, mesh.vertices[v, 1] - y, mesh.vertices[v, 2] - z
+            ) ** 2  # fmt: skip
+
+
+@kernel(inline="always")
+def _from_table(row, a, b, c, table, near, way, used):
+    """Append the vertices of a row of the table; returns how many there are now.
+
+    a, b, c are the barycentric coordinates in the row's triangle.
+    """
+    w0, w1, w2 = _weight(0, a, b, c), _weight(1, a, b, c), _weight(2, a, b, c)
+    w3, w4, w5 = _weight(3, a, b, c), _weight(4, a, b, c), _weight(5, a, b, c)
+    square = table.square
+    for k in range(table.start[row], table.start[row + 1]):
+        between = (
+            w0 * square[k, 0] + w1 * square[k, 1] + w2 * square[k, 2]
+            + w3 * square[k, 3] + w4 * square[k, 4] + w5 * square[k, 5]
+        )  # fmt: skip
+        near[used], way[used] = table.vertex[k], math.sqrt(max(between, 0.0))
+        used += 1
+    return used
+
+
+@kernel(inline="always")
+def _weight(i, a, b, c):
+    """What point i of the six counts for the point (a, b, c)."""
+    return (
+        BASIS[0, i] * a * a + BASIS[1, i] * b * b + BASIS[2, i] * c * c
+        + BASIS[3, i] * a * b + BASIS[4, i] * a * c + BASIS[5, i] * b * c
+    )  # fmt: skip
+
+
+@kernel()
+def _traced(x, y, z, t, mesh, near, way, used):
+    """Append every vertex that a ray comes to; returns how many there are now."""
+    for v in range(len(mesh.vertices)):
+        time = ray_time(
+            x, y, z, t, mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2], np.inf,
+            mesh.slowness, True, mesh.cells, mesh.across,
+        )  # fmt: skip
+        if 0.0 <= time < np.inf:
+            near[used], way[used] = v, time
+            used += 1
+    return used
+
+
+@kernel()
+def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, table,
+                start, near, way):  # fmt: skip
+    """The straight ways from each site to the vertices around it.
+
+    Parameters
+    ----------
+    positions, elements, mesh, share, to_corner
+        See `locate`.
+    rows, opposite : (j,) arrays
+        The row of the table for each, -1 to trace instead, and the corner opposite its triangle.
+    table : Table
+        See `fascicle.kernels.arrays`.
+    start, near, way : (j + 1,), (p,) and (p,) arrays
+        Overwritten, as far as needed: where each site's vertices start, which, and the times (ms).
+    """
+    start[0] = used = 0
+    for s in range(len(elements)):
+        t, row, away = elements[s], rows[s], opposite[s]
+        if t >= 0 and row >= 0:
+            a, b = share[s, 1 if away == 0 else 0], share[s, 1 if away > 1 else 2]
+            c = share[s, 2 if away == 3 else 3]
+            used = _from_table(row, a, b, c, table, near, way, used)
+        elif t >= 0:
+            used = _traced(
+                positions[s, 0], positions[s, 1], positions[s, 2], t, mesh, near, way, used
+            )
+        for c in range(4 if t >= 0 else 0):
+            near[used], way[used] = mesh.corners[t, c], math.sqrt(to_corner[s, c])
+            used += 1
+        start[s + 1] = used
+
+
+@kernel(inline="always")
+def _way_inside(site, t, share, to_corner, mesh, way_to):
+    """Travel time (ms) to a site in tetrahedron t, from those to its corners; or inf.
+
+    Exact in a uniform medium: the interpolation of the squares, less what the site is nearer to
+    the corners than they to each other. Never less than by any corner.
+    """
+    square, least, known = 0.0, 0.0, True
+    for c in range(4):
+        way = way_to[mesh.corners[t, c]]
+        known = known and way < np.inf
+        square += share[site, c] * way * way
+        least = max(least, way - math.sqrt(to_corner[site, c]))
+    pair = 6
+    for c in range(3):
+        for d in range(c + 1, 4):
+            square -= share[site, c] * share[site, d] * mesh.solver[t, pair]
+            pair += 1
+    return max(math.sqrt(max(square, 0.0)), least) if known else np.inf
+
+
+@kernel()
+def to_sites(elements, share, to_corner, first_start, first, mesh, near_start, near, near_way,
+             way_to, start, beside, way):  # fmt: skip
+    """The straight ways from each site to the other sites around it.
+
+    Parameters
+    ----------
+    elements, mesh, share, to_corner
+        See `locate`.
+    first_start, first : (n + 1,) and (j,) arrays
+        The sites whose element has each vertex as its first corner.
+    near_start, near, near_way
+        What `to_vertices` makes.
+    way_to : (n,) array
+        inf, and inf again afterwards.
+    start, beside, way : (j + 1,), (q,) and (q,) arrays
+        Overwritten, as far as needed: where each site's neighbours start, which, and the times.
+    """
+    start[0] = used = 0
+    for s in range(len(elements)):
+        for k in range(near_start[s], near_start[s + 1]):
+            way_to[near[k]] = near_way[k]
+        for k in range(near_start[s], near_start[s + 1]):
+            for f in range(first_start[near[k]], first_start[near[k] + 1]):
+                other = first[f]
+                time = _way_inside(other, elements[other], share, to_corner, mesh, way_to)
+                if time < np.inf and other != s:
+                    beside[used], way[used] = other, time
+                    used += 1
+        for k in range(near_start[s], near_start[s + 1]):
+            way_to[near[k]] = np.inf
+        start[s + 1] = used
