@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
@@ -30,6 +31,8 @@ from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
 PHYSIOLOGY = ("root_time", "cv")  # parameters that change no tree
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,10 @@ class Simulation:
         """The twelve leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
         ecg = xr.DataArray(
             self.leads,
-            coords={"lead": list(LEADS), "time": self.onset + np.arange(self.leads.shape[1]) * STEP},
+            coords={
+                "lead": list(LEADS),
+                "time": self.onset + np.arange(self.leads.shape[1]) * STEP,
+            },
             dims=("lead", "time"),
             name="ecg",
             attrs={"units": "mV"},
@@ -137,7 +143,8 @@ class ForwardModel:
         self.charts, self.seeds = prepared.charts, prepared.seeds
         self.tissue = prepared.tissue
         self.electrocardiograph = prepared.electrocardiograph
-        self._remembered: dict[tuple[tuple[str, float], ...], Coupling | InvalidTree] = {}
+        self._grown: dict[Hashable, tuple[PurkinjeTree, ...] | InvalidTree] = {}
+        self._attached: dict[Hashable, Coupling] = {}
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
@@ -145,28 +152,17 @@ class ForwardModel:
         Networks that were grown lately are remembered: where only root time and speed change, no
         tree is grown again.
         """
-        grown = self._grown(parameters)
-        return grown if isinstance(grown, InvalidTree) else grown.trees
-
-    def _grown(self, parameters: Mapping[str, float]) -> Coupling | InvalidTree:
         anatomy = {name: value for name, value in parameters.items() if name not in PHYSIOLOGY}
-        key = tuple(sorted(anatomy.items()))
-        grown = self._remembered.get(key)
-        if grown is None:
-            grown = self._grow(anatomy)
-            for oldest in list(self._remembered)[: 1 - REMEMBERED]:
-                self._remembered.pop(oldest, None)  # another thread may have been faster
-            self._remembered[key] = grown
-        return grown
+        return _remembered(self._grown, tuple(sorted(anatomy.items())), lambda: self._grow(anatomy))
 
-    def _grow(self, anatomy: Mapping[str, float]) -> Coupling | InvalidTree:
+    def _grow(self, anatomy: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         trees = []
         for side, chart in self.charts.items():
             tree = grow_from_parameters(side, chart, self.seeds[side], anatomy, self.rules)
             if isinstance(tree, InvalidTree):
                 return tree
             trees.append(tree)
-        return attach(self.tissue, trees)
+        return tuple(trees)
 
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
@@ -195,10 +191,10 @@ class ForwardModel:
         for name, value in parameters.items():
             if (name == "cv" or "_length" in name) and value <= 0:
                 raise InputError(f"parameter '{name}' is {value}; it must be positive")
-        grown = self._grown(parameters)
-        if isinstance(grown, InvalidTree):
-            return grown
-        return self._activate(grown, _roots(parameters["root_time"]), parameters["cv"], scenario)
+        trees = self.grow(parameters)
+        if isinstance(trees, InvalidTree):
+            return trees
+        return self.activate(trees, parameters["root_time"], parameters["cv"], scenario)
 
     def activate(
         self,
@@ -221,17 +217,14 @@ class ForwardModel:
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
         """
         roots = _roots(root_time) if isinstance(root_time, (float, int)) else root_time
-        return self._activate(attach(self.tissue, trees), roots, cv, scenario)
-
-    def _activate(
-        self, coupling: Coupling, roots: Sequence[float], cv: float, scenario: Scenario | None
-    ) -> Simulation:
         scenario = scenario if scenario is not None else Scenario()
-        if scenario.trees or len(scenario.points):
-            all_trees = [*coupling.trees, *(tree for tree, _ in scenario.trees)]
-            coupling = attach(self.tissue, all_trees, scenario.points)
-            _check_stimuli(scenario, coupling)
-        trees = coupling.trees
+        trees = (*trees, *(tree for tree, _ in scenario.trees))
+        coupling = _remembered(
+            self._attached,
+            (trees, scenario.points.tobytes()),
+            lambda: attach(self.tissue, trees, scenario.points),
+        )
+        _check_stimuli(scenario, coupling)
         coupled = solve(
             self.tissue,
             coupling,
@@ -293,6 +286,17 @@ class ForwardModel:
                 executor.submit(_simulate_shared, shared, dict(p), scenario) for p in parameters
             ]
             return [future.result() for future in futures]
+
+
+def _remembered(store: dict[Hashable, T], key: Hashable, make: Callable[[], T]) -> T:
+    """What was made lately under this key, or else what is made now."""
+    found = store.get(key)
+    if found is None:
+        found = make()
+        for oldest in list(store)[: 1 - REMEMBERED]:
+            store.pop(oldest, None)  # another thread may have been faster
+        store[key] = found
+    return found
 
 
 @dataclass(frozen=True)

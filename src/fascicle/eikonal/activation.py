@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.eikonal.near_field import grouped, surround
+from fascicle.eikonal.near_field import Around, grouped, look_around, look_beside
 from fascicle.eikonal.tissue import Site, Tissue
-from fascicle.kernels.arrays import Forest, Queue, Sites
+from fascicle.kernels.arrays import Forest, Queue, Sites, Ways
 from fascicle.kernels.coupled import settle_trees, sweep
 from fascicle.tree.purkinje import PurkinjeTree
 
@@ -36,28 +36,19 @@ class Coupling:
         stimuli, a node each.
     junctions : (k + 1,) array
         Where each tree's junctions start among the sites.
+    lengths : (n_nodes,) array
+        Length of the segment that ends in each node (mm), tree by tree, then stimuli.
+    forest, sites : Forest, Sites
+        As the sweep wants them, with neither travel times nor delays.
     """
 
     trees: tuple[PurkinjeTree, ...]
     site: Site
     nodes: NDArray[np.int64]
     junctions: NDArray[np.int64]
-    order: NDArray[np.int64]
-    parents: NDArray[np.int64]
     lengths: NDArray[np.float64]
-    child_start: NDArray[np.int64]
-    child: NDArray[np.int64]
-    site_node: NDArray[np.int64]
-    node_site: NDArray[np.int64]
-    reader_start: NDArray[np.int64]
-    reader: NDArray[np.int64]
-    to_corner: NDArray[np.float64]
-    near_start: NDArray[np.int64]
-    near: NDArray[np.int32]
-    near_way: NDArray[np.float64]
-    beside_start: NDArray[np.int64]
-    beside: NDArray[np.int32]
-    beside_way: NDArray[np.float64]
+    forest: Forest
+    sites: Sites
 
 
 @dataclass(frozen=True)
@@ -111,12 +102,11 @@ def attach(
         Stimuli in the myocardium (mm); those outside are moved to its surface.
     """
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
-    site = _together(
-        tissue.on_surface(
-            np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
-        ),
-        tissue.inside(stimuli),
-    )
+    leaves = np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
+    site = tissue.on_surface(leaves)
+    around = _look_around(tissue, site)
+    if len(stimuli):
+        site, around = _with_stimuli(tissue, site, around, stimuli)
     nodes = _starts([len(tree.nodes) for tree in trees])
     junctions = _starts([len(tree.junctions) for tree in trees])
     count = int(nodes[-1]) + len(stimuli)
@@ -128,17 +118,20 @@ def attach(
     ).astype(np.int64)
     node_site = np.full(count, -1, dtype=np.int64)
     node_site[site_node] = np.arange(len(site_node))
-    return Coupling(
-        tuple(trees),
-        site,
-        nodes,
-        junctions,
-        *_graph(trees, nodes, count),
-        site_node,
-        node_site,
+    parents, lengths = _joined(trees, nodes, count)
+    no_delay = np.zeros(len(site_node))
+    sites = Sites(
+        site.elements,
+        around.to_corner,
+        site_node + len(tissue.mesh.vertices),
+        no_delay,
+        no_delay,
         *_readers(tissue, site),
-        *surround(site.positions, site.elements, site.triangles, tissue.mesh, tissue.table),
+        around.near,
+        look_beside(site.elements, around, tissue.mesh),
     )
+    forest = Forest(_parents_first(parents), parents, lengths, *_children(parents), node_site)
+    return Coupling(tuple(trees), site, nodes, junctions, lengths, forest, sites)
 
 
 def solve(
@@ -178,7 +171,7 @@ def solve(
     """
     if len(root_times) != len(coupling.trees):
         raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
-    vertices, count = len(tissue.mesh.vertices), len(coupling.node_site)
+    vertices, count = len(tissue.mesh.vertices), len(coupling.lengths)
     time = np.full(vertices + count, np.inf)
     firing = time[vertices:]
     for tree, first, root_time in zip(coupling.trees, coupling.nodes[:-1], root_times, strict=True):
@@ -188,7 +181,7 @@ def solve(
         firing[first + node] = min(moment, firing[first + node])
     firing[coupling.nodes[-1] :] = stimuli
     stimulated = firing[coupling.nodes[-1] :].copy()
-    sites, junctions = len(coupling.site_node), int(coupling.junctions[-1])
+    sites, junctions = len(coupling.sites.node), int(coupling.junctions[-1])
     delays = np.zeros((2, sites))
     delays[:, :junctions] = (
         np.broadcast_to(orthodromic_delay, junctions),
@@ -198,14 +191,7 @@ def solve(
     factor[: coupling.nodes[-1]] = speed
     travel = np.full(count, np.inf)  # what is blocked takes forever
     np.divide(coupling.lengths, cv * factor, out=travel, where=factor > 0)
-    forest = Forest(
-        coupling.order,
-        coupling.parents,
-        travel,
-        coupling.child_start,
-        coupling.child,
-        coupling.node_site,
-    )
+    forest = coupling.forest._replace(time=travel)
     settle_trees(firing, forest)
     origin = np.full(vertices + count, FROM_ROOT)
     entered_by = np.full(sites, -1)
@@ -213,24 +199,10 @@ def solve(
         time,
         origin,
         entered_by,
-        vertices + coupling.site_node[np.isfinite(firing[coupling.site_node])],
+        coupling.sites.node[np.isfinite(time[coupling.sites.node])],
         tissue.mesh,
         forest,
-        Sites(
-            coupling.site.elements,
-            coupling.to_corner,
-            coupling.site_node + vertices,
-            delays[0],
-            delays[1],
-            coupling.reader_start,
-            coupling.reader,
-            coupling.near_start,
-            coupling.near,
-            coupling.near_way,
-            coupling.beside_start,
-            coupling.beside,
-            coupling.beside_way,
-        ),
+        coupling.sites._replace(orthodromic=delays[0], antidromic=delays[1]),
         _queue(len(time)),
     )
     # a site that a front has entered passes it on under its own number; the front is another's
@@ -257,9 +229,7 @@ def solve(
     )
 
 
-def solve_from_vertices(
-    tissue: Tissue, times: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def solve_from_vertices(tissue: Tissue, times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Solve the eikonal equation in the myocardium alone, from times at vertices.
 
     First order: without a site there is no straight way.
@@ -279,10 +249,10 @@ def solve_from_vertices(
     count = len(times)
     time = np.ascontiguousarray(times[tissue.order])
     none, zero, nothing = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0)
-    few = np.empty(0, np.int32)
+    nowhere = Ways(zero, np.empty(0, np.int32), nothing)
     sites = Sites(
         none, np.empty((0, 4)), none, nothing, nothing, np.zeros(count + 1, np.int64), none,
-        zero, few, nothing, zero, few, nothing,
+        nowhere, nowhere,
     )  # fmt: skip
     sweep(
         time, np.full(count, FROM_ROOT), none, np.flatnonzero(np.isfinite(time)), tissue.mesh,
@@ -297,13 +267,22 @@ def _queue(nodes: int) -> Queue:
     return Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
 
 
-def _together(one: Site, other: Site) -> Site:
-    return Site(
-        np.concatenate([one.positions, other.positions]),
-        np.concatenate([one.elements, other.elements]),
-        np.concatenate([one.triangles, other.triangles]),
-        np.concatenate([one.distances, other.distances]),
-    )
+def _look_around(tissue: Tissue, site: Site) -> Around:
+    return look_around(site.positions, site.elements, site.triangles, tissue.mesh, tissue.table)
+
+
+def _with_stimuli(
+    tissue: Tissue, site: Site, around: Around, points: NDArray[np.float64]
+) -> tuple[Site, Around]:
+    """Add points in the myocardium to sites; those of last time are remembered."""
+    key = points.tobytes()
+    known = tissue.remembered.get(key)
+    if known is None:
+        there = tissue.inside(points)
+        known = there, _look_around(tissue, there)
+        tissue.remembered.clear()
+        tissue.remembered[key] = known
+    return site.and_then(known[0]), around.and_then(known[1])
 
 
 def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
@@ -315,19 +294,23 @@ def _pieces(values: NDArray[Any], starts: NDArray[np.int64]) -> tuple[NDArray[An
     return tuple(values[a:b] for a, b in pairwise(starts))
 
 
-def _graph(trees: Sequence[PurkinjeTree], nodes: NDArray[np.int64], count: int) -> tuple[
-    NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]
-]:
-    """The trees as one: order, parents, lengths, where each node's children start, and children."""
+def _joined(
+    trees: Sequence[PurkinjeTree], nodes: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Parents and lengths of the trees as one."""
     parents, lengths = np.full(count, -1, dtype=np.int64), np.zeros(count)
     for tree, first in zip(trees, nodes[:-1], strict=True):
         part = slice(first, first + len(tree.nodes))
         parents[part] = np.where(tree.parents >= 0, tree.parents + first, -1)
         lengths[part] = tree.lengths
+    return parents, lengths
+
+
+def _children(parents: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where each node's children start, and the children."""
     child = np.flatnonzero(parents >= 0)
-    start, order = grouped(parents[child], count)
-    child = child[order]
-    return _parents_first(parents), parents, lengths, start, child
+    start, order = grouped(parents[child], len(parents))
+    return start, child[order]
 
 
 def _parents_first(parents: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from fascicle.kernels.arrays import Mesh, Table
+from fascicle.kernels.arrays import Mesh, Table, Ways
 from fascicle.kernels.near import POINTS, locate, to_sites, to_vertices, trace_ways
 
 EDGES_FAR = 4.0  # how far the table reaches, in edges of the mesh
@@ -64,14 +64,48 @@ def build_table(
     )
 
 
-def surround(
+class Around(NamedTuple):
+    """What is around sites.
+
+    Attributes
+    ----------
+    share : (j, 4) array
+        Barycentric coordinates of each in its tetrahedron.
+    to_corner : (j, 4) array
+        Squared travel times (ms²) to its corners.
+    near : Ways
+        To the vertices around.
+    """
+
+    share: NDArray[np.float64]
+    to_corner: NDArray[np.float64]
+    near: Ways
+
+    def and_then(self, other: Around) -> Around:
+        """These sites and, after them, the others."""
+        one, two = self.near, other.near
+        near = Ways(
+            np.concatenate([one.start, one.start[-1] + two.start[1:]]),
+            np.concatenate([one.target, two.target]),
+            np.concatenate([one.time, two.time]),
+        )
+        return Around(
+            np.concatenate([self.share, other.share]),
+            np.concatenate([self.to_corner, other.to_corner]),
+            near,
+        )
+
+
+def look_around(
     positions: NDArray[np.float64],
     elements: NDArray[np.int64],
     triangles: NDArray[np.int64],
     mesh: Mesh,
     table: Table,
-) -> tuple[NDArray[Any], ...]:
-    """The straight ways from sites to the vertices and the other sites around them.
+) -> Around:
+    """Find the straight ways from sites to the vertices around them.
+
+    They are read from the table where it has the triangle, and traced to all vertices else.
 
     Parameters
     ----------
@@ -80,33 +114,48 @@ def surround(
         boundary triangle (-1 inside the tissue).
     mesh, table : Mesh, Table
         The myocardium, and the straight ways from its endocardia.
-
-    Returns
-    -------
-    to_corner, near_start, near, near_way, beside_start, beside, beside_way
-        See `fascicle.kernels.arrays.Sites`.
     """
     count, vertices = len(elements), len(mesh.vertices)
     share, to_corner = np.zeros((count, 4)), np.full((count, 4), np.inf)
     locate(positions, elements, mesh, share, to_corner)
-    rows = np.where(triangles >= 0, table.row[triangles], -1)
-    rows[elements < 0] = -1
+    rows = np.where((triangles >= 0) & (elements >= 0), table.row[triangles], -1)
     room = np.where(rows >= 0, table.start[rows + 1] - table.start[rows], vertices) + 4
-    most = int(room[elements >= 0].sum())
-    start, near, way = np.empty(count + 1, np.int64), np.empty(most, np.int32), np.empty(most)
-    to_vertices(positions, elements, rows, table.opposite[triangles], share, to_corner, mesh, table,
-                start, near, way)  # fmt: skip
-    near, way = near[: start[-1]], way[: start[-1]]
-    attached = np.flatnonzero(elements >= 0)
-    first_start, first = grouped(mesh.corners[elements[attached], 0], vertices)
-    first = attached[first]
-    most = int(np.diff(first_start)[near].sum())
-    beside_start = np.empty(count + 1, np.int64)
-    beside, beside_way = np.empty(most, np.int32), np.empty(most)
-    to_sites(elements, share, to_corner, first_start, first, mesh, start, near, way,
-             np.full(vertices, np.inf), beside_start, beside, beside_way)  # fmt: skip
-    most = beside_start[-1]
-    return to_corner, start, near, way, beside_start, beside[:most], beside_way[:most]
+    ways = _room(count, int(room[elements >= 0].sum()))
+    to_vertices(
+        positions, elements, rows, table.opposite[triangles], share, to_corner, mesh, table, ways
+    )
+    return Around(share, to_corner, _used(ways))
+
+
+def look_beside(elements: NDArray[np.int64], around: Around, mesh: Mesh) -> Ways:
+    """Find the straight ways from sites to the other sites around them.
+
+    Parameters
+    ----------
+    elements : (j,) array
+        The tetrahedron of each site, -1 where there is none.
+    around : Around
+        What is around them.
+    mesh : Mesh
+        The myocardium.
+    """
+    vertices, attached = len(mesh.vertices), np.flatnonzero(elements >= 0)
+    first_start, order = grouped(mesh.corners[elements[attached], 0], vertices)
+    ways = _room(len(elements), int(np.diff(first_start)[around.near.target].sum()))
+    to_sites(
+        elements, around.share, around.to_corner, first_start, attached[order], mesh, around.near,
+        np.full(vertices, np.inf), ways,
+    )  # fmt: skip
+    return _used(ways)
+
+
+def _room(sites: int, most: int) -> Ways:
+    return Ways(np.empty(sites + 1, np.int64), np.empty(most, np.int32), np.empty(most))
+
+
+def _used(ways: Ways) -> Ways:
+    used = ways.start[-1]
+    return Ways(ways.start, ways.target[:used], ways.time[:used])
 
 
 def grouped(groups: NDArray[np.integer], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

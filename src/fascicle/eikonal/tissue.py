@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import igl
 import numpy as np
@@ -10,9 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from fascicle.eikonal.near_field import Around, build_table, grouped
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, boundary_triangles
-from fascicle.eikonal.near_field import build_table, grouped
 from fascicle.kernels.arrays import Mesh, Table
 from fascicle.kernels.ray import ACROSS
 
@@ -42,6 +42,15 @@ class Site:
     triangles: NDArray[np.int64]
     distances: NDArray[np.float64]
 
+    def and_then(self, other: Site) -> Site:
+        """These points and, after them, the others."""
+        return Site(
+            np.concatenate([self.positions, other.positions]),
+            np.concatenate([self.elements, other.elements]),
+            np.concatenate([self.triangles, other.triangles]),
+            np.concatenate([self.distances, other.distances]),
+        )
+
 
 @dataclass(frozen=True)
 class Tissue:
@@ -62,6 +71,9 @@ class Tissue:
         each.
     tree : igl.AABB
         Finds the nearest boundary triangle.
+    remembered : dict
+        The points that were looked for last, and what is around them: a scenario's stimuli are the
+        same for every network.
     """
 
     mesh: Mesh
@@ -71,6 +83,7 @@ class Tissue:
     surface: NDArray[np.int64]
     owner: NDArray[np.int64]
     tree: igl.AABB
+    remembered: dict[bytes, tuple[Site, Around]] = field(default_factory=dict)
 
     def on_surface(self, points: NDArray[np.float64]) -> Site:
         """Nearest points of the tissue's surface to `points` of shape (n, 3)."""

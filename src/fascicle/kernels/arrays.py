@@ -105,6 +105,20 @@ class Forest(NamedTuple):
     site: NDArray[np.int64]
 
 
+class Ways(NamedTuple):
+    """Straight ways from each site to what is around it.
+
+    Attributes
+    ----------
+    start, target, time : (j + 1,), (p,) and (p,) arrays
+        Where each site's ways start in the lists, where they lead, and how long they take (ms).
+    """
+
+    start: NDArray[np.int64]
+    target: NDArray[np.int32]
+    time: NDArray[np.float64]
+
+
 class Sites(NamedTuple):
     """Where trees (and stimuli) meet the myocardium.
 
@@ -120,10 +134,8 @@ class Sites(NamedTuple):
         Delays (ms) from tree to myocardium and back; inf where there is no way.
     reader_start, reader : (n + 1,) and (4j,) arrays
         The sites whose element has each vertex as a corner.
-    near_start, near, near_way : (j + 1,), (p,) and (p,) arrays
-        The vertices around each site, and the time (ms) that the straight way to each takes.
-    beside_start, beside, beside_way : (j + 1,), (q,) and (q,) arrays
-        The sites around each site, likewise.
+    near, beside : Ways
+        To the vertices around each site, and to the other sites.
     """
 
     element: NDArray[np.int64]
@@ -133,12 +145,8 @@ class Sites(NamedTuple):
     antidromic: NDArray[np.float64]
     reader_start: NDArray[np.int64]
     reader: NDArray[np.int64]
-    near_start: NDArray[np.int64]
-    near: NDArray[np.int32]
-    near_way: NDArray[np.float64]
-    beside_start: NDArray[np.int64]
-    beside: NDArray[np.int32]
-    beside_way: NDArray[np.float64]
+    near: Ways
+    beside: Ways
 
 
 class Queue(NamedTuple):

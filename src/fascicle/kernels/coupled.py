@@ -69,14 +69,15 @@ def _through_tree(node, vertices, forest, time, origin, entered_by, queue, size)
 @kernel(inline="always")
 def _fire(site, now, sites, time, origin, entered_by, queue, size):
     """From a site straight to what is near it; returns the queue's size."""
-    for k in range(sites.near_start[site], sites.near_start[site + 1]):
-        vertex, arrival = sites.near[k], now + sites.near_way[k]
+    for k in range(sites.near.start[site], sites.near.start[site + 1]):
+        vertex, arrival = sites.near.target[k], now + sites.near.time[k]
         if arrival < time[vertex] - SETTLED:
             time[vertex], origin[vertex] = arrival, site
             size = lower(vertex, time, queue.heap, queue.place, size)
-    for k in range(sites.beside_start[site], sites.beside_start[site + 1]):
-        entered = sites.beside[k]
-        other, arrival = sites.node[entered], now + sites.beside_way[k] + sites.antidromic[entered]
+    for k in range(sites.beside.start[site], sites.beside.start[site + 1]):
+        entered = sites.beside.target[k]
+        arrival = now + sites.beside.time[k] + sites.antidromic[entered]
+        other = sites.node[entered]
         if arrival < time[other] - SETTLED:
             time[other], origin[other], entered_by[entered] = arrival, entered, site
             size = lower(other, time, queue.heap, queue.place, size)
@@ -239,7 +240,7 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites, queue):
                              time, origin, entered_by, queue, size)  # fmt: skip
         site = forest.site[node - vertices]
         # a front that came through the myocardium is there already
-        if site >= 0 and entered_by[site] < 0 and sites.orthodromic[site] < np.inf:
+        if site >= 0 and sites.orthodromic[site] < np.inf:
             size = _fire(site, time[node] + sites.orthodromic[site], sites,
                          time, origin, entered_by, queue, size)  # fmt: skip
     return taken

@@ -91,7 +91,7 @@ def locate(positions, elements, mesh, share, to_corner):
 
 
 @kernel(inline="always")
-def _from_table(row, a, b, c, table, near, way, used):
+def _from_table(row, a, b, c, table, ways, used):
     """Append the vertices of a row of the table; returns how many there are now.
 
     a, b, c are the barycentric coordinates in the row's triangle.
@@ -104,7 +104,7 @@ def _from_table(row, a, b, c, table, near, way, used):
             w0 * square[k, 0] + w1 * square[k, 1] + w2 * square[k, 2]
             + w3 * square[k, 3] + w4 * square[k, 4] + w5 * square[k, 5]
         )  # fmt: skip
-        near[used], way[used] = table.vertex[k], math.sqrt(max(between, 0.0))
+        ways.target[used], ways.time[used] = table.vertex[k], math.sqrt(max(between, 0.0))
         used += 1
     return used
 
@@ -119,7 +119,7 @@ def _weight(i, a, b, c):
 
 
 @kernel()
-def _traced(x, y, z, t, mesh, near, way, used):
+def _traced(x, y, z, t, mesh, ways, used):
     """Append every vertex that a ray comes to; returns how many there are now."""
     for v in range(len(mesh.vertices)):
         time = ray_time(
@@ -127,14 +127,13 @@ def _traced(x, y, z, t, mesh, near, way, used):
             mesh.slowness, True, mesh.cells, mesh.across,
         )  # fmt: skip
         if 0.0 <= time < np.inf:
-            near[used], way[used] = v, time
+            ways.target[used], ways.time[used] = v, time
             used += 1
     return used
 
 
 @kernel()
-def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, table,
-                start, near, way):  # fmt: skip
+def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, table, ways):
     """The straight ways from each site to the vertices around it.
 
     Parameters
@@ -145,24 +144,22 @@ def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, tab
         The row of the table for each, -1 to trace instead, and the corner opposite its triangle.
     table : Table
         See `fascicle.kernels.arrays`.
-    start, near, way : (j + 1,), (p,) and (p,) arrays
-        Overwritten, as far as needed: where each site's vertices start, which, and the times (ms).
+    ways : Ways
+        Overwritten, as far as there is need.
     """
-    start[0] = used = 0
+    ways.start[0] = used = 0
     for s in range(len(elements)):
         t, row, away = elements[s], rows[s], opposite[s]
         if t >= 0 and row >= 0:
             a, b = share[s, 1 if away == 0 else 0], share[s, 1 if away > 1 else 2]
             c = share[s, 2 if away == 3 else 3]
-            used = _from_table(row, a, b, c, table, near, way, used)
+            used = _from_table(row, a, b, c, table, ways, used)
         elif t >= 0:
-            used = _traced(
-                positions[s, 0], positions[s, 1], positions[s, 2], t, mesh, near, way, used
-            )
+            used = _traced(positions[s, 0], positions[s, 1], positions[s, 2], t, mesh, ways, used)
         for c in range(4 if t >= 0 else 0):
-            near[used], way[used] = mesh.corners[t, c], math.sqrt(to_corner[s, c])
+            ways.target[used], ways.time[used] = mesh.corners[t, c], math.sqrt(to_corner[s, c])
             used += 1
-        start[s + 1] = used
+        ways.start[s + 1] = used
 
 
 @kernel(inline="always")
@@ -187,8 +184,7 @@ def _way_inside(site, t, share, to_corner, mesh, way_to):
 
 
 @kernel()
-def to_sites(elements, share, to_corner, first_start, first, mesh, near_start, near, near_way,
-             way_to, start, beside, way):  # fmt: skip
+def to_sites(elements, share, to_corner, first_start, first, mesh, near, way_to, ways):
     """The straight ways from each site to the other sites around it.
 
     Parameters
@@ -197,24 +193,26 @@ def to_sites(elements, share, to_corner, first_start, first, mesh, near_start, n
         See `locate`.
     first_start, first : (n + 1,) and (j,) arrays
         The sites whose element has each vertex as its first corner.
-    near_start, near, near_way
-        What `to_vertices` makes.
+    near : Ways
+        To the vertices around each site.
     way_to : (n,) array
         inf, and inf again afterwards.
-    start, beside, way : (j + 1,), (q,) and (q,) arrays
-        Overwritten, as far as needed: where each site's neighbours start, which, and the times.
+    ways : Ways
+        Overwritten, as far as there is need.
     """
-    start[0] = used = 0
+    ways.start[0] = used = 0
     for s in range(len(elements)):
-        for k in range(near_start[s], near_start[s + 1]):
-            way_to[near[k]] = near_way[k]
-        for k in range(near_start[s], near_start[s + 1]):
-            for f in range(first_start[near[k]], first_start[near[k] + 1]):
+        begin, end = near.start[s], near.start[s + 1]
+        for k in range(begin, end):
+            way_to[near.target[k]] = near.time[k]
+        for k in range(begin, end):
+            vertex = near.target[k]
+            for f in range(first_start[vertex], first_start[vertex + 1]):
                 other = first[f]
                 time = _way_inside(other, elements[other], share, to_corner, mesh, way_to)
                 if time < np.inf and other != s:
-                    beside[used], way[used] = other, time
+                    ways.target[used], ways.time[used] = other, time
                     used += 1
-        for k in range(near_start[s], near_start[s + 1]):
-            way_to[near[k]] = np.inf
-        start[s + 1] = used
+        for k in range(begin, end):
+            way_to[near.target[k]] = np.inf
+        ways.start[s + 1] = used

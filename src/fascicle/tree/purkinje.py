@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # equal is the same, as fits something made of arrays
 class PurkinjeTree:
     """A tree of straight segments from one root.
 
