@@ -72,19 +72,14 @@ def straight_times(tissue: Tissue, points, times, at=None) -> np.ndarray:
     return (ways + np.asarray(times)).min(axis=1)
 
 
-def ray_ways(tissue: Tissue, start, element, goals) -> np.ndarray:
-    """Time (ms) of the ray from a point in an element to each goal, followed to its end."""
+def ray_ways(tissue: Tissue, start, element, goals, *, longest=np.inf) -> np.ndarray:
+    """Time (ms) along the straight way from a point in an element to each goal, traced."""
     mesh = tissue.mesh
     ways = [
-        ray_time(*start, element, *goal, np.inf, mesh.slowness, True, *ray_arrays(mesh))
+        ray_time(*start, element, *goal, longest, mesh.slowness, True, mesh.cells, mesh.across)
         for goal in goals
     ]
     return np.where(np.array(ways) >= 0, ways, np.inf)
-
-
-def ray_arrays(mesh) -> tuple:
-    """What `ray_time` wants of a mesh."""
-    return mesh.cells, mesh.across
 
 
 def vertex_at(vertices, point) -> int:

@@ -165,7 +165,7 @@ def simulate(
     loaded = load_heart(heart)
     with TerminalProgress() as progress:
         Compilation(progress).run()
-    model = ForwardModel(loaded, Conduction(regions=regions))
+        model = ForwardModel(loaded, Conduction(regions=regions), progress=progress)
     simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time, case)
     if scenario is not None:
         inputs["scenario"] = str(scenario)
@@ -250,8 +250,8 @@ def predict(
     from fascicle.predict.write import write_pacing
     from fascicle.progress import TerminalProgress
 
-    fitted = load_study(study)
     with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
         pacing = write_pacing(fitted, root_time, out, progress)
     _print_pacing(pacing)
     print(f"prediction in {out}")
@@ -264,8 +264,8 @@ def report(study: Annotated[Path, typer.Argument(help="Finished study folder.")]
     from fascicle.progress import TerminalProgress
     from fascicle.report.study import write_figures
 
-    fitted = load_study(study)
     with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
         figures = write_figures(fitted, fitted.networks(progress))
     for figure in figures:
         print(figure)

@@ -156,15 +156,23 @@ def fit(
         write_target(target, folder / "target.nc")
     if progress is not None:
         Compilation(progress).run()
-    problem = Problem(ForwardModel(heart), target, NETWORK_SPACE, free_gain, workers)
+    model = ForwardModel(heart, progress=progress)
+    problem = Problem(model, target, NETWORK_SPACE, free_gain, workers)
     posterior = study.run(problem, progress if progress is not None else _silent)
     fitted = FittedStudy(folder, study, problem, _accepted(posterior))
     write_results(fitted, posterior, progress)
     return fitted
 
 
-def load_study(folder: Path | str) -> FittedStudy:
+def load_study(folder: Path | str, progress: Progress | None = None) -> FittedStudy:
     """Read a finished study.
+
+    Parameters
+    ----------
+    folder : path
+        The study.
+    progress : Progress, optional
+        Told how far the preparation of a large heart is.
 
     Raises
     ------
@@ -190,7 +198,8 @@ def load_study(folder: Path | str) -> FittedStudy:
             f"{folder / POSTERIOR}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
         )
-    problem = Problem(ForwardModel(heart), target, space, study.config.gain, study.config.batch)
+    model = ForwardModel(heart, progress=progress)
+    problem = Problem(model, target, space, study.config.gain, study.config.batch)
     return FittedStudy(folder, study, problem, accepted)
 
 

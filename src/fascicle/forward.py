@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
@@ -25,6 +25,7 @@ from fascicle.leads import LEADS
 from fascicle.parameters import NETWORK_SPACE, check_names
 from fascicle.preparation import Prepared, load_with_heart, prepare, save
 from fascicle.recording.window import qrs_window
+from fascicle.study import Progress
 from fascicle.tree.grow import GrowthRules, grow_from_parameters
 from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 
@@ -111,6 +112,8 @@ class ForwardModel:
         The template U.
     prepared : Prepared, optional
         What `fascicle.preparation.prepare` makes of heart and conduction, if it is at hand.
+    progress : Progress, optional
+        Told how far the preparation of a large heart is; see `fascicle.study.Progress`.
 
     Notes
     -----
@@ -132,13 +135,17 @@ class ForwardModel:
         rules: GrowthRules | None = None,
         action_potential: ActionPotential | None = None,
         prepared: Prepared | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self.heart = heart
         self.conduction = conduction if conduction is not None else Conduction()
         self.rules = rules if rules is not None else GrowthRules()
         self.action_potential = action_potential if action_potential is not None else Upstroke()
         if prepared is None:
-            prepared = prepare(heart, self.conduction, self.action_potential)
+            told = None
+            if progress is not None:
+                told = partial(_tell, progress)
+            prepared = prepare(heart, self.conduction, self.action_potential, told)
         self.prepared = prepared
         self.charts, self.seeds = prepared.charts, prepared.seeds
         self.tissue = prepared.tissue
@@ -325,6 +332,10 @@ def _simulate_shared(
         _READ.clear()  # another thread of this worker may have read another model
         _READ[shared.path] = model
     return model.simulate(parameters, scenario)
+
+
+def _tell(progress: Progress, done: int, total: int) -> None:
+    progress("preparation", done, total, "once per heart")
 
 
 def _roots(root_time: float) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.ecg.lead_field import unbounded_gradients
+from fascicle.eikonal.near_field import Told
 from fascicle.eikonal.tissue import Tissue, barycentric_gradients, build_tissue, find_on_surface
 from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
@@ -30,7 +32,6 @@ from fascicle.tree.grow import Seed, find_seed
 FORMAT = 2  # of the files; another number makes them anew
 KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
-SCALARS = ("slowness",)  # fields of Mesh that are numbers
 
 
 @dataclass(frozen=True)
@@ -53,20 +54,25 @@ class Prepared:
     electrocardiograph: Electrocardiograph
 
 
-def prepare(heart: Heart, conduction: Conduction, action_potential: ActionPotential) -> Prepared:
+def prepare(
+    heart: Heart,
+    conduction: Conduction,
+    action_potential: ActionPotential,
+    progress: Told | None = None,
+) -> Prepared:
     """Prepare a heart, or read what was prepared before.
 
     A heart that was read from a folder has its cache there, if the folder can be written to. The
     key is the content of heart and conduction and the version of this package.
     """
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
-        return build(heart, conduction, action_potential)
+        return build(heart, conduction, action_potential, progress)
     content = f"{version('fascicle')} {FORMAT} {heart.digest} {conduction}"
     path = heart.folder / DISPOSABLE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
     try:
         return load(path, heart, action_potential)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        prepared = build(heart, conduction, action_potential)  # not there, or damaged
+        prepared = build(heart, conduction, action_potential, progress)  # not there, or damaged
     # somebody else's cache, a full disk, or another process tidying up: only this cache is lost
     with suppress(OSError, InputError):
         save(path, prepared)
@@ -76,7 +82,12 @@ def prepare(heart: Heart, conduction: Conduction, action_potential: ActionPotent
     return prepared
 
 
-def build(heart: Heart, conduction: Conduction, action_potential: ActionPotential) -> Prepared:
+def build(
+    heart: Heart,
+    conduction: Conduction,
+    action_potential: ActionPotential,
+    progress: Told | None = None,
+) -> Prepared:
     """Do the work."""
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     scale = conduction.scale(heart)
@@ -89,7 +100,7 @@ def build(heart: Heart, conduction: Conduction, action_potential: ActionPotentia
         action_potential,
     )
     return Prepared(
-        charts, _seeds(heart, charts), build_tissue(heart, conduction), electrocardiograph
+        charts, _seeds(heart, charts), build_tissue(heart, conduction, progress), electrocardiograph
     )
 
 
@@ -106,7 +117,7 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
         if name != "across"  # the same memory as the cells
     }
     for name, value in tissue.table._asdict().items():
-        arrays[f"table.{name}"] = value
+        arrays[f"table.{name}"] = np.asarray(value)
     for name in ("order", "conducts", "surface", "owner"):
         arrays[f"tissue.{name}"] = getattr(tissue, name)
     for name in ("corners", "weights"):
@@ -153,6 +164,12 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         return {name: file[name] for name in file.files}
 
 
+def _fields(arrays: dict[str, NDArray[Any]], prefix: str, names: Iterable[str]) -> dict[str, Any]:
+    """Fields of a named tuple; an array without dimensions is a number."""
+    found = {name: arrays[f"{prefix}.{name}"] for name in names}
+    return {name: value if value.ndim else float(value) for name, value in found.items()}
+
+
 def _prepared(
     arrays: dict[str, NDArray[Any]], heart: Heart, action_potential: ActionPotential
 ) -> Prepared:
@@ -166,16 +183,12 @@ def _prepared(
         )
         for e in heart.endocardia
     }
-    fields: dict[str, Any] = {
-        name: float(arrays[f"mesh.{name}"]) if name in SCALARS else arrays[f"mesh.{name}"]
-        for name in Mesh._fields
-        if name != "across"
-    }
+    fields = _fields(arrays, "mesh", [name for name in Mesh._fields if name != "across"])
     fields["across"] = fields["cells"].view(np.int32)
     mesh, surface = Mesh(**fields), arrays["tissue.surface"]
     tissue = Tissue(
         mesh,
-        Table(*(arrays[f"table.{name}"] for name in Table._fields)),
+        Table(**_fields(arrays, "table", Table._fields)),
         arrays["tissue.order"],
         arrays["tissue.conducts"],
         surface,

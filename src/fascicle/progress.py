@@ -17,6 +17,7 @@ from rich.progress import (
 
 NAMES = {
     "compilation": "compiling the kernels",
+    "preparation": "preparing the heart",
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",
     "refinement": "refinement",

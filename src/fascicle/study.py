@@ -32,9 +32,9 @@ DATABASE = "evaluations.sqlite"
 class Progress(Protocol):
     """Told how far a stage is.
 
-    The stages are "initial", "optimisation", "refinement", "posterior" (accepted samples), within
-    it "prior" (uniform draws of a round), and, where that falls short, "walk" (steps of the random
-    walks).
+    The stages of a study are "initial", "optimisation", "refinement", "posterior" (accepted
+    samples), within it "prior" (uniform draws of a round), and, where that falls short, "walk"
+    (steps of the random walks); before them come "compilation" and "preparation" of a large heart.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

@@ -39,7 +39,7 @@ points = st.tuples(*(st.floats(0.0, length) for length in SIZE))
 @given(seeds, root_times, points, st.floats(0.0, 40.0))
 @settings(max_examples=100, deadline=None)
 def test_adding_a_source_never_increases_any_time(seed, roots, point, stimulus):
-    """On a patient's heart it does, where a ray is lost: see `test_monotone_on_a_heart`."""
+    """Whatever is offered comes later where it starts later: earliest times are monotone."""
     trees = both(seed)
     before = activate(TISSUE, trees, roots, 2.0)
     after = activate(TISSUE, trees, roots, 2.0, stimuli=point, times=[stimulus])
@@ -96,25 +96,22 @@ def fired(trees, activation):
     return np.concatenate([times[tree.junctions] for tree, times in pairs])
 
 
-def test_hardly_a_vertex_or_junction_is_later_than_a_ray():
-    """Rays are followed only where they come first, so one in 100,000 is missed that should not."""
-    late, count = [], 0
+def test_what_is_near_a_junction_is_not_later_than_by_the_straight_way():
+    """Vertices and other junctions, an element's diagonal less far than the table reaches."""
+    reach, longest, count = TISSUE.table.reach - 6.0, TISSUE.table.longest, 0
     for seed in range(100):
         trees = both(2 * seed)
         activation = activate(TISSUE, trees, [seed % 7, 3.0], 2.0)
         site, moments = attach(TISSUE, trees).site, fired(trees, activation)
         goals = np.concatenate([VERTICES, site.positions])
         times = np.concatenate([activation.myocardium, moments])
-        offers = [
-            moment + ray_ways(TISSUE, position, element, goals)
-            for position, element, moment in zip(
-                site.positions, site.elements, moments, strict=True
-            )
-        ]
-        excess = times - np.min(offers, axis=0)
-        late, count = [*late, *excess[excess > 1e-9]], count + len(goals)
-    assert len(late) < 3e-4 * count
-    assert max(late, default=0.0) < 3.0
+        for position, element, moment in zip(site.positions, site.elements, moments, strict=True):
+            near = np.linalg.norm(goals - position, axis=1) < reach
+            ways = ray_ways(TISSUE, position, element, goals[near])
+            soon = ways < longest - 6.0 / 0.2449
+            assert (times[near][soon] <= moment + ways[soon] + 1e-9).all()
+            count += soon.sum()
+    print("COUNT", count, reach)
 
 
 @given(seeds, root_times)
@@ -136,27 +133,22 @@ def test_antidromic_flags_say_who_came_first(seed, roots):
 
 
 def test_monotone_on_a_heart(crtdemo_model):
-    """A fourth stimulus beside three: the share of vertices that it makes later, and by how much.
-
-    A front that comes first cuts off rays that would have come first further on. Measured in 100
-    runs each, left root late, left root silent, both silent: in 31, 24 and 50 of them a vertex is
-    later, 0.05 to 0.09 % of all, by 0.3 to 0.4 ms on average and 6.2 ms at most; a node of a tree
-    by 0.8 ms.
-    """
+    """A fourth stimulus beside three makes no vertex and no node of a tree later."""
     vertices, tissue = crtdemo_model.heart.vertices, crtdemo_model.tissue
     trees = crtdemo_model.grow(EXAMPLE_PARAMETERS)
-    differences = []
+    captured = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
         chosen = vertices[rng.choice(len(vertices), 4, replace=False)] + rng.normal(0, 0.3, (4, 3))
         moments = rng.uniform(0, 60, 4)
+        roots = [(np.inf, 0.0), (np.inf, np.inf), (20.0, 0.0)][seed % 3]
         three, four = (
-            activate(tissue, trees, (np.inf, 0.0), 3.0, stimuli=chosen[:k], times=moments[:k])
+            activate(tissue, trees, roots, 3.0, stimuli=chosen[:k], times=moments[:k])
             for k in (3, 4)
         )
-        differences.append(four.myocardium - three.myocardium)
-    later = np.array(differences)
-    assert (later > 1e-9).mean() < 2e-3
-    assert later[later > 1e-9].mean() < 0.6
-    assert later.max() < 8.0
-    assert (later < -1.0).any(axis=1).mean() > 0.5, "most stimuli should capture something"
+        for before, after in zip(
+            (three.myocardium, *three.trees), (four.myocardium, *four.trees), strict=True
+        ):
+            assert (after <= before + 1e-9).all()
+        captured.append((four.myocardium < three.myocardium - 1.0).any())
+    assert np.mean(captured) > 0.5, "most stimuli should capture something"

@@ -104,7 +104,7 @@ def attach(
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
     leaves = np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
     site = tissue.on_surface(leaves)
-    around = _look_around(tissue, site)
+    around = look_around(site.positions, site.elements, site.triangles, tissue.mesh, tissue.table)
     if len(stimuli):
         site, around = _with_stimuli(tissue, site, around, stimuli)
     nodes = _starts([len(tree.nodes) for tree in trees])
@@ -267,10 +267,6 @@ def _queue(nodes: int) -> Queue:
     return Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
 
 
-def _look_around(tissue: Tissue, site: Site) -> Around:
-    return look_around(site.positions, site.elements, site.triangles, tissue.mesh, tissue.table)
-
-
 def _with_stimuli(
     tissue: Tissue, site: Site, around: Around, points: NDArray[np.float64]
 ) -> tuple[Site, Around]:
@@ -279,7 +275,8 @@ def _with_stimuli(
     known = tissue.remembered.get(key)
     if known is None:
         there = tissue.inside(points)
-        known = there, _look_around(tissue, there)
+        around_them = look_around(there.positions, there.elements, None, tissue.mesh, tissue.table)
+        known = there, around_them
         tissue.remembered.clear()
         tissue.remembered[key] = known
     return site.and_then(known[0]), around.and_then(known[1])

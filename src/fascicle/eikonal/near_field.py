@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +16,14 @@ from fascicle.kernels.near import POINTS, locate, to_sites, to_vertices, trace_w
 EDGES_FAR = 4.0  # how far the table reaches, in edges of the mesh
 FURTHEST = 20.0  # mm, but no further than this
 LONGEST = 40.0  # ms: what is further in time is left to the elements
+MOST = 8_000_000  # ways of 28 bytes; on the finest meshes the table reaches less far
+SAMPLE = 500  # triangles that tell how many there will be
+CHUNK = 1024  # triangles worked on at a time, which bounds the memory
+PATIENCE = 1.0  # s without a word
+FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # corners, opposite each
+
+# Told how many of how many triangles are done
+Told = Callable[[int, int], None]
 
 
 def build_table(
@@ -22,6 +32,7 @@ def build_table(
     owner: NDArray[np.int64],
     triangles: NDArray[np.int64],
     edge_length: float,
+    progress: Told | None = None,
 ) -> Table:
     """Trace the straight ways from boundary triangles to the vertices around them.
 
@@ -35,33 +46,70 @@ def build_table(
         Those from which ways are wanted.
     edge_length : float
         Mean edge of the mesh (mm).
+    progress : callable, optional
+        Told how far this is, once it is clear that it takes a while.
     """
     missing = ~(mesh.corners[owner][:, :, None] == surface[:, None, :]).any(axis=2)
     opposite = missing.argmax(axis=1)
-    elements = owner[triangles]
-    of_face = np.array([[c for c in range(4) if c != skip] for skip in range(4)])
-    corners = mesh.corners[elements[:, None], of_face[opposite[triangles]]]
-    at = mesh.vertices[corners]
-    reach = min(EDGES_FAR * edge_length, FURTHEST)
-    around = KDTree(mesh.vertices).query_ball_point(at.mean(axis=1), reach, return_sorted=True)
-    sizes = np.array([len(found) for found in around], dtype=np.int64)
-    start = np.concatenate([[0], np.cumsum(sizes)])
-    vertex = np.concatenate([*around, []]).astype(np.int32)
+    vertices = KDTree(mesh.vertices)
+    centres = mesh.vertices[surface[triangles]].mean(axis=1)
+    reach = _reach(centres, vertices, min(EDGES_FAR * edge_length, FURTHEST))
+    sizes, found = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
+    squares = [np.empty((0, len(POINTS)), np.float32)]
+    begin = time.monotonic()
+    for first in range(0, len(triangles), CHUNK):
+        chunk = triangles[first : first + CHUNK]
+        size, vertex, square = _rows(mesh, owner[chunk], opposite[chunk], vertices, reach)
+        sizes.append(size)
+        found.append(vertex)
+        squares.append(square)
+        if progress is not None and time.monotonic() - begin > PATIENCE:
+            progress(first + len(chunk), len(triangles))
+    row = np.full(len(surface), -1, dtype=np.int32)
+    row[triangles] = np.arange(len(triangles))
+    start = np.cumsum(np.concatenate(sizes))
+    return Table(
+        row,
+        opposite.astype(np.int8),
+        start,
+        np.concatenate(found),
+        np.concatenate(squares),
+        reach,
+        LONGEST,
+    )
+
+
+def _reach(centres: NDArray[np.float64], vertices: KDTree, wanted: float) -> float:
+    """How far the table reaches (mm): as far as wanted, but with `MOST` ways or so at the most."""
+    some = centres[:: max(1, len(centres) // SAMPLE)]
+    around = vertices.query_ball_point(some, wanted, return_length=True)
+    ways = len(centres) * float(np.mean(around)) if len(some) else 0.0
+    return wanted * float(np.cbrt(min(1.0, MOST / max(ways, 1.0))))
+
+
+def _rows(
+    mesh: Mesh,
+    elements: NDArray[np.int64],
+    opposite: NDArray[np.int64],
+    vertices: KDTree,
+    reach: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
+    """Rows of the table for the faces opposite a corner of some elements.
+
+    How many vertices each has, which, and the squares. A vertex that not all six points have a way
+    to is left out, and so are the element's own corners, the ways to which are exact without it.
+    """
+    at = mesh.vertices[mesh.corners[elements[:, None], FACES[opposite]]]
+    pairs = KDTree(at.mean(axis=1)).sparse_distance_matrix(vertices, reach, output_type="ndarray")
+    order = np.lexsort((pairs["j"], pairs["i"]))
+    row, vertex = pairs["i"][order], pairs["j"][order].astype(np.int32)
+    start, _ = grouped(row, len(elements))
     square = np.full((len(vertex), len(POINTS)), np.inf)
     trace_ways(POINTS @ at, elements, start, vertex, LONGEST, mesh, square)
     known = np.isfinite(square).all(axis=1)
-    row = np.repeat(np.arange(len(triangles)), sizes)
-    known &= (vertex[:, None] != mesh.corners[elements[row]]).all(axis=1)  # exact without it
-    row_of = np.full(len(surface), -1, dtype=np.int32)
-    row_of[triangles] = np.arange(len(triangles))
-    kept = np.bincount(row[known], minlength=len(triangles))
-    return Table(
-        row_of,
-        opposite.astype(np.int8),
-        np.concatenate([[0], np.cumsum(kept)]),
-        vertex[known],
-        square[known].astype(np.float32),
-    )
+    known &= (vertex[:, None] != mesh.corners[elements[row]]).all(axis=1)
+    size = np.bincount(row[known], minlength=len(elements))
+    return size, vertex[known], square[known].astype(np.float32)
 
 
 class Around(NamedTuple):
@@ -99,30 +147,34 @@ class Around(NamedTuple):
 def look_around(
     positions: NDArray[np.float64],
     elements: NDArray[np.int64],
-    triangles: NDArray[np.int64],
+    triangles: NDArray[np.int64] | None,
     mesh: Mesh,
     table: Table,
 ) -> Around:
     """Find the straight ways from sites to the vertices around them.
 
-    They are read from the table where it has the triangle, and traced to all vertices else.
-
     Parameters
     ----------
-    positions, elements, triangles : (j, 3), (j,) and (j,) arrays
-        Where the sites lie (mm), the tetrahedron of each (-1 where there is none), and the
-        boundary triangle (-1 inside the tissue).
+    positions, elements : (j, 3) and (j,) arrays
+        Where the sites lie (mm), and the tetrahedron of each, -1 where there is none.
+    triangles : (j,) array or None
+        The boundary triangle that each lies in: ways are read from the table, and traced as far as
+        it reaches where it does not have the triangle. Without: all are traced, to every vertex.
     mesh, table : Mesh, Table
         The myocardium, and the straight ways from its endocardia.
     """
     count, vertices = len(elements), len(mesh.vertices)
     share, to_corner = np.zeros((count, 4)), np.full((count, 4), np.inf)
     locate(positions, elements, mesh, share, to_corner)
-    rows = np.where((triangles >= 0) & (elements >= 0), table.row[triangles], -1)
+    rows, opposite = np.full(count, -1, np.int32), np.zeros(count, np.int8)
+    reach = longest = np.inf
+    if triangles is not None:
+        rows, opposite = table.row[triangles], table.opposite[triangles]
+        reach, longest = table.reach, table.longest
     room = np.where(rows >= 0, table.start[rows + 1] - table.start[rows], vertices) + 4
     ways = _room(count, int(room[elements >= 0].sum()))
     to_vertices(
-        positions, elements, rows, table.opposite[triangles], share, to_corner, mesh, table, ways
+        positions, elements, rows, opposite, share, to_corner, mesh, table, reach, longest, ways
     )
     return Around(share, to_corner, _used(ways))
 

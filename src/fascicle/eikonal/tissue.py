@@ -10,15 +10,15 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from fascicle.eikonal.near_field import Around, build_table, grouped
+from fascicle.eikonal.near_field import FACES, Around, Told, build_table, grouped
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, boundary_triangles
 from fascicle.kernels.arrays import Mesh, Table
 from fascicle.kernels.ray import ACROSS
 
+ON_SURFACE = 0.25  # edges of the mesh: what lies on an endocardium is no further from it
 CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # than each corner
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Site:
     elements : (n,) array
         Tetrahedron of each; -1 where it does not conduct.
     triangles : (n,) array
-        The boundary triangle that each lies in; -1 inside the tissue.
+        The boundary triangle that is nearest to each.
     distances : (n,) array
         How far the points asked for are from these (mm).
     """
@@ -99,8 +99,7 @@ class Tissue:
         site = self.on_surface(points)
         if not len(points):
             return site
-        positions, elements = site.positions.copy(), site.elements
-        triangles, distances = site.triangles.copy(), site.distances
+        positions, elements, distances = site.positions.copy(), site.elements, site.distances
         corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
         cells.init(self.mesh.vertices, corners)
         for k, point in enumerate(points):
@@ -108,11 +107,11 @@ class Tissue:
             if around.size:
                 conducting = around[self.conducts[around]]
                 elements[k] = conducting[0] if conducting.size else -1
-                positions[k], triangles[k], distances[k] = point, -1, 0.0
-        return Site(positions, elements, triangles, distances)
+                positions[k], distances[k] = point, 0.0
+        return Site(positions, elements, site.triangles, distances)
 
 
-def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
+def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = None) -> Tissue:
     """Precompute metric, squared travel times and adjacency of a heart's tissue.
 
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
@@ -140,7 +139,7 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
         across,
         solver,
         start,
-        np.column_stack([corners[tetrahedron[:, None], OTHERS[corner]], star]),
+        np.column_stack([corners[tetrahedron[:, None], FACES[corner]], star]),
         least[tetrahedron, corner],
         *_edges(corners[conducts], solver[conducts, 6:], len(vertices)),
         slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
@@ -149,7 +148,7 @@ def build_tissue(heart: Heart, conduction: Conduction) -> Tissue:
     tree = find_on_surface(vertices, surface)
     endocardia = _triangles_at(heart, vertices, surface, tree)
     endocardia = endocardia[conducts[owner[endocardia]]]
-    table = build_table(mesh, surface, owner, endocardia, heart.edge_length)
+    table = build_table(mesh, surface, owner, endocardia, heart.edge_length, progress)
     return Tissue(mesh, table, order, conducts, surface, owner, tree)
 
 
@@ -201,13 +200,22 @@ def _edges(
 def _triangles_at(
     heart: Heart, vertices: NDArray[np.float64], surface: NDArray[np.int64], tree: igl.AABB
 ) -> NDArray[np.int64]:
-    """The boundary triangles that the endocardia lie on."""
-    points = []
+    """The boundary triangles that the endocardia lie on.
+
+    Those with their centre near an endocardium, and those nearest to its vertices and triangles.
+    """
+    centres = vertices[surface].mean(axis=1)
+    found = []
     for endocardium in heart.endocardia:
+        square, _, _ = find_on_surface(
+            endocardium.vertices, endocardium.triangles
+        ).squared_distance(endocardium.vertices, endocardium.triangles, centres)
+        found.append(np.flatnonzero(square < (ON_SURFACE * heart.edge_length) ** 2))
         corners = endocardium.vertices[endocardium.triangles]
         sides = (corners + np.roll(corners, 1, axis=1)) / 2
-        points += [endocardium.vertices, corners.mean(axis=1), sides.reshape(-1, 3)]
-    return np.unique(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
+        points = [endocardium.vertices, corners.mean(axis=1), sides.reshape(-1, 3)]
+        found.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
+    return np.unique(np.concatenate(found))
 
 
 def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -> igl.AABB:
@@ -254,8 +262,8 @@ def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
         square[:, i, j] = square[:, j, i] = squares[:, k]
     least = np.empty((len(squares), 4, 3))
     for s in range(4):
-        for turn, x in enumerate(OTHERS[s]):
-            j, k = (c for c in OTHERS[s] if c != x)
+        for turn, x in enumerate(FACES[s]):
+            j, k = (c for c in FACES[s] if c != x)
             ss, jj, kk = square[:, s, x], square[:, j, x], square[:, k, x]
             sj, sk = (ss + jj - square[:, s, j]) / 2, (ss + kk - square[:, s, k]) / 2
             jk = (jj + kk - square[:, j, k]) / 2

@@ -73,6 +73,8 @@ class Table(NamedTuple):
         The vertices in each row.
     square : (p, 6) array
         Squared travel times (ms²) to each, from the points `fascicle.kernels.near.POINTS`.
+    reach, longest : float
+        How far (mm) and how long (ms) ways are.
     """
 
     row: NDArray[np.int32]
@@ -80,6 +82,8 @@ class Table(NamedTuple):
     start: NDArray[np.int64]
     vertex: NDArray[np.int32]
     square: NDArray[np.float32]
+    reach: float
+    longest: float
 
 
 class Forest(NamedTuple):

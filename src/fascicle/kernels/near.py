@@ -119,13 +119,15 @@ def _weight(i, a, b, c):
 
 
 @kernel()
-def _traced(x, y, z, t, mesh, ways, used):
+def _traced(x, y, z, t, reach, longest, mesh, ways, used):
     """Append every vertex that a ray comes to; returns how many there are now."""
     for v in range(len(mesh.vertices)):
+        gx, gy, gz = mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2]
+        if (gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2 > reach**2:
+            continue
         time = ray_time(
-            x, y, z, t, mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2], np.inf,
-            mesh.slowness, True, mesh.cells, mesh.across,
-        )  # fmt: skip
+            x, y, z, t, gx, gy, gz, longest, mesh.slowness, True, mesh.cells, mesh.across
+        )
         if 0.0 <= time < np.inf:
             ways.target[used], ways.time[used] = v, time
             used += 1
@@ -133,7 +135,9 @@ def _traced(x, y, z, t, mesh, ways, used):
 
 
 @kernel()
-def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, table, ways):
+def to_vertices(
+    positions, elements, rows, opposite, share, to_corner, mesh, table, reach, longest, ways
+):
     """The straight ways from each site to the vertices around it.
 
     Parameters
@@ -144,6 +148,8 @@ def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, tab
         The row of the table for each, -1 to trace instead, and the corner opposite its triangle.
     table : Table
         See `fascicle.kernels.arrays`.
+    reach, longest : float
+        How far (mm) and how long (ms) traced ways are.
     ways : Ways
         Overwritten, as far as there is need.
     """
@@ -155,7 +161,10 @@ def to_vertices(positions, elements, rows, opposite, share, to_corner, mesh, tab
             c = share[s, 2 if away == 3 else 3]
             used = _from_table(row, a, b, c, table, ways, used)
         elif t >= 0:
-            used = _traced(positions[s, 0], positions[s, 1], positions[s, 2], t, mesh, ways, used)
+            used = _traced(
+                positions[s, 0], positions[s, 1], positions[s, 2], t, reach, longest,
+                mesh, ways, used,
+            )  # fmt: skip
         for c in range(4 if t >= 0 else 0):
             ways.target[used], ways.time[used] = mesh.corners[t, c], math.sqrt(to_corner[s, c])
             used += 1
