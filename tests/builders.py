@@ -48,6 +48,14 @@ def box(size, cells, *, jitter=0.0, fibre=(1.0, 0.0, 0.0), seed=0) -> Heart:
     return Heart(vertices, tetrahedra.astype(np.int64), fibres, face, face, np.zeros((9, 3)))
 
 
+def face_of(heart, axis, level) -> Endocardium:
+    """The boundary triangles of a box that lie in a plane, as if they were an endocardium."""
+    triangles, _ = heart.boundary
+    there = (np.abs(heart.vertices[triangles][:, :, axis] - level) < 1e-9).all(axis=1)
+    used, corners = np.unique(triangles[there], return_inverse=True)
+    return Endocardium("lv", heart.vertices[used], corners.reshape(-1, 3), 0, 1)
+
+
 def conduction_for(along, across) -> Conduction:
     """Conductivities for speeds in mm/ms: intra- and extracellular alike, α from the first."""
     alpha = along / np.sqrt(100.0 * 3.0 / 2)  # mm² per cm², and 3 mS/cm twice in series

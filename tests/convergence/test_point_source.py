@@ -1,16 +1,15 @@
 """Point sources in an anisotropic cube: times against √(dᵀD⁻¹d).
 
-In a convex block with straight fibres the straight line is the geodesic, so rays give every time to
-rounding, wherever the source lies. Of several sources two things keep times from being exact:
-
-- where fronts collide, first-order updates interpolate between them and are early. Of 12 sources
-  in a cube of 20 mm, cells of 4 mm, one vertex in ten is, by 0.9 ms on average and 6 ms at most;
-- now and then a ray is dropped that would arrive first further on: at 2 of 100,000 vertices, in an
-  isotropic cube at 80 of them; late by up to 2.4 ms.
+In a convex block with straight fibres the straight line is the geodesic, so straight ways give
+every time to rounding, wherever the source lies; those of a junction, as far as they reach. One
+thing keeps the times of several sources from being exact: where fronts collide, first-order updates
+interpolate between them and are early. Of 12 sources in a cube of 20 mm, cells of 4 mm, one vertex
+in ten is, by 0.9 ms on average and 6 ms at most.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,8 +17,9 @@ import pytest
 from builders import (
     OBLIQUE,
     activate,
-    box_tissue,
+    box,
     conduction_for,
+    face_of,
     heart_vertices,
     line_tree,
     solve_without_trees,
@@ -27,6 +27,7 @@ from builders import (
     vertex_at,
 )
 
+from fascicle.eikonal.tissue import build_tissue
 from fascicle.geometry.conduction import Conduction
 
 SIZE = 40.0  # mm
@@ -40,15 +41,21 @@ SOURCES = {
 }
 
 
-def cube(cell, *, size=SIZE, speeds=SPEEDS, jitter=0.2):
-    return box_tissue(
-        size, round(size / cell), jitter=jitter, fibre=OBLIQUE, conduction=conduction_for(*speeds)
-    )
+def cube(cell, *, size=SIZE, speeds=SPEEDS, jitter=0.2, endocardial=False):
+    heart = box(size, round(size / cell), jitter=jitter, fibre=OBLIQUE)
+    if endocardial:
+        heart = replace(heart, lv=face_of(heart, 1, 0.0))
+    return build_tissue(heart, conduction_for(*speeds))
 
 
 @pytest.fixture(scope="module")
 def cubes():
-    return {cell: cube(cell) for cell in (4.0, 2.0)}
+    """By size of cells, and whether the face y = 0 is an endocardium."""
+    return {
+        (cell, endocardial): cube(cell, endocardial=endocardial)
+        for cell in (4.0, 2.0)
+        for endocardial in (False, True)
+    }
 
 
 def test_speeds_are_those_of_the_paper():
@@ -61,7 +68,7 @@ def test_speeds_are_those_of_the_paper():
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_source_that_is_no_vertex_is_exact(cubes, source, cell):
     """Wanted: mean / max 0.5 / 2 ms at 2 mm and 1.2 / 4 ms at 4 mm. Measured: below 1e-13."""
-    tissue, point = cubes[cell], SOURCES[source]
+    tissue, point = cubes[cell, False], SOURCES[source]
     assert np.linalg.norm(heart_vertices(tissue) - point, axis=1).min() > 0.1
     activation = activate(tissue, [], [], 1.0, stimuli=point, times=[3.0])
     exact = straight_times(tissue, point, [3.0])
@@ -70,14 +77,31 @@ def test_a_source_that_is_no_vertex_is_exact(cubes, source, cell):
     assert (activation.origin == 0).all()
 
 
+# Mean and largest lateness (ms) beyond what is near a junction. Measured: 2.18 and 5.80 at 4 mm,
+# 1.21 and 3.03 at 2 mm
+FAR = {4.0: (2.4, 6.4), 2.0: (1.35, 3.4)}
+
+
 @pytest.mark.parametrize("cell", [4.0, 2.0])
-def test_a_junction_is_as_exact_as_a_stimulus(cubes, cell):
-    """A leaf on a face, reached through 20 mm of tree."""
-    tissue, point = cubes[cell], np.array(SOURCES["on a face"])
+@pytest.mark.parametrize("endocardial", [False, True])
+def test_near_a_junction_times_are_exact(cubes, endocardial, cell):
+    """A leaf on a face, reached through 20 mm of tree; further on it is first order.
+
+    It is read from the table, in single precision, where that face is an endocardium.
+    """
+    tissue, point = cubes[cell, endocardial], np.array(SOURCES["on a face"])
+    assert (tissue.table.row[tissue.on_surface(point[None]).triangles] >= 0).all() == endocardial
     tree = line_tree([point - [0, 20.0, 0], point])
-    activation = activate(tissue, [tree], [1.0], 4.0)
-    exact = straight_times(tissue, point, [6.0])
-    np.testing.assert_allclose(activation.myocardium, exact, atol=EXACT, rtol=0)
+    late = activate(tissue, [tree], [1.0], 4.0).myocardium - straight_times(tissue, point, [6.0])
+    distance = np.linalg.norm(heart_vertices(tissue) - point, axis=1)
+    way = straight_times(tissue, point, [0.0])
+    near = (distance < tissue.table.reach - cell) & (way < tissue.table.longest - cell / SPEEDS[1])
+    assert near.sum() > 20
+    assert np.abs(late[near]).max() < (2e-6 if endocardial else EXACT)
+    assert late.min() > -2e-6
+    mean, largest = FAR[cell]
+    assert late[~near].mean() < mean
+    assert late.max() < largest
 
 
 def many(seed, count=12, size=SIZE, latest=30.0):
@@ -90,11 +114,13 @@ def many(seed, count=12, size=SIZE, latest=30.0):
 def test_several_sources_at_unequal_times_are_not_late(cubes, seed, cell):
     """Some fire before a front comes by and some after; the latter must not matter."""
     points, times = many(seed)
-    activation = activate(cubes[cell], [], [], 1.0, stimuli=points, times=times)
-    error = activation.myocardium - straight_times(cubes[cell], points, times)
+    activation = activate(cubes[cell, False], [], [], 1.0, stimuli=points, times=times)
+    error = activation.myocardium - straight_times(cubes[cell, False], points, times)
     assert error.max() < EXACT
     before = [
-        straight_times(cubes[cell], np.delete(points, k, 0), np.delete(times, k), points[k])[0]
+        straight_times(cubes[cell, False], np.delete(points, k, 0), np.delete(times, k), points[k])[
+            0
+        ]
         for k in range(len(points))
     ]
     np.testing.assert_array_equal(activation.captured, times < before)
@@ -110,24 +136,23 @@ EARLY = {4.0: (5.2, 0.16, 0.15), 2.0: (4.0, 0.06, 0.12)}
 def test_where_fronts_collide_times_are_early(cubes, seed, cell):
     """Linear interpolation over a face that two fronts reach from two sides is early: O(h)."""
     points, times = many(seed)
-    activation = activate(cubes[cell], [], [], 1.0, stimuli=points, times=times)
-    early = straight_times(cubes[cell], points, times) - activation.myocardium
+    activation = activate(cubes[cell, False], [], [], 1.0, stimuli=points, times=times)
+    early = straight_times(cubes[cell, False], points, times) - activation.myocardium
     largest, mean, share = EARLY[cell]
     assert early.max() < largest
     assert early.mean() < mean
     assert (early > EXACT).mean() < share
 
 
-@pytest.mark.parametrize(("speeds", "share"), [(SPEEDS, 1e-4), (ISOTROPIC, 2e-3)])
-def test_hardly_a_ray_is_lost(speeds, share):
-    """300 times twelve sources in a small coarse cube: the share of vertices that are late."""
-    tissue, late = cube(4.0, size=20.0, speeds=speeds, jitter=0.25), []
+@pytest.mark.parametrize("speeds", [SPEEDS, ISOTROPIC])
+def test_no_vertex_is_late(speeds):
+    """300 times twelve sources in a small coarse cube: none hides another's straight ways."""
+    tissue = cube(4.0, size=20.0, speeds=speeds, jitter=0.25)
     for seed in range(300):
         points, times = many(seed, size=20.0, latest=20.0)
         activation = activate(tissue, [], [], 1.0, stimuli=points, times=times)
-        late.append(activation.myocardium - straight_times(tissue, points, times))
-    assert (np.array(late) > EXACT).mean() < share
-    assert np.max(late) < 3.0
+        late = activation.myocardium - straight_times(tissue, points, times)
+        assert late.max() < EXACT
 
 
 # Mean and maximum error (ms) of first-order updates alone at 4, 2 and 1 mm. Measured: 3.77 / 7.76,
@@ -147,7 +172,7 @@ def first_order_errors():
 
 
 def test_first_order_updates_alone_are_late_and_converge(first_order_errors):
-    """Without rays; a wrong local solver gives order 0, and the point source h·log h."""
+    """From a vertex; a wrong local solver gives order 0, and the point source h·log h."""
     for error, (mean, largest) in zip(first_order_errors, FIRST_ORDER, strict=True):
         assert error.min() > -EXACT
         assert error.mean() < mean

@@ -17,7 +17,7 @@ EXACT = 1e-9  # ms
 
 
 def test_front_from_inside_the_slab_enters_the_nearest_junction():
-    """The junction lies between vertices; the ray of the stimulus goes to it, not to them."""
+    """The junction lies between vertices; the stimulus leads to it straight, not by them."""
     nodes = np.array([[7.3, 5.1, DEPTH], [20.0, 6.0, 9.0], [44.9, 6.7, DEPTH]])
     tree = line_tree(nodes, root=1)
     start = np.array([4.2, 6.1, 0.3])

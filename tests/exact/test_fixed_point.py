@@ -25,7 +25,7 @@ from fascicle.kernels.local_solver import from_new_corner
 from fascicle.parameters import EXAMPLE_PARAMETERS
 
 TOLERANCE = 1e-9  # ms
-OTHERS = [[c for c in range(4) if c != s] for s in range(4)]  # corners than each
+OTHERS = [[c for c in range(4) if c != s] for s in range(4)]  # than each corner
 HALVINGS = 40  # golden sections; the interval shrinks to 4e-9
 SPEEDS = {"isotropic": (0.6, 0.6), "usual": (0.6, 0.25), "strong": (1.0, 0.1)}  # mm/ms
 seeds = st.integers(0, 2**32 - 1)
@@ -173,11 +173,11 @@ def test_no_corner_can_be_lowered_where_times_rise_no_steeper_than_a_front(
 def test_slopes_on_both_sides_of_a_front_s_are_common():
     """The property above says something, and the sweep's criterion spares something."""
     tissue = loose_elements(0, 1.0, "usual", 1000)
-    time = np.random.default_rng(0).uniform(0, 10.0, len(tissue.order))
+    time = np.random.default_rng(0).uniform(0, 15.0, len(tissue.order))
     square, gain, through = slopes_and_gains(tissue, time)
     assert 0.2 < np.mean(square <= STEEP) < 0.8
     assert np.mean((gain > TOLERANCE).any(axis=1)) > 0.2
-    assert np.mean(through.any(axis=1) & (square > 1.001)) > 0.1
+    assert np.mean(through.any(axis=1) & (square > 1.001)) > 0.05
 
 
 @given(seeds, thicknesses, st.sampled_from(list(SPEEDS)), st.sampled_from([2.0, 10.0, 40.0]))

@@ -143,7 +143,7 @@ class Swept(Alternation):
         super().__init__(tissue, trees, points)
         self.points = points
         self.single = [
-            line_tree([leaf + [0, 0, 1.0], leaf])
+            line_tree(np.add(leaf, [[0, 0, 1.0], [0, 0, 0]]))
             for tree in trees
             for leaf in tree.nodes[tree.junctions]
         ]

@@ -111,8 +111,9 @@ def _offer(at, known, s, j, k, way, time, origin, queue, size):
 def _through_elements(node, mesh, time, origin, queue, size):
     """From a vertex through the faces and elements around it; returns the queue's size.
 
-    Corners that still wait to be taken lend their times to no face: when the last corner of a face
-    is taken, it passes on what comes through all of it.
+    Comes after `_through_edges`, by which every corner has a time. Corners that still waited when
+    it began lend their times to no face: when the last corner of a face is taken, it passes on what
+    comes through all of it.
     """
     now, place, solver = time[node], queue.place, mesh.solver
     for e in range(mesh.star_start[node], mesh.star_start[node + 1]):
