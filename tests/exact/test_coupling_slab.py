@@ -1,8 +1,9 @@
 """A straight bundle above a slab, junctions at both ends: every time has a closed form.
 
-The fibres are parallel to the slab's sides, so the straight line from each site is the geodesic and
-rays give it to rounding. Wanted: 0.5 ms at edges of 1 mm. Measured: 1e-13 ms, but where two fronts
-collide: early by up to `COLLISION`.
+The fibres are parallel to the slab's sides, so the straight line from each site is the geodesic:
+times are exact as far as straight ways reach, which is everywhere from a stimulus and 20 mm from a
+junction. Wanted: 0.5 ms at edges of 1 mm. Measured: 1e-13 ms within reach and up to 0.45 late
+beyond, but where two fronts collide: early by up to `COLLISION`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ VERTICES = heart_vertices(TISSUE)
 ENDS = np.array([[0, WIDTH / 2, DEPTH], [LENGTH, WIDTH / 2, DEPTH]])
 STIMULUS = np.array([3.3, 5.2, 1.1])
 EXACT = 1e-9  # ms
+REACH, LONGEST = TISSUE.table.reach, TISSUE.table.longest  # mm and ms, of ways from a junction
+LATE = 0.5  # ms, beyond
 COLLISION = 0.5  # ms; see `test_point_source`. Measured 0.40, a quarter of a cell
 TO_LEFT, TO_RIGHT = straight_times(TISSUE, STIMULUS, [0.0], at=ENDS)
 
@@ -38,16 +41,22 @@ def bundle(root):
 
 
 def assert_fronts(times, points, moments):
-    """The first of several fronts everywhere: never late, and exact but where two meet."""
+    """The first of several fronts everywhere: exact but beyond reach, and where two meet."""
     each = np.array(
         [straight_times(TISSUE, [p], [t]) for p, t in zip(points, moments, strict=True)]
     )
     error = times - each.min(axis=0)
-    assert error.max() < EXACT
+    ways = each - np.asarray(moments)[:, None]
+    distances = np.linalg.norm(VERTICES - np.asarray(points)[:, None], axis=2)
+    stimulus = np.array([[p is STIMULUS] for p in points])
+    reached = stimulus | ((distances < REACH) & (ways < LONGEST))
+    near = np.take_along_axis(reached, each.argmin(axis=0)[None], axis=0)[0]
+    assert error[near].max() < EXACT
+    assert error.max() < LATE
     assert error.min() > -COLLISION
-    assert np.abs(error).mean() < 0.01
+    assert np.abs(error[near]).mean() < 0.01
     first, second = np.sort(each, axis=0)[:2]
-    alone = second - first > 2 / ACROSS  # a cell's diagonal away from where they meet
+    alone = near & (second - first > 2 / ACROSS)  # a cell's diagonal away from where they meet
     assert alone.mean() > 0.5
     assert np.abs(error[alone]).max() < EXACT
 

@@ -128,7 +128,7 @@ def attach(
         no_delay,
         *_readers(tissue, site),
         around.near,
-        look_beside(site.elements, around, tissue.mesh),
+        look_beside(site.positions, site.elements, around, tissue.mesh),
     )
     forest = Forest(_parents_first(parents), parents, lengths, *_children(parents), node_site)
     return Coupling(tuple(trees), site, nodes, junctions, lengths, forest, sites)

@@ -13,11 +13,13 @@ from scipy.spatial import KDTree
 from fascicle.kernels.arrays import Mesh, Table, Ways
 from fascicle.kernels.near import POINTS, locate, to_sites, to_vertices, trace_ways
 
-EDGES_FAR = 4.0  # how far the table reaches, in edges of the mesh
-FURTHEST = 20.0  # mm, but no further than this
-LONGEST = 40.0  # ms: what is further in time is left to the elements
-MOST = 8_000_000  # ways of 28 bytes; on the finest meshes the table reaches less far
-SAMPLE = 500  # triangles that tell how many there will be
+FURTHEST = 20.0  # mm: what is further is left to the elements
+LONGEST = 50.0  # ms, likewise
+# Bounds of the table, which reaches less far where it would have more ways: for each vertex of the
+# mesh, for the time it takes to trace them; and in all, for the memory (28 bytes each)
+WAYS_PER_VERTEX = 150
+MOST = 8_000_000
+SAMPLE = 500  # triangles that tell how many ways there will be
 CHUNK = 1024  # triangles worked on at a time, which bounds the memory
 PATIENCE = 1.0  # s without a word
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # corners, opposite each
@@ -31,7 +33,6 @@ def build_table(
     surface: NDArray[np.int64],
     owner: NDArray[np.int64],
     triangles: NDArray[np.int64],
-    edge_length: float,
     progress: Told | None = None,
 ) -> Table:
     """Trace the straight ways from boundary triangles to the vertices around them.
@@ -44,8 +45,6 @@ def build_table(
         Its boundary triangles, and the tetrahedron of each.
     triangles : (r,) array
         Those from which ways are wanted.
-    edge_length : float
-        Mean edge of the mesh (mm).
     progress : callable, optional
         Told how far this is, once it is clear that it takes a while.
     """
@@ -53,7 +52,7 @@ def build_table(
     opposite = missing.argmax(axis=1)
     vertices = KDTree(mesh.vertices)
     centres = mesh.vertices[surface[triangles]].mean(axis=1)
-    reach = _reach(centres, vertices, min(EDGES_FAR * edge_length, FURTHEST))
+    reach = _reach(centres, vertices)
     sizes, found = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
     squares = [np.empty((0, len(POINTS)), np.float32)]
     begin = time.monotonic()
@@ -79,12 +78,15 @@ def build_table(
     )
 
 
-def _reach(centres: NDArray[np.float64], vertices: KDTree, wanted: float) -> float:
-    """How far the table reaches (mm): as far as wanted, but with `MOST` ways or so at the most."""
+def _reach(centres: NDArray[np.float64], vertices: KDTree) -> float:
+    """How far the table reaches (mm), given the triangles' centres."""
     some = centres[:: max(1, len(centres) // SAMPLE)]
-    around = vertices.query_ball_point(some, wanted, return_length=True)
-    ways = len(centres) * float(np.mean(around)) if len(some) else 0.0
-    return wanted * float(np.cbrt(min(1.0, MOST / max(ways, 1.0))))
+    most, reach = min(MOST, WAYS_PER_VERTEX * vertices.n), FURTHEST
+    for _ in range(3 if len(some) else 0):  # a wall is neither a ball nor flat
+        around = vertices.query_ball_point(some, reach, return_length=True)
+        ways = len(centres) * float(np.mean(around))
+        reach *= float(np.cbrt(min(1.0, most / ways)))
+    return reach
 
 
 def _rows(
@@ -179,13 +181,15 @@ def look_around(
     return Around(share, to_corner, _used(ways))
 
 
-def look_beside(elements: NDArray[np.int64], around: Around, mesh: Mesh) -> Ways:
+def look_beside(
+    positions: NDArray[np.float64], elements: NDArray[np.int64], around: Around, mesh: Mesh
+) -> Ways:
     """Find the straight ways from sites to the other sites around them.
 
     Parameters
     ----------
-    elements : (j,) array
-        The tetrahedron of each site, -1 where there is none.
+    positions, elements : (j, 3) and (j,) arrays
+        Where the sites lie (mm), and the tetrahedron of each, -1 where there is none.
     around : Around
         What is around them.
     mesh : Mesh
@@ -195,8 +199,8 @@ def look_beside(elements: NDArray[np.int64], around: Around, mesh: Mesh) -> Ways
     first_start, order = grouped(mesh.corners[elements[attached], 0], vertices)
     ways = _room(len(elements), int(np.diff(first_start)[around.near.target].sum()))
     to_sites(
-        elements, around.share, around.to_corner, first_start, attached[order], mesh, around.near,
-        np.full(vertices, np.inf), ways,
+        positions, elements, around.share, around.to_corner, first_start, attached[order], mesh,
+        around.near, np.full(vertices, np.inf), ways,
     )  # fmt: skip
     return _used(ways)
 

@@ -148,7 +148,7 @@ def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = N
     tree = find_on_surface(vertices, surface)
     endocardia = _triangles_at(heart, vertices, surface, tree)
     endocardia = endocardia[conducts[owner[endocardia]]]
-    table = build_table(mesh, surface, owner, endocardia, heart.edge_length, progress)
+    table = build_table(mesh, surface, owner, endocardia, progress)
     return Tissue(mesh, table, order, conducts, surface, owner, tree)
 
 
@@ -213,7 +213,7 @@ def _triangles_at(
         found.append(np.flatnonzero(square < (ON_SURFACE * heart.edge_length) ** 2))
         corners = endocardium.vertices[endocardium.triangles]
         sides = (corners + np.roll(corners, 1, axis=1)) / 2
-        points = [endocardium.vertices, corners.mean(axis=1), sides.reshape(-1, 3)]
+        points = [corners.reshape(-1, 3), sides.reshape(-1, 3), corners.mean(axis=1)]
         found.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
     return np.unique(np.concatenate(found))
 

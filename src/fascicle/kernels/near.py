@@ -60,7 +60,7 @@ def trace_ways(points, elements, start, vertex, longest, mesh, square):
                     goal[0], goal[1], goal[2], longest, mesh.slowness, True,
                     mesh.cells, mesh.across,
                 )  # fmt: skip
-                square[k, i] = way * way if way >= 0.0 else np.inf
+                square[k, i] = way * way if 0.0 <= way <= longest else np.inf
                 if square[k, i] == np.inf:  # of no use without all six
                     break
 
@@ -128,7 +128,7 @@ def _traced(x, y, z, t, reach, longest, mesh, ways, used):
         time = ray_time(
             x, y, z, t, gx, gy, gz, longest, mesh.slowness, True, mesh.cells, mesh.across
         )
-        if 0.0 <= time < np.inf:
+        if 0.0 <= time < np.inf and time <= longest:
             ways.target[used], ways.time[used] = v, time
             used += 1
     return used
@@ -193,12 +193,12 @@ def _way_inside(site, t, share, to_corner, mesh, way_to):
 
 
 @kernel()
-def to_sites(elements, share, to_corner, first_start, first, mesh, near, way_to, ways):
+def to_sites(positions, elements, share, to_corner, first_start, first, mesh, near, way_to, ways):
     """The straight ways from each site to the other sites around it.
 
     Parameters
     ----------
-    elements, mesh, share, to_corner
+    positions, elements, mesh, share, to_corner
         See `locate`.
     first_start, first : (n + 1,) and (j,) arrays
         The sites whose element has each vertex as its first corner.
@@ -219,6 +219,10 @@ def to_sites(elements, share, to_corner, first_start, first, mesh, near, way_to,
             for f in range(first_start[vertex], first_start[vertex + 1]):
                 other = first[f]
                 time = _way_inside(other, elements[other], share, to_corner, mesh, way_to)
+                # between ways that bend differently, interpolation can be early
+                x, y, z = positions[other, 0], positions[other, 1], positions[other, 2]
+                x, y, z = x - positions[s, 0], y - positions[s, 1], z - positions[s, 2]
+                time = max(time, mesh.slowness * math.sqrt(x * x + y * y + z * z))
                 if time < np.inf and other != s:
                     ways.target[used], ways.time[used] = other, time
                     used += 1
