@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from fascicle.geometry.heart import Heart
 
 WANTED = 300_000  # vertices
-NETWORKS = 120  # of the batch
+NETWORKS = 480  # of the batch
+WARM_UP = 32  # networks before it, that all workers may be up and have the heart
 REPEATS = 5
 
 
@@ -164,7 +165,7 @@ def batches(model: ForwardModel, parameters: dict[str, float]) -> None:
 
     def run(executor: Executor) -> float:
         batch = [next(new) for _ in range(NETWORKS)]
-        model.simulate_many(batch[:4], executor)  # workers are up, and have the heart
+        model.simulate_many(batch[:WARM_UP], executor)
         return _seconds(lambda: model.simulate_many(batch, executor))
 
     print(f"\n{NETWORKS} networks, crtdemo{'':<14}{'one, s':>10}{'two, s':>10}{'efficiency':>12}")

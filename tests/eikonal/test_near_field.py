@@ -183,7 +183,7 @@ def test_how_far_the_table_reaches(cells):
     if cells is CELLS:
         assert table.reach == 20.0
     else:
-        assert 15.0 < table.reach < 20.0
+        assert 10.0 < table.reach < 20.0
     ways_within = 0
     for triangle in np.flatnonzero(table.row >= 0):
         row = table.row[triangle]
