@@ -164,9 +164,14 @@ def simulate(
     case, regions = read_scenario(scenario) if scenario is not None else (None, ())
     loaded = load_heart(heart)
     with TerminalProgress() as progress:
-        Compilation(progress).run()
-        model = ForwardModel(loaded, Conduction(regions=regions), progress=progress)
-    simulation, inputs = simulate_inputs(model, params, lv_tree, rv_tree, cv, root_time, case)
+
+        def make_model() -> ForwardModel:
+            Compilation(progress).run()
+            return ForwardModel(loaded, Conduction(regions=regions), progress=progress)
+
+        simulation, inputs = simulate_inputs(
+            make_model, params, lv_tree, rv_tree, cv, root_time, case
+        )
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     summary = write_simulation(loaded, simulation, out, inputs)

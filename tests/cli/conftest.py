@@ -146,6 +146,9 @@ def run(monkeypatch, capfd):
     """Run `fascicle ...` in this process; what VTK prints by itself is captured too."""
     from fascicle.cli import main
 
+    # a slow machine takes more than a second to prepare a heart, and then says so
+    monkeypatch.setattr("fascicle.eikonal.near_field.PATIENCE", 600.0)
+
     def call(*arguments):
         monkeypatch.setattr("sys.argv", ["fascicle", *map(str, arguments)])
         capfd.readouterr()

@@ -220,14 +220,14 @@ class TestRefusals:
             path = file(text)
             scenario, _ = read_scenario(path)
             with pytest.raises(InputError) as refused:
-                simulate_inputs(default_model, scenario=scenario)
+                simulate_inputs(lambda: default_model, scenario=scenario)
             assert str(refused.value).startswith(f"{path}: "), refused.value
             assert words in str(refused.value)
 
     def test_what_else_is_wrong_does_not(self, file, default_model):
         scenario, _ = read_scenario(file(""))
         with pytest.raises(InputError) as refused:
-            simulate_inputs(default_model, cv=900.0, scenario=scenario)
+            simulate_inputs(lambda: default_model, cv=900.0, scenario=scenario)
         assert str(refused.value).startswith("--cv: ")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ PLAUSIBLE = {
 
 
 def simulate_inputs(
-    model: ForwardModel,
+    make_model: Callable[[], ForwardModel],
     params: Path | None = None,
     lv_tree: Path | None = None,
     rv_tree: Path | None = None,
@@ -44,6 +44,8 @@ def simulate_inputs(
     scenario: Scenario | None = None,
 ) -> tuple[Simulation, dict[str, object]]:
     """Run the forward model on what the user gave: a parameter file, or two trees.
+
+    `make_model` is called once the parameters are known to be good: a large heart takes a while.
 
     Returns
     -------
@@ -56,10 +58,6 @@ def simulate_inputs(
     InputError
         If files cannot be used, one tree is missing, or the parameters give no tree.
     """
-    if scenario is not None:
-        with _naming(scenario):
-            for tree, _ in scenario.trees:
-                _check_at_tissue(f"tree '{tree.side}'", model, tree)
     given = {"cv": cv, "root_time": root_time}
     overrides = {name: value for name, value in given.items() if value is not None}
     for name, value in overrides.items():
@@ -70,7 +68,9 @@ def simulate_inputs(
         source = str(params) if params is not None else "example parameters"
         for name, value in parameters.items():
             _check_plausible(source, name, value)
+        model = make_model()
         with _naming(scenario):
+            _check_trees(scenario, model)
             outcome = model.simulate(parameters, scenario)
         if isinstance(outcome, InvalidTree):
             raise InputError(f"{source}: {outcome.reason}; shorten it")
@@ -81,7 +81,7 @@ def simulate_inputs(
         raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
     defaults = {name: EXAMPLE_PARAMETERS[name] for name in given}
     physics = defaults | overrides
-    trees = []
+    trees, model = [], make_model()
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
         _check_at_tissue(str(path), model, tree)
@@ -89,6 +89,7 @@ def simulate_inputs(
         trees.append(tree)
     files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
     with _naming(scenario):
+        _check_trees(scenario, model)
         simulation = model.activate(trees, physics["root_time"], physics["cv"], scenario)
     return simulation, files | physics
 
@@ -102,6 +103,11 @@ def _naming(scenario: Scenario | None) -> Iterator[None]:
         if scenario is None or scenario.source is None:
             raise
         raise InputError(f"{scenario.source}: {error}") from None
+
+
+def _check_trees(scenario: Scenario | None, model: ForwardModel) -> None:
+    for tree, _ in () if scenario is None else scenario.trees:
+        _check_at_tissue(f"tree '{tree.side}'", model, tree)
 
 
 def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None:
