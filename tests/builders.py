@@ -84,10 +84,10 @@ def ray_ways(tissue: Tissue, start, element, goals, *, longest=np.inf) -> np.nda
     """Time (ms) along the straight way from a point in an element to each goal, traced."""
     mesh = tissue.mesh
     ways = [
-        ray_time(*start, element, *goal, longest, mesh.slowness, True, mesh.cells, mesh.across)
+        ray_time(*start, element, *goal, longest, mesh.slowness, mesh.cells, mesh.across)
         for goal in goals
     ]
-    return np.where(np.array(ways) >= 0, ways, np.inf)
+    return np.array(ways)
 
 
 def vertex_at(vertices, point) -> int:

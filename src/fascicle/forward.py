@@ -18,6 +18,7 @@ from fascicle.ecg.action_potential import ActionPotential, Upstroke
 from fascicle.ecg.electrocardiogram import STEP, first_sample
 from fascicle.eikonal.activation import Activation, Coupling, attach, solve
 from fascicle.eikonal.scenario import FURTHEST_STIMULUS, Scenario
+from fascicle.eikonal.tissue import Tissue
 from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart
@@ -215,7 +216,8 @@ class ForwardModel:
         Parameters
         ----------
         trees : sequence of PurkinjeTree
-            Left and right, or any number.
+            Left and right, or any number; not to be changed in place, since where they meet the
+            tissue is remembered.
         root_time : float or sequence of float
             t_RV − t_LV (ms), the earlier root firing at time 0; or when each root fires (ms).
         cv : float
@@ -226,12 +228,11 @@ class ForwardModel:
         roots = _roots(root_time) if isinstance(root_time, (float, int)) else root_time
         scenario = scenario if scenario is not None else Scenario()
         trees = (*trees, *(tree for tree, _ in scenario.trees))
-        coupling = _remembered(
-            self._attached,
-            (trees, scenario.points.tobytes()),
-            lambda: attach(self.tissue, trees, scenario.points),
-        )
-        _check_stimuli(scenario, coupling)
+        if len(scenario.points):  # ways to every vertex are too much to keep for several networks
+            _check_stimuli(scenario, self.tissue)
+            coupling = attach(self.tissue, trees, scenario.points)
+        else:
+            coupling = _remembered(self._attached, trees, lambda: attach(self.tissue, trees))
         coupled = solve(
             self.tissue,
             coupling,
@@ -343,9 +344,11 @@ def _roots(root_time: float) -> tuple[float, float]:
     return max(0.0, -root_time), max(0.0, root_time)
 
 
-def _check_stimuli(scenario: Scenario, coupling: Coupling) -> None:
+def _check_stimuli(scenario: Scenario, tissue: Tissue) -> None:
     """Refuse stimuli that are not in the myocardium."""
-    far = coupling.site.distances[coupling.junctions[-1] :]
+    far = tissue.on_surface(scenario.points).distances
+    if far.max() > FURTHEST_STIMULUS:  # or deep in it
+        far = tissue.inside(scenario.points).distances
     for position, distance in zip(scenario.points, far, strict=True):
         if distance > FURTHEST_STIMULUS:
             where = ", ".join(f"{x:g}" for x in position)

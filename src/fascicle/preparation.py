@@ -29,7 +29,7 @@ from fascicle.io.atomic import DISPOSABLE, atomic_path
 from fascicle.kernels.arrays import Mesh, Table
 from fascicle.tree.grow import Seed, find_seed
 
-FORMAT = 2  # of the files; another number makes them anew
+FORMAT = 3  # of the files; another number makes them anew
 KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
 

@@ -130,7 +130,7 @@ def attach(
         around.near,
         look_beside(site.positions, site.elements, around, tissue.mesh),
     )
-    forest = Forest(_parents_first(parents), parents, lengths, *_children(parents), node_site)
+    forest = Forest(_parents_first(parents), parents, no_delay[:0], *_children(parents), node_site)
     return Coupling(tuple(trees), site, nodes, junctions, lengths, forest, sites)
 
 
@@ -279,7 +279,7 @@ def _with_stimuli(
         known = there, around_them
         tissue.remembered.clear()
         tissue.remembered[key] = known
-    return site.and_then(known[0]), around.and_then(known[1])
+    return site.joined_with(known[0]), around.joined_with(known[1])
 
 
 def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:

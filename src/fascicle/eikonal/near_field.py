@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from fascicle.kernels.arrays import Mesh, Table, Ways
-from fascicle.kernels.near import POINTS, locate, to_sites, to_vertices, trace_ways
+from fascicle.kernels.near import (
+    POINTS,
+    locate,
+    to_sites,
+    to_vertices,
+    trace_ways,
+)
 
 FURTHEST = 20.0  # mm: what is further is left to the elements
 LONGEST = 50.0  # ms, likewise
@@ -52,7 +58,7 @@ def build_table(
     opposite = missing.argmax(axis=1)
     vertices = KDTree(mesh.vertices)
     centres = mesh.vertices[surface[triangles]].mean(axis=1)
-    reach = _reach(centres, vertices)
+    reach = _how_far(centres, vertices)
     sizes, found = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
     squares = [np.empty((0, len(POINTS)), np.float32)]
     begin = time.monotonic()
@@ -78,14 +84,14 @@ def build_table(
     )
 
 
-def _reach(centres: NDArray[np.float64], vertices: KDTree) -> float:
+def _how_far(centres: NDArray[np.float64], vertices: KDTree) -> float:
     """How far the table reaches (mm), given the triangles' centres."""
     some = centres[:: max(1, len(centres) // SAMPLE)]
     most, reach = min(MOST, WAYS_PER_VERTEX * vertices.n), FURTHEST
     for _ in range(3 if len(some) else 0):  # a wall is neither a ball nor flat
         around = vertices.query_ball_point(some, reach, return_length=True)
         ways = len(centres) * float(np.mean(around))
-        reach *= float(np.cbrt(min(1.0, most / ways)))
+        reach *= float(np.cbrt(min(1.0, most / max(ways, 1.0))))
     return reach
 
 
@@ -119,7 +125,7 @@ class Around(NamedTuple):
 
     Attributes
     ----------
-    share : (j, 4) array
+    barycentric : (j, 4) array
         Barycentric coordinates of each in its tetrahedron.
     to_corner : (j, 4) array
         Squared travel times (ms²) to its corners.
@@ -127,11 +133,11 @@ class Around(NamedTuple):
         To the vertices around.
     """
 
-    share: NDArray[np.float64]
+    barycentric: NDArray[np.float64]
     to_corner: NDArray[np.float64]
     near: Ways
 
-    def and_then(self, other: Around) -> Around:
+    def joined_with(self, other: Around) -> Around:
         """These sites and, after them, the others."""
         one, two = self.near, other.near
         near = Ways(
@@ -140,7 +146,7 @@ class Around(NamedTuple):
             np.concatenate([one.time, two.time]),
         )
         return Around(
-            np.concatenate([self.share, other.share]),
+            np.concatenate([self.barycentric, other.barycentric]),
             np.concatenate([self.to_corner, other.to_corner]),
             near,
         )
@@ -165,20 +171,35 @@ def look_around(
     mesh, table : Mesh, Table
         The myocardium, and the straight ways from its endocardia.
     """
-    count, vertices = len(elements), len(mesh.vertices)
-    share, to_corner = np.zeros((count, 4)), np.full((count, 4), np.inf)
-    locate(positions, elements, mesh, share, to_corner)
+    count = len(elements)
+    barycentric, to_corner = np.zeros((count, 4)), np.full((count, 4), np.inf)
+    locate(positions, elements, mesh, barycentric, to_corner)
     rows, opposite = np.full(count, -1, np.int32), np.zeros(count, np.int8)
     reach = longest = np.inf
     if triangles is not None:
         rows, opposite = table.row[triangles], table.opposite[triangles]
         reach, longest = table.reach, table.longest
-    room = np.where(rows >= 0, table.start[rows + 1] - table.start[rows], vertices) + 4
-    ways = _room(count, int(room[elements >= 0].sum()))
+    room = np.where(rows >= 0, table.start[rows + 1] - table.start[rows], len(mesh.vertices))
+    off = np.flatnonzero((rows < 0) & (elements >= 0))
+    if off.size and reach < np.inf:
+        room[off] = KDTree(mesh.vertices).query_ball_point(
+            positions[off], reach * (1 + 1e-9), return_length=True
+        )
+    ways = _room(count, int((room + 4)[elements >= 0].sum()))
     to_vertices(
-        positions, elements, rows, opposite, share, to_corner, mesh, table, reach, longest, ways
+        positions,
+        elements,
+        rows,
+        opposite,
+        barycentric,
+        to_corner,
+        mesh,
+        table,
+        reach,
+        longest,
+        ways,
     )
-    return Around(share, to_corner, _used(ways))
+    return Around(barycentric, to_corner, _used(ways))
 
 
 def look_beside(
@@ -199,8 +220,8 @@ def look_beside(
     first_start, order = grouped(mesh.corners[elements[attached], 0], vertices)
     ways = _room(len(elements), int(np.diff(first_start)[around.near.target].sum()))
     to_sites(
-        positions, elements, around.share, around.to_corner, first_start, attached[order], mesh,
-        around.near, np.full(vertices, np.inf), ways,
+        positions, elements, around.barycentric, around.to_corner, first_start, attached[order],
+        mesh, around.near, np.full(vertices, np.inf), ways,
     )  # fmt: skip
     return _used(ways)
 

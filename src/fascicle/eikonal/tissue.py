@@ -42,7 +42,7 @@ class Site:
     triangles: NDArray[np.int64]
     distances: NDArray[np.float64]
 
-    def and_then(self, other: Site) -> Site:
+    def joined_with(self, other: Site) -> Site:
         """These points and, after them, the others."""
         return Site(
             np.concatenate([self.positions, other.positions]),

@@ -201,11 +201,11 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites, queue):
     with anisotropy and obtuse elements times need not settle in order.
 
     Linear interpolation is late where fronts are curved, most of all near a point source. So a
-    site that its tree (or a stimulus) fires offers what is near it the travel time along the
-    straight way, too. Each offer depends on nothing but the times at which it starts, and none
-    becomes later when those become earlier: the result is the same in whatever order nodes are
-    taken. Where fronts collide, linear interpolation between them is early, by a part of an edge's
-    time.
+    site that fires, be it from its tree, as a stimulus or because the front comes by, offers what
+    is near it the travel time along the straight way, too. Each offer depends on nothing but the
+    times at which it starts, and none becomes later when those become earlier: the result is the
+    same in whatever order nodes are taken. Where fronts collide, linear interpolation between them
+    is early, by a part of an edge's time.
 
     Parameters
     ----------
@@ -220,18 +220,12 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites, queue):
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.
     mesh, forest, sites, queue : Mesh, Forest, Sites, Queue
         See `fascicle.kernels.arrays`.
-
-    Returns
-    -------
-    taken : int
-        Nodes taken from the queue, counting repeats.
     """
-    vertices, size, taken = len(mesh.vertices), 0, 0
+    vertices, size = len(mesh.vertices), 0
     for source in sources:
         size = lower(source, time, queue.heap, queue.place, size)
     while size > 0:
         node, size = pop(time, queue.heap, queue.place, size)
-        taken += 1
         if node < vertices:
             size = _through_edges(node, mesh, time, origin, queue, size)
             size = _through_elements(node, mesh, time, origin, queue, size)
@@ -240,8 +234,6 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites, queue):
         size = _through_tree(node - vertices, vertices, forest,
                              time, origin, entered_by, queue, size)  # fmt: skip
         site = forest.site[node - vertices]
-        # a front that came through the myocardium is there already
         if site >= 0 and sites.orthodromic[site] < np.inf:
             size = _fire(site, time[node] + sites.orthodromic[site], sites,
                          time, origin, entered_by, queue, size)  # fmt: skip
-    return taken

@@ -34,39 +34,39 @@ BASIS = np.linalg.inv(_monomials(POINTS))
 
 @kernel()
 def trace_ways(points, elements, start, vertex, longest, mesh, square):
-    """Squared travel times (ms²) from six points each to the vertices around them.
+    """Squared travel times (ms²) from a few points each to the vertices around them.
 
     Parameters
     ----------
-    points : (r, 6, 3) array
+    points : (r, k, 3) array
         Where the ways start (mm).
     elements : (r,) array
-        The tetrahedron in which each six lie.
+        The tetrahedron in which the points of a row lie.
     start, vertex : (r + 1,) and (p,) arrays
-        The vertices that each six are traced to.
+        The vertices that the points of a row are traced to.
     longest : float
         Ways that take longer (ms) are given up.
     mesh : Mesh
         The myocardium.
-    square : (p, 6) array
-        Overwritten by the squared times, inf where a way was given up.
+    square : (p, k) array
+        inf; overwritten by the squared times, as far as none was given up.
     """
     for r in range(len(elements)):
         for k in range(start[r], start[r + 1]):
             goal = mesh.vertices[vertex[k]]
-            for i in range(6):
+            for i in range(points.shape[1]):
                 way = ray_time(
                     points[r, i, 0], points[r, i, 1], points[r, i, 2], elements[r],
-                    goal[0], goal[1], goal[2], longest, mesh.slowness, True,
+                    goal[0], goal[1], goal[2], longest, mesh.slowness,
                     mesh.cells, mesh.across,
                 )  # fmt: skip
-                square[k, i] = way * way if 0.0 <= way <= longest else np.inf
-                if square[k, i] == np.inf:  # of no use without all six
+                square[k, i] = way * way if way <= longest else np.inf
+                if square[k, i] == np.inf:  # of no use without all of them
                     break
 
 
 @kernel()
-def locate(positions, elements, mesh, share, to_corner):
+def locate(positions, elements, mesh, barycentric, to_corner):
     """Barycentric coordinates of each site, and squared times (ms²) to its element's corners.
 
     Parameters
@@ -75,15 +75,15 @@ def locate(positions, elements, mesh, share, to_corner):
         Where the sites lie (mm), and the tetrahedron of each; -1 where there is none.
     mesh : Mesh
         The myocardium.
-    share, to_corner : (j, 4) arrays
+    barycentric, to_corner : (j, 4) arrays
         Overwritten, but for sites without an element.
     """
     cells = mesh.cells
     for s in range(len(elements)):
         t, x, y, z = elements[s], positions[s, 0], positions[s, 1], positions[s, 2]
         for c in range(4 if t >= 0 else 0):
-            share[s, c] = cells[t, c] * x + cells[t, 4 + c] * y + cells[t, 8 + c] * z
-            share[s, c] += cells[t, 12 + c]
+            barycentric[s, c] = cells[t, c] * x + cells[t, 4 + c] * y + cells[t, 8 + c] * z
+            barycentric[s, c] += cells[t, 12 + c]
             v = mesh.corners[t, c]
             to_corner[s, c] = travel(
                 cells, t, mesh.vertices[v, 0] - x, mesh.vertices[v, 1] - y, mesh.vertices[v, 2] - z
@@ -91,10 +91,10 @@ def locate(positions, elements, mesh, share, to_corner):
 
 
 @kernel(inline="always")
-def _from_table(row, a, b, c, table, ways, used):
+def _from_table(row, a, b, c, x, y, z, table, mesh, ways, used):
     """Append the vertices of a row of the table; returns how many there are now.
 
-    a, b, c are the barycentric coordinates in the row's triangle.
+    a, b, c are the site's barycentric coordinates in the row's triangle, x, y, z its position.
     """
     w0, w1, w2 = _weight(0, a, b, c), _weight(1, a, b, c), _weight(2, a, b, c)
     w3, w4, w5 = _weight(3, a, b, c), _weight(4, a, b, c), _weight(5, a, b, c)
@@ -104,7 +104,12 @@ def _from_table(row, a, b, c, table, ways, used):
             w0 * square[k, 0] + w1 * square[k, 1] + w2 * square[k, 2]
             + w3 * square[k, 3] + w4 * square[k, 4] + w5 * square[k, 5]
         )  # fmt: skip
-        ways.target[used], ways.time[used] = table.vertex[k], math.sqrt(max(between, 0.0))
+        vertex = table.vertex[k]
+        # between ways that bend differently, interpolation can be faster than any fibre
+        gx, gy = mesh.vertices[vertex, 0] - x, mesh.vertices[vertex, 1] - y
+        gz = mesh.vertices[vertex, 2] - z
+        least = (gx * gx + gy * gy + gz * gz) * mesh.slowness * mesh.slowness
+        ways.target[used], ways.time[used] = vertex, math.sqrt(max(between, least))
         used += 1
     return used
 
@@ -125,10 +130,8 @@ def _traced(x, y, z, t, reach, longest, mesh, ways, used):
         gx, gy, gz = mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2]
         if (gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2 > reach**2:
             continue
-        time = ray_time(
-            x, y, z, t, gx, gy, gz, longest, mesh.slowness, True, mesh.cells, mesh.across
-        )
-        if 0.0 <= time < np.inf and time <= longest:
+        time = ray_time(x, y, z, t, gx, gy, gz, longest, mesh.slowness, mesh.cells, mesh.across)
+        if time <= longest and time < np.inf:
             ways.target[used], ways.time[used] = v, time
             used += 1
     return used
@@ -136,13 +139,13 @@ def _traced(x, y, z, t, reach, longest, mesh, ways, used):
 
 @kernel()
 def to_vertices(
-    positions, elements, rows, opposite, share, to_corner, mesh, table, reach, longest, ways
+    positions, elements, rows, opposite, barycentric, to_corner, mesh, table, reach, longest, ways
 ):
     """The straight ways from each site to the vertices around it.
 
     Parameters
     ----------
-    positions, elements, mesh, share, to_corner
+    positions, elements, mesh, barycentric, to_corner
         See `locate`.
     rows, opposite : (j,) arrays
         The row of the table for each, -1 to trace instead, and the corner opposite its triangle.
@@ -156,15 +159,13 @@ def to_vertices(
     ways.start[0] = used = 0
     for s in range(len(elements)):
         t, row, away = elements[s], rows[s], opposite[s]
+        x, y, z = positions[s, 0], positions[s, 1], positions[s, 2]
         if t >= 0 and row >= 0:
-            a, b = share[s, 1 if away == 0 else 0], share[s, 1 if away > 1 else 2]
-            c = share[s, 2 if away == 3 else 3]
-            used = _from_table(row, a, b, c, table, ways, used)
+            a, b = barycentric[s, 1 if away == 0 else 0], barycentric[s, 1 if away > 1 else 2]
+            c = barycentric[s, 2 if away == 3 else 3]
+            used = _from_table(row, a, b, c, x, y, z, table, mesh, ways, used)
         elif t >= 0:
-            used = _traced(
-                positions[s, 0], positions[s, 1], positions[s, 2], t, reach, longest,
-                mesh, ways, used,
-            )  # fmt: skip
+            used = _traced(x, y, z, t, reach, longest, mesh, ways, used)
         for c in range(4 if t >= 0 else 0):
             ways.target[used], ways.time[used] = mesh.corners[t, c], math.sqrt(to_corner[s, c])
             used += 1
@@ -172,7 +173,7 @@ def to_vertices(
 
 
 @kernel(inline="always")
-def _way_inside(site, t, share, to_corner, mesh, way_to):
+def _way_inside(site, t, barycentric, to_corner, mesh, way_to):
     """Travel time (ms) to a site in tetrahedron t, from those to its corners; or inf.
 
     Exact in a uniform medium: the interpolation of the squares, less what the site is nearer to
@@ -182,23 +183,25 @@ def _way_inside(site, t, share, to_corner, mesh, way_to):
     for c in range(4):
         way = way_to[mesh.corners[t, c]]
         known = known and way < np.inf
-        square += share[site, c] * way * way
+        square += barycentric[site, c] * way * way
         least = max(least, way - math.sqrt(to_corner[site, c]))
     pair = 6
     for c in range(3):
         for d in range(c + 1, 4):
-            square -= share[site, c] * share[site, d] * mesh.solver[t, pair]
+            square -= barycentric[site, c] * barycentric[site, d] * mesh.solver[t, pair]
             pair += 1
     return max(math.sqrt(max(square, 0.0)), least) if known else np.inf
 
 
 @kernel()
-def to_sites(positions, elements, share, to_corner, first_start, first, mesh, near, way_to, ways):
+def to_sites(
+    positions, elements, barycentric, to_corner, first_start, first, mesh, near, way_to, ways
+):
     """The straight ways from each site to the other sites around it.
 
     Parameters
     ----------
-    positions, elements, mesh, share, to_corner
+    positions, elements, mesh, barycentric, to_corner
         See `locate`.
     first_start, first : (n + 1,) and (j,) arrays
         The sites whose element has each vertex as its first corner.
@@ -218,8 +221,8 @@ def to_sites(positions, elements, share, to_corner, first_start, first, mesh, ne
             vertex = near.target[k]
             for f in range(first_start[vertex], first_start[vertex + 1]):
                 other = first[f]
-                time = _way_inside(other, elements[other], share, to_corner, mesh, way_to)
-                # between ways that bend differently, interpolation can be early
+                time = _way_inside(other, elements[other], barycentric, to_corner, mesh, way_to)
+                # as in `_from_table`
                 x, y, z = positions[other, 0], positions[other, 1], positions[other, 2]
                 x, y, z = x - positions[s, 0], y - positions[s, 1], z - positions[s, 2]
                 time = max(time, mesh.slowness * math.sqrt(x * x + y * y + z * z))

@@ -47,7 +47,7 @@ def _exit(t, x, y, z, dx, dy, dz, cells):
 
 
 @kernel(error_model="numpy")
-def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, across):
+def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, cells, across):
     """Time (ms) along the straight line from (x, y, z) to (gx, gy, gz), or inf if it leaves.
 
     Where the line meets the boundary the path follows the boundary face towards the goal and
@@ -55,8 +55,7 @@ def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, ac
     the geodesic's time, so the result is never early. The line starts in `tetrahedron`; the
     arrays are those of `fascicle.kernels.arrays.Mesh`.
 
-    As soon as it is certain that the time is above `limit` (ms), gives up and returns a lower
-    bound of it with a minus sign.
+    Gives up, and returns inf, as soon as it is certain that the time is above `limit` (ms).
     """
     dx, dy, dz = gx - x, gy - y, gz - z
     least = slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -70,13 +69,11 @@ def ray_time(x, y, z, tetrahedron, gx, gy, gz, limit, slowness, slide, cells, ac
         total += (leave - done) * way
         done = leave
         if across[t, ACROSS + face] < 0:
-            if not slide:
-                return -(total + (1.0 - done) * least)
             x, y, z = x + done * dx, y + done * dy, z + done * dz
             return _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across)
         t = across[t, ACROSS + face]
         if total + (1.0 - done) * least > limit:
-            return -(total + (1.0 - done) * least)
+            return np.inf
     return np.inf
 
 
@@ -87,7 +84,7 @@ def _slide(x, y, z, t, gx, gy, gz, total, limit, slowness, cells, across):
         dx, dy, dz = gx - x, gy - y, gz - z
         least = total + slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
         if least > limit:
-            return -least
+            return np.inf
         straight = True
         for _ in range(3):  # an element has at most three boundary faces to slide along
             leave, face = _exit(t, x, y, z, dx, dy, dz, cells)
