@@ -64,6 +64,13 @@ def prepare(
 
     A heart that was read from a folder has its cache there, if the folder can be written to. The
     key is the content of heart and conduction and the version of this package.
+
+    Parameters
+    ----------
+    heart, conduction, action_potential : Heart, Conduction, ActionPotential
+        What the forward model is made of.
+    progress : callable, optional
+        See `fascicle.eikonal.tissue.build_tissue`.
     """
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return build(heart, conduction, action_potential, progress)
@@ -88,7 +95,7 @@ def build(
     action_potential: ActionPotential,
     progress: Told | None = None,
 ) -> Prepared:
-    """Do the work."""
+    """Prepare a heart; see `prepare`, which looks whether that was done before."""
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     scale = conduction.scale(heart)
     electrocardiograph = build_electrocardiograph(

@@ -236,9 +236,19 @@ def _used(ways: Ways) -> Ways:
 
 
 def grouped(groups: NDArray[np.integer], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where each of `count` groups starts among the items in the order of their groups; that order.
+    """Sort items by their group; those of one group stay in the order in which they came.
 
-    Items of one group stay in the order in which they came.
+    Parameters
+    ----------
+    groups : (n,) array
+        The group of each item.
+    count : int
+        How many groups there are.
+
+    Returns
+    -------
+    start, order : (count + 1,) and (n,) arrays
+        Where each group starts in the order, and the order.
     """
     sizes = np.bincount(groups, minlength=count)
     return np.concatenate([[0], np.cumsum(sizes)]), np.argsort(groups, kind="stable")

@@ -86,7 +86,7 @@ class Tissue:
     remembered: dict[bytes, tuple[Site, Around]] = field(default_factory=dict)
 
     def on_surface(self, points: NDArray[np.float64]) -> Site:
-        """Nearest points of the tissue's surface to `points` of shape (n, 3)."""
+        """Nearest points of the tissue's surface to `points` of shape (n, 3) in mm."""
         square, triangle, nearest = self.tree.squared_distance(
             self.mesh.vertices, self.surface, np.ascontiguousarray(points)
         )
@@ -112,10 +112,19 @@ class Tissue:
 
 
 def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = None) -> Tissue:
-    """Precompute metric, squared travel times and adjacency of a heart's tissue.
+    """Precompute metric, squared travel times, adjacency and straight ways of a heart's tissue.
 
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
     memory; `Tissue.order` leads back.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    conduction : Conduction
+        Conductivities and speeds of its myocardium, and regions where they differ.
+    progress : callable, optional
+        Told how many of how many triangles have their straight ways, if that takes a while.
     """
     order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
     number = np.empty(len(order), dtype=np.int64)
