@@ -3,8 +3,9 @@
     python -m benchmarks.scaling --data CRTDEMO_FOLDER [--million]
 
 The crtdemo heart as published and refined (each tetrahedron into eight) once and twice; with
---million three times, which takes minutes and many GB to prepare; and a mesh of 300,000 vertices,
-refined twice and then in part, by scikit-fem (``pip install scikit-fem``). Each in a fresh process,
+--million three times, which takes minutes and many GB to prepare; and a mesh of 300,000 vertices
+(with --million also one of 650,000), refined twice and then in part, by scikit-fem (``pip install
+scikit-fem``). Each in a fresh process,
 pinned to one core, that reads what was prepared for the heart before and simulates networks it has
 not seen: median wall time of the whole forward run, peak memory of the process.
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from fascicle.geometry.heart import Heart
 
 WANTED = 300_000  # vertices
+LARGER = 650_000  # with --million
 NETWORKS = 480  # of the batch
 WARM_UP = 32  # networks before it, that all workers may be up and have the heart
 REPEATS = 5
@@ -138,6 +140,7 @@ def sizes(heart: Heart, parameters: dict[str, float], million: bool) -> None:
         lambda: partly_refined(refined(heart, 2), WANTED),
     ]
     if million:
+        hearts.append(lambda: partly_refined(refined(heart, 2), LARGER))
         hearts.append(lambda: refined(heart, 3))
     for make in hearts:
         with tempfile.TemporaryDirectory() as folder:
