@@ -5,9 +5,9 @@
 The crtdemo heart as published and refined (each tetrahedron into eight) once and twice; with
 --million three times, which takes minutes and many GB to prepare; and a mesh of 300,000 vertices
 (with --million also one of 650,000), refined twice and then in part, by scikit-fem (``pip install
-scikit-fem``). Each in a fresh process,
-pinned to one core, that reads what was prepared for the heart before and simulates networks it has
-not seen: median wall time of the whole forward run, peak memory of the process.
+scikit-fem``). Each in a fresh process, pinned to one core, that reads what was prepared for the
+heart before and simulates networks it has not seen: median wall time of the whole forward run, peak
+memory of the process.
 
 Then the same number of networks one after the other and with `ForwardModel.simulate_many` on two
 threads and two processes: efficiency is the time of one worker over twice the time of two.
