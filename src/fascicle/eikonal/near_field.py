@@ -10,14 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from fascicle.kernels.arrays import Mesh, Table, Ways
-from fascicle.kernels.near import (
-    POINTS,
-    locate,
-    to_sites,
-    to_vertices,
-    trace_ways,
-)
+from fascicle.kernels.arrays import FACES, Mesh, Table, Ways
+from fascicle.kernels.near import POINTS, locate, to_sites, to_vertices, trace_ways
 
 FURTHEST = 20.0  # mm: what is further is left to the elements
 LONGEST = 50.0  # ms, likewise
@@ -28,7 +22,6 @@ MOST = 8_000_000
 SAMPLE = 500  # triangles that tell how many ways there will be
 CHUNK = 1024  # triangles worked on at a time, which bounds the memory
 PATIENCE = 1.0  # s without a word
-FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # corners, opposite each
 
 # Told how many of how many triangles are done
 Told = Callable[[int, int], None]
@@ -111,7 +104,7 @@ def _rows(
     pairs = KDTree(at.mean(axis=1)).sparse_distance_matrix(vertices, reach, output_type="ndarray")
     order = np.lexsort((pairs["j"], pairs["i"]))
     row, vertex = pairs["i"][order], pairs["j"][order].astype(np.int32)
-    start, _ = grouped(row, len(elements))
+    start = np.searchsorted(row, np.arange(len(elements) + 1))
     square = np.full((len(vertex), len(POINTS)), np.inf)
     trace_ways(POINTS @ at, elements, start, vertex, LONGEST, mesh, square)
     known = np.isfinite(square).all(axis=1)
@@ -187,18 +180,9 @@ def look_around(
         )
     ways = _room(count, int((room + 4)[elements >= 0].sum()))
     to_vertices(
-        positions,
-        elements,
-        rows,
-        opposite,
-        barycentric,
-        to_corner,
-        mesh,
-        table,
-        reach,
-        longest,
+        positions, elements, rows, opposite, barycentric, to_corner, mesh, table, reach, longest,
         ways,
-    )
+    )  # fmt: skip
     return Around(barycentric, to_corner, _used(ways))
 
 

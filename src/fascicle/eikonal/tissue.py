@@ -10,10 +10,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from fascicle.eikonal.near_field import FACES, Around, Told, build_table, grouped
+from fascicle.eikonal.near_field import Around, Told, build_table, grouped
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, boundary_triangles
-from fascicle.kernels.arrays import Mesh, Table
+from fascicle.kernels.arrays import FACES, Mesh, Table
 from fascicle.kernels.ray import ACROSS
 
 ON_SURFACE = 0.25  # edges of the mesh: what lies on an endocardium is no further from it

@@ -7,6 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# The corners of a tetrahedron's faces, in ascending order: of the one opposite each corner
+FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
 
 class Mesh(NamedTuple):
     """The conducting myocardium; elements that do not conduct are in no list.

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fascicle.kernels.arrays import FACES
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_face, from_new_corner
 from fascicle.kernels.queue import lower, pop
@@ -162,7 +163,7 @@ def _arrival_inside(site, t, sites, mesh, time):
     """Earliest arrival (ms) at a site in tetrahedron t, from its four faces."""
     best = np.inf
     for skip in range(4):
-        i, j, k = (1 if skip == 0 else 0), (2 if skip < 2 else 1), (2 if skip == 3 else 3)
+        i, j, k = FACES[skip, 0], FACES[skip, 1], FACES[skip, 2]
         qi, qj, qk = sites.to_corner[site, i], sites.to_corner[site, j], sites.to_corner[site, k]
         best = min(best, from_face(
             qi, 0.5 * (qi + qj - mesh.solver[t, 6 + PAIRS[skip, 3]]),

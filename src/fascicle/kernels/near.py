@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from fascicle.kernels.arrays import FACES
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.ray import ray_time, travel
 
@@ -161,8 +162,8 @@ def to_vertices(
         t, row, away = elements[s], rows[s], opposite[s]
         x, y, z = positions[s, 0], positions[s, 1], positions[s, 2]
         if t >= 0 and row >= 0:
-            a, b = barycentric[s, 1 if away == 0 else 0], barycentric[s, 1 if away > 1 else 2]
-            c = barycentric[s, 2 if away == 3 else 3]
+            a, b = barycentric[s, FACES[away, 0]], barycentric[s, FACES[away, 1]]
+            c = barycentric[s, FACES[away, 2]]
             used = _from_table(row, a, b, c, x, y, z, table, mesh, ways, used)
         elif t >= 0:
             used = _traced(x, y, z, t, reach, longest, mesh, ways, used)
