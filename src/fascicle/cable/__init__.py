@@ -1,0 +1,1 @@
+"""The action potential of a cell in a cable."""

@@ -1,0 +1,1 @@
+"""Rule-based fibre and sheet directions."""

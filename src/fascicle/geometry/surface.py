@@ -1,0 +1,88 @@
+"""The closed surface of the ventricles, with a label for every triangle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Label(IntEnum):
+    """What a part of the surface is.
+
+    Valve openings are parts of the base: tissue was cut there, and nothing is endocardium. They
+    need not be told apart; where the arterial ones are, fibres turn towards them.
+    """
+
+    BASE = 1
+    EPICARDIUM = 2
+    LV_ENDOCARDIUM = 3
+    RV_ENDOCARDIUM = 4
+    MITRAL = 5
+    AORTIC = 6
+    TRICUSPID = 7
+    PULMONARY = 8
+
+
+BASAL = (Label.BASE, Label.MITRAL, Label.AORTIC, Label.TRICUSPID, Label.PULMONARY)
+NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+
+
+@dataclass(frozen=True)
+class LabelledSurface:
+    """The boundary of the ventricular myocardium.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices, counter-clockwise seen from outside the tissue (normals leave the tissue).
+    labels : (m,) array
+        A `Label` for each triangle.
+    name : str
+        What to call it in messages; usually the file.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    labels: NDArray[np.int64]
+    name: str = "surface"
+
+    def having(self, *labels: Label) -> NDArray[np.int64]:
+        """Triangles with any of these labels, shape (k, 3)."""
+        return self.triangles[np.isin(self.labels, labels)]
+
+
+@dataclass(frozen=True)
+class LabelledMesh:
+    """Tetrahedra of the ventricular myocardium and its labelled boundary, in register.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    tetrahedra : (m, 4) array
+        Vertex indices, positively oriented.
+    triangles : (b, 3) array
+        The boundary, as vertex indices, counter-clockwise seen from outside the tissue.
+    labels : (b,) array
+        A `Label` for each triangle.
+    regions : (m,) array, optional
+        A label for each tetrahedron (scar, for one); `None` where there are none.
+    name : str
+        What to call it in messages; usually the file.
+    """
+
+    vertices: NDArray[np.float64]
+    tetrahedra: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    labels: NDArray[np.int64]
+    regions: NDArray[np.int64] | None = None
+    name: str = "mesh"
+
+    def having(self, *labels: Label) -> NDArray[np.int64]:
+        """Boundary triangles with any of these labels, shape (k, 3)."""
+        return self.triangles[np.isin(self.labels, labels)]

@@ -1,0 +1,1 @@
+"""The volume conductor around the heart and the lead fields in it."""
