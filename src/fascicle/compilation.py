@@ -1,4 +1,4 @@
-"""Compile the kernels, which happens once on a machine, with progress."""
+"""What happens once on a machine, with progress: kernels compiled, the action potential computed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from threading import Timer
 
 import numpy as np
 
-from fascicle.ecg.action_potential import Upstroke
+from fascicle.cable.stored import default_template
 from fascicle.eikonal.activation import attach, solve
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.endocardium import Endocardium
@@ -17,17 +17,17 @@ from fascicle.study import Progress
 from fascicle.tree.grow import GrowthRules, grow_tree
 from fascicle.tree.purkinje import InvalidTree
 
-PATIENCE = 1.0  # s without a word; kernels that were compiled before take less
-STEPS = 3
+PATIENCE = 1.0  # s without a word; kernels that were ran before take less
+STEPS = 4
 
 
 class Compilation:
-    """Runs every kernel on the smallest heart there is.
+    """Computes the action potential, and runs every kernel on the smallest heart there is.
 
     Parameters
     ----------
     progress : callable
-        Told how far this is, once it is clear that something is being compiled.
+        Told how far this is, once it is clear that something is being done.
     """
 
     def __init__(self, progress: Progress) -> None:
@@ -35,7 +35,7 @@ class Compilation:
         self.done, self.slow = 0, False
 
     def run(self) -> None:
-        """Compile what is not compiled yet."""
+        """Do what is not done yet."""
         timer = Timer(PATIENCE, self._tell)
         timer.start()
         try:
@@ -52,19 +52,21 @@ class Compilation:
 
 
 def _steps() -> Iterator[int]:
+    template = default_template()
+    yield 1
     heart = _smallest_heart()
-    prepared = build(heart, Conduction(), Upstroke())
+    prepared = build(heart, Conduction(), template)
     tree = grow_tree(
         "lv", prepared.charts["lv"], prepared.seeds["lv"], 2.0, [1.0], [0.0],
         GrowthRules(branch_length=1.0, segments=2, generations=1),
     )  # fmt: skip
     if isinstance(tree, InvalidTree):
         raise RuntimeError(f"the smallest heart has no room for its tree: {tree.reason}")
-    yield 1
-    activation = solve(prepared.tissue, attach(prepared.tissue, [tree]), [0.0], 1.0)
     yield 2
-    prepared.electrocardiograph.leads(activation.myocardium)
+    activation = solve(prepared.tissue, attach(prepared.tissue, [tree]), [0.0], 1.0)
     yield 3
+    prepared.electrocardiograph.leads(activation.myocardium)
+    yield 4
 
 
 def _smallest_heart() -> Heart:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
@@ -14,7 +14,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fascicle.ecg.action_potential import ActionPotential, Upstroke
+from fascicle.cable.stored import default_template
+from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.electrocardiogram import STEP, first_sample
 from fascicle.eikonal.activation import Activation, Coupling, attach, solve
 from fascicle.eikonal.scenario import FURTHEST_STIMULUS, Scenario
@@ -110,7 +111,7 @@ class ForwardModel:
     rules : GrowthRules, optional
         What is held fixed while trees grow.
     action_potential : ActionPotential, optional
-        The template U.
+        The template U; `fascicle.cable.stored.default_template` if not given.
     prepared : Prepared, optional
         What `fascicle.preparation.prepare` makes of heart and conduction, if it is at hand.
     progress : Progress, optional
@@ -141,12 +142,11 @@ class ForwardModel:
         self.heart = heart
         self.conduction = conduction if conduction is not None else Conduction()
         self.rules = rules if rules is not None else GrowthRules()
-        self.action_potential = action_potential if action_potential is not None else Upstroke()
+        self.action_potential = (
+            action_potential if action_potential is not None else default_template()
+        )
         if prepared is None:
-            told = None
-            if progress is not None:
-                told = partial(_tell, progress)
-            prepared = prepare(heart, self.conduction, self.action_potential, told)
+            prepared = prepare(heart, self.conduction, self.action_potential, progress)
         self.prepared = prepared
         self.charts, self.seeds = prepared.charts, prepared.seeds
         self.tissue = prepared.tissue
@@ -333,10 +333,6 @@ def _simulate_shared(
         _READ.clear()  # another thread of this worker may have read another model
         _READ[shared.path] = model
     return model.simulate(parameters, scenario)
-
-
-def _tell(progress: Progress, done: int, total: int) -> None:
-    progress("preparation", done, total, "once per heart")
 
 
 def _roots(root_time: float) -> tuple[float, float]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,7 @@ from numpy.typing import NDArray
 
 from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
-from fascicle.ecg.lead_field import unbounded_gradients
-from fascicle.eikonal.near_field import Told
+from fascicle.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.eikonal.tissue import Tissue, barycentric_gradients, build_tissue, find_on_surface
 from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
@@ -27,6 +27,8 @@ from fascicle.geometry.heart import Heart
 from fascicle.harmonic.chart import Chart, build_chart
 from fascicle.io.atomic import DISPOSABLE, atomic_path
 from fascicle.kernels.arrays import Mesh, Table
+from fascicle.study import Progress
+from fascicle.torso.known import known_lead_fields
 from fascicle.tree.grow import Seed, find_seed
 
 FORMAT = 3  # of the files; another number makes them anew
@@ -58,7 +60,7 @@ def prepare(
     heart: Heart,
     conduction: Conduction,
     action_potential: ActionPotential,
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> Prepared:
     """Prepare a heart, or read what was prepared before.
 
@@ -69,8 +71,8 @@ def prepare(
     ----------
     heart, conduction, action_potential : Heart, Conduction, ActionPotential
         What the forward model is made of.
-    progress : callable, optional
-        See `fascicle.eikonal.tissue.build_tissue`.
+    progress : Progress, optional
+        Told how far what takes a while is; see `fascicle.study.Progress`.
     """
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return build(heart, conduction, action_potential, progress)
@@ -93,22 +95,43 @@ def build(
     heart: Heart,
     conduction: Conduction,
     action_potential: ActionPotential,
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> Prepared:
     """Prepare a heart; see `prepare`, which looks whether that was done before."""
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     scale = conduction.scale(heart)
+    barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     electrocardiograph = build_electrocardiograph(
         heart.tetrahedra,
-        barycentric_gradients(heart.vertices, heart.tetrahedra),
+        barycentric,
         heart.volumes,
         scale[:, None, None] * conduction.intracellular(heart.fibres),
-        unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso),
+        _lead_field_gradients(heart, conduction, barycentric, progress),
         action_potential,
     )
-    return Prepared(
-        charts, _seeds(heart, charts), build_tissue(heart, conduction, progress), electrocardiograph
-    )
+    tissue = build_tissue(heart, conduction, _told(progress, "preparation"))
+    return Prepared(charts, _seeds(heart, charts), tissue, electrocardiograph)
+
+
+def _lead_field_gradients(
+    heart: Heart,
+    conduction: Conduction,
+    barycentric: NDArray[np.float64],
+    progress: Progress | None,
+) -> NDArray[np.float64]:
+    """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9, m, 3)."""
+    fields = known_lead_fields(heart, conduction, _told(progress, "lead fields"))
+    if fields is not None:
+        return nodal_gradients(fields.values, heart.tetrahedra, barycentric)
+    return unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso)
+
+
+def _told(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else partial(_tell, progress, stage)
+
+
+def _tell(progress: Progress, stage: str, done: int, total: int) -> None:
+    progress(stage, done, total, "once per heart")
 
 
 def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:

@@ -16,7 +16,12 @@ from rich.progress import (
 )
 
 NAMES = {
-    "compilation": "compiling the kernels",
+    "compilation": "first run here",
+    "template": "cables",
+    "anatomy": "meshing",
+    "fibres": "fibres",
+    "torso": "torso",
+    "lead fields": "lead fields",
     "preparation": "preparing the heart",
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",

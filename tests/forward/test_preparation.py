@@ -181,8 +181,9 @@ class TestWithoutCache:
         prepare(heart, Conduction(alpha=0.06), Upstroke())
         assert len(built) == 2
 
-    def test_the_packaged_heart_keeps_nothing(self, default_heart):
-        assert default_heart.folder is None
+    def test_the_packaged_heart_keeps_nothing_in_the_package(self, monkeypatch, tmp_path):
+        monkeypatch.setenv("FASCICLE_CACHE", str(tmp_path / "cache"))
+        assert load_heart("default").folder == tmp_path / "cache" / "default_heart"
 
 
 class TestRealHeart:

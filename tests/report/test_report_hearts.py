@@ -8,14 +8,13 @@ import pytest
 
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity, triangle_normals
-from fascicle.geometry.heart import Heart, signed_volumes
+from fascicle.geometry.heart import Heart, outward_triangles, signed_volumes
 from fascicle.report.hearts import VIEWS, ActivationRow, activation_figure
 from fascicle.report.rendering import (
     AMBIENT,
     back_to_front,
     cut_at_levels,
     heart_views,
-    outward_triangles,
     smooth_normals,
 )
 from fascicle.tree.purkinje import PurkinjeTree

@@ -1,4 +1,4 @@
-"""Conductivities of the myocardium, and the front speeds that follow from them."""
+"""Conductivities of the tissues, and the front speeds that follow from the myocardium's."""
 
 from __future__ import annotations
 
@@ -90,7 +90,15 @@ class Conduction:
     alpha : float
         α (cm·ms⁻¹·(mS/cm)^-½): D = α² Gᵢ(Gᵢ+Gₑ)⁻¹Gₑ; 0.05 to 0.1 in the paper's patients.
     torso : float
-        Conductivity of the unbounded volume conductor (mS/cm); about that of the torso as a whole.
+        Conductivity of the unbounded volume conductor (mS/cm), for hearts without a torso mesh;
+        about that of the torso as a whole, lungs included. A torso mesh has the next three instead.
+    body : float
+        Conductivity of what is neither lung nor blood around the heart (mS/cm); 2.39 is that of the
+        homogeneous torso of Klepfer, Johnson and MacLeod (IEEE Trans. Biomed. Eng. 44, 1997,
+        706-719), the mean over its tissues.
+    lung, blood : float
+        Conductivities (mS/cm); 0.389 and 7.0 are those of inflated lung and of blood at 10 Hz in
+        the parametric model of Gabriel, Lau and Gabriel (Phys. Med. Biol. 41, 1996, 2271-2293).
     regions : tuple of Region
         Where the myocardium conducts otherwise; where they overlap the last one counts.
     """
@@ -101,6 +109,9 @@ class Conduction:
     extracellular_t: float = 1.2
     alpha: float = 0.05
     torso: float = 2.0
+    body: float = 2.39
+    lung: float = 0.389
+    blood: float = 7.0
     regions: tuple[Region, ...] = ()
 
     def scale(self, heart: Heart) -> NDArray[np.float64]:
@@ -132,6 +143,14 @@ class Conduction:
     def intracellular(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
         """Gᵢ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
         return transversely_isotropic(fibres, self.intracellular_l, self.intracellular_t)
+
+    def bulk(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gᵢ + Gₑ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
+        return transversely_isotropic(
+            fibres,
+            self.intracellular_l + self.extracellular_l,
+            self.intracellular_t + self.extracellular_t,
+        )
 
     def metric(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
         """D⁻¹ (ms²/mm²) for unit fibres of shape (m, 3); shape (m, 3, 3)."""

@@ -25,6 +25,9 @@ class Endocardium:
         Vertex indices, counter-clockwise seen from inside the cavity.
     root, direction : int
         Vertex where the bundle starts, and one that it heads for.
+    valves : (m,) array, optional
+        Which triangles span a valve opening within the surface; no tissue lies under them, and
+        trees end at their rim.
     """
 
     side: str
@@ -32,6 +35,7 @@ class Endocardium:
     triangles: NDArray[np.int64]
     root: int
     direction: int
+    valves: NDArray[np.bool_] | None = None
 
     @property
     def area(self) -> float:

@@ -12,7 +12,8 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.geometry.endocardium import Endocardium
+from fascicle.geometry.endocardium import Endocardium, triangle_normals
+from fascicle.geometry.torso import LeadFields, Torso
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,15 @@ class Heart:
         What to call the heart in messages and figures.
     regions : (m,) array, optional
         A label for each tetrahedron, for `fascicle.geometry.conduction.Region`.
+    sheets : (m, 3) array, optional
+        Unit direction in the sheet, across the fibre, of each tetrahedron. The forward model does
+        not use it; other software does.
+    torso : Torso, optional
+        The body around it; without one the volume conductor is unbounded.
+    lead_fields : LeadFields, optional
+        Those of the electrodes in that body, if they were computed before.
     folder : Path, optional
-        Where it was read from; what is computed from it once is kept there.
+        Where what is computed from it once is kept: mostly, where it was read from.
     """
 
     vertices: NDArray[np.float64]
@@ -47,6 +55,9 @@ class Heart:
     electrodes: NDArray[np.float64]
     name: str = "heart"
     regions: NDArray[np.int64] | None = None
+    sheets: NDArray[np.float64] | None = None
+    torso: Torso | None = None
+    lead_fields: LeadFields | None = None
     folder: Path | None = None
 
     @property
@@ -79,17 +90,28 @@ class Heart:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything that the forward model depends on."""
-        digest = hashlib.sha256()
         arrays = [self.vertices, self.tetrahedra, self.fibres, self.electrodes]
         for endocardium in self.endocardia:
             seeds = np.array([endocardium.root, endocardium.direction])
             arrays += [endocardium.vertices, endocardium.triangles, seeds]
+            if endocardium.valves is not None:
+                arrays.append(endocardium.valves)
         if self.regions is not None:
             arrays.append(self.regions)
-        for array in arrays:
-            digest.update(str(array.shape).encode())
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
+        if self.lead_fields is not None:
+            arrays.append(self.lead_fields.values)
+        if self.torso is not None:
+            arrays += [self.torso.vertices, self.torso.tetrahedra, self.torso.tissues]
+        return digest_of(*arrays)
+
+
+def digest_of(*arrays: NDArray[np.generic]) -> str:
+    """SHA-256 of arrays: their shapes and contents, in this order."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def boundary_triangles(
@@ -98,6 +120,18 @@ def boundary_triangles(
     """Triangles (b, 3) that belong to one tetrahedron only, and which one (b,)."""
     triangles, owner, _ = igl.boundary_facets(tetrahedra.astype(np.int64))
     return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
+
+
+def outward_triangles(heart: Heart) -> NDArray[np.int64]:
+    """Boundary triangles (b, 3), counter-clockwise seen from outside the tissue."""
+    triangles, owner = heart.boundary
+    normals = triangle_normals(heart.vertices, triangles)
+    inside = heart.vertices[heart.tetrahedra[owner]].mean(axis=1)
+    middle = heart.vertices[triangles].mean(axis=1)
+    inverted = np.einsum("ij,ij->i", normals, middle - inside) < 0
+    turned = triangles.copy()
+    turned[inverted] = turned[inverted][:, ::-1]
+    return turned
 
 
 def signed_volumes(

@@ -34,3 +34,19 @@ class Torso:
     vertices: NDArray[np.float64]
     tetrahedra: NDArray[np.int64]
     tissues: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class LeadFields:
+    """Lead fields at the heart's vertices, and what they were computed from.
+
+    Attributes
+    ----------
+    values : (9, n) array
+        Potential for unit current through each electrode (kΩ), up to a constant.
+    key : str
+        `fascicle.torso.known.key_of` heart and conduction.
+    """
+
+    values: NDArray[np.float64]
+    key: str

@@ -30,7 +30,7 @@ class Chart:
     triangles : (m, 3) array
         Vertex indices, counter-clockwise in the disk.
     neighbours : (m, 3) array
-        Triangle across the edge opposite to each corner; -1 at the base.
+        Triangle across the edge opposite to each corner; -1 at the base and at valve openings.
     metric : (m, 3) array
         G₁₁, G₁₂, G₂₂ of G = JᵀJ with J = ∂x/∂u (mm²): a step Δu has length √(ΔuᵀGΔu).
     """
@@ -76,6 +76,8 @@ def build_chart(endocardium: Endocardium) -> Chart:
     neighbours = np.asarray(igl.triangle_triangle_adjacency(triangles)[0], dtype=np.int64)
     # libigl numbers edges from their first corner; the walk wants the corner opposite to them
     neighbours = np.ascontiguousarray(neighbours[:, [1, 2, 0]])
+    if endocardium.valves is not None:
+        neighbours[endocardium.valves[neighbours]] = -1  # where a tree would leave the tissue
     return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
 
 

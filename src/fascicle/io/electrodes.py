@@ -99,7 +99,11 @@ def _position(path: Path, name: str, values: list[object]) -> list[float]:
 
 
 def write_electrodes(path: Path, electrodes: NDArray[np.float64]) -> None:
-    """Write electrode positions (9, 3) as CSV (mm)."""
+    """Write electrode positions (9, 3) as CSV or, by the path's suffix, JSON (mm)."""
+    if path.suffix.lower() == ".json":
+        positions = dict(zip(ELECTRODES, np.asarray(electrodes).tolist(), strict=True))
+        write_text(path, json.dumps(positions, indent=1) + "\n")
+        return
     lines = ["name,x,y,z"]
     for name, position in zip(ELECTRODES, electrodes, strict=True):
         lines.append(",".join([name, *(repr(float(x)) for x in position)]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -18,7 +19,8 @@ from fascicle.errors import InputError
 from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
 from fascicle.geometry.fibres import average_to_tetrahedra, match_by_position
 from fascicle.geometry.heart import Heart
-from fascicle.geometry.seeds import septal_seeds
+from fascicle.geometry.seeds import ChosenSeed, choose_seeds
+from fascicle.geometry.torso import LeadFields
 from fascicle.geometry.validate import (
     check_electrodes,
     check_endocardium_in_place,
@@ -27,14 +29,22 @@ from fascicle.geometry.validate import (
     check_units,
 )
 from fascicle.io.atomic import atomic_folder
+from fascicle.io.cache import user_cache
 from fascicle.io.electrodes import read_electrodes, write_electrodes
 from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh, write_grid, write_surface
+from fascicle.io.torsos import read_torso, write_torso
+from fascicle.leads import ELECTRODES
 
 MANIFEST = "heart.toml"
 DEFAULT_HEART = "default"
 FORMAT = "fascicle heart 1"
 REGION = "region"  # cell array of labels
+SHEET = "sheet"  # cell array of directions
+VALVE = "valve"  # cell array of an endocardium: 1 where it spans a valve opening
+LEAD_FIELD = "lead_field_"  # point arrays, one an electrode
 FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
+
+OTHERS = ("normals", SHEET)  # arrays of directions that are not fibres
 
 
 class Seeds(BaseModel):
@@ -46,7 +56,10 @@ class Seeds(BaseModel):
 
 
 class Manifest(BaseModel):
-    """Contents of `heart.toml`; file names are relative to the folder."""
+    """Contents of `heart.toml`; file names are relative to the folder.
+
+    `lead_fields` is the key of those in the mesh: what they were computed from.
+    """
 
     model_config = ConfigDict(extra="forbid")
     format: Literal["fascicle heart 1"]
@@ -56,6 +69,8 @@ class Manifest(BaseModel):
     lv_endocardium: str
     rv_endocardium: str
     electrodes: str
+    torso: str | None = None
+    lead_fields: str | None = None
     lv: Seeds
     rv: Seeds
 
@@ -74,17 +89,21 @@ def load_heart(path: Path | str) -> Heart:
         If anything about it would make the physics wrong; the message names file and remedy.
     """
     if str(path) == DEFAULT_HEART and not Path(path).exists():
-        with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as folder:
-            return replace(load_heart(folder), folder=None)  # a package is no place to write to
+        with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as packaged:
+            heart = load_heart(packaged)
+        folder = user_cache() / "default_heart"  # a package is no place to write to
+        with suppress(OSError):  # nor is every home; then nothing is kept
+            folder.mkdir(parents=True, exist_ok=True)
+        return replace(heart, folder=folder)
     folder = Path(path)
     manifest = _read_manifest(folder)
     sides = {
         side: (folder / getattr(manifest, f"{side}_endocardium"), getattr(manifest, side))
         for side in ("lv", "rv")
     }
-    mesh_path = folder / manifest.mesh
+    mesh = read_mesh(folder / manifest.mesh, "mesh")
     heart = assemble_heart(
-        mesh=read_mesh(mesh_path, "mesh"),
+        mesh=mesh,
         fibres=None,
         surfaces={
             side: read_mesh(file, f"{side.upper()} endocardium")
@@ -94,7 +113,24 @@ def load_heart(path: Path | str) -> Heart:
         electrodes=folder / manifest.electrodes,
         name=manifest.name,
     )
-    return replace(heart, folder=folder)
+    torso = read_torso(folder / manifest.torso, heart) if manifest.torso is not None else None
+    lead_fields = _lead_fields(mesh, manifest.lead_fields)
+    return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields)
+
+
+def _lead_fields(mesh: Mesh, key: str | None) -> LeadFields | None:
+    """Lead fields that stand in the mesh file, if the manifest says what they are."""
+    if key is None:
+        return None
+    names = [f"{LEAD_FIELD}{electrode}" for electrode in ELECTRODES]
+    missing = [name for name in names if np.shape(mesh.point_data.get(name)) != (len(mesh.points),)]
+    if missing:
+        raise InputError(
+            f"{mesh.path}: the point array '{missing[0]}' is missing; build the heart again, or "
+            f"take 'lead_fields' out of {MANIFEST} to have them computed"
+        )
+    used = np.unique(mesh.cells[TETRAHEDRON])
+    return LeadFields(np.array([mesh.point_data[name][used] for name in names]), key)
 
 
 def _read_manifest(folder: Path) -> Manifest:
@@ -122,7 +158,7 @@ def assemble_heart(
     mesh: Mesh,
     fibres: Mesh | None,
     surfaces: dict[str, Mesh],
-    seeds: dict[str, tuple[int | None, int | None]],
+    seeds: dict[str, tuple[ChosenSeed, ChosenSeed]],
     electrodes: Path,
     name: str,
 ) -> Heart:
@@ -137,7 +173,7 @@ def assemble_heart(
     surfaces : dict of side to Mesh
         Endocardia.
     seeds : dict of side to (root, direction)
-        Vertices of the endocardia; None where they are to be found.
+        Vertices of the endocardia, or positions on them; None where they are to be found.
     electrodes : Path
         File of electrode positions.
     name : str
@@ -156,9 +192,14 @@ def assemble_heart(
     endocardia = {}
     for side, other in (("lv", "rv"), ("rv", "lv")):
         points, triangles = opened[side]
-        file = surfaces[side].path
-        found = _seeds(file, side, seeds[side], points, triangles, opened[other][0])
-        endocardia[side] = Endocardium(side, points, triangles, *found)
+        valves = _valves(surfaces[side])
+        found = choose_seeds(
+            f"{surfaces[side].path}: {side.upper()}",
+            seeds[side],
+            (points, triangles, valves),
+            opened[other][0],
+        )
+        endocardia[side] = Endocardium(side, points, triangles, *found, valves)
     heart = Heart(
         vertices=vertices,
         tetrahedra=tetrahedra,
@@ -168,6 +209,7 @@ def assemble_heart(
         electrodes=read_electrodes(electrodes),
         name=name,
         regions=_regions(mesh),
+        sheets=_sheets(mesh),
     )
     check_electrodes(str(electrodes), heart.electrodes, heart)
     return heart
@@ -199,32 +241,6 @@ def _surface(side: str, surface: Mesh) -> tuple[NDArray[np.float64], NDArray[np.
             "(ParaView: Clean)"
         )
     return surface.points, oriented_into_cavity(surface.points, triangles, name)
-
-
-def _seeds(
-    file: Path,
-    side: str,
-    given: tuple[int | None, int | None],
-    points: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    opposite: NDArray[np.float64],
-) -> tuple[int, int]:
-    found = septal_seeds(points, triangles, opposite)
-    seeds = tuple(
-        found[k] if given_seed is None else given_seed for k, given_seed in enumerate(given)
-    )
-    for what, seed in zip(("root", "direction"), seeds, strict=True):
-        if not 0 <= seed < len(points):
-            raise InputError(
-                f"{file}: {side.upper()} {what} {seed} is not one of its points; give a number "
-                f"from 0 to {len(points) - 1}"
-            )
-    if seeds[0] == seeds[1]:
-        raise InputError(
-            f"{file}: {side.upper()} root and direction are the same point ({seeds[0]}); "
-            "give two different ones"
-        )
-    return seeds[0], seeds[1]
 
 
 def _fibres_per_tetrahedron(
@@ -265,6 +281,21 @@ def _regions(mesh: Mesh) -> NDArray[np.int64] | None:
     return labels.astype(np.int64)
 
 
+def _sheets(mesh: Mesh) -> NDArray[np.float64] | None:
+    """Sheet directions of the tetrahedra, if the mesh has the cell array `sheet`."""
+    values = mesh.cell_data.get(TETRAHEDRON, {}).get(SHEET)
+    if values is None:
+        return None
+    check_fibres(f"{mesh.path} ('{SHEET}')", np.asarray(values, dtype=float))
+    return np.asarray(values, dtype=float)
+
+
+def _valves(surface: Mesh) -> NDArray[np.bool_] | None:
+    """Which triangles span a valve opening, if the surface has the cell array `valve`."""
+    values = surface.cell_data.get(TRIANGLE, {}).get(VALVE)
+    return None if values is None else np.asarray(values, dtype=float) != 0
+
+
 def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
     """Find the array of directions in a file, and whether it is one per tetrahedron."""
     candidates: dict[str, tuple[Any, bool]] = {}
@@ -273,7 +304,7 @@ def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
         (source.point_data, False),
     ):
         for key, values in arrays.items():
-            if np.ndim(values) == 2 and np.shape(values)[1] == 3 and key.lower() != "normals":
+            if np.ndim(values) == 2 and np.shape(values)[1] == 3 and key.lower() not in OTHERS:
                 candidates.setdefault(key, (values, per_cell))  # those of cells are exact
     named = [key for key in candidates if key.lower() in FIBRE_NAMES]
     keys = named if named else list(candidates)
@@ -298,12 +329,19 @@ def write_heart(heart: Heart, folder: Path) -> None:
     cells: dict[str, NDArray[Any]] = {"fibre": heart.fibres}
     if heart.regions is not None:
         cells[REGION] = heart.regions
+    if heart.sheets is not None:
+        cells[SHEET] = heart.sheets
+    points: dict[str, NDArray[Any]] = {}
+    if heart.lead_fields is not None:
+        for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
+            points[f"{LEAD_FIELD}{electrode}"] = values
     with atomic_folder(folder) as temporary:
         write_grid(
             temporary / "mesh.vtu",
             heart.vertices,
             heart.tetrahedra,
             TETRAHEDRON,
+            point_data=points,
             cell_data=cells,
         )
         lines = [
@@ -314,10 +352,18 @@ def write_heart(heart: Heart, folder: Path) -> None:
         ]
         for endocardium in heart.endocardia:
             file = f"{endocardium.side}_endocardium.vtp"
-            write_surface(temporary / file, endocardium.vertices, endocardium.triangles)
+            valves = {} if endocardium.valves is None else {VALVE: endocardium.valves.astype(int)}
+            write_surface(
+                temporary / file, endocardium.vertices, endocardium.triangles, cell_data=valves
+            )
             lines.append(f'{endocardium.side}_endocardium = "{file}"')
         write_electrodes(temporary / "electrodes.csv", heart.electrodes)
         lines.append('electrodes = "electrodes.csv"')
+        if heart.torso is not None:
+            write_torso(temporary / "torso.vtu", heart.torso)
+            lines.append('torso = "torso.vtu"')
+        if heart.lead_fields is not None:
+            lines.append(f'lead_fields = "{heart.lead_fields.key}"')
         for endocardium in heart.endocardia:
             lines += [
                 "",

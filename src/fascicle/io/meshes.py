@@ -1,4 +1,4 @@
-"""Meshes in VTK, VTU, VTP, OBJ, STL, PLY and Gmsh files."""
+"""Meshes in VTK, VTU, VTP, OBJ, STL, PLY, Gmsh and openCARP files."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from fascicle.io.atomic import write_text
 
 VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
 MESHIO_FORMATS = (".ply", ".msh")  # VTK's PLY reader crashes on truncated files
+OPENCARP_FORMATS = (".pts", ".elem")  # either stands for both, and for the `.lon`
 PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
 
 # What a complete file has near its end: VTK reads a truncated one as far as it goes.
@@ -30,6 +31,7 @@ STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
 LINE, POLY_LINE, TRIANGLE, TETRAHEDRON = 3, 4, 5, 10
 VTK_IGNORED = (0, 1, 2)  # empty cells and lone vertices
 MESHIO_CELLS = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
+GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Mesh:
         How many cells of kinds that are not used here the file holds as well.
     has_polylines : bool
         Whether a line of the file has become several, which then share its cell data.
+    groups : dict of name to (dimension, number)
+        Physical groups of a Gmsh file; the cells' numbers are in the cell array `GROUP`.
     """
 
     path: Path
@@ -61,6 +65,7 @@ class Mesh:
     cell_data: dict[int, dict[str, NDArray[np.float64]]] = field(default_factory=dict)
     others: dict[str, int] = field(default_factory=dict)
     has_polylines: bool = False
+    groups: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def require(self, kind: int, name: str) -> NDArray[np.int64]:
         """Cells of one kind.
@@ -119,9 +124,16 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
         has coordinates that are not finite.
     """
     path = Path(path)
-    check_file(path, VTK_FORMATS + MESHIO_FORMATS, purpose)
+    check_file(path, VTK_FORMATS + MESHIO_FORMATS + OPENCARP_FORMATS, purpose)
+    if path.suffix.lower() in OPENCARP_FORMATS:
+        from fascicle.io.opencarp_mesh import read_opencarp_mesh  # which needs Mesh from here
+
+        return read_opencarp_mesh(path, purpose)
     _check_complete(path)
-    mesh = _read_meshio(path) if path.suffix.lower() in MESHIO_FORMATS else _read_vtk(path)
+    if path.suffix.lower() == ".msh":
+        mesh = _read_gmsh(path)
+    else:
+        mesh = _read_meshio(path) if path.suffix.lower() in MESHIO_FORMATS else _read_vtk(path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
@@ -333,6 +345,13 @@ def _segments(
     return pairs[inside], first + line[:-1][inside]
 
 
+def _read_gmsh(path: Path) -> Mesh:
+    from fascicle.io.gmsh22 import is_gmsh22, read_gmsh22  # which needs Mesh from here
+
+    content = path.read_bytes()
+    return read_gmsh22(path, content) if is_gmsh22(content) else _read_meshio(path)
+
+
 def _read_meshio(path: Path) -> Mesh:
     import meshio
 
@@ -370,7 +389,8 @@ def _read_meshio(path: Path) -> Mesh:
         for block in data.cells
         if block.type not in MESHIO_CELLS and block.type != "vertex"
     }
-    return Mesh(path, points, cells, dict(data.point_data), cell_data, others)
+    groups = {name: (int(of), int(number)) for name, (number, of) in data.field_data.items()}
+    return Mesh(path, points, cells, dict(data.point_data), cell_data, others, groups=groups)
 
 
 def _read_ply(path: Path) -> Any:
@@ -415,11 +435,18 @@ def write_grid(
     _save(grid, path)
 
 
-def write_surface(path: Path, points: NDArray[np.float64], triangles: NDArray[np.int64]) -> None:
+def write_surface(
+    path: Path,
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    cell_data: dict[str, NDArray[np.generic]] | None = None,
+) -> None:
     """Write a triangle surface as VTP, whole or not at all."""
     import pyvista as pv
 
     surface = pv.PolyData.from_regular_faces(np.asarray(points), triangles)
+    for name, values in (cell_data or {}).items():
+        surface.cell_data[name] = values
     _save(surface, path)
 
 

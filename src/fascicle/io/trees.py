@@ -1,4 +1,4 @@
-"""Purkinje trees as lines in VTU or VTP files."""
+"""Purkinje trees as lines in VTU or VTP files, or in openCARP's."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
-from fascicle.io.meshes import LINE, Mesh, check_file, read_mesh, write_grid
+from fascicle.io.meshes import (
+    LINE,
+    OPENCARP_FORMATS,
+    Mesh,
+    check_file,
+    read_mesh,
+    write_grid,
+)
+from fascicle.io.opencarp import read_opencarp_tree
 from fascicle.tree.purkinje import PurkinjeTree
 
-TREE_FORMATS = (".vtu", ".vtp", ".vtk")
+TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
 SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
@@ -40,7 +48,8 @@ def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> Purkinj
     Parameters
     ----------
     path : path
-        VTU, VTP or VTK file of lines or polylines (mm).
+        VTU, VTP or VTK file of lines or polylines (mm), or openCARP's `.pts` or `.elem` by the
+        convention of `fascicle.io.opencarp`.
     side : str
         ``"lv"`` or ``"rv"``.
     near : (3,) array
@@ -52,8 +61,10 @@ def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> Purkinj
         If the file is not one connected tree without loops.
     """
     path = Path(path)
-    check_file(path, TREE_FORMATS, f"{side.upper()} tree")
-    mesh = read_mesh(path, f"{side.upper()} tree")
+    purpose = f"{side.upper()} tree"
+    check_file(path, TREE_FORMATS, purpose)
+    is_opencarp = path.suffix.lower() in OPENCARP_FORMATS
+    mesh = read_opencarp_tree(path, purpose) if is_opencarp else read_mesh(path, purpose)
     segments, lengths = _segments(mesh)
     used, compact = np.unique(segments, return_inverse=True)
     nodes, merged = _merged(mesh.points[used])

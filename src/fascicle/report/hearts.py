@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import Endocardium
-from fascicle.geometry.heart import Heart
+from fascicle.geometry.heart import Heart, outward_triangles
 from fascicle.report.figures import (
     BLACK,
     GREY,
@@ -31,7 +31,6 @@ from fascicle.report.rendering import (
     back_to_front,
     cut_at_levels,
     heart_views,
-    outward_triangles,
     smooth_normals,
 )
 from fascicle.tree.purkinje import PurkinjeTree

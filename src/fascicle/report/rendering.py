@@ -84,18 +84,6 @@ def heart_views(heart: Heart) -> dict[str, View]:
     return {name: View(name, np.array(rows), centre) for name, rows in axes.items()}
 
 
-def outward_triangles(heart: Heart) -> NDArray[np.int64]:
-    """Boundary triangles (b, 3), counter-clockwise seen from outside the tissue."""
-    triangles, owner = heart.boundary
-    normals = triangle_normals(heart.vertices, triangles)
-    inside = heart.vertices[heart.tetrahedra[owner]].mean(axis=1)
-    middle = heart.vertices[triangles].mean(axis=1)
-    inverted = np.einsum("ij,ij->i", normals, middle - inside) < 0
-    turned = triangles.copy()
-    turned[inverted] = turned[inverted][:, ::-1]
-    return turned
-
-
 def smooth_normals(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> NDArray[np.float64]:

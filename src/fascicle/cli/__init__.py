@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from fascicle.cli.arguments import HeartArgument, OutOption
+from fascicle.cli.hearts import heart_app
 from fascicle.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.fitting import FittedStudy
     from fascicle.forward import Simulation
-    from fascicle.geometry.heart import Heart
-    from fascicle.harmonic.chart import Chart
     from fascicle.predict.pacing import Pacing
     from fascicle.recording.target import Target
 
@@ -31,14 +31,7 @@ app = typer.Typer(
     "The usual way: **heart import** a mesh, make a **target** of a recording, **fit**, then "
     "**predict** and **report**. **demo** does it all on a packaged heart and a real ECG.",
 )
-heart_app = typer.Typer(no_args_is_help=True, help="Build and check heart folders.")
 app.add_typer(heart_app, name="heart")
-
-HeartArgument = Annotated[
-    str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
-]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
-Seed = Annotated[int | None, typer.Option(help="Point of the endocardium, from 0.")]
 
 
 def _print_version(wanted: bool) -> None:
@@ -59,55 +52,6 @@ def _options(
     ] = False,
 ) -> None:
     """See the help of `app`; the version is printed before any command runs."""
-
-
-@heart_app.command("import")
-def heart_import(
-    mesh: Annotated[Path, typer.Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
-    fibres: Annotated[Path, typer.Option(help="Fibres, one vector a point or a tetrahedron.")],
-    lv_endocardium: Annotated[Path, typer.Option(help="LV endocardium, open at the base.")],
-    rv_endocardium: Annotated[Path, typer.Option(help="RV endocardium, open at the base.")],
-    electrodes: Annotated[Path, typer.Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
-    out: OutOption,
-    lv_root: Seed = None,
-    lv_direction: Seed = None,
-    rv_root: Seed = None,
-    rv_direction: Seed = None,
-) -> None:
-    """Build a heart folder from mesh files.
-
-    Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
-    points may come in another order. Without seeds, sensible ones are found on the septal side of
-    the base, pointing to the apex.
-    """
-    from fascicle.io.hearts import assemble_heart, write_heart
-    from fascicle.io.meshes import read_mesh
-
-    heart = assemble_heart(
-        mesh=read_mesh(mesh, "mesh"),
-        fibres=read_mesh(fibres, "fibres"),
-        surfaces={
-            "lv": read_mesh(lv_endocardium, "LV endocardium"),
-            "rv": read_mesh(rv_endocardium, "RV endocardium"),
-        },
-        seeds={"lv": (lv_root, lv_direction), "rv": (rv_root, rv_direction)},
-        electrodes=electrodes,
-        name=out.resolve().name,
-    )
-    charts = _growable_charts(heart, {"lv": lv_endocardium, "rv": rv_endocardium})
-    write_heart(heart, out)
-    _print_heart(heart, charts)
-    print(f"heart written to {out}")
-
-
-@heart_app.command("check")
-def heart_check(heart: HeartArgument) -> None:
-    """Validate a heart folder and print what it holds."""
-    from fascicle.io.hearts import load_heart
-
-    loaded = load_heart(heart)
-    _print_heart(loaded, _growable_charts(loaded, {"lv": heart, "rv": heart}))
-    print("no problem found")
 
 
 @app.command()
@@ -277,6 +221,33 @@ def report(study: Annotated[Path, typer.Argument(help="Finished study folder.")]
 
 
 @app.command()
+def template(
+    out: Annotated[Path, typer.Option("--out", help="Picture to write (PNG, PDF, SVG).")] = Path(
+        "template.png"
+    ),
+) -> None:
+    """Draw the action potentials that ECGs are computed from, and print their measures.
+
+    They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
+    """
+    from fascicle.progress import TerminalProgress
+    from fascicle.report.figures import save
+    from fascicle.report.template import template_figure
+
+    with TerminalProgress() as progress:
+        figure, measures = template_figure(progress)
+    save(figure, out)
+    print(f"{'':<18} rest (mV)  overshoot (mV)  dV/dt max (V/s)  APD90 (ms)  speed (m/s)")
+    for cell, values in measures.items():
+        print(
+            f"{cell:<18} {values['resting_potential']:9.1f}  {values['overshoot']:14.1f}  "
+            f"{values['max_upstroke']:15.0f}  {values['apd90']:10.0f}  "
+            f"{values['conduction_velocity']:11.2f}"
+        )
+    print(f"picture: {out}")
+
+
+@app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
 ) -> None:
@@ -311,37 +282,6 @@ def _resumable() -> Iterator[None]:
     except KeyboardInterrupt:
         print("interrupted; the same command goes on where this one stopped", file=sys.stderr)
         raise typer.Exit(130) from None
-
-
-def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:
-    """Build charts and seeds, which is where an endocardium shows what else is wrong with it."""
-    from fascicle.harmonic.chart import build_chart
-    from fascicle.tree.grow import find_seed
-
-    charts = {}
-    for endocardium in heart.endocardia:
-        try:
-            charts[endocardium.side] = build_chart(endocardium)
-            find_seed(endocardium, charts[endocardium.side])
-        except InputError as error:
-            raise InputError(f"{sources[endocardium.side]}: {error}") from None
-    return charts
-
-
-def _print_heart(heart: Heart, charts: Mapping[str, Chart]) -> None:
-    print(f"{heart.name}")
-    print(f"  tissue       {len(heart.vertices)} vertices, {len(heart.tetrahedra)} tetrahedra")
-    print(
-        f"               {heart.volumes.sum() / 1000:.1f} ml, mean edge {heart.edge_length:.1f} mm"
-    )
-    for endocardium in heart.endocardia:
-        worst = charts[endocardium.side].distortion.max()
-        print(
-            f"  {endocardium.side.upper()}           {len(endocardium.vertices)} vertices, "
-            f"{endocardium.area / 100:.0f} cm², root {endocardium.root}, direction "
-            f"{endocardium.direction}, chart distortion up to {worst:.2f}"
-        )
-    print("  electrodes   9, in place")
 
 
 def _print_sites(simulation: Simulation, trees: Mapping[str, Mapping[str, float]]) -> None:
@@ -416,7 +356,3 @@ def main() -> None:
 def _fail(message: str) -> NoReturn:
     print("error: " + " ".join(message.split()), file=sys.stderr)
     sys.exit(2)
-
-
-if __name__ == "__main__":
-    main()

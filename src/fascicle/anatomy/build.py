@@ -1,0 +1,217 @@
+"""From an anatomy to a heart in a torso: the stages, chained."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.anatomy.endocardia import endocardia
+from fascicle.anatomy.source import Anatomy, Source, read_anatomy
+from fascicle.errors import InputError
+from fascicle.fibres.rules import FibreAngles, rule_based_fibres
+from fascicle.geometry.conduction import Conduction
+from fascicle.geometry.endocardium import Endocardium
+from fascicle.geometry.heart import Heart
+from fascicle.geometry.seeds import ChosenSeed, choose_seeds
+from fascicle.geometry.surface import LabelledMesh
+from fascicle.geometry.torso import Torso
+from fascicle.geometry.validate import check_electrodes, check_tetrahedra
+from fascicle.io.electrodes import read_electrodes
+from fascicle.io.torsos import read_torso_surfaces
+from fascicle.study import Progress
+from fascicle.torso.electrodes import check_not_mirrored
+from fascicle.torso.idealised import Build, TorsoSurfaces, idealised_torso
+from fascicle.torso.known import known_lead_fields
+from fascicle.torso.mesh import mesh_torso
+from fascicle.torso.placing import Pose
+
+IDEALISED, NONE = "idealised", "none"
+
+Seeds = Mapping[str, tuple[ChosenSeed, ChosenSeed]]
+
+
+@dataclass(frozen=True)
+class Body:
+    """What surrounds the heart.
+
+    Attributes
+    ----------
+    torso : str
+        ``"idealised"``, ``"none"`` (unbounded conductor), or the file of a closed skin surface.
+    lungs : tuple of Path
+        Closed surfaces, with a skin of the user's own.
+    height, weight, chest : float, optional
+        Of the person, to scale the idealised torso (m, kg, cm).
+    pose : str
+        See `fascicle.torso.placing.body_frame`.
+    electrodes : Path, optional
+        File of positions; without it, they are at the standard places of the idealised torso.
+    """
+
+    torso: str = IDEALISED
+    lungs: tuple[Path, ...] = ()
+    height: float | None = None
+    weight: float | None = None
+    chest: float | None = None
+    pose: str = "standard"
+    electrodes: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.torso != IDEALISED and self.electrodes is None:
+            raise InputError(
+                f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
+                "idealised torso has places for them)"
+            )
+        if self.lungs and self.torso in (IDEALISED, NONE):
+            raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
+        if self.pose not in get_args(Pose):
+            raise InputError(
+                f"--pose {self.pose}: unknown; give one of {', '.join(get_args(Pose))}"
+            )
+
+    @property
+    def build(self) -> Build:
+        """What the idealised torso is scaled by."""
+        given = {"height": self.height, "weight": self.weight, "chest": self.chest}
+        return Build(**{name: value for name, value in given.items() if value is not None})
+
+
+@dataclass(frozen=True)
+class BuiltHeart:
+    """A heart, and what its builder should tell whoever asked for it.
+
+    Attributes
+    ----------
+    heart : Heart
+        Ready to simulate.
+    anatomy : Anatomy
+        What it was made of.
+    """
+
+    heart: Heart
+    anatomy: Anatomy
+
+
+def build_heart(
+    source: Source,
+    *,
+    edge_length: float = 2.0,
+    angles: FibreAngles | None = None,
+    body: Body | None = None,
+    seeds: Seeds | None = None,
+    name: str = "heart",
+    progress: Progress | None = None,
+) -> BuiltHeart:
+    """Build a simulation-ready heart from an anatomy.
+
+    Parameters
+    ----------
+    source : Source
+        Surface, surfaces, segmentation or mesh.
+    edge_length : float
+        Mean edge of the tetrahedra (mm).
+    angles : FibreAngles, optional
+        Of the rule-based fibres; fibres that the source has are kept.
+    body : Body, optional
+        Torso and electrodes.
+    seeds : mapping of side to (root, direction), optional
+        Where bundles start and head for; found from the anatomy where not given.
+    name : str
+        What to call the heart.
+    progress : Progress, optional
+        Told how far it is.
+
+    Raises
+    ------
+    InputError
+        If the anatomy or the body cannot be used; the message says why.
+    """
+    body = body if body is not None else Body()
+    anatomy = read_anatomy(source, edge_length, _told(progress, "anatomy"))
+    check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
+    heart = _tissue(anatomy, angles, seeds if seeds is not None else {}, name, progress)
+    heart = _in_body(heart, anatomy.mesh, body, progress)
+    return BuiltHeart(heart, anatomy)
+
+
+def _tissue(
+    anatomy: Anatomy,
+    angles: FibreAngles | None,
+    seeds: Seeds,
+    name: str,
+    progress: Progress | None,
+) -> Heart:
+    """Heart without electrodes and body."""
+    mesh = anatomy.mesh
+    fibres, sheets = anatomy.fibres, anatomy.sheets
+    if fibres is None:
+        ruled = rule_based_fibres(mesh, angles, _told(progress, "fibres"))
+        fibres, sheets = ruled.fibre, ruled.sheet
+    lv, rv = endocardia(mesh)
+    surfaces = {"lv": lv, "rv": rv}
+    chosen = {
+        side: choose_seeds(
+            f"{mesh.name}: {side.upper()}",
+            seeds.get(side, (None, None)),
+            (ours.vertices, ours.triangles, ours.valve),
+            theirs.vertices,
+        )
+        for side, ours, theirs in (("lv", lv, rv), ("rv", rv, lv))
+    }
+    left, right = (
+        Endocardium(
+            side, s.vertices, s.triangles, *chosen[side], s.valve if s.valve.any() else None
+        )
+        for side, s in surfaces.items()
+    )
+    nowhere = np.full((9, 3), np.nan)  # until the body is known
+    return Heart(
+        mesh.vertices, mesh.tetrahedra, fibres, left, right, nowhere, name, mesh.regions, sheets
+    )
+
+
+def _in_body(heart: Heart, mesh: LabelledMesh, body: Body, progress: Progress | None) -> Heart:
+    """Put torso, electrodes and lead fields around the heart."""
+    told = _told(progress, "torso")
+    surfaces = _surfaces(mesh, body)
+    heart = replace(heart, electrodes=_electrodes(body, surfaces))
+    source = str(body.electrodes) if body.electrodes is not None else mesh.name
+    check_electrodes(source, heart.electrodes, heart)
+    check_not_mirrored(source, heart)
+    if surfaces is None:
+        return heart
+    torso: Torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs)
+    heart = replace(heart, torso=torso)
+    fields = known_lead_fields(heart, Conduction(), _told(progress, "lead fields"))
+    return replace(heart, lead_fields=fields)
+
+
+def _surfaces(mesh: LabelledMesh, body: Body) -> TorsoSurfaces | None:
+    """Skin and lungs, in the heart's frame; None for an unbounded conductor."""
+    if body.torso == NONE:
+        return None
+    if body.torso == IDEALISED:
+        return idealised_torso(mesh, body.build, body.pose)
+    return read_torso_surfaces(Path(body.torso), body.lungs, mesh)
+
+
+def _electrodes(body: Body, surfaces: TorsoSurfaces | None) -> NDArray[np.float64]:
+    if body.electrodes is not None:
+        return read_electrodes(body.electrodes)
+    if surfaces is None:
+        raise ValueError("only the idealised torso has places for electrodes")
+    return surfaces.electrodes
+
+
+def _told(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else partial(_tell, progress, stage)
+
+
+def _tell(progress: Progress, stage: str, done: int, total: int) -> None:
+    progress(stage, done, total, "")

@@ -1,0 +1,173 @@
+"""Tetrahedra of a given edge length inside a closed labelled surface."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.anatomy.closed import enclosed_volume
+from fascicle.anatomy.remeshing import as_float64, as_int32, remeshed_surface
+from fascicle.anatomy.wall import check_edge_length, wall_thickness
+from fascicle.errors import InputError
+from fascicle.geometry.heart import boundary_triangles, signed_volumes
+from fascicle.geometry.surface import LabelledMesh, LabelledSurface
+
+# Vertices in a cube with the edge length's side (measured: 2.0 at 1 mm, 2.2 at 2 mm, 2.4 at 3 mm on
+# a heart of 145 ml; the more the larger the share of the surface), and what they need at the peak.
+VERTICES_PER_CUBE = 2.2
+MEMORY_PER_VERTEX = 10e3  # bytes; measured 9e3 at 2 mm
+
+Told = Callable[[int, int], None]
+
+
+def mesh_surface(
+    surface: LabelledSurface, edge_length: float, told: Told | None = None
+) -> LabelledMesh:
+    """Fill a closed labelled surface with tetrahedra.
+
+    MMG remeshes the surface at the edge length and keeps the borders between labels (Dapogny et
+    al., J. Comput. Phys. 262:358, 2014), Netgen fills it (Schöberl, Comput. Vis. Sci. 1:41, 1997),
+    and MMG brings the inside to the edge length while the surface stays. The same surface gives the
+    same mesh.
+
+    Parameters
+    ----------
+    surface : LabelledSurface
+        Closed and facing outwards, as `fascicle.anatomy.closed.prepared_surface` gives it.
+    edge_length : float
+        Mean length of the tetrahedra's edges (mm), kept within 5 %.
+    told : callable, optional
+        Told how many of the three steps are done.
+
+    Raises
+    ------
+    InputError
+        If the edge length is too coarse for the walls or too fine for the memory, or the surface
+        cannot be filled.
+    """
+    check_edge_length(wall_thickness(surface), edge_length, surface.name)
+    check_memory(surface, edge_length)
+    report = told if told is not None else _nobody
+    report(0, 3)
+    remeshed = remeshed_surface(surface, edge_length)
+    report(1, 3)
+    vertices, tetrahedra = _filled(remeshed, edge_length)
+    report(2, 3)
+    mesh = _refined(remeshed, vertices, tetrahedra, edge_length)
+    report(3, 3)
+    return mesh
+
+
+def _nobody(done: int, total: int) -> None:
+    """Stand in for whom nobody gave."""
+
+
+def check_memory(surface: LabelledSurface, edge_length: float) -> None:
+    """Refuse an edge length whose mesh would not fit in the memory that is free.
+
+    Raises
+    ------
+    InputError
+        With the vertices expected, the memory needed and free, and the edge length that fits.
+    """
+    if not (np.isfinite(edge_length) and edge_length > 0):
+        raise InputError(f"edge length: {edge_length:g} mm; it must be above 0")
+    volume = enclosed_volume(surface)
+    vertices = VERTICES_PER_CUBE * volume / edge_length**3
+    needed, free = MEMORY_PER_VERTEX * vertices, available_memory()
+    if needed > free:
+        fitting = edge_length * (needed / free) ** (1 / 3)
+        raise InputError(
+            f"{surface.name}: an edge length of {edge_length:g} mm would give about "
+            f"{vertices:.2g} vertices, for which meshing needs {needed / 1e9:.1f} GB and "
+            f"{free / 1e9:.1f} GB are free; give {np.ceil(fitting * 100) / 100:.2f} mm or more"
+        )
+
+
+def available_memory() -> float:
+    """Memory that programs may still take (bytes); infinite where the system does not say."""
+    told = Path("/proc/meminfo")
+    if told.exists():  # Linux, which counts what its caches would give back
+        for line in told.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return float(line.split()[1]) * 1024
+    if "SC_PHYS_PAGES" in getattr(os, "sysconf_names", {}):
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    return float("inf")
+
+
+def _filled(
+    surface: LabelledSurface, edge_length: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices, those of the surface first, and tetrahedra of Netgen inside a surface."""
+    from netgen import meshing as netgen
+
+    netgen.SetMessageImportance(0)
+    mesh: Any = netgen.Mesh()
+    mesh.dim = 3
+    points = [mesh.Add(netgen.MeshPoint(netgen.Pnt(*vertex))) for vertex in surface.vertices]
+    face = mesh.Add(netgen.FaceDescriptor(bc=1, domin=1, domout=0, surfnr=1))
+    for triangle in surface.triangles:
+        mesh.Add(netgen.Element2D(face, [points[vertex] for vertex in triangle]))
+    failed = (
+        f"{surface.name}: the surface could not be filled with edges of {edge_length:g} mm; give a "
+        "shorter edge length, or smooth the surface"
+    )
+    try:
+        mesh.GenerateVolumeMesh(netgen.MeshingParameters(maxh=edge_length))
+    except netgen.NgException as error:
+        raise InputError(f"{failed} ({' '.join(str(error).split())})") from None
+    tetrahedra = np.array(mesh.Elements3D().NumPy()["nodes"][:, :4], dtype=np.int64) - 1
+    vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
+    tetrahedra = tetrahedra[:, [0, 2, 1, 3]]  # Netgen's are wound the other way
+    volume = float(signed_volumes(vertices, tetrahedra).sum())
+    if not np.isclose(volume, enclosed_volume(surface), rtol=1e-6):
+        raise InputError(f"{failed} ({volume / 1000:.1f} ml of it were)")
+    return vertices, tetrahedra
+
+
+def _refined(
+    surface: LabelledSurface,
+    vertices: NDArray[np.float64],
+    tetrahedra: NDArray[np.int64],
+    edge_length: float,
+) -> LabelledMesh:
+    """The same boundary with tetrahedra of the edge length, and its labels."""
+    import mmgpy
+
+    mesh = mmgpy.MmgMesh3D(as_float64(vertices), as_int32(tetrahedra))
+    mesh.set_mesh_size(
+        vertices=len(vertices), tetrahedra=len(tetrahedra), triangles=len(surface.triangles)
+    )
+    mesh.set_vertices(as_float64(vertices))
+    mesh.set_tetrahedra(as_int32(tetrahedra))
+    mesh.set_triangles(as_int32(surface.triangles), as_int32(surface.labels))
+    mesh.remesh(hsiz=edge_length, nosurf=1, verbose=-1)
+    refined = np.array(mesh.get_tetrahedra(), dtype=np.int64)
+    labelled, labels = mesh.get_triangles_with_refs()
+    boundary, _ = boundary_triangles(refined)
+    return LabelledMesh(
+        vertices=np.array(mesh.get_vertices(), dtype=float),
+        tetrahedra=refined,
+        triangles=boundary,
+        labels=_looked_up(boundary, np.asarray(labelled, dtype=np.int64), labels),
+        name=surface.name,
+    )
+
+
+def _looked_up(
+    triangles: NDArray[np.int64], labelled: NDArray[np.int64], labels: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Labels of triangles, of which the labelled ones are the same in another order."""
+    rows, known = np.sort(triangles, axis=1), np.sort(labelled, axis=1)
+    order, order_known = np.lexsort(rows.T), np.lexsort(known.T)
+    if not np.array_equal(rows[order], known[order_known]):
+        raise RuntimeError("the boundary is not the surface that was to be kept")
+    found = np.empty(len(triangles), dtype=np.int64)
+    found[order] = np.asarray(labels)[order_known]
+    return found

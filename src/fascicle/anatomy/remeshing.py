@@ -1,0 +1,139 @@
+"""Triangles of a given edge length on a closed labelled surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.anatomy.closed import compacted, oriented_outwards, place
+from fascicle.anatomy.intersections import self_intersections
+from fascicle.errors import InputError
+from fascicle.geometry.surface import LabelledSurface
+
+# Edge lengths that the new surface may lie from the given one, and that edges may have. With one
+# size for all MMG would follow the noise on the borders of a surface from marching cubes.
+DEVIATION = 0.1
+SHORTEST, LONGEST = 0.7, 1.3
+TOO_SHORT = 0.1  # edge lengths; shorter edges, which would look like sharp corners, are closed up
+EDGE_KEPT = 0.01  # relative error of the mean edge length at which to be content
+TRIALS = 6  # at the size for which MMG gives that length; two or three are enough
+
+
+def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSurface:
+    """Triangles with this mean edge length, and the borders between labels where they were.
+
+    MMG's mean length is not the size that it is given, so the size is corrected by what came out.
+
+    Raises
+    ------
+    InputError
+        If the new surface cuts itself.
+    """
+    whole = without_short_edges(surface, TOO_SHORT * edge_length)
+    size, best, error = edge_length, whole, np.inf
+    for _ in range(TRIALS):
+        trial = _remeshed(whole, size, DEVIATION * edge_length)
+        ratio = mean_edge(trial.vertices, trial.triangles) / edge_length
+        if abs(ratio - 1) < error:
+            best, error = trial, abs(ratio - 1)
+        if error < EDGE_KEPT:
+            break
+        size /= ratio
+    best = oriented_outwards(compacted(best))
+    cuts = self_intersections(best.vertices, best.triangles)
+    if len(cuts):
+        at = place(best.vertices[best.triangles[cuts[0, 0]]].mean(axis=0))
+        raise InputError(
+            f"{surface.name}: with edges of {edge_length:g} mm the surface cuts itself in "
+            f"{len(cuts)} places (the first at {at}); give a shorter edge length, or smooth the "
+            "surface there"
+        )
+    return best
+
+
+def mean_edge(vertices: NDArray[np.float64], cells: NDArray[np.int64]) -> float:
+    """Mean edge length of triangles or tetrahedra (mm)."""
+    edges = np.asarray(igl.edges(cells))
+    return float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
+
+
+def _remeshed(surface: LabelledSurface, size: float, deviation: float) -> LabelledSurface:
+    import mmgpy
+
+    triangles = as_int32(surface.triangles)
+    # made with its triangles, then given them once more: only the second way takes their labels
+    mesh = mmgpy.MmgMeshS(as_float64(surface.vertices), triangles)
+    mesh.set_triangles(triangles, as_int32(surface.labels))
+    mesh.remesh(hmin=SHORTEST * size, hmax=LONGEST * size, hausd=deviation, verbose=-1)
+    new, labels = mesh.get_triangles_with_refs()
+    return LabelledSurface(
+        np.array(mesh.get_vertices(), dtype=float),
+        np.array(new, dtype=np.int64),
+        np.array(labels, dtype=np.int64),
+        surface.name,
+    )
+
+
+def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSurface:
+    """Bring the two ends of every shorter edge together, where the surface stays one.
+
+    That is where the ends have no common neighbour but the corners of the edge's two triangles
+    (the link condition; Dey et al., Publ. Inst. Math. 66:23, 1999).
+
+    Parameters
+    ----------
+    surface : LabelledSurface
+        Closed.
+    shortest : float
+        Length (mm) from which edges stay.
+    """
+    while True:
+        edges = np.asarray(igl.edges(surface.triangles))
+        ends = surface.vertices[edges]
+        length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        short = edges[np.argsort(length, kind="stable")[: int((length < shortest).sum())]]
+        target = _brought_together(surface.triangles, short)
+        moved = target != np.arange(len(target))
+        if not moved.any():
+            return surface
+        vertices = surface.vertices.copy()
+        vertices[target[moved]] = (vertices[target[moved]] + vertices[moved]) / 2
+        triangles = target[surface.triangles]
+        keep = (np.diff(np.sort(triangles, axis=1), axis=1) != 0).all(axis=1)
+        surface = compacted(
+            replace(
+                surface,
+                vertices=vertices,
+                triangles=triangles[keep],
+                labels=surface.labels[keep],
+            )
+        )
+
+
+def _brought_together(triangles: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The vertex that each becomes part of, for as many edges as do not touch one another."""
+    near: dict[int, set[int]] = {int(vertex): set() for vertex in np.unique(edges)}
+    for corners in triangles[np.isin(triangles, edges).any(axis=1)].tolist():
+        for vertex in corners:
+            if vertex in near:
+                near[vertex].update(corners)
+    target = np.arange(int(triangles.max()) + 1)
+    busy: set[int] = set()
+    for kept, lost in edges.tolist():
+        around = near[kept] | near[lost]
+        if busy.isdisjoint(around) and len(near[kept] & near[lost]) == 4:  # two of them the ends
+            target[lost] = kept
+            busy |= around
+    return target
+
+
+def as_int32(array: NDArray[np.int64]) -> NDArray[np.int32]:
+    """As MMG must have it: of another type or in another order it reads it wrongly."""
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def as_float64(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(array, dtype=np.float64)

@@ -1,0 +1,198 @@
+"""What a heart is built from: files of several kinds, brought to one labelled mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.anatomy.classify import classify_surface
+from fascicle.anatomy.closed import prepared_surface
+from fascicle.anatomy.join import join_surfaces
+from fascicle.anatomy.meshing import mesh_surface
+from fascicle.anatomy.segmentation import SegmentationLabels, regions_at
+from fascicle.anatomy.segmentation_surface import surface_from_segmentation
+from fascicle.errors import InputError
+from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
+from fascicle.io.label_names import label_of
+from fascicle.io.labelled_meshes import read_labelled_mesh
+from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh
+from fascicle.io.segmentations import read_segmentation
+from fascicle.io.surfaces import has_labels, read_labelled_surface
+
+PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
+GUESSED = (
+    "labels: found from the shape, since the file has none; look at the picture, and give "
+    "--labels or --label-array if they are wrong",
+)
+SEGMENTATIONS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
+OPENCARP = (".pts", ".elem")
+VOLUMES = (".vtk", ".vtu", ".msh")  # may hold tetrahedra or triangles
+
+Told = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Source:
+    """The files that a heart is built from.
+
+    Attributes
+    ----------
+    file : Path or None
+        A closed surface, a segmentation or a tetrahedral mesh; None if there are parts.
+    parts : mapping of str to Path
+        Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
+    numbers : mapping of str to int, optional
+        Which number in the file stands for what.
+    array : str, optional
+        The array of labels.
+    labels_file : Path, optional
+        Labels of a surface whose file holds none.
+    """
+
+    file: Path | None
+    parts: Mapping[str, Path] = field(default_factory=dict)
+    numbers: Mapping[str, int] | None = None
+    array: str | None = None
+    labels_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        if (self.file is None) == (not self.parts):
+            raise InputError(
+                "give either one file (surface, segmentation or mesh) or separate surfaces "
+                "(--lv-endocardium, --rv-endocardium, --epicardium)"
+            )
+        missing = [part for part in PARTS[:3] if self.parts and part not in self.parts]
+        if missing:
+            raise InputError(
+                f"separate surfaces: {', '.join(missing)} missing; give all of --lv-endocardium, "
+                "--rv-endocardium and --epicardium"
+            )
+
+    @property
+    def name(self) -> str:
+        """What to call it: the file without its endings."""
+        path = self.file if self.file is not None else self.parts["epicardium"].resolve().parent
+        return path.name.split(".")[0] or "heart"
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """A labelled mesh, and what else its source tells.
+
+    Attributes
+    ----------
+    mesh : LabelledMesh
+        Tetrahedra and their labelled boundary.
+    fibres, sheets : (m, 3) array, optional
+        Unit directions, where the source has them.
+    notes : tuple of str
+        What was decided on the way, for people.
+    """
+
+    mesh: LabelledMesh
+    fibres: NDArray[np.float64] | None = None
+    sheets: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_anatomy(source: Source, edge_length: float, told: Told | None = None) -> Anatomy:
+    """Read the files and mesh what is not a mesh yet.
+
+    Parameters
+    ----------
+    source : Source
+        The files.
+    edge_length : float
+        Of the tetrahedra (mm); a mesh of the user's own stays as it is.
+    told : callable, optional
+        Told how many steps of how many are done.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used; the message says why.
+    """
+    if source.file is None:
+        return Anatomy(mesh_surface(prepared_surface(_joined(source)), edge_length, told))
+    suffix = source.file.name.lower()
+    if suffix.endswith(SEGMENTATIONS):
+        return _from_segmentation(source, source.file, edge_length, told)
+    if suffix.endswith((*OPENCARP, *VOLUMES)) and _has_tetrahedra(source.file):
+        return _from_tetrahedra(source, source.file)
+    return _from_surface(source, source.file, edge_length, told)
+
+
+def _has_tetrahedra(file: Path) -> bool:
+    return TETRAHEDRON in read_mesh(file, "anatomy").cells
+
+
+def _joined(source: Source) -> LabelledSurface:
+    read = {part: _triangles(read_mesh(path, part)) for part, path in source.parts.items()}
+    name = str(source.parts["epicardium"])
+    return join_surfaces(read["lv"], read["rv"], read["epicardium"], read.get("base"), name)
+
+
+def _triangles(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    return mesh.points, mesh.require(TRIANGLE, "triangles")
+
+
+def _from_surface(source: Source, file: Path, edge_length: float, told: Told | None) -> Anatomy:
+    mesh = read_mesh(file, "surface")
+    if has_labels(mesh, source.array, source.labels_file):
+        surface = read_labelled_surface(file, source.array, source.numbers, source.labels_file)
+        return Anatomy(mesh_surface(prepared_surface(surface), edge_length, told))
+    surface = classify_surface(*_triangles(mesh), str(file))
+    return Anatomy(mesh_surface(surface, edge_length, told), notes=GUESSED)
+
+
+def _from_segmentation(
+    source: Source, file: Path, edge_length: float, told: Told | None
+) -> Anatomy:
+    notes: list[str] = []
+    segmentation = read_segmentation(file)
+    labels = _segmentation_labels(source.numbers)
+    surface = surface_from_segmentation(segmentation, labels, noted=notes.append)
+    mesh = mesh_surface(surface, edge_length, told)
+    if labels.scar is not None:
+        centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+        mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
+        notes.append("scar: region 1; it conducts as the rest unless a scenario says otherwise")
+    return Anatomy(mesh, notes=tuple(notes))
+
+
+def _segmentation_labels(numbers: Mapping[str, int] | None) -> SegmentationLabels:
+    if numbers is None:
+        return SegmentationLabels()
+    known = [field.name for field in fields(SegmentationLabels)]
+    unknown = [name for name in numbers if name not in known]
+    if unknown:
+        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
+    return SegmentationLabels(**numbers)
+
+
+def _surface_labels(numbers: Mapping[str, int]) -> dict[str, Label]:
+    """Labels by their number in the file, as text."""
+    labels = {}
+    for name, number in numbers.items():
+        label = label_of(name)
+        if label is None:
+            raise InputError(
+                f"--labels: unknown '{name}'; the parts are base, epicardium, lv, rv, mitral, "
+                "aortic, tricuspid, pulmonary"
+            )
+        labels[str(number)] = label
+    return labels
+
+
+def _from_tetrahedra(source: Source, file: Path) -> Anatomy:
+    names = None if source.numbers is None else _surface_labels(source.numbers)
+    read = read_labelled_mesh(file, array=source.array, names=names)
+    if read.labels is not None:
+        return Anatomy(read.labelled(), read.fibres, read.sheets)
+    vertices, triangles, _ = read.boundary_surface()
+    surface = classify_surface(vertices, triangles, str(file))
+    return Anatomy(read.labelled(surface.labels), read.fibres, read.sheets, GUESSED)

@@ -1,0 +1,250 @@
+"""One page on a heart: endocardia and seeds, fibres, body and electrodes, angles, thickness."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fascicle.anatomy.check import WALLS, HeartCheck
+from fascicle.geometry.endocardium import triangle_normals
+from fascicle.geometry.heart import Heart, boundary_triangles, outward_triangles
+from fascicle.geometry.surface import Label
+from fascicle.geometry.torso import Tissue, Torso
+from fascicle.leads import ELECTRODES
+from fascicle.report.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    LABEL_SIZE,
+    TICK_SIZE,
+    TITLE_SIZE,
+    VERMILION,
+    new_figure,
+    tidy,
+)
+from fascicle.report.labels import COLOURS as LABEL_COLOURS
+from fascicle.report.rendering import View, back_to_front, heart_views, smooth_normals
+
+WIDTH, HEIGHT = 12.0, 7.6  # inch
+MOST_FIBRES = 1500  # lines in one picture
+FIBRE = 0.02  # half the length of such a line, of the heart's extent
+SKIN, LUNG = "#E4D2C3", "#9FC3D9"
+WALL_COLOURS = dict(zip(WALLS, (VERMILION, "#009E73", BLUE), strict=True))
+FIRST = ELECTRODES.index("V1")  # of the chest electrodes
+
+
+def check_figure(heart: Heart, check: HeartCheck) -> Figure:
+    """Draw what a person should look at before trusting a heart.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    check : HeartCheck
+        What `fascicle.anatomy.check.check_heart` found.
+
+    Returns
+    -------
+    Figure
+        Above: endocardia with the bundles' roots and directions, fibres on the epicardium and on
+        the endocardia. Below: the body with its electrodes from the front and from the left;
+        helix angles through the walls, and their thickness.
+    """
+    figure = new_figure(WIDTH, HEIGHT)
+    above, below = figure.subfigures(2, 1)
+    upper, lower = above.subplots(1, 3), below.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
+    views = heart_views(heart)
+    _draw_seeds(upper[0], views["anterior"], heart, check)
+    _draw_fibres(upper[1], views["anterior"], heart, check, (Label.EPICARDIUM,), "epicardium")
+    endocardia = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+    _draw_fibres(upper[2], views["anterior"], heart, check, endocardia, "endocardia, front half")
+    for axes, view in zip(lower, body_views(heart.electrodes), strict=False):
+        _draw_body(axes, view, heart, check)
+    _plot_helix(lower[2], check)
+    _plot_thickness(lower[3], check)
+    figure.suptitle(heart.name, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    return figure
+
+
+def body_views(electrodes: NDArray[np.float64]) -> tuple[View, View]:
+    """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
+    ra, la, ll = electrodes[:3]
+    up = _unit((ra + la) / 2 - ll)
+    left = la - ra
+    left = _unit(left - (left @ up) * up)
+    back = np.cross(up, left)
+    centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
+    return (
+        View("from the front", np.array([left, up, back]), centre),
+        View("from the left", np.array([back, up, -left]), centre),
+    )
+
+
+def _draw_seeds(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
+    """Endocardia as casts, with where each bundle starts and where it heads."""
+    for label, endocardium in zip(
+        (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM), heart.endocardia, strict=True
+    ):
+        colour = LABEL_COLOURS[label]
+        _paint(axes, view, endocardium.vertices, endocardium.triangles, colour, 0.55)
+        root, towards = view.project(
+            endocardium.vertices[[endocardium.root, endocardium.direction]]
+        )[:, :2]
+        axes.annotate(
+            "", towards, root, arrowprops={"arrowstyle": "-|>", "color": BLACK, "lw": 1.4}
+        )
+        axes.plot(*root, "o", color=colour, markeredgecolor=BLACK, markersize=6)
+        axes.annotate(
+            f"{endocardium.side.upper()} root", root, (4, 5), textcoords="offset points",
+            fontsize=TICK_SIZE, color=BLACK,
+        )  # fmt: skip
+    _scale_bar(axes, 20.0)
+    _finish(axes, "endocardia and bundles (front)")
+
+
+def _draw_fibres(
+    axes: Axes,
+    view: View,
+    heart: Heart,
+    check: HeartCheck,
+    labels: tuple[Label, ...],
+    title: str,
+) -> None:
+    """Short lines along the fibres next to a part of the boundary."""
+    vertices = heart.vertices
+    triangles, (_, owner) = outward_triangles(heart), boundary_triangles(heart.tetrahedra)
+    inward = Label.EPICARDIUM not in labels  # endocardia are seen as casts, from the tissue's side
+    shown = np.flatnonzero(np.isin(check.mesh.labels, labels))
+    faces = triangles[shown][:, ::-1] if inward else triangles[shown]
+    _paint(axes, view, vertices, faces, LABEL_COLOURS[Label.EPICARDIUM])
+    visible = np.flatnonzero(view.facing(triangle_normals(vertices, faces)))
+    visible = visible[:: 1 + len(visible) // MOST_FIBRES]
+    middle = view.project(vertices[faces[visible]].mean(axis=1))[:, :2]
+    length = FIBRE * float(np.ptp(vertices, axis=0).max())
+    along = length * (heart.fibres[owner[shown[visible]]] @ view.axes[:2].T)
+    lines = np.stack([middle - along, middle + along], axis=1)
+    axes.add_collection(LineCollection(list(lines), colors=BLACK, linewidths=0.6))
+    _finish(axes, f"fibres, {title}")
+
+
+def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
+    """Skin and lungs as if of glass, the heart, and the electrodes by name."""
+    if heart.torso is not None:
+        for tissue, colour, alpha in ((None, SKIN, 0.5), (Tissue.LUNG, LUNG, 0.5)):
+            faces = outline(heart, heart.torso, tissue)
+            if len(faces):
+                _paint(axes, view, heart.torso.vertices, faces, colour, alpha)
+    _paint(axes, view, heart.vertices, check.mesh.triangles, LABEL_COLOURS[Label.LV_ENDOCARDIUM])
+    screen = view.project(heart.electrodes)[:, :2]
+    colours = [VERMILION if k < FIRST else BLUE for k in range(len(ELECTRODES))]
+    axes.scatter(*screen.T, s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3)
+    for name, position in zip(ELECTRODES, screen, strict=True):
+        axes.annotate(
+            name, position, (3, 3), textcoords="offset points", fontsize=TICK_SIZE - 1, color=BLACK
+        )
+    _scale_bar(axes, 100.0)
+    _finish(axes, f"body, {view.name}")
+
+
+def outline(heart: Heart, torso: Torso, tissue: Tissue | None) -> NDArray[np.int64]:
+    """Triangles (k, 3) around one tissue, or, if None, around all: the skin."""
+    cells = (
+        torso.tetrahedra[torso.tissues == tissue]
+        if tissue is not None
+        else np.concatenate([heart.tetrahedra, torso.tetrahedra])
+    )
+    triangles, owner = boundary_triangles(cells)
+    normals = triangle_normals(torso.vertices, triangles)
+    inside = torso.vertices[cells[owner]].mean(axis=1)
+    away = torso.vertices[triangles].mean(axis=1) - inside
+    inverted = np.einsum("ij,ij->i", normals, away) < 0
+    triangles[inverted] = triangles[inverted][:, ::-1]
+    return triangles
+
+
+def _paint(
+    axes: Axes,
+    view: View,
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    colour: str,
+    alpha: float = 1.0,
+) -> None:
+    """Painter's algorithm in one colour, shaded."""
+    order = back_to_front(view, vertices, triangles)
+    normals = smooth_normals(vertices, triangles)[order]
+    colours = np.array(to_rgb(colour)) * view.shade(normals)[:, np.newaxis]
+    if alpha < 1:
+        colours = np.column_stack([colours, np.full(len(colours), alpha)])
+    axes.add_collection(
+        PolyCollection(
+            list(view.project(vertices[triangles[order]])[..., :2]), facecolors=colours,
+            edgecolors=colours if alpha == 1 else "none", linewidths=0.35, rasterized=True,
+        ),
+    )  # fmt: skip
+
+
+def _plot_helix(axes: Axes, check: HeartCheck) -> None:
+    """Median and middle half of the angles over depth, wall by wall."""
+    edges = np.linspace(0, 1, 11)
+    for name, helix in check.helix.items():
+        layer = np.digitize(helix.depth, edges[1:-1])
+        there = [k for k in range(10) if (layer == k).sum() > 5]
+        if not there:
+            continue
+        spread = np.array([np.percentile(helix.angle[layer == k], [25, 50, 75]) for k in there]).T
+        middle = (edges[:-1] + edges[1:])[there] / 2
+        axes.fill_between(middle, spread[0], spread[2], color=WALL_COLOURS[name], alpha=0.15, lw=0)
+        axes.plot(middle, spread[1], color=WALL_COLOURS[name], label=name)
+    axes.axhline(0, color=GREY, linewidth=0.5)
+    axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))
+    axes.set_xlabel("depth (0 inside, 1 outside)", fontsize=LABEL_SIZE)
+    axes.set_ylabel("helix angle (degrees)", fontsize=LABEL_SIZE)
+    axes.legend(frameon=False, fontsize=TICK_SIZE)
+    axes.set_title("fibre angles: median, middle half", fontsize=TITLE_SIZE)
+    tidy(axes)
+
+
+def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
+    """Share of each wall over its thickness."""
+    walls = (check.walls.lv, check.walls.septum, check.walls.rv)
+    largest = max((np.percentile(w.thickness, 99) for w in walls if w.thickness.size), default=1.0)
+    bins = np.linspace(0, float(largest) * 1.1, 30)
+    for name, wall in zip(WALLS, walls, strict=True):
+        if wall.thickness.size:
+            share = np.full(wall.thickness.size, 100 / wall.thickness.size)
+            axes.hist(
+                wall.thickness, bins, weights=share, histtype="step", color=WALL_COLOURS[name],
+                label=f"{name}: {wall.median:.1f} mm",
+            )  # fmt: skip
+    axes.set_xlabel("wall thickness (mm)", fontsize=LABEL_SIZE)
+    axes.set_ylabel("endocardial points (%)", fontsize=LABEL_SIZE)
+    axes.legend(frameon=False, fontsize=TICK_SIZE, title="median", title_fontsize=TICK_SIZE)
+    axes.set_title("wall thickness", fontsize=TITLE_SIZE)
+    tidy(axes)
+
+
+def _finish(axes: Axes, title: str) -> None:
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_title(title, fontsize=TITLE_SIZE, color=BLACK)
+
+
+def _scale_bar(axes: Axes, length: float) -> None:
+    """Draw a bar below the picture, of so many mm."""
+    axes.autoscale_view()
+    (left, _), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    axes.plot([left, left + length], [bottom] * 2, color=BLACK, linewidth=2)
+    axes.text(
+        left + length / 2, bottom - 0.015 * (top - bottom), f"{length:.0f} mm", ha="center",
+        va="top", fontsize=TICK_SIZE, color=BLACK,
+    )  # fmt: skip
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(vector / np.linalg.norm(vector))

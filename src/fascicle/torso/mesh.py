@@ -1,0 +1,141 @@
+"""Tetrahedra for everything outside the myocardium, which conform to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.geometry.endocardium import boundary_loops
+from fascicle.geometry.surface import Label, LabelledMesh
+from fascicle.geometry.torso import Tissue, Torso
+from fascicle.torso.surfaces import Surface
+from fascicle.torso.within import check_within
+
+# Netgen's numbers of what lies on the two sides of a surface; those of the lungs follow
+NOTHING, BODY, FIRST_LUNG = 0, 1, 2
+
+COARSEST = 15.0  # mm, edges far from all surfaces
+GRADING = 0.5  # Netgen's: how fast edges grow away from a surface
+OPTIMISATION_STEPS = 1  # leaves no dihedral angle below 5 degrees around a good heart mesh
+ENCLOSED = 0.5  # winding number from which a point counts as enclosed
+
+
+def mesh_torso(
+    mesh: LabelledMesh,
+    skin: Surface,
+    lungs: Sequence[Surface] = (),
+    told: Callable[[int, int], None] | None = None,
+) -> Torso:
+    """Fill the space between myocardium, lungs and skin with tetrahedra.
+
+    No triangle of any of these surfaces is changed, so the result continues the heart's own mesh.
+    Tetrahedra are blood if their centre is enclosed by an endocardium and a lid over each of its
+    openings: if the surface's winding number there is above one half (Jacobson, Kavan and
+    Sorkine-Hornung 2013, ACM Trans Graph 32:33). The lid itself is no surface of the mesh: where
+    blood ends is known no better than to the size of the tetrahedra there, and the rim of a real
+    heart's opening is too rough to hold a lid that nowhere cuts the tissue.
+
+    Parameters
+    ----------
+    mesh : LabelledMesh
+        The heart (mm).
+    skin : Surface
+        Closed surface around it (mm).
+    lungs : sequence of Surface
+        Closed surfaces between the two (mm).
+    told : callable, optional
+        Told how many of how many steps are done.
+
+    Returns
+    -------
+    Torso
+        Its vertices begin with the heart's.
+
+    Raises
+    ------
+    InputError
+        If the surfaces are not closed, or do not lie within one another; see `check_within`.
+
+    Notes
+    -----
+    The mesher is Netgen: Schöberl 1997, Comput Vis Sci 1:41-52.
+    """
+    steps = 3
+    if told is not None:
+        told(0, steps)
+    check_within(mesh, skin, lungs)
+    if told is not None:
+        told(1, steps)
+    used = np.unique(mesh.triangles)
+    vertices, tetrahedra, domains = _fill(mesh, used, skin, lungs)
+    if told is not None:
+        told(2, steps)
+    tissues = np.where(domains == BODY, int(Tissue.BODY), int(Tissue.LUNG))
+    centres = vertices[tetrahedra].mean(axis=1)
+    for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
+        cavity = closed_cavity(mesh, label)
+        near = (domains == BODY) & _in_box(centres, cavity.vertices)
+        winding = igl.fast_winding_number(*cavity, np.ascontiguousarray(centres[near]))
+        tissues[np.flatnonzero(near)[winding > ENCLOSED]] = Tissue.BLOOD
+    added = vertices[len(used) :]
+    number = np.concatenate([used, len(mesh.vertices) + np.arange(len(added))])
+    if told is not None:
+        told(steps, steps)
+    return Torso(np.concatenate([mesh.vertices, added]), number[tetrahedra], tissues)
+
+
+def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
+    """An endocardium with a lid over each of its openings, a fan; normals out of the cavity."""
+    endocardium = mesh.having(label)
+    vertices, triangles = [mesh.vertices], [endocardium]
+    for number, rim in enumerate(boundary_loops(endocardium), start=len(mesh.vertices)):
+        vertices.append(mesh.vertices[rim].mean(axis=0, keepdims=True))
+        triangles.append(
+            np.stack([np.roll(rim, -1), rim, np.full(len(rim), number)], axis=1)
+        )  # the rim runs along the endocardium's edges, so the lid's run against it
+    everything = np.concatenate(vertices)
+    kept, compact = np.unique(np.concatenate(triangles), return_inverse=True)
+    inwards = compact.reshape(-1, 3)
+    return Surface(everything[kept], np.ascontiguousarray(inwards[:, ::-1], dtype=np.int64))
+
+
+def _in_box(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+
+
+def _fill(
+    mesh: LabelledMesh, used: NDArray[np.int64], skin: Surface, lungs: Sequence[Surface]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Let Netgen fill the domains; vertices, tetrahedra and their domains.
+
+    The vertices begin with those of the heart's surface, which are the `used` ones.
+    """
+    from netgen.meshing import FaceDescriptor, Mesh, MeshingParameters, Pnt
+
+    compact = np.empty(len(mesh.vertices), dtype=np.int64)
+    compact[used] = np.arange(len(used))
+    # triangles whose normals leave a domain, that one and the other
+    sheets = [
+        (Surface(mesh.vertices[used], compact[mesh.triangles]), NOTHING, BODY),
+        (skin, BODY, NOTHING),
+        *((lung, number, BODY) for number, lung in enumerate(lungs, start=FIRST_LUNG)),
+    ]
+    netgen = Mesh()
+    netgen.dim = 3
+    count = 0
+    for face, (surface, inner, outer) in enumerate(sheets, start=1):
+        netgen.AddPoints(np.ascontiguousarray(surface.vertices))
+        index = netgen.Add(FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
+        corners = np.ascontiguousarray(surface.triangles + count, dtype=np.int32)
+        netgen.AddElements(dim=2, index=index, data=corners, base=0)
+        count += len(surface.vertices)
+    parameters = MeshingParameters(maxh=COARSEST, grading=GRADING, optsteps3d=OPTIMISATION_STEPS)
+    netgen.GenerateVolumeMesh(parameters)
+    elements = netgen.Elements3D().NumPy()
+    tetrahedra = elements["nodes"][:, :4].astype(np.int64) - 1
+    tetrahedra = tetrahedra[:, [0, 2, 1, 3]]  # Netgen's are negatively oriented
+    return netgen.Coordinates().copy(), tetrahedra, elements["index"].astype(np.int64)

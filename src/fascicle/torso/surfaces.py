@@ -1,0 +1,60 @@
+"""Closed triangle surfaces of the body: their measures, and what must not be wrong with them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+MM3_PER_LITRE = 1e6
+REMESHING_ERROR = 0.25  # largest distance between old and new surface, of the new edge length
+
+
+class Surface(NamedTuple):
+    """A triangle surface.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices; of a closed surface, counter-clockwise seen from outside.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Corners of every triangle (mm), shape (m, 3, 3)."""
+        return np.asarray(self.vertices[self.triangles])
+
+    @property
+    def litres(self) -> float:
+        """Enclosed volume of a closed surface."""
+        centred = self.corners - self.vertices.mean(axis=0)
+        return float(np.linalg.det(centred).sum() / 6 / MM3_PER_LITRE)
+
+
+def signed_distance(points: NDArray[np.float64], surface: Surface) -> NDArray[np.float64]:
+    """Distance to a closed surface (mm), negative inside, shape (n,)."""
+    distance = igl.signed_distance(np.ascontiguousarray(points), *surface)[0]
+    return np.asarray(distance, dtype=float)
+
+
+def remeshed(surface: Surface, edge: float) -> Surface:
+    """Triangulate a closed surface anew by Mmg, with edges of about this length (mm).
+
+    Source: Dapogny, Dobrzynski and Frey 2014, J Comput Phys 262:358-378.
+    """
+    import mmgpy
+
+    mesh = mmgpy.MmgMeshS(
+        np.ascontiguousarray(surface.vertices),
+        np.ascontiguousarray(surface.triangles, dtype=np.int32),
+    )
+    mesh.remesh(hsiz=edge, hausd=REMESHING_ERROR * edge, angle=0, verbose=-1)
+    vertices, triangles = mesh.get_vertices(), mesh.get_triangles()
+    return Surface(np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64))

@@ -1,0 +1,254 @@
+"""Lead fields: what holds on any mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders import OBLIQUE, box
+from scipy.sparse.linalg import spsolve
+from spheres import ball, boundary_area_vectors, heart_in_torso, isotropic, rim_points
+
+from fascicle.ecg.lead_field import nodal_gradients
+from fascicle.eikonal.tissue import barycentric_gradients
+from fascicle.errors import InputError
+from fascicle.geometry.conduction import Conduction, Region, transversely_isotropic
+from fascicle.geometry.heart import signed_volumes
+from fascicle.geometry.torso import Tissue
+from fascicle.leads import ELECTRODES, lead_matrix
+from fascicle.torso import lead_fields as module
+from fascicle.torso.lead_fields import (
+    assemble_stiffness,
+    lead_fields,
+    place_electrodes,
+    solve_lead_fields,
+    solve_neumann,
+    total_conductivity,
+)
+
+RADIUS = 100.0  # mm
+TISSUES = [Tissue.BLOOD, None, Tissue.LUNG, Tissue.BODY]
+
+
+def chest(layers=8, electrodes=None):
+    """Shells of all tissues around fibres along x + z/2."""
+    electrodes = rim_points(9, RADIUS) if electrodes is None else electrodes
+    fibre = np.array([2.0, 0.0, 1.0]) / np.sqrt(5.0)
+    at = [0.25, 0.5, 0.75, 1.0]
+    return heart_in_torso(layers, [25.0, 50.0, 75.0, RADIUS], at, TISSUES, electrodes, fibre)
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    """Vertices, tetrahedra and conductivity of a chest, and its lead fields."""
+    heart, torso = chest()
+    tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+    sigma = total_conductivity(heart, torso, Conduction())
+    fields = solve_lead_fields(torso.vertices, tetrahedra, sigma, heart.electrodes)
+    return torso.vertices, tetrahedra, sigma, fields
+
+
+class TestConductivity:
+    def test_of_each_tissue(self):
+        heart, torso = chest(4)
+        conduction = Conduction(3.0, 0.3, 2.0, 1.2, body=2.1, lung=0.4, blood=6.5)
+        sigma = total_conductivity(heart, torso, conduction)
+        own, around = np.split(sigma, [len(heart.tetrahedra)])
+        fibre, across = heart.fibres[0], np.array([0.0, 1.0, 0.0])
+        assert own @ fibre == pytest.approx(np.tile(5.0 * fibre, (len(own), 1)))
+        assert own @ across == pytest.approx(np.tile(1.5 * across, (len(own), 1)))
+        for tissue, value in ((Tissue.BODY, 2.1), (Tissue.LUNG, 0.4), (Tissue.BLOOD, 6.5)):
+            there = around[torso.tissues == tissue]
+            assert len(there) > 0
+            assert (there == value * np.eye(3)).all()
+
+    def test_scar_keeps_the_intact_one(self):
+        heart, torso = chest(4)
+        scar = Conduction(regions=(Region(0.0, centre=(0.0, 0.0, 40.0), radius=30.0),))
+        assert (lead_fields(heart, torso, scar) == lead_fields(heart, torso, Conduction())).all()
+
+
+class TestStiffness:
+    def test_linear_potentials_across_a_layered_anisotropic_box(self):
+        """A field that is exact in linear elements: the normal current is continuous at x = 6."""
+        block = box(12.0, 6, jitter=0.0)
+        left = block.vertices[block.tetrahedra].mean(axis=1)[:, 0] < 6.0
+        sigma = transversely_isotropic(np.tile(OBLIQUE, (len(left), 1)), 6.0, 1.5)
+        sigma[~left] = 2.4 * np.eye(3)
+        slope = np.array([0.7, -0.4, 0.2])  # mV/mm, on the left
+        beyond = slope.copy()
+        beyond[0] = (sigma[left][0] @ slope)[0] / 2.4
+        x = block.vertices
+        potential = x @ slope + np.maximum(x[:, 0] - 6.0, 0) * (beyond - slope)[0]
+
+        triangles, owner, area = boundary_area_vectors(x, block.tetrahedra)
+        slopes = np.where(left[owner, None], slope, beyond)
+        # mS/cm · mV/mm · mm²: 10 mm/cm · (1 cm/10 mm)² leave a tenth of a µA
+        inflow = 0.1 * np.einsum("ti,tij,tj->t", area, sigma[owner], slopes) / 3
+        current = np.bincount(triangles.ravel(), np.repeat(inflow, 3), len(x))
+        stiffness = assemble_stiffness(x, block.tetrahedra, sigma)
+        assert np.abs(stiffness @ potential - current).max() < 1e-12 * np.abs(current).max() * 100
+
+        # tangential currents differ across the interface, but close within each face
+        solved = solve_neumann(stiffness, current[None])[0]
+        assert solved == pytest.approx(potential - potential.mean(), abs=1e-8)
+
+    def test_no_current_for_a_constant(self, mesh):
+        vertices, tetrahedra, sigma, _ = mesh
+        stiffness = assemble_stiffness(vertices, tetrahedra, sigma)
+        rows = np.abs(stiffness @ np.ones(len(vertices)))
+        assert rows.max() < 1e-12 * stiffness.diagonal().max()
+        assert abs(stiffness - stiffness.T).max() < 1e-14 * stiffness.diagonal().max()
+
+
+class TestReciprocity:
+    def test_with_the_potential_of_a_dipole(self, mesh):
+        """p·∇Z against the electrodes' potential for a dipole p, solved for directly."""
+        vertices, tetrahedra, sigma, fields = mesh
+        contacts = place_electrodes(vertices, tetrahedra, rim_points(9, RADIUS))
+        stiffness = assemble_stiffness(vertices, tetrahedra, sigma).tocsc()
+        gradients = barycentric_gradients(vertices, tetrahedra)
+        slopes = nodal_gradients(fields, tetrahedra, gradients)
+        rng = np.random.default_rng(3)
+        for element in rng.choice(len(tetrahedra), 8, replace=False):
+            dipole = rng.normal(size=3)  # µA mm
+            current = np.zeros(len(vertices))
+            current[tetrahedra[element]] = gradients[element] @ dipole
+            potential = np.zeros(len(vertices))
+            potential[1:] = spsolve(stiffness[1:, 1:], current[1:])
+            seen = np.einsum("ek,ek->e", contacts.weights, potential[contacts.triangles])
+            by_lead_field = slopes[:, element] @ dipole
+            scale = np.abs(seen - seen.mean()).max()
+            assert np.abs(seen - seen.mean() - by_lead_field).max() < 1e-6 * scale
+
+
+class TestCurrents:
+    def test_through_a_surface_around_an_electrode_flows_what_it_is_given(self, mesh):
+        """8/9 µA: one in, and a ninth of the common return out of the same electrode."""
+        vertices, tetrahedra, sigma, fields = mesh
+        electrodes = rim_points(9, RADIUS)
+        gradients = barycentric_gradients(vertices, tetrahedra)
+        volumes = signed_volumes(vertices, tetrahedra)
+        slopes = nodal_gradients(fields, tetrahedra, gradients)
+        for k, electrode in enumerate(electrodes):
+            inside = np.linalg.norm(vertices - electrode, axis=1) < 40.0
+            step = np.einsum("mk,mki->mi", inside[tetrahedra], gradients)
+            density = np.einsum("mij,emj->emi", sigma, slopes)
+            out = 0.1 * np.einsum("m,emi,mi->e", volumes, density, step)
+            assert out == pytest.approx(np.where(np.arange(9) == k, 8 / 9, -1 / 9), abs=1e-7)
+
+    def test_none_through_the_skin(self):
+        """The normal current of the outer elements goes as their size."""
+        coarse, fine = self.leakage(7), self.leakage(14)
+        assert fine < 0.2
+        assert fine < 0.65 * coarse
+
+    def leakage(self, layers):
+        """Mean normal over mean whole current in the skin 50 mm and more from the electrodes."""
+        vertices, tetrahedra, _ = ball(layers, [RADIUS])
+        electrodes = RADIUS * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+        sigma = isotropic(np.ones(len(tetrahedra)))
+        fields = solve_lead_fields(vertices, tetrahedra, sigma, electrodes)
+        slopes = nodal_gradients(
+            fields[:1], tetrahedra, barycentric_gradients(vertices, tetrahedra)
+        )[0]
+        triangles, owner, area = boundary_area_vectors(vertices, tetrahedra)
+        far = np.abs(vertices[triangles].mean(axis=1)[:, 2]) < 75.0
+        through = np.abs(np.einsum("ti,ti->t", area, slopes[owner]))[far].sum()
+        size = np.linalg.norm(area, axis=1) * np.linalg.norm(slopes[owner], axis=1)
+        return through / size[far].sum()
+
+
+class TestReference:
+    def test_fields_sum_to_zero_over_the_electrodes(self, mesh):
+        fields = mesh[-1]
+        assert np.abs(fields.sum(axis=0)).max() < 1e-8 * np.abs(fields).max()
+
+    @pytest.mark.parametrize("return_through", ["RA", "V4"])
+    def test_leads_do_not_depend_on_it(self, mesh, return_through):
+        vertices, tetrahedra, sigma, fields = mesh
+        contacts = place_electrodes(vertices, tetrahedra, rim_points(9, RADIUS))
+        currents = contacts.currents(len(vertices))
+        others = currents - currents[ELECTRODES.index(return_through)]
+        stiffness = assemble_stiffness(vertices, tetrahedra, sigma)
+        elsewhere = solve_neumann(stiffness, others)
+        leads = lead_matrix() @ fields
+        assert np.abs(elsewhere - fields).max() > 0.1 * np.abs(fields).max()
+        assert np.abs(lead_matrix() @ elsewhere - leads).max() < 1e-7 * np.abs(leads).max()
+
+
+class TestElectrodes:
+    def test_enter_at_the_nearest_point_of_the_skin(self):
+        block = box(10.0, 5)
+        given = np.array([[3.3, 4.1, 12.0], [-0.5, 5.0, 5.0], [4.0, 4.0, 9.0]])
+        contacts = place_electrodes(block.vertices, block.tetrahedra, given)
+        entries = np.einsum("ek,eki->ei", contacts.weights, block.vertices[contacts.triangles])
+        assert entries == pytest.approx(np.array([[3.3, 4.1, 10.0], [0.0, 5.0, 5.0], [4, 4, 10]]))
+        assert contacts.moved == pytest.approx([2.0, 0.5, 1.0])
+        currents = contacts.currents(len(block.vertices))
+        assert currents @ block.vertices == pytest.approx(entries - entries.mean(axis=0))
+        assert currents.sum(axis=1) == pytest.approx(np.zeros(3), abs=1e-14)
+
+    def test_do_not_enter_in_holes(self):
+        vertices, tetrahedra, shell = ball(10, [50.0, RADIUS], [0.5, 1.0])
+        hollow = tetrahedra[shell == 1]
+        contacts = place_electrodes(vertices, hollow, np.array([[0.0, 0.0, 52.0]]))
+        assert contacts.moved[0] == pytest.approx(48.0, abs=1.5)
+
+    def test_far_away_are_refused_by_name(self):
+        electrodes = rim_points(9, RADIUS)
+        electrodes[ELECTRODES.index("V2")] *= 1.42
+        heart, torso = chest(4, electrodes)
+        with pytest.raises(InputError, match=r"^heart: electrode V2 is 4[2-9] mm from the skin"):
+            lead_fields(heart, torso, Conduction())
+
+    def test_a_little_off_the_skin_are_moved_onto_it(self):
+        near, torso = chest(4, rim_points(9, RADIUS))
+        entries = place_electrodes(
+            torso.vertices, np.concatenate([near.tetrahedra, torso.tetrahedra]), near.electrodes
+        )
+        on = np.einsum("ek,eki->ei", entries.weights, torso.vertices[entries.triangles])
+        fields = lead_fields(near, torso, Conduction())
+        there = lead_fields(replace(near, electrodes=on), torso, Conduction())
+        assert there == pytest.approx(fields, rel=1e-6, abs=1e-9)
+
+
+class TestRefusals:
+    def test_pieces(self):
+        heart, torso = chest(4)
+        count = len(torso.vertices)
+        apart = replace(
+            torso,
+            vertices=np.concatenate([torso.vertices, torso.vertices[torso.tetrahedra[0]] + 500.0]),
+            tetrahedra=np.concatenate([torso.tetrahedra, [count + np.arange(4)]]),
+            tissues=np.append(torso.tissues, Tissue.BODY),
+        )
+        with pytest.raises(InputError, match="falls into 2 pieces"):
+            lead_fields(heart, apart, Conduction())
+
+    def test_unused_vertices(self):
+        heart, torso = chest(4)
+        count = len(torso.vertices)
+        more = replace(torso, vertices=np.concatenate([torso.vertices, np.ones((1, 3))]))
+        with pytest.raises(InputError, match=f"^1 of {count + 1} vertices.*first: {count}"):
+            lead_fields(heart, more, Conduction())
+
+    def test_a_solver_that_is_stuck(self, monkeypatch):
+        monkeypatch.setattr(module, "MOST_ITERATIONS", 2)
+        with pytest.raises(InputError, match="no lead field in 2 iterations"):
+            lead_fields(*chest(4), Conduction())
+
+
+class TestRuns:
+    def test_are_the_same_whatever_the_random_state(self):
+        heart, torso = chest(6)
+        np.random.seed(1)  # noqa: NPY002 - the state that must not matter
+        first = lead_fields(heart, torso, Conduction())
+        np.random.seed(2)  # noqa: NPY002
+        assert (lead_fields(heart, torso, Conduction()) == first).all()
+
+    def test_tell_how_many_electrodes_are_done(self):
+        told = []
+        lead_fields(*chest(4), Conduction(), lambda done, total: told.append((done, total)))
+        assert told == [(k, 9) for k in range(1, 10)]
