@@ -1,4 +1,4 @@
-"""What happens once on a machine, with progress: kernels compiled, the action potential computed."""
+"""What happens once on a machine, with progress: kernels, and the action potential."""
 
 from __future__ import annotations
 

@@ -189,7 +189,7 @@ def test_hole_and_closed_part(coarse, geo1):
 
 
 def test_base_without_holes_and_crowded_edge(coarse):
-    refused({**coarse, BASE: coarse[EPI]}, "base: the surface has 1 rims .* must have three")
+    refused({**coarse, BASE: coarse[EPI]}, "base: the surface has 1 rim .* must have three")
     vertices, triangles = coarse[RV]
     fin = np.array([[*triangles[0, :2], triangles[len(triangles) // 2, 2]]])
     crowded = vertices, np.vstack([triangles, fin])

@@ -161,10 +161,11 @@ def gradients_around(vertices, tetrahedra, fields, points, radius):
     dipole spread over the ball looks the same from outside. In one linear element it is of first
     order only.
     """
-    slopes = nodal_gradients(fields, tetrahedra, barycentric_gradients(vertices, tetrahedra))
-    volumes, centres = signed_volumes(vertices, tetrahedra), vertices[tetrahedra].mean(axis=1)
-    around = [np.linalg.norm(centres - point, axis=1) < radius for point in points]
-    means = [np.average(slopes[:, a], axis=1, weights=volumes[a]) for a in around]
+    centres, means = vertices[tetrahedra].mean(axis=1), []
+    for point in points:
+        around = tetrahedra[np.linalg.norm(centres - point, axis=1) < radius]
+        slopes = nodal_gradients(fields, around, barycentric_gradients(vertices, around))
+        means.append(np.average(slopes, axis=1, weights=signed_volumes(vertices, around)))
     return np.stack(means, axis=1)
 
 

@@ -31,8 +31,8 @@ from fascicle.torso.lead_fields import (
 
 RADIUS = 100.0  # mm, about a chest
 RADII, AT = [50.0, 75.0, 100.0], [0.5, 0.75, 1.0]
-LAYERS = 24
-SPREAD = 12.0  # mm: radius of a dipole, three layers; it stays in its shell
+LAYERS = 20
+SPREAD = 10.0  # mm: radius of a dipole, two layers; it stays in its shell
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +57,14 @@ def slopes_by_differences(field, points, step=1e-3):
     return np.stack([(field(points + d) - field(points - d)) / (2 * step) for d in shifts], axis=1)
 
 
-def lead_errors(computed, exact, dipoles):
-    """Error of the potentials of each dipole over all electrodes, relative."""
+def lead_error(computed, exact, dipoles):
+    """Relative L2 error of the potentials of all dipoles on all electrodes.
+
+    In a sphere only the place of an electrode relative to the dipole counts, so that all pairs
+    together sample the surface potential of one dipole.
+    """
     potentials, truth = (np.einsum("epi,pi->ep", slopes, dipoles) for slopes in (computed, exact))
-    return np.linalg.norm(potentials - truth, axis=0) / np.linalg.norm(truth, axis=0)
+    return np.linalg.norm(potentials - truth) / np.linalg.norm(truth)
 
 
 class TestReference:
@@ -97,7 +101,7 @@ class TestReference:
 
 
 class TestDipoles:
-    """Potentials of eccentric dipoles on nine electrodes, by reciprocity."""
+    """Potentials of eccentric dipoles on six electrodes, by reciprocity."""
 
     @pytest.fixture(scope="class")
     def homogeneous_fields(self, chest):
@@ -110,17 +114,17 @@ class TestDipoles:
     def solved(self, chest, sigma):
         vertices, tetrahedra, shell = chest
         return solve_lead_fields(
-            vertices, tetrahedra, isotropic(np.array(sigma)[shell]), rim_points(9, RADIUS)
+            vertices, tetrahedra, isotropic(np.array(sigma)[shell]), rim_points(6, RADIUS)
         )
 
-    @pytest.mark.parametrize("eccentricity", [0.25, 0.375, 0.625])
+    @pytest.mark.parametrize("eccentricity", [0.25, 0.4, 0.6])
     def test_homogeneous_ball(self, chest, homogeneous_fields, eccentricity):
         def slopes(points, electrode):
             return homogeneous(points, electrode, np.linalg.norm(electrode), 2.0)[1]
 
         assert self.worst(chest, homogeneous_fields, eccentricity, slopes) < 0.03
 
-    @pytest.mark.parametrize("eccentricity", [0.25, 0.375, 0.625])
+    @pytest.mark.parametrize("eccentricity", [0.25, 0.4, 0.6])
     def test_concentric_balls(self, chest, shells, eccentricity):
         sigma, fields = shells
 
@@ -130,21 +134,21 @@ class TestDipoles:
         assert self.worst(chest, fields, eccentricity, slopes) < 0.03
 
     def worst(self, chest, fields, eccentricity, slopes):
-        """Largest error of twelve radial and twelve tangential dipoles."""
+        """The larger error of forty radial and of forty tangential dipoles."""
         vertices, tetrahedra, _ = chest
-        points = vertices[at_eccentricity(vertices, eccentricity * RADIUS, 12)]
-        entries = touching(vertices, tetrahedra, rim_points(9, RADIUS))
+        points = vertices[at_eccentricity(vertices, eccentricity * RADIUS, 40)]
+        entries = touching(vertices, tetrahedra, rim_points(6, RADIUS))
         exact = referenced(np.stack([slopes(points, entry) for entry in entries]))
         computed = gradients_around(vertices, tetrahedra, fields, points, SPREAD)
         return max(
-            lead_errors(computed, exact, dipoles).max() for dipoles in radial_and_tangential(points)
+            lead_error(computed, exact, dipoles) for dipoles in radial_and_tangential(points)
         )
 
 
 class TestOrder:
     def test_second_in_the_potential_and_first_in_its_gradient(self):
         electrodes = np.array([[0.0, 0.0, RADIUS], [0.0, RADIUS, 0.0]])
-        errors = np.array([self.errors(layers, electrodes) for layers in (7, 14, 28)])
+        errors = np.array([self.errors(layers, electrodes) for layers in (6, 12, 24)])
         orders = np.log2(errors[:-1] / errors[1:])
         assert orders[:, 0] == pytest.approx(2.0, abs=0.35)
         assert orders[:, 1] == pytest.approx(1.0, abs=0.25)
@@ -181,7 +185,7 @@ class TestAnisotropy:
         tensor = transversely_isotropic(fibre[None], 6.0, 1.5)[0]
         root = transversely_isotropic(fibre[None], np.sqrt(6.0), np.sqrt(1.5))[0]
         stretch = 2.0 / np.sqrt(np.linalg.det(tensor)) * root  # from 2 mS/cm to the tensor
-        round_, tetrahedra, _ = ball(16, [RADIUS])
+        round_, tetrahedra, _ = ball(12, [RADIUS])
         electrodes = round_[at_eccentricity(round_, RADIUS, 9)]
         vertices, at = round_ @ stretch, at_eccentricity(round_, 0.5 * RADIUS, 12)
         fields = solve_lead_fields(
@@ -192,7 +196,7 @@ class TestAnisotropy:
         )
         error = fields[:, at] - exact
         error -= error.mean(axis=1, keepdims=True)
-        assert np.linalg.norm(error) < 0.015 * np.linalg.norm(exact)
+        assert np.linalg.norm(error) < 0.02 * np.linalg.norm(exact)
 
 
 class TestHeartInTorso:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +47,7 @@ class Body:
         Closed surfaces, with a skin of the user's own.
     height, weight, chest : float, optional
         Of the person, to scale the idealised torso (m, kg, cm).
-    pose : str
+    pose : {"standard", "ras", "lps"}
         See `fascicle.torso.placing.body_frame`.
     electrodes : Path, optional
         File of positions; without it, they are at the standard places of the idealised torso.
@@ -59,7 +58,7 @@ class Body:
     height: float | None = None
     weight: float | None = None
     chest: float | None = None
-    pose: str = "standard"
+    pose: Pose = "standard"
     electrodes: Path | None = None
 
     def __post_init__(self) -> None:
@@ -70,10 +69,6 @@ class Body:
             )
         if self.lungs and self.torso in (IDEALISED, NONE):
             raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
-        if self.pose not in get_args(Pose):
-            raise InputError(
-                f"--pose {self.pose}: unknown; give one of {', '.join(get_args(Pose))}"
-            )
 
     @property
     def build(self) -> Build:
@@ -135,20 +130,23 @@ def build_heart(
     body = body if body is not None else Body()
     anatomy = read_anatomy(source, edge_length, _told(progress, "anatomy"))
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
-    heart = _tissue(anatomy, angles, seeds if seeds is not None else {}, name, progress)
-    heart = _in_body(heart, anatomy.mesh, body, progress)
+    heart = heart_of(anatomy, angles, seeds, name, progress)
+    heart = in_body(heart, anatomy.mesh, body, progress)
     return BuiltHeart(heart, anatomy)
 
 
-def _tissue(
+def heart_of(
     anatomy: Anatomy,
-    angles: FibreAngles | None,
-    seeds: Seeds,
-    name: str,
-    progress: Progress | None,
+    angles: FibreAngles | None = None,
+    seeds: Seeds | None = None,
+    name: str = "heart",
+    progress: Progress | None = None,
 ) -> Heart:
-    """Heart without electrodes and body."""
-    mesh = anatomy.mesh
+    """Fibres, endocardia and seeds of an anatomy; its electrodes are nowhere yet.
+
+    See `build_heart` for the parameters.
+    """
+    mesh, seeds = anatomy.mesh, seeds if seeds is not None else {}
     fibres, sheets = anatomy.fibres, anatomy.sheets
     if fibres is None:
         ruled = rule_based_fibres(mesh, angles, _told(progress, "fibres"))
@@ -176,9 +174,10 @@ def _tissue(
     )
 
 
-def _in_body(heart: Heart, mesh: LabelledMesh, body: Body, progress: Progress | None) -> Heart:
-    """Put torso, electrodes and lead fields around the heart."""
-    told = _told(progress, "torso")
+def in_body(
+    heart: Heart, mesh: LabelledMesh, body: Body, progress: Progress | None = None
+) -> Heart:
+    """Put torso, electrodes and lead fields around a heart of this mesh."""
     surfaces = _surfaces(mesh, body)
     heart = replace(heart, electrodes=_electrodes(body, surfaces))
     source = str(body.electrodes) if body.electrodes is not None else mesh.name
@@ -204,7 +203,7 @@ def _surfaces(mesh: LabelledMesh, body: Body) -> TorsoSurfaces | None:
 def _electrodes(body: Body, surfaces: TorsoSurfaces | None) -> NDArray[np.float64]:
     if body.electrodes is not None:
         return read_electrodes(body.electrodes)
-    if surfaces is None:
+    if surfaces is None or surfaces.electrodes is None:
         raise ValueError("only the idealised torso has places for electrodes")
     return surfaces.electrodes
 

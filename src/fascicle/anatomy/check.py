@@ -27,7 +27,9 @@ MYOCARDIUM = (60.0, 450.0)  # ml
 LV_WALL, RV_WALL = (4.0, 25.0), (1.5, 12.0)  # mm, median
 FLAT = 5.0  # degrees; a dihedral angle below it spoils gradients
 DISTORTED = 12.0  # stretch of a chart in one direction over the other
+TURN = 20.0  # degrees by which the helix angle must rise through the wall to be called reversed
 LAYERS = 5  # in which the helix angle is told, from endocardium to epicardium
+MOST = 20_000  # tetrahedra whose angles are measured
 WALLS = ("LV free wall", "septum", "RV free wall")
 
 
@@ -54,7 +56,7 @@ class HelixAngles:
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.array([doubled[layer == k].sum() for k in range(LAYERS)])
             mean = np.where(mean == 0, np.nan, mean)
-        return np.degrees(np.angle(mean)) / 2
+        return np.asarray(np.degrees(np.angle(mean)) / 2)
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,11 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
         *_helix_rows(helix),
         *_body_rows(heart),
     ]
-    warnings = [*_size_warnings(heart, walls, shape, charts), *electrode_warnings(heart)]
+    warnings = [
+        *_size_warnings(heart, walls, shape, charts),
+        *_fibre_warnings(helix),
+        *electrode_warnings(heart),
+    ]
     return HeartCheck(mesh, tuple(rows), tuple(warnings), walls, shape, helix)
 
 
@@ -127,7 +133,8 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     point of the one to that of the other, and along it towards the base. No Laplace problem is
     solved, so this is also a second opinion on rule-based fibres.
     """
-    centres = heart.vertices[heart.tetrahedra].mean(axis=1)
+    some = slice(None, None, 1 + len(heart.tetrahedra) // MOST)
+    centres, fibres = heart.vertices[heart.tetrahedra[some]].mean(axis=1), heart.fibres[some]
     surfaces = (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
     distances, nearest = np.full((3, len(centres)), np.inf), np.zeros((3, len(centres), 3))
     for k, label in enumerate(surfaces):
@@ -139,10 +146,11 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     base, apex = _long_axis(heart)
     found = {}
     for name, inner, outer in zip(WALLS, (0, 0, 2), (1, 2, 1), strict=True):
-        here = np.flatnonzero((furthest != inner) & (furthest != outer))
+        outward = nearest[outer] - nearest[inner]
+        between = (furthest != inner) & (furthest != outer) & outward.any(axis=1)
+        here = np.flatnonzero(between)  # where the surfaces meet, there is no way out of the wall
         depth = distances[inner, here] / (distances[inner, here] + distances[outer, here])
-        outward = nearest[outer, here] - nearest[inner, here]
-        found[name] = HelixAngles(depth, _helix(heart.fibres[here], outward, base - apex))
+        found[name] = HelixAngles(depth, _helix(fibres[here], outward[here], base - apex))
     return found
 
 
@@ -252,3 +260,18 @@ def _size_warnings(
                 "than the other; branch angles are distorted there: remesh or smooth the surface"
             )
     return warnings
+
+
+def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:
+    """Fibres that turn the wrong way: in human hearts a right-handed helix lines the LV."""
+    angles = helix[WALLS[0]]
+    if not angles.depth.size:
+        return []
+    inside, *_, outside = angles.in_layers()
+    if not inside + TURN < outside:
+        return []
+    return [
+        f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "
+        f"{outside:.0f} outside; in human hearts it falls, from about 60 to -60: check that neither "
+        "heart nor fibres are mirrored"
+    ]

@@ -124,8 +124,8 @@ def _refuse_pieces(
     sizes = ", ".join(f"{volume:.3g}" for volume in volumes[1:])
     if (around > 0.5).all():
         raise InputError(
-            f"{name}: {len(parts) - 1} closed surfaces lie within the outer one ({sizes} ml); if "
-            "they are cavities, cut the base off so that they are open there"
+            f"{name}: closed surfaces lie within the outer one ({len(parts) - 1}, of {sizes} ml); "
+            "if they are cavities, cut the base off so that they are open there"
         )
     raise InputError(
         f"{name}: the surface falls into {len(parts)} pieces ({volumes[0]:.3g}, {sizes} ml); "
@@ -170,7 +170,12 @@ def _divided(
 
 
 def _check_openings(patchwork: Patchwork, regions: NDArray[np.int64], name: str) -> None:
-    """Refuse a cavity with several openings."""
+    """Refuse a surface that is all base or has none, and a cavity with several openings."""
+    for region, what in ((OUTER, "epicardium"), (RIM, "base")):
+        if not (regions == region).any():
+            raise InputError(
+                f"{name}: no {what} found around the cavities; give the surface's parts one by one"
+            )
     for region in (FIRST, SECOND):
         loops = igl.boundary_loop_all(patchwork.triangles[regions == region])
         if len(loops) != 1:

@@ -22,13 +22,10 @@ from fascicle.geometry.validate import check_units
 
 WELD = 1e-6  # of the largest extent; vertices closer than this are one
 LARGEST_HOLE = 20.0  # mm, length of the rim; 6 mm across, so no valve or vessel is closed over
-# Of a surface that is meshed through its cuts: how far the new one may lie from it, relative to the
-# diagonal (0.3 mm on a heart), the edges inside, and the quality at which to be content. Only the
-# boundary is kept, so the inside need not be good.
+# Of a surface that is meshed through its cuts: how far the new one may lie from it (0.3 mm on a
+# heart), and the edge length inside, both relative to the diagonal. Only the boundary is kept.
 ENVELOPE = 2e-3
-COARSE = 0.05  # edge length, of the diagonal
-CONTENT = 100.0  # AMIPS energy; 3 is a regular tetrahedron, the program's own choice 10
-PASSES = 5
+COARSE = 0.05
 VOLUME_KEPT = 0.02  # relative change of volume that a repair may make
 
 
@@ -225,8 +222,7 @@ def _meshed_through(surface: LabelledSurface, cuts: NDArray[np.int64]) -> Labell
         np.ascontiguousarray(surface.triangles, dtype=np.int32),
         edge_length_fac=COARSE,
         epsilon=ENVELOPE,
-        stop_energy=CONTENT,
-        num_opt_iter=PASSES,
+        optimize=False,
         num_threads=1,  # with several, the result differs from run to run
         quiet=True,
     )

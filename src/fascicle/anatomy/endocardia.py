@@ -12,6 +12,8 @@ from fascicle.errors import InputError
 from fascicle.geometry.endocardium import boundary_loops, oriented_into_cavity
 from fascicle.geometry.surface import Label, LabelledMesh
 
+FLAT = 1e-9  # area over squared sides from which on a triangle is as bad as can be
+
 
 @dataclass(frozen=True)
 class EndocardialSurface:
@@ -40,7 +42,7 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
 
     Islands, teeth and pinches of the labels are cleaned first. Where an endocardium has several
     openings, as the mitral and the aortic one with tissue between them, all but the longest are
-    closed by triangles between their vertices, of the smallest total edge length.
+    closed by triangles between their vertices, chosen for their shape.
 
     Parameters
     ----------
@@ -88,23 +90,23 @@ def _length(points: NDArray[np.float64]) -> float:
 
 
 def _cap(vertices: NDArray[np.float64], loop: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangles between the vertices of a loop, with the smallest sum of diagonals.
+    """Triangles between the vertices of a loop, the best shaped ones in all.
 
     By dynamic programming over stretches of the loop: the best cap of the stretch from i to j has a
     triangle i, k, j and the best caps of i to k and of k to j.
     """
     points = vertices[loop]
     count = len(loop)
-    length = np.linalg.norm(points[:, None] - points[None], axis=2)
     cost = np.zeros((count, count))
     middle = np.zeros((count, count), dtype=np.int64)
     for span in range(2, count):
         for i in range(count - span):
             j = i + span
-            totals = cost[i, i + 1 : j] + cost[i + 1 : j, j]
+            between = np.arange(i + 1, j)
+            bad = _badness(points[i], points[between], points[j])
+            totals = cost[i, between] + cost[between, j] + bad
             best = int(totals.argmin())
-            middle[i, j] = i + 1 + best
-            cost[i, j] = totals[best] + length[i, j]
+            middle[i, j], cost[i, j] = between[best], totals[best]
     triangles, stretches = [], [(0, count - 1)]
     while stretches:
         i, j = stretches.pop()
@@ -113,3 +115,12 @@ def _cap(vertices: NDArray[np.float64], loop: NDArray[np.int64]) -> NDArray[np.i
             triangles.append((j, k, i))
             stretches += [(i, k), (k, j)]
     return np.asarray(loop[np.array(triangles)], dtype=np.int64)
+
+
+def _badness(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sum of the squared sides over the area: 4√3 for a regular triangle, huge for a flat one."""
+    sides = ((b - a) ** 2).sum(axis=-1) + ((c - b) ** 2).sum(axis=-1) + ((c - a) ** 2).sum()
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 2
+    return np.asarray(sides / np.maximum(area, FLAT * sides))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 CHUNK = 1 << 13  # triangles looked at a time, which bounds the memory
+ROUNDING = 1e-9  # relative, of the volumes that an edge and the sides of a triangle span
 # The two triangles of an edge that make an angle below this lie on one another.
 FOLDED = np.cos(np.radians(1.0))
 
@@ -94,7 +95,8 @@ def _pierces(
     turns = np.stack(
         [side(along, a - p, b - p), side(along, b - p, c - p), side(along, c - p, a - p)]
     )
-    inside = (turns > 0).all(axis=0) | (turns < 0).all(axis=0)
+    on_edge = ROUNDING * np.abs(turns).max(axis=0)  # passing through an edge or corner cuts too
+    inside = (turns >= -on_edge).all(axis=0) | (turns <= on_edge).all(axis=0)
     return np.asarray(across & inside)
 
 

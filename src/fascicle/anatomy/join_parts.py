@@ -183,7 +183,8 @@ def _check_rims(part: Part, needed: int) -> None:
     where = ", ".join(
         f"{len(rim)} vertices about {point(part.vertices[rim].mean(axis=0))}" for rim in rims[:4]
     )
-    found = f"{len(rims)} rims ({where} mm{', ...' if len(rims) > 4 else ''})"
+    count = "1 rim" if len(rims) == 1 else f"{len(rims)} rims"
+    found = f"{count} ({where} mm{', ...' if len(rims) > 4 else ''})"
     if not rims:
         found = "no rim (it is closed)"
     elif pinched:

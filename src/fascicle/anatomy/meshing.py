@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.anatomy.borders import cleaned_labels
 from fascicle.anatomy.closed import enclosed_volume
 from fascicle.anatomy.remeshing import as_float64, as_int32, remeshed_surface
 from fascicle.anatomy.wall import check_edge_length, wall_thickness
@@ -151,11 +152,13 @@ def _refined(
     refined = np.array(mesh.get_tetrahedra(), dtype=np.int64)
     labelled, labels = mesh.get_triangles_with_refs()
     boundary, _ = boundary_triangles(refined)
+    positions = np.array(mesh.get_vertices(), dtype=float)
+    kept = _looked_up(boundary, np.asarray(labelled, dtype=np.int64), labels)
     return LabelledMesh(
-        vertices=np.array(mesh.get_vertices(), dtype=float),
+        vertices=positions,
         tetrahedra=refined,
         triangles=boundary,
-        labels=_looked_up(boundary, np.asarray(labelled, dtype=np.int64), labels),
+        labels=cleaned_labels(positions, boundary, kept),  # coarse borders can touch themselves
         name=surface.name,
     )
 

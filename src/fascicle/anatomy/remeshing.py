@@ -13,13 +13,17 @@ from fascicle.anatomy.intersections import self_intersections
 from fascicle.errors import InputError
 from fascicle.geometry.surface import LabelledSurface
 
-# Edge lengths that the new surface may lie from the given one, and that edges may have. With one
-# size for all MMG would follow the noise on the borders of a surface from marching cubes.
-DEVIATION = 0.1
-SHORTEST, LONGEST = 0.7, 1.3
-TOO_SHORT = 0.1  # edge lengths; shorter edges, which would look like sharp corners, are closed up
+# Edge lengths that the new surface may lie from the given one (MMG stays far nearer: on a heart
+# the volume changes by 0.03 %, the walls by 0.02 mm at 2 mm). With less it
+# follows the noise of borders.
+DEVIATION = 0.4
+# A first pass, with these smallest and largest edges (edge lengths) and deviation, removes the
+# noise of a surface from marching cubes, which the second would take for bends.
+SHORTEST, LONGEST, FIRST_DEVIATION = 0.77, 1.43, 0.1
+TOO_SHORT = 0.3  # edge lengths; shorter edges are closed up before
 EDGE_KEPT = 0.01  # relative error of the mean edge length at which to be content
 TRIALS = 6  # at the size for which MMG gives that length; two or three are enough
+FIRST_SIZE = 1.05  # edge lengths
 
 
 def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSurface:
@@ -32,10 +36,15 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
     InputError
         If the new surface cuts itself.
     """
-    whole = without_short_edges(surface, TOO_SHORT * edge_length)
-    size, best, error = edge_length, whole, np.inf
+    smooth = _remeshed(
+        without_short_edges(surface, TOO_SHORT * edge_length),
+        hmin=SHORTEST * edge_length,
+        hmax=LONGEST * edge_length,
+        hausd=FIRST_DEVIATION * edge_length,
+    )
+    size, best, error = FIRST_SIZE * edge_length, smooth, np.inf
     for _ in range(TRIALS):
-        trial = _remeshed(whole, size, DEVIATION * edge_length)
+        trial = _remeshed(smooth, hsiz=size, hausd=DEVIATION * edge_length)
         ratio = mean_edge(trial.vertices, trial.triangles) / edge_length
         if abs(ratio - 1) < error:
             best, error = trial, abs(ratio - 1)
@@ -60,14 +69,15 @@ def mean_edge(vertices: NDArray[np.float64], cells: NDArray[np.int64]) -> float:
     return float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
 
 
-def _remeshed(surface: LabelledSurface, size: float, deviation: float) -> LabelledSurface:
+def _remeshed(surface: LabelledSurface, **options: float) -> LabelledSurface:
+    """The surface remeshed by MMG, whose only sharp edges are the borders between labels."""
     import mmgpy
 
     triangles = as_int32(surface.triangles)
     # made with its triangles, then given them once more: only the second way takes their labels
     mesh = mmgpy.MmgMeshS(as_float64(surface.vertices), triangles)
     mesh.set_triangles(triangles, as_int32(surface.labels))
-    mesh.remesh(hmin=SHORTEST * size, hmax=LONGEST * size, hausd=deviation, verbose=-1)
+    mesh.remesh(**options, angle=0, verbose=-1)
     new, labels = mesh.get_triangles_with_refs()
     return LabelledSurface(
         np.array(mesh.get_vertices(), dtype=float),
@@ -136,4 +146,5 @@ def as_int32(array: NDArray[np.int64]) -> NDArray[np.int32]:
 
 
 def as_float64(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As MMG must have it."""
     return np.ascontiguousarray(array, dtype=np.float64)

@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -82,7 +82,7 @@ def heart_build(
             help="Helix angles, endocardium,epicardium (degrees).", rich_help_panel=FIBRES
         ),
     ] = "60,-60",
-    rv_angles: Annotated[str, typer.Option(rich_help_panel=FIBRES)] = "60,-60",
+    rv_angles: Annotated[str, typer.Option(rich_help_panel=FIBRES)] = "90,-25",
     torso: Annotated[
         str,
         typer.Option(
@@ -102,7 +102,7 @@ def heart_build(
         float | None, typer.Option(help="Circumference (cm).", rich_help_panel=BODY)
     ] = None,
     pose: Annotated[
-        str,
+        Literal["standard", "ras", "lps"],
         typer.Option(
             help="How the heart lies in the idealised torso: 'standard' by its axes, or 'ras' "
             "(NIfTI) or 'lps' (DICOM) where its coordinates are the patient's.",
@@ -133,7 +133,8 @@ def heart_build(
     fascicle heart build --lv-endocardium lv.stl --rv-endocardium rv.stl --epicardium epi.stl
     ```
     """
-    from fascicle.anatomy.build import Body, Source, build_heart
+    from fascicle.anatomy.build import Body, build_heart
+    from fascicle.anatomy.source import Source
     from fascicle.fibres.rules import FibreAngles
     from fascicle.progress import TerminalProgress
 
@@ -225,15 +226,16 @@ def heart_export(
     heart: HeartArgument,
     out: OutOption,
     kind: Annotated[
-        str, typer.Option("--format", help="'opencarp' (µm), 'gmsh' or 'vtu' (mm).")
+        Literal["opencarp", "gmsh", "vtu"],
+        typer.Option("--format", help="openCARP in µm, Gmsh and VTU in mm."),
     ] = "opencarp",
 ) -> None:
     """Write a heart for other software: mesh, fibres, sheets, regions, endocardia, electrodes."""
     from fascicle.io.export import export_heart
     from fascicle.io.hearts import load_heart
 
-    for path in export_heart(load_heart(heart), out, kind):
-        print(path)
+    export_heart(load_heart(heart), out, kind)
+    print(f"written to {out}")
 
 
 def _write_and_check(heart: Heart, folder: Path) -> None:

@@ -55,8 +55,9 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
         helix angles through the walls, and their thickness.
     """
     figure = new_figure(WIDTH, HEIGHT)
-    above, below = figure.subfigures(2, 1)
-    upper, lower = above.subplots(1, 3), below.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
+    halves = np.asarray(figure.subfigures(2, 1))
+    upper = halves[0].subplots(1, 3)
+    lower = halves[1].subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
     views = heart_views(heart)
     _draw_seeds(upper[0], views["anterior"], heart, check)
     _draw_fibres(upper[1], views["anterior"], heart, check, (Label.EPICARDIUM,), "epicardium")
@@ -73,9 +74,9 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
 def body_views(electrodes: NDArray[np.float64]) -> tuple[View, View]:
     """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
     ra, la, ll = electrodes[:3]
-    up = _unit((ra + la) / 2 - ll)
-    left = la - ra
-    left = _unit(left - (left @ up) * up)
+    left = _unit(la - ra)
+    up = (ra + la) / 2 - ll
+    up = _unit(up - (up @ left) * left)
     back = np.cross(up, left)
     centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
     return (
@@ -141,7 +142,9 @@ def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
     _paint(axes, view, heart.vertices, check.mesh.triangles, LABEL_COLOURS[Label.LV_ENDOCARDIUM])
     screen = view.project(heart.electrodes)[:, :2]
     colours = [VERMILION if k < FIRST else BLUE for k in range(len(ELECTRODES))]
-    axes.scatter(*screen.T, s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3)
+    axes.scatter(
+        screen[:, 0], screen[:, 1], s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3
+    )
     for name, position in zip(ELECTRODES, screen, strict=True):
         axes.annotate(
             name, position, (3, 3), textcoords="offset points", fontsize=TICK_SIZE - 1, color=BLACK
@@ -218,7 +221,7 @@ def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
         if wall.thickness.size:
             share = np.full(wall.thickness.size, 100 / wall.thickness.size)
             axes.hist(
-                wall.thickness, bins, weights=share, histtype="step", color=WALL_COLOURS[name],
+                wall.thickness, bins.tolist(), weights=share, histtype="step", color=WALL_COLOURS[name],
                 label=f"{name}: {wall.median:.1f} mm",
             )  # fmt: skip
     axes.set_xlabel("wall thickness (mm)", fontsize=LABEL_SIZE)

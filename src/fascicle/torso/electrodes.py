@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import igl
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
 from fascicle.geometry.heart import Heart
 from fascicle.leads import ELECTRODES
-from fascicle.torso.placing import heart_axes
+from fascicle.torso.placing import surface_middle
 from fascicle.torso.surfaces import Surface
 
 if TYPE_CHECKING:
@@ -25,10 +26,15 @@ RA, LA, LL, V1, V2, V3, V4, V5, V6 = range(len(ELECTRODES))
 # width of the chest, along it in parts of the height, from V1's level.
 STERNAL = 0.15  # the sternum is some 5 cm wide at the fourth intercostal space
 MIDCLAVICULAR = 0.55  # halfway between the middle of the neck and the tip of the shoulder
-AXILLARY = np.radians(58)  # of the anterior axillary line from straight ahead; V6's is at 90
+AXILLARY = np.radians(64)  # of the anterior axillary line from straight ahead; V6's is at 90
 SHOULDER, SHOULDER_LEVEL = 0.88, 0.080
 HIP, HIP_LEVEL = 0.65, -0.178  # in front of the iliac crest
 INTERCOSTAL = 0.021  # the fifth intercostal space below the fourth
+
+# In a healthy chest the RV lies to the right and in front of the LV, each by two thirds of their
+# distance; these leave room for any rotation of the heart about its long axis that is seen.
+FURTHEST_LEFT, FURTHEST_BACK = 0.25, 0.5  # of the distance from the LV to the RV
+NEAREST, FURTHEST_CHEST = 10.0, 350.0  # mm from the heart; ribs lie between, a chest is not wider
 
 
 def standard_electrodes(build: Build, skin: Surface) -> Floats:
@@ -53,25 +59,168 @@ def standard_electrodes(build: Build, skin: Surface) -> Floats:
     width, metre = build.half_width, 1000 * build.height
     low = -INTERCOSTAL * metre
     axillary = np.array([np.sin(AXILLARY), -np.cos(AXILLARY)])
-    # a place on the axis of the trunk, or beside it, and the way from there to the skin
+    front = np.array([0.0, -1.0])
+    # a place within the trunk, (x, z), and the way from there to the skin, (x, y)
     rays = {
-        RA: ((-SHOULDER * width, 0, SHOULDER_LEVEL * metre), (0, -1)),
-        LA: ((SHOULDER * width, 0, SHOULDER_LEVEL * metre), (0, -1)),
-        LL: ((HIP * width, 0, HIP_LEVEL * metre), (0, -1)),
-        V1: ((-STERNAL * width, 0, 0), (0, -1)),
-        V2: ((STERNAL * width, 0, 0), (0, -1)),
-        V3: (((STERNAL + MIDCLAVICULAR) / 2 * width, 0, low / 2), (0, -1)),
-        V4: ((MIDCLAVICULAR * width, 0, low), (0, -1)),
-        V5: ((0, 0, low), axillary),
-        V6: ((0, 0, low), (1, 0)),
+        RA: (-SHOULDER * width, SHOULDER_LEVEL * metre, front),
+        LA: (SHOULDER * width, SHOULDER_LEVEL * metre, front),
+        LL: (HIP * width, HIP_LEVEL * metre, front),
+        V1: (-STERNAL * width, 0.0, front),
+        V2: (STERNAL * width, 0.0, front),
+        V3: ((STERNAL + MIDCLAVICULAR) / 2 * width, low / 2, front),
+        V4: (MIDCLAVICULAR * width, low, front),
+        V5: (0.0, low, axillary),
+        V6: (0.0, low, np.array([1.0, 0.0])),
     }
-    electrodes = np.empty((len(ELECTRODES), 3))
-    for electrode, (start, (x, y)) in rays.items():
-        electrodes[electrode] = _on_skin(skin, np.array(start, dtype=float), np.array([x, y, 0.0]))
-    return electrodes
+    return np.array(
+        [
+            _on_skin(skin, np.array([x, 0.0, z]), np.append(way, 0.0))
+            for _, (x, z, way) in sorted(rays.items())
+        ]
+    )
 
 
 def _on_skin(skin: Surface, start: Floats, way: Floats) -> Floats:
     """Where a ray from within leaves the skin."""
     hits = igl.ray_mesh_intersect(start, way, *skin)
-    return start + max(distance for _, distance, *_ in hits) * way
+    return np.asarray(start + max(distance for _, distance, *_ in hits) * way)
+
+
+def check_not_mirrored(name: str, heart: Heart) -> None:
+    """Refuse a heart whose RV lies to the left of or behind the LV, as its electrodes see it.
+
+    Where limb and chest electrodes contradict each other on what is left, it is they that are
+    wrong; `electrode_warnings` says so, and nothing is refused.
+
+    Parameters
+    ----------
+    name : str
+        What to call the heart in the error.
+    heart : Heart
+        With its electrodes (mm).
+
+    Raises
+    ------
+    InputError
+        If it is mirrored.
+    """
+    limbs, chest = _leftwards(heart.electrodes)
+    if limbs @ chest <= 0:
+        return
+    left = _unit(limbs + chest)
+    across = _unit(_lv_to_rv(heart))
+    front = _frontwards(heart, left)
+    for component, most, where in (
+        (across @ left, FURTHEST_LEFT, "to the left of"),
+        (-across @ front, FURTHEST_BACK, "behind"),
+    ):
+        if component > most:
+            raise InputError(
+                f"{name}: the RV lies {where} the LV as the electrodes see it, so the heart or the "
+                "electrodes are mirrored; check the axes of both (RAS or LPS), and which is the LV"
+            )
+
+
+def electrode_warnings(heart: Heart) -> list[str]:
+    """What is odd about a heart's electrodes: one line each, with what to do.
+
+    Parameters
+    ----------
+    heart : Heart
+        With its electrodes (mm).
+
+    Returns
+    -------
+    list of str
+        Empty if they are where electrodes are.
+    """
+    return [*_reversals(heart), *_heights(heart), *_distances(heart)]
+
+
+def _reversals(heart: Heart) -> list[str]:
+    """Left and right swapped, or the chest electrodes out of order."""
+    electrodes = heart.electrodes
+    limbs, chest = _leftwards(electrodes)
+    leftwards = -_lv_to_rv(heart)
+    if limbs @ leftwards < 0 < chest @ leftwards:
+        return [
+            "electrodes RA and LA: LA lies to the right of RA, so lead I is reversed; swap them"
+        ]
+    if chest @ leftwards < 0 < limbs @ leftwards:
+        return ["electrodes V1 to V6 run from the left to the right; reverse their order"]
+    upwards = _upwards(electrodes)
+    front = _frontwards(heart, limbs)
+    around = electrodes[V1:] - electrodes[[RA, LA]].mean(axis=0)
+    around -= np.outer(around @ upwards, upwards)
+    left = _unit(limbs - (limbs @ upwards) * upwards)
+    angle = np.arctan2(around @ left, around @ front)
+    return [
+        f"electrodes {ELECTRODES[V1 + k]} and {ELECTRODES[V1 + k + 1]}: the second lies to the "
+        "right of the first around the chest; check their order"
+        for k in np.flatnonzero(np.diff(angle) < 0)
+    ]
+
+
+def _heights(heart: Heart) -> list[str]:
+    """The legs' electrode above the arms', or chest electrodes not between them."""
+    electrodes = heart.electrodes
+    limbs, chest = _leftwards(electrodes)
+    left = _unit(limbs + chest) if limbs @ chest > 0 else _unit(-_lv_to_rv(heart))
+    if _upwards(electrodes) @ np.cross(_frontwards(heart, left), left) < 0:
+        return [
+            "electrode LL lies above RA and LA as the chest electrodes see it, so leads II, III "
+            "and aVF are reversed; check the names, and that no axis is mirrored"
+        ]
+    height = electrodes @ _upwards(electrodes)
+    low, high = height[LL], height[[RA, LA]].max()
+    return [
+        f"electrode {name} lies {'above RA and LA' if level > high else 'below LL'}; "
+        "check its position"
+        for name, level in zip(ELECTRODES[V1:], height[V1:], strict=True)
+        if not low < level < high
+    ]
+
+
+def _distances(heart: Heart) -> list[str]:
+    """Electrodes nearer to the heart, or further away, than the skin of the chest can be."""
+    distance, _ = cKDTree(heart.vertices).query(heart.electrodes)
+    near = [
+        f"electrode {ELECTRODES[k]} is {distance[k]:.0f} mm from the heart, nearer than "
+        "skin can be; check its position"
+        for k in np.flatnonzero(distance < NEAREST)
+    ]
+    far = [
+        f"electrode {ELECTRODES[k]} is {distance[k]:.0f} mm from the heart, further than any chest "
+        "is wide; check its position and the units (mm)"
+        for k in V1 + np.flatnonzero(distance[V1:] > FURTHEST_CHEST)
+    ]
+    return near + far
+
+
+def _unit(vector: Floats) -> Floats:
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _leftwards(electrodes: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors to the patient's left, by the limb and by the chest electrodes."""
+    return _unit(electrodes[LA] - electrodes[RA]), _unit(electrodes[V5] - electrodes[V1])
+
+
+def _upwards(electrodes: Floats) -> Floats:
+    return _unit(electrodes[[RA, LA]].mean(axis=0) - electrodes[LL])
+
+
+def _frontwards(heart: Heart, left: Floats) -> Floats:
+    """From the trunk towards V1 to V4, as far as it is neither up nor to the left."""
+    electrodes = heart.electrodes
+    up = _upwards(electrodes)
+    left = _unit(left - (left @ up) * up)
+    front = electrodes[V1 : V4 + 1].mean(axis=0) - heart.vertices.mean(axis=0)
+    front -= (front @ up) * up + (front @ left) * left
+    return _unit(front)
+
+
+def _lv_to_rv(heart: Heart) -> Floats:
+    """From the middle of one endocardium to that of the other (mm)."""
+    lv, rv = (surface_middle(Surface(e.vertices, e.triangles)) for e in heart.endocardia)
+    return rv - lv

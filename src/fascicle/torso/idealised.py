@@ -23,6 +23,7 @@ Lungs : Hall et al. 2021, Eur Respir J 57:2000289 (2.5 l of gas in that woman an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,6 +36,7 @@ from scipy.spatial import ConvexHull
 from fascicle.errors import InputError
 from fascicle.geometry.heart import signed_volumes
 from fascicle.geometry.surface import Label, LabelledMesh
+from fascicle.torso.electrodes import standard_electrodes
 from fascicle.torso.placing import BodyFrame, Pose, body_frame, opening
 from fascicle.torso.surfaces import Surface, remeshed, signed_distance
 
@@ -106,16 +108,17 @@ class TorsoSurfaces:
         Closed surface of the trunk (mm).
     lungs : tuple of Surface
         Closed surfaces within it (mm): left, right.
-    electrodes : (9, 3) array
-        Positions on the skin, in the order of `fascicle.leads.ELECTRODES` (mm).
-    frame : BodyFrame
-        Where the body's axes lie.
+    electrodes : (9, 3) array, optional
+        Positions on the skin, in the order of `fascicle.leads.ELECTRODES` (mm); those of a torso
+        of the user's own are not known.
+    frame : BodyFrame, optional
+        Where the body's axes lie; likewise.
     """
 
     skin: Surface
     lungs: tuple[Surface, ...]
-    electrodes: Floats
-    frame: BodyFrame
+    electrodes: Floats | None = None
+    frame: BodyFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -199,8 +202,6 @@ def idealised_torso(
     InputError
         If the heart does not fit into that torso, or leaves no room for the lungs.
     """
-    from fascicle.torso.electrodes import standard_electrodes
-
     build = build if build is not None else Build()
     lv = Surface(mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM))
     rv = Surface(mesh.vertices, mesh.having(Label.RV_ENDOCARDIUM))
@@ -212,7 +213,7 @@ def idealised_torso(
     skin = trunk(build)
     _check_fits(mesh.name, heart, skin)
     base = frame.to_body(np.stack([opening(lv), opening(rv)]))
-    lungs = _lungs(mesh.name, build, skin, _kept_clear(heart, base))
+    lungs = _lungs(mesh.name, build, _kept_clear(heart, base))
     electrodes = standard_electrodes(build, skin)
     return TorsoSurfaces(
         Surface(frame.to_heart(skin.vertices), skin.triangles),
@@ -252,7 +253,7 @@ def smooth_max(a: Floats, b: Floats, width: float) -> Floats:
     return np.asarray(np.maximum(a, b) + overlap**2 * width / 4)
 
 
-def level_set(outside, box: Floats, spacing: float) -> Surface:  # type: ignore[no-untyped-def]
+def level_set(outside: Callable[[Floats], Floats], box: Floats, spacing: float) -> Surface:
     """Surface on which a function of points (n, 3) vanishes, by marching cubes on a grid."""
     axes = [np.arange(low - 3 * spacing, high + 4 * spacing, spacing) for low, high in box.T]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
@@ -298,7 +299,7 @@ def _kept_clear(heart: Floats, base: Floats) -> Surface:
     return Surface(points[used], np.ascontiguousarray(triangles, dtype=np.int64))
 
 
-def _lungs(name: str, build: Build, skin: Surface, clear: Surface) -> tuple[Surface, Surface]:
+def _lungs(name: str, build: Build, clear: Surface) -> tuple[Surface, Surface]:
     """Left and right lung in the body frame (mm)."""
     lungs = []
     for side, which in ((1, "left"), (-1, "right")):
@@ -313,7 +314,7 @@ def _lungs(name: str, build: Build, skin: Surface, clear: Surface) -> tuple[Surf
 
 
 def _lung(build: Build, clear: Surface, side: int) -> Surface | None:
-    """One lung: within the ribs, beside the mediastinum, clear of the heart, above the diaphragm."""
+    """One lung: within the ribs, beside the mediastinum and the heart, above the diaphragm."""
     half_width, half_depth = build.half_width, build.half_depth
     metre = 1000 * build.height
 

@@ -8,10 +8,12 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.errors import InputError
 from fascicle.geometry.endocardium import boundary_loops
+from fascicle.geometry.heart import signed_volumes
 from fascicle.geometry.surface import Label, LabelledMesh
 from fascicle.geometry.torso import Tissue, Torso
-from fascicle.torso.surfaces import Surface
+from fascicle.torso.surfaces import MM3_PER_LITRE, Surface
 from fascicle.torso.within import check_within
 
 # Netgen's numbers of what lies on the two sides of a surface; those of the lungs follow
@@ -20,6 +22,7 @@ NOTHING, BODY, FIRST_LUNG = 0, 1, 2
 COARSEST = 15.0  # mm, edges far from all surfaces
 GRADING = 0.5  # Netgen's: how fast edges grow away from a surface
 OPTIMISATION_STEPS = 1  # leaves no dihedral angle below 5 degrees around a good heart mesh
+VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
 ENCLOSED = 0.5  # winding number from which a point counts as enclosed
 
 
@@ -57,7 +60,8 @@ def mesh_torso(
     Raises
     ------
     InputError
-        If the surfaces are not closed, or do not lie within one another; see `check_within`.
+        If the surfaces are not closed, do not lie within one another (see `check_within`), or
+        leave a space that cannot be meshed.
 
     Notes
     -----
@@ -71,6 +75,7 @@ def mesh_torso(
         told(1, steps)
     used = np.unique(mesh.triangles)
     vertices, tetrahedra, domains = _fill(mesh, used, skin, lungs)
+    _check_filled(mesh, skin, signed_volumes(vertices, tetrahedra))
     if told is not None:
         told(2, steps)
     tissues = np.where(domains == BODY, int(Tissue.BODY), int(Tissue.LUNG))
@@ -85,6 +90,17 @@ def mesh_torso(
     if told is not None:
         told(steps, steps)
     return Torso(np.concatenate([mesh.vertices, added]), number[tetrahedra], tissues)
+
+
+def _check_filled(mesh: LabelledMesh, skin: Surface, volumes: NDArray[np.float64]) -> None:
+    """Refuse a mesh with gaps: Netgen leaves out what it could not fill and goes on."""
+    myocardium = signed_volumes(mesh.vertices, mesh.tetrahedra).sum()
+    filled = (volumes.sum() + myocardium) / (skin.litres * MM3_PER_LITRE)
+    if volumes.min() <= 0 or abs(filled - 1) > VOLUME_TOLERANCE:
+        raise InputError(
+            f"{mesh.name}: {1 - filled:.2%} of the torso around it could not be meshed; a surface "
+            "crosses itself or is too rough, remesh the heart, the torso or the lungs more evenly"
+        )
 
 
 def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
@@ -114,7 +130,7 @@ def _fill(
 
     The vertices begin with those of the heart's surface, which are the `used` ones.
     """
-    from netgen.meshing import FaceDescriptor, Mesh, MeshingParameters, Pnt
+    from netgen.meshing import FaceDescriptor, Mesh, MeshingParameters
 
     compact = np.empty(len(mesh.vertices), dtype=np.int64)
     compact[used] = np.arange(len(used))

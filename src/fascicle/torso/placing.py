@@ -81,7 +81,7 @@ def heart_axes(lv: Surface, rv: Surface) -> tuple[NDArray[np.float64], NDArray[n
     used = lv.vertices[np.unique(lv.triangles)]
     apex = used[np.argmax(np.linalg.norm(used - base, axis=1))]
     long_axis = (base - apex) / np.linalg.norm(base - apex)
-    across = _middle(rv) - _middle(lv)
+    across = surface_middle(rv) - surface_middle(lv)
     across -= (across @ long_axis) * long_axis
     across /= np.linalg.norm(across)
     return base, np.stack([across, np.cross(long_axis, across), long_axis], axis=1)
@@ -96,8 +96,8 @@ def opening(surface: Surface) -> NDArray[np.float64]:
     return np.asarray(np.average((start + end) / 2, axis=0, weights=length))
 
 
-def _middle(surface: Surface) -> NDArray[np.float64]:
-    """Centroid of a surface (mm)."""
+def surface_middle(surface: Surface) -> NDArray[np.float64]:
+    """Centroid of a surface; (3,), mm."""
     area = np.linalg.norm(triangle_normals(*surface), axis=1)
     return np.asarray(np.average(surface.corners.mean(axis=1), axis=0, weights=area))
 
@@ -163,6 +163,6 @@ def _check_pose(pose: Pose, towards_apex: NDArray[np.float64]) -> None:
     ]
     if len(wrong) > 1:
         raise InputError(
-            f"pose '{pose}': the heart's apex then points to the {' and the '.join(wrong)}, where "
+            f"pose '{pose}': the apex then points to the {' and the '.join(wrong)}, where "
             "none does; check the axes of the image, or use 'standard'"
         )

@@ -12,12 +12,18 @@ from fascicle.errors import InputError
 from fascicle.geometry.surface import LabelledMesh
 from fascicle.torso.surfaces import Surface, signed_distance
 
-# A torso's largest extent; that of a child's is above the first, nobody's above the other.
-TORSO_EXTENT = (200.0, 1500.0)  # mm
+# Largest extents; those of a child are above the first, nobody's above the second.
+TORSO_EXTENT = (200.0, 2500.0)  # mm
+LUNG_EXTENT = (70.0, 450.0)  # mm
 LEAST_GAP = 0.5  # mm, between one surface and another
 
 
-def check_within(mesh: LabelledMesh, skin: Surface, lungs: Sequence[Surface] = ()) -> None:
+def check_within(
+    mesh: LabelledMesh,
+    skin: Surface,
+    lungs: Sequence[Surface] = (),
+    names: Sequence[str] = (),
+) -> None:
     """Refuse surfaces between which no tetrahedra fit.
 
     Parameters
@@ -26,6 +32,8 @@ def check_within(mesh: LabelledMesh, skin: Surface, lungs: Sequence[Surface] = (
         The heart (mm).
     skin, lungs : Surface and sequence of Surface
         The torso's (mm).
+    names : sequence of str
+        What to call skin and lungs in an error, where they come from files.
 
     Raises
     ------
@@ -33,34 +41,35 @@ def check_within(mesh: LabelledMesh, skin: Surface, lungs: Sequence[Surface] = (
         If the torso is not in mm, a surface is open, crosses itself or has triangles turned the
         wrong way, heart or lungs reach out of the torso, or heart and lungs or two lungs overlap.
     """
-    names = ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
-    _check_extent(skin)
+    names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
+        check_extent(name, surface, TORSO_EXTENT if surface is skin else LUNG_EXTENT)
         check_closed(name, surface)
         _check_not_crossing_itself(name, surface)
-    heart = mesh.vertices[np.unique(mesh.triangles)]
-    _check_inside(mesh.name, heart, skin)
+    heart = Surface(mesh.vertices, mesh.triangles)
+    check_closed(mesh.name, heart)
+    _check_inside(mesh.name, mesh.vertices[np.unique(mesh.triangles)], skin)
     for k, lung in enumerate(lungs):
         _check_inside(names[k + 1], lung.vertices, skin)
-        heart_surface = Surface(mesh.vertices, mesh.triangles)
-        _check_apart(names[k + 1], lung, mesh.name, heart_surface)
+        _check_apart(names[k + 1], lung, mesh.name, heart)
         for other in range(k):
             _check_apart(names[k + 1], lung, names[other + 1], lungs[other])
 
 
-def _check_extent(skin: Surface) -> None:
-    extent = float(np.ptp(skin.vertices, axis=0).max())
-    low, high = TORSO_EXTENT
+def check_extent(name: str, surface: Surface, limits: tuple[float, float]) -> None:
+    """Refuse a surface whose size says that it is not in mm."""
+    extent = float(np.ptp(surface.vertices, axis=0).max())
+    low, high = limits
     if low <= extent <= high:
         return
     for unit, factor in (("metres", 1e3), ("centimetres", 10.0)):
         if low <= extent * factor <= high:
             raise InputError(
-                f"torso: its largest extent is {extent:.3g}, so it seems to be in {unit}; "
+                f"{name}: its largest extent is {extent:.3g}, so it seems to be in {unit}; "
                 f"multiply the coordinates by {factor:g} to get mm"
             )
     raise InputError(
-        f"torso: its largest extent is {extent:.3g}; torsos in mm have {low:g} to {high:g}; "
+        f"{name}: its largest extent is {extent:.3g}; in mm it would have {low:g} to {high:g}; "
         "check the units"
     )
 
@@ -116,23 +125,22 @@ def _check_inside(name: str, points: NDArray[np.float64], skin: Surface) -> None
 
 
 def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> None:
-    """Refuse surfaces that overlap, one lying in the other included, or touch."""
-    distance = signed_distance(one.vertices, other)
-    back = signed_distance(other.vertices, one)
-    where = crossing(one, other)
-    if min(distance.min(), back.min()) < 0 or where is not None:
-        depth = -min(distance.min(), back.min())
-        if where is None:
-            deepest = (one.vertices[np.argmin(distance)], other.vertices[np.argmin(back)])
-            where = deepest[int(back.min() < distance.min())]
+    """Refuse surfaces that overlap, one within the other included, or touch."""
+    points = np.concatenate([one.vertices, other.vertices])
+    gap = np.concatenate(
+        [signed_distance(one.vertices, other), signed_distance(other.vertices, one)]
+    )
+    deepest = points[np.argmin(gap)]
+    crossed = crossing(one, other)
+    if gap.min() < 0 or crossed is not None:
+        where = deepest if crossed is None or gap.min() < 0 else crossed
         raise InputError(
-            f"{name}: overlaps {other_name} by {max(depth, 0):.1f} mm at {_place(where)}; "
+            f"{name}: overlaps {other_name} by {max(-gap.min(), 0):.1f} mm at {_place(where)}; "
             "cut it back there"
         )
-    if min(distance.min(), back.min()) < LEAST_GAP:
-        where = one.vertices[np.argmin(distance)]
+    if gap.min() < LEAST_GAP:
         raise InputError(
-            f"{name}: touches {other_name} at {_place(where)}; leave {LEAST_GAP:g} mm between them"
+            f"{name}: touches {other_name} at {_place(deepest)}; leave {LEAST_GAP:g} mm between"
         )
 
 
@@ -141,57 +149,56 @@ def _place(point: NDArray[np.float64]) -> str:
 
 
 def crossing(one: Surface, other: Surface) -> NDArray[np.float64] | None:
-    """A point (3,) where an edge of one surface passes through a triangle of the other.
+    """A place (3,) where two surfaces, or one given twice, pass through each other, if any.
 
-    Two surfaces cross only if such a point exists for one or the other of them. Edges that share a
-    vertex with the triangle do not count. Edge and triangle meet where the five volumes that they
-    span agree in sign (Segura and Feito 2001, WSCG).
+    They do where an edge of one passes through a triangle of the other, corners they share not
+    counting.
     """
     for a, b in ((one, other), (other, one)):
-        edges = np.unique(
-            np.sort(a.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
-        )
-        ends, corners = a.vertices[edges], b.corners
-        pairs = _near_pairs(ends, corners)
-        if a is b or one is other:
-            shared = (edges[pairs[:, 0]][:, :, None] == b.triangles[pairs[:, 1]][:, None]).any((1, 2))
-            pairs = pairs[~shared]
-        start, end = ends[pairs[:, 0]].transpose(1, 0, 2)
-        hit = _passes_through(start, end, corners[pairs[:, 1]])
-        if hit.any():
-            return np.asarray(corners[pairs[hit][0, 1]].mean(axis=0))
+        sides = a.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        edges = np.unique(np.sort(sides, axis=1), axis=0)
+        pairs = _near_pairs(a.vertices[edges], b.corners)
         if one is other:
-            break
+            edge, triangle = edges[pairs[:, 0]], b.triangles[pairs[:, 1]]
+            pairs = pairs[~(edge[:, :, None] == triangle[:, None, :]).any(axis=(1, 2))]
+        ends, corners = a.vertices[edges[pairs[:, 0]]], b.corners[pairs[:, 1]]
+        through = _passes_through(ends, corners)
+        if through.any():
+            return np.asarray(corners[through][0].mean(axis=0))
     return None
 
 
-def _near_pairs(
-    ends: NDArray[np.float64], corners: NDArray[np.float64]
-) -> NDArray[np.int64]:
-    """Pairs (k, 2) of an edge and a triangle whose boxes meet."""
+def _near_pairs(ends: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Pairs (k, 2) of an edge (n, 2, 3) and a triangle (m, 3, 3) whose boxes meet."""
     middle, centre = ends.mean(axis=1), corners.mean(axis=1)
     reach = np.linalg.norm(ends - middle[:, None], axis=2).max(axis=1)
-    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    found = cKDTree(centre).query_ball_point(middle, reach + radius.max(), return_sorted=False)
-    count = np.array([len(near) for near in found])
-    pairs = np.stack(
-        [np.repeat(np.arange(len(ends)), count), np.concatenate([*found, []]).astype(np.int64)],
-        axis=1,
-    )
-    a, b = ends[pairs[:, 0]], corners[pairs[:, 1]]
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max()
+    found = cKDTree(centre).query_ball_point(middle, reach + radius, return_sorted=False)
+    edge = np.repeat(np.arange(len(ends)), [len(near) for near in found])
+    triangle = np.concatenate([np.empty(0), *found]).astype(np.int64)
+    a, b = ends[edge], corners[triangle]
     meet = (a.min(axis=1) <= b.max(axis=1)) & (b.min(axis=1) <= a.max(axis=1))
-    return np.asarray(pairs[meet.all(axis=1)])
+    return np.asarray(np.stack([edge, triangle], axis=1)[meet.all(axis=1)])
 
 
-def _passes_through(
-    start: NDArray[np.float64], end: NDArray[np.float64], corners: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Whether segments (k, 3) to (k, 3) pass through triangles (k, 3, 3)."""
-    a, b, c = corners.transpose(1, 0, 2)
+def _passes_through(ends: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether segments (k, 2, 3) pass through triangles (k, 3, 3).
 
-    def volume(p, q, r, s):  # type: ignore[no-untyped-def]
-        return np.einsum("ij,ij->i", p - s, np.cross(q - s, r - s))
+    The ends lie on different sides of the plane, and the segment passes all sides of the triangle
+    on the same side, by the signs of volumes (Segura and Feito 2001, WSCG).
+    """
+    start, end = ends[:, 0], ends[:, 1]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    opposite = _volume(a, b, c, start) * _volume(a, b, c, end) < 0
+    sides = np.stack([_volume(p, q, end, start) for p, q in ((a, b), (b, c), (c, a))])
+    return np.asarray(opposite & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)))
 
-    opposite = volume(a, b, c, start) * volume(a, b, c, end) < 0
-    sides = np.stack([volume(a, b, end, start), volume(b, c, end, start), volume(c, a, end, start)])
-    return np.asarray(opposite & ((sides > 0).all(axis=0) | (sides < 0).all(axis=0)))
+
+def _volume(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    d: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Six times the signed volume between points (k, 3)."""
+    return np.asarray(np.einsum("ij,ij->i", a - d, np.cross(b - d, c - d)))

@@ -1,0 +1,135 @@
+"""Files of labelled surfaces."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+from shapes import biventricular_surface
+
+from fascicle.anatomy.closed import prepared_surface
+from fascicle.errors import InputError
+from fascicle.geometry.endocardium import boundary_loops
+from fascicle.geometry.surface import Label, LabelledSurface
+from fascicle.io.meshes import read_mesh
+from fascicle.io.surfaces import has_labels, read_labelled_surface
+
+
+@cache
+def ventricles() -> LabelledSurface:
+    return prepared_surface(biventricular_surface(5.0))
+
+
+def polydata(surface: LabelledSurface) -> pv.PolyData:
+    return pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
+
+
+def written(path: Path, **arrays: np.ndarray) -> Path:
+    data = polydata(ventricles())
+    for name, values in arrays.items():
+        where = data.cell_data if len(values) == data.n_cells else data.point_data
+        where[name] = values
+    data.save(path)
+    return path
+
+
+def test_labels_of_triangles(tmp_path):
+    path = written(tmp_path / "heart.vtp", region=ventricles().labels)
+    surface = read_labelled_surface(path)
+    assert (surface.labels == ventricles().labels).all()
+    assert surface.name == str(path)
+
+
+def test_class_comes_before_other_whole_numbers(tmp_path):
+    labels = ventricles().labels
+    path = written(tmp_path / "heart.vtk", class_=labels, other=np.arange(len(labels)))
+    with pytest.raises(InputError, match="which array"):
+        read_labelled_surface(path)
+    assert (read_labelled_surface(path, array="class_").labels == labels).all()
+    arrays = {"class": labels, "other": np.arange(len(labels))}
+    assert (read_labelled_surface(written(path, **arrays)).labels == labels).all()
+
+
+def test_own_numbers_are_translated(tmp_path):
+    own = np.array([0, 10, 20, 30, 40])[ventricles().labels]
+    path = written(tmp_path / "heart.vtp", region=own)
+    numbers = {"base": 10, "epicardium": 20, "lv": 30, "rv": 40}
+    assert (read_labelled_surface(path, names=numbers).labels == ventricles().labels).all()
+    with pytest.raises(InputError, match=rf"40 \({(own == 40).sum()} times\); known are"):
+        read_labelled_surface(path, names={k: v for k, v in numbers.items() if k != "rv"})
+    with pytest.raises(InputError, match="two meanings"):
+        read_labelled_surface(path, names={"lv": 10, "rv": 10})
+    with pytest.raises(InputError, match="label 'apex': unknown"):
+        read_labelled_surface(path, names={"apex": 10})
+
+
+def test_numbers_may_exchange_the_default_ones(tmp_path):
+    labels = ventricles().labels
+    exchanged = np.where(labels == 3, 4, np.where(labels == 4, 3, labels))
+    path = written(tmp_path / "heart.vtp", region=exchanged)
+    assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
+
+
+def test_stl_with_a_file_of_labels(tmp_path):
+    path = tmp_path / "heart.stl"
+    polydata(ventricles()).save(path)
+    labels = tmp_path / "labels.csv"
+    labels.write_text("\n".join(map(str, ventricles().labels)))
+    assert not has_labels(read_mesh(path))
+    surface = read_labelled_surface(path, labels_file=labels)
+    assert (surface.labels == ventricles().labels).all()
+    assert len(surface.vertices) == len(ventricles().vertices)
+    assert len(boundary_loops(surface.triangles)) == 0
+    with pytest.raises(InputError, match="no labels"):
+        read_labelled_surface(path)
+
+
+def test_a_file_of_labels_must_fit(tmp_path):
+    path = written(tmp_path / "heart.vtp")
+    labels = tmp_path / "labels.txt"
+    labels.write_text("1 2 3")
+    count = len(ventricles().triangles)
+    with pytest.raises(InputError, match=f"3 labels, but .* has {count} triangles"):
+        read_labelled_surface(path, labels_file=labels)
+    labels.write_text("label\n1\n")
+    with pytest.raises(InputError, match="entry 1 is 'label'"):
+        read_labelled_surface(path, labels_file=labels)
+
+
+def test_arrays_that_are_no_labels(tmp_path):
+    path = written(tmp_path / "heart.vtp", height=ventricles().vertices[:, 2])
+    with pytest.raises(InputError, match=r"no labels: .*\(arrays: height\)"):
+        read_labelled_surface(path)
+    with pytest.raises(InputError, match="must hold one whole number"):
+        read_labelled_surface(path, array="height")
+    with pytest.raises(InputError, match="no array 'class'"):
+        read_labelled_surface(path, array="class")
+
+
+def test_metres_are_refused(tmp_path):
+    data = polydata(ventricles())
+    data.points = data.points / 1000
+    data.cell_data["class"] = ventricles().labels
+    data.save(tmp_path / "heart.vtp")
+    with pytest.raises(InputError, match="metres"):
+        read_labelled_surface(tmp_path / "heart.vtp")
+
+
+def test_labels_of_points_of_the_mean_heart(data_folder):
+    surface = read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
+    for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):
+        assert len(boundary_loops(surface.having(label))) == 1
+    edges = [
+        {
+            *map(
+                frozenset,
+                surface.having(label)[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).tolist(),
+            )
+        }
+        for label in (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
+    ]
+    assert not (edges[0] & edges[1])
+    assert not (edges[2] & edges[1])

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
+
+from fascicle.errors import InputError
+from fascicle.geometry.heart import Heart
+from fascicle.geometry.torso import Torso
+from fascicle.io.meshes import TETRAHEDRON, write_grid, write_surface
+from fascicle.io.torsos import MOST_TRIANGLES, read_torso, read_torso_surfaces, write_torso
+from fascicle.torso.surfaces import Surface, signed_distance
+
+
+@pytest.fixture
+def around(default_heart: Heart) -> Torso:
+    """One tetrahedron of each tissue beside the packaged heart."""
+    count = len(default_heart.vertices)
+    corners = np.array([(0, 0, 0), (9, 0, 0), (0, 9, 0), (0, 0, 9.0)])
+    vertices = [default_heart.vertices, *(corners + np.array([200, 20 * k, 0]) for k in range(3))]
+    tetrahedra = count + np.arange(12).reshape(3, 4)
+    return Torso(np.concatenate(vertices), tetrahedra, np.array([1, 2, 3]))
+
+
+def test_reads_what_was_written(default_heart: Heart, around: Torso, tmp_path: Path) -> None:
+    write_torso(tmp_path / "torso.vtu", around)
+    again = read_torso(tmp_path / "torso.vtu", default_heart)
+    for name in ("vertices", "tetrahedra", "tissues"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(around, name))
+
+
+def test_refuses_the_torso_of_another_heart(
+    default_heart: Heart, around: Torso, tmp_path: Path
+) -> None:
+    write_torso(tmp_path / "torso.vtu", around)
+    moved = replace(default_heart, vertices=default_heart.vertices + 0.01)
+    with pytest.raises(InputError, match="points are not the heart's"):
+        read_torso(tmp_path / "torso.vtu", moved)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tissues": np.array([1, 2, 7])}, "unknown tissue 7; the labels are 1"),
+        ({"flip": True}, "3 of 3 tetrahedra are flat or inverted"),
+    ],
+)
+def test_refuses_a_damaged_torso(
+    default_heart: Heart, around: Torso, tmp_path: Path, change, message
+) -> None:
+    if change.pop("flip", False):
+        change["tetrahedra"] = around.tetrahedra[:, ::-1][:, [0, 1, 3, 2]][:, [1, 0, 3, 2]]
+    write_torso(tmp_path / "torso.vtu", replace(around, **change))
+    with pytest.raises(InputError, match=message):
+        read_torso(tmp_path / "torso.vtu", default_heart)
+
+
+def test_refuses_a_torso_without_tissues(
+    default_heart: Heart, around: Torso, tmp_path: Path
+) -> None:
+    write_grid(tmp_path / "torso.vtu", around.vertices, around.tetrahedra, TETRAHEDRON)
+    with pytest.raises(InputError, match="no cell array 'tissue'"):
+        read_torso(tmp_path / "torso.vtu", default_heart)
+
+
+def write_stl(path: Path, surface: Surface) -> None:
+    """Binary STL, every triangle with its own corners, in single precision."""
+    content = np.zeros(
+        len(surface.triangles), dtype=[("normal", "<3f4"), ("x", "<9f4"), ("", "<u2")]
+    )
+    content["x"] = surface.corners.reshape(-1, 9)
+    path.write_bytes(bytes(80) + len(content).to_bytes(4, "little") + content.tobytes())
+
+
+def test_reads_and_welds_stl(tmp_path: Path) -> None:
+    write_stl(tmp_path / "skin.stl", skin())
+    write_stl(tmp_path / "left.stl", Surface(lung().vertices, lung().triangles[:, ::-1]))
+    body = read_torso_surfaces(tmp_path / "skin.stl", [tmp_path / "left.stl"], block_heart())
+    assert len(body.skin.vertices) == len(skin().vertices)
+    assert body.skin.litres == pytest.approx(skin().litres, rel=1e-6)
+    # inside out in the file, and turned here
+    assert body.lungs[0].litres == pytest.approx(lung().litres, rel=1e-6)
+    assert body.electrodes is None
+
+
+def test_remeshes_what_is_too_fine(tmp_path: Path) -> None:
+    fine = ellipsoid(HEART_CENTRE, (150.0, 110.0, 180.0), 6)
+    assert len(fine.triangles) > MOST_TRIANGLES
+    write_surface(tmp_path / "skin.vtp", fine.vertices, fine.triangles)
+    body = read_torso_surfaces(tmp_path / "skin.vtp", [], block_heart())
+    assert 1000 < len(body.skin.triangles) < MOST_TRIANGLES / 2
+    assert body.skin.litres == pytest.approx(fine.litres, rel=0.01)
+    assert np.abs(signed_distance(body.skin.vertices, fine)).max() < 2.75
+
+
+def test_takes_the_outside_of_tetrahedra(tmp_path: Path) -> None:
+    body = skin()
+    vertices = np.concatenate([body.vertices, [HEART_CENTRE]])
+    apex = np.full((len(body.triangles), 1), len(body.vertices))
+    write_grid(tmp_path / "t.vtu", vertices, np.hstack([apex, body.triangles]), TETRAHEDRON)
+    found = read_torso_surfaces(tmp_path / "t.vtu", [], block_heart()).skin
+    assert len(found.triangles) == len(body.triangles)
+    assert found.litres == pytest.approx(body.litres, rel=1e-12)
+
+
+def test_refuses_surfaces_by_the_name_of_their_file(tmp_path: Path) -> None:
+    body = skin()
+    write_surface(tmp_path / "open.vtp", body.vertices, body.triangles[3:])
+    write_surface(tmp_path / "m.vtp", body.vertices / 1000, body.triangles)
+    twice = np.concatenate([body.triangles, body.triangles + len(body.vertices)])
+    both = np.concatenate([body.vertices, body.vertices + 500])
+    write_surface(tmp_path / "two.vtp", both, twice)
+    for name, message in (
+        ("open.vtp", r"open\.vtp: the surface has an open edge at \("),
+        ("m.vtp", r"m\.vtp: .* seems to be in metres; multiply the coordinates by 1000"),
+        ("two.vtp", r"two\.vtp: the surface falls into 2 pieces"),
+        ("none.vtp", r"none\.vtp: no such file \(torso\)"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_torso_surfaces(tmp_path / name, [], block_heart())

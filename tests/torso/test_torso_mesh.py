@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung, skin
+
+from fascicle.errors import InputError
+from fascicle.geometry.heart import boundary_triangles, signed_volumes
+from fascicle.geometry.surface import Label
+from fascicle.geometry.torso import Tissue
+from fascicle.torso.mesh import closed_cavity, mesh_torso
+from fascicle.torso.surfaces import Surface
+from fascicle.torso.within import check_within, crossing
+
+
+@pytest.fixture(scope="module")
+def heart():
+    return block_heart()
+
+
+@pytest.fixture(scope="module")
+def told() -> list[tuple[int, int]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def torso(heart, told):
+    return mesh_torso(heart, skin(), [lung(1), lung(-1)], lambda *step: told.append(step))
+
+
+def volume_of(torso, tissue) -> float:
+    volumes = signed_volumes(torso.vertices, torso.tetrahedra)
+    return float(volumes[torso.tissues == tissue].sum())
+
+
+def keys(triangles) -> set[tuple[int, ...]]:
+    return set(map(tuple, np.sort(triangles, axis=1).tolist()))
+
+
+def test_fills_the_torso_around_the_heart(heart, torso) -> None:
+    outside = signed_volumes(torso.vertices, torso.tetrahedra)
+    assert outside.min() > 0
+    whole = outside.sum() + signed_volumes(heart.vertices, heart.tetrahedra).sum()
+    assert whole / 1e6 == pytest.approx(skin().litres, rel=1e-9)
+
+
+def test_conforms_to_heart_and_skin(heart, torso) -> None:
+    np.testing.assert_array_equal(torso.vertices[: len(heart.vertices)], heart.vertices)
+    boundary, _ = boundary_triangles(torso.tetrahedra)
+    assert keys(heart.triangles) <= keys(boundary)
+    assert len(boundary) == len(heart.triangles) + len(skin().triangles)
+    # and together they leave no boundary but the skin
+    both, _ = boundary_triangles(np.concatenate([heart.tetrahedra, torso.tetrahedra]))
+    assert len(both) == len(skin().triangles)
+
+
+def test_tissues_have_their_volumes(heart, torso) -> None:
+    assert set(np.unique(torso.tissues)) == set(map(int, Tissue))
+    lungs = lung(1).litres + lung(-1).litres
+    assert volume_of(torso, Tissue.LUNG) / 1e6 == pytest.approx(lungs, rel=1e-9)
+    cubes = sum(np.prod(np.subtract(high, low)) for low, high in (LV, RV))
+    # the lid is known to the size of the tetrahedra, and those here are as large as the cubes
+    assert volume_of(torso, Tissue.BLOOD) == pytest.approx(cubes * CUBE**3, rel=0.04)
+
+
+def test_closed_cavities_are_exact(heart) -> None:
+    for label, (low, high) in ((Label.LV_ENDOCARDIUM, LV), (Label.RV_ENDOCARDIUM, RV)):
+        cubes = np.prod(np.subtract(high, low)) * CUBE**3
+        assert closed_cavity(heart, label).litres * 1e6 == pytest.approx(cubes, rel=1e-12)
+
+
+def test_blood_lies_in_the_cavities(torso) -> None:
+    centres = torso.vertices[torso.tetrahedra].mean(axis=1)[torso.tissues == Tissue.BLOOD] / CUBE
+    inside = [((centres > low) & (centres < high)).all(axis=1) for low, high in (LV, RV)]
+    assert np.any(inside, axis=0).all()
+
+
+def test_tells_how_far_it_is(torso, told) -> None:
+    total = told[0][1]
+    assert told[0] == (0, total)
+    assert told[-1] == (total, total)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def shifted(surface: Surface, by) -> Surface:
+    return Surface(surface.vertices + np.asarray(by, dtype=float), surface.triangles)
+
+
+def dented() -> Surface:
+    """A skin whose left pole is pulled out through its right side."""
+    surface = skin()
+    vertices = surface.vertices.copy()
+    vertices[np.argmax(vertices[:, 0]), 0] = -300.0
+    return Surface(vertices, surface.triangles)
+
+
+@pytest.mark.parametrize(
+    ("body", "lungs", "message"),
+    [
+        (Surface(skin().vertices / 10, skin().triangles), [], "seems to be in centimetres"),
+        (Surface(skin().vertices / 1000, skin().triangles), [], "seems to be in metres"),
+        (Surface(skin().vertices, skin().triangles[1:]), [], "an open edge at"),
+        (Surface(skin().vertices, skin().triangles[:, ::-1]), [], "inside out"),
+        (shifted(skin(), [500, 0, 0]), [], "block: lies outside the torso, 31. mm from its skin"),
+        (shifted(skin(), [0, 95, 0]), [], r"block: pokes \d+\.\d mm through the torso's skin at"),
+        (dented(), [], "torso: the surface crosses itself at"),
+        (skin(), [shifted(lung(), [-20, 0, 0])], r"lung 1: overlaps block by \d\.\d mm at"),
+        (skin(), [shifted(lung(), [40, 0, 0])], r"lung 1: pokes \d+\.\d mm through the torso"),
+        (skin(), [lung(), shifted(lung(), [5, 0, 9])], r"lung 2: overlaps lung 1 by \d\.\d mm"),
+        (skin(), [ellipsoid(HEART_CENTRE, (80, 60, 90))], "lung 1: overlaps block"),
+    ],
+)
+def test_refuses_surfaces_that_do_not_fit(heart, body, lungs, message) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        check_within(heart, body, lungs)
+    assert "\n" not in str(error.value)
+
+
+def test_names_the_files_of_surfaces(heart) -> None:
+    with pytest.raises(InputError, match=r"left\.stl: overlaps block"):
+        check_within(heart, skin(), [shifted(lung(), [-20, 0, 0])], ["skin.stl", "left.stl"])
+
+
+def test_refuses_a_turned_triangle(heart) -> None:
+    triangles = skin().triangles.copy()
+    triangles[5] = triangles[5, ::-1]
+    with pytest.raises(InputError, match="wound against each other"):
+        check_within(heart, Surface(skin().vertices, triangles))
+
+
+def test_refuses_an_open_heart(heart) -> None:
+    opened = replace(heart, triangles=heart.triangles[1:], labels=heart.labels[1:])
+    with pytest.raises(InputError, match="block: the surface has an open edge"):
+        check_within(opened, skin())
+
+
+def test_finds_no_crossing_of_nested_surfaces() -> None:
+    outer, inner = ellipsoid((0, 0, 0), (10, 10, 10)), ellipsoid((0, 0, 0), (9, 9, 9))
+    assert crossing(outer, inner) is None
+    assert crossing(outer, outer) is None
+    # an edge through one triangle is enough, and lies where the two meet
+    where = crossing(outer, shifted(inner, [1.5, 0, 0]))
+    assert where is not None
+    assert np.linalg.norm(where) == pytest.approx(10, abs=0.5)
