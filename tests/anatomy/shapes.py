@@ -15,7 +15,7 @@ LV_OUTER, LV_INNER = (32.0, 72.0), (22.0, 62.0)
 RV_OUTER, RV_INNER = (38.0, 62.0), (33.0, 57.0)
 RV_ASIDE = 22.0
 LV_WALL, RV_WALL = 10.0, 5.0  # mm
-FLAT = 1e-4  # mm that the base is off its plane
+FLAT = 1e-3  # mm that the base is off its plane
 
 
 def _signed(points: np.ndarray, axes: tuple[float, float], aside: float) -> np.ndarray:
@@ -48,7 +48,9 @@ def biventricular_surface(edge: float) -> LabelledSurface:
     # two layers next to the base, so that its rim is sharp
     z = np.concatenate([z[z < -0.5 * edge], [-FLAT, FLAT]])
     points = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
-    values = np.max(list(_parts(points).values()), axis=0)
+    parts = _parts(points)
+    parts[Label.BASE] *= edge / FLAT  # else the rim would be drawn to the nodes inside
+    values = np.max(list(parts.values()), axis=0)
     grid = pv.ImageData(dimensions=values.shape)
     made = grid.contour([0.0], scalars=values.ravel(order="F"), method="flying_edges")
     steps = np.asarray(made.points, dtype=float)

@@ -146,10 +146,12 @@ def spiked(surface: LabelledSurface) -> LabelledSurface:
     return replace(surface, vertices=vertices)
 
 
-def test_a_surface_that_cuts_itself_is_meshed_through():
+def test_a_surface_that_cuts_itself_is_meshed_through(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     broken = spiked(ventricles())
     assert len(self_intersections(broken.vertices, broken.triangles)) > 0
     repaired = prepared_surface(broken)
+    assert list(tmp_path.iterdir()) == []  # fTetWild leaves a file where it runs
     assert len(self_intersections(repaired.vertices, repaired.triangles)) == 0
     assert enclosed_volume(repaired) == pytest.approx(enclosed_volume(broken), rel=0.02)
     for label in ENDOCARDIA:

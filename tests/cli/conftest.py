@@ -140,6 +140,12 @@ class Ended:
     out: str
     err: str
 
+    @property
+    def well(self):
+        """Whether it ended well; hearts that are no human ones get warnings, one line each."""
+        warnings = self.err.splitlines()
+        return self.status == 0 and all(line.startswith("warning: ") for line in warnings)
+
 
 @pytest.fixture
 def run(monkeypatch, capfd):

@@ -30,17 +30,21 @@ def edit(heart, old, new):
     path.write_text(text.replace(old, new, 1))
 
 
-def test_packaged_heart(run):
-    ended = run("heart", "check", "default")
+def test_packaged_heart(run, outside):
+    ended = run("heart", "check", "default", "--picture", outside / "page.png")
     assert (ended.status, ended.err) == (0, "")
-    assert "35852 tetrahedra" in ended.out
+    assert "69851 tetrahedra" in ended.out
     assert ended.out.endswith("no problem found\n")
+    assert (outside / "page.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_good(heart, run):
     ended = run("heart", "check", f"{heart}/")
-    assert (ended.status, ended.err) == (0, "")
+    assert ended.well
+    assert "warning: LV cavity: 8.4 ml; human adults have 40 to 400" in ended.err
     assert ended.out.startswith("block\n")
+    assert f"{ended.err.count('warning: ')} warnings" in ended.out
+    assert (heart / "check.png").is_file()
 
 
 @pytest.mark.parametrize("command", ["check", "simulate"])

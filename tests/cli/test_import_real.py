@@ -29,9 +29,12 @@ def command(data_folder, outside):
 def test_with_the_published_seeds_to_an_ecg(command, outside, run):
     seeds = ["--lv-root", 388, "--lv-direction", 412, "--rv-root", 198, "--rv-direction", 186]
     ended = run(*command, *seeds)
-    assert (ended.status, ended.err) == (0, "")
-    assert "4569 vertices, 17866 tetrahedra" in ended.out
-    assert "226.5 ml, mean edge 4.8 mm" in ended.out
+    assert ended.well
+    # the published fibres turn the other way; a mesh of other software has a few flat elements
+    assert "the helix angle of the LV free wall goes from -53 degrees inside to" in ended.err
+    assert "smallest dihedral angle 1.6 degrees" in ended.err
+    assert ended.err.count("warning: ") == 2
+    assert "4569 vertices, 17866 tetrahedra, 226.5 ml, edges 4.8" in ended.out
     heart = load_heart(outside / "crtdemo")
     assert (heart.lv.root, heart.rv.direction) == (388, 186)
     np.testing.assert_allclose(np.linalg.norm(heart.fibres, axis=1), 1, atol=1e-12)

@@ -20,12 +20,12 @@ def grid(materials, **data):
 
 def test_import_and_check(materials, outside, run):
     ended = run(*materials.command(outside / "heart"))
-    assert (ended.status, ended.err) == (0, "")
+    assert ended.well
     assert "729 vertices, 3072 tetrahedra" in ended.out
     assert sorted(p.name for p in outside.iterdir()) == ["heart"]
     ended = run("heart", "check", outside / "heart")
-    assert (ended.status, ended.err) == (0, "")
-    assert "no problem found" in ended.out
+    assert ended.well
+    assert "warnings" in ended.out
     heart = load_heart(outside / "heart")
     np.testing.assert_allclose(np.abs(heart.fibres @ [0.6, 0, 0.8]), 1, atol=1e-12)
     assert heart.volumes.sum() == pytest.approx(60.0**3)
@@ -119,7 +119,7 @@ def write_tissue(materials, name):
 def test_every_tissue_format(materials, outside, run, name):
     file = write_tissue(materials, name)
     ended = run(*materials.command(outside / "heart", mesh=file, fibres=file))
-    assert (ended.status, ended.err) == (0, "")
+    assert ended.well
     heart = load_heart(outside / "heart")
     np.testing.assert_allclose(heart.vertices, materials.points, atol=1e-5)
     np.testing.assert_array_equal(heart.tetrahedra, materials.tetrahedra)
@@ -151,7 +151,7 @@ def test_every_surface_format(materials, outside, run, name):
     points, triangles = materials.lv_surface
     file = write_surface(materials.folder / name, points, triangles)
     ended = run(*materials.command(outside / "heart", lv_endocardium=file))
-    assert (ended.status, ended.err) == (0, "")
+    assert ended.well
     lv = load_heart(outside / "heart").lv
     assert len(lv.triangles) == len(triangles)
     area = pv.PolyData.from_regular_faces(points, triangles).area
@@ -218,5 +218,5 @@ def test_odd_names_and_paths(materials, outside, run, name):
     out = outside / f"{name} out" / name
     assert run(*materials.command(out)).status == 0
     ended = run("heart", "check", out)
-    assert (ended.status, ended.err) == (0, "")
+    assert ended.well
     assert load_heart(out).name == name

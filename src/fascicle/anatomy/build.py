@@ -19,7 +19,6 @@ from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.heart import Heart
 from fascicle.geometry.seeds import ChosenSeed, choose_seeds
 from fascicle.geometry.surface import LabelledMesh
-from fascicle.geometry.torso import Torso
 from fascicle.geometry.validate import check_electrodes, check_tetrahedra
 from fascicle.io.electrodes import read_electrodes
 from fascicle.io.torsos import read_torso_surfaces
@@ -185,7 +184,7 @@ def in_body(
     check_not_mirrored(source, heart)
     if surfaces is None:
         return heart
-    torso: Torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs)
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, _told(progress, "torso"))
     heart = replace(heart, torso=torso)
     fields = known_lead_fields(heart, Conduction(), _told(progress, "lead fields"))
     return replace(heart, lead_fields=fields)

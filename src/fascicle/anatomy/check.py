@@ -147,9 +147,11 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     found = {}
     for name, inner, outer in zip(WALLS, (0, 0, 2), (1, 2, 1), strict=True):
         outward = nearest[outer] - nearest[inner]
+        across = distances[inner] + distances[outer]
         between = (furthest != inner) & (furthest != outer) & outward.any(axis=1)
+        between &= np.isfinite(across)  # a label that is nowhere is infinitely far
         here = np.flatnonzero(between)  # where the surfaces meet, there is no way out of the wall
-        depth = distances[inner, here] / (distances[inner, here] + distances[outer, here])
+        depth = distances[inner, here] / across[here]
         found[name] = HelixAngles(depth, _helix(fibres[here], outward[here], base - apex))
     return found
 
@@ -272,6 +274,6 @@ def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:
         return []
     return [
         f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "
-        f"{outside:.0f} outside; in human hearts it falls, from about 60 to -60: check that neither "
-        "heart nor fibres are mirrored"
+        f"{outside:.0f} outside; in human hearts it falls, from about 60 to -60: check that "
+        "neither heart nor fibres are mirrored"
     ]

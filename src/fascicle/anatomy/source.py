@@ -117,7 +117,7 @@ def read_anatomy(source: Source, edge_length: float, told: Told | None = None) -
         If a file cannot be used; the message says why.
     """
     if source.file is None:
-        return Anatomy(mesh_surface(prepared_surface(_joined(source)), edge_length, told))
+        return Anatomy(_meshed(_joined(source), edge_length, told))
     suffix = source.file.name.lower()
     if suffix.endswith(SEGMENTATIONS):
         return _from_segmentation(source, source.file, edge_length, told)
@@ -144,9 +144,13 @@ def _from_surface(source: Source, file: Path, edge_length: float, told: Told | N
     mesh = read_mesh(file, "surface")
     if has_labels(mesh, source.array, source.labels_file):
         surface = read_labelled_surface(file, source.array, source.numbers, source.labels_file)
-        return Anatomy(mesh_surface(prepared_surface(surface), edge_length, told))
+        return Anatomy(_meshed(surface, edge_length, told))
     surface = classify_surface(*_triangles(mesh), str(file))
-    return Anatomy(mesh_surface(surface, edge_length, told), notes=GUESSED)
+    return Anatomy(_meshed(surface, edge_length, told), notes=GUESSED)
+
+
+def _meshed(surface: LabelledSurface, edge_length: float, told: Told | None) -> LabelledMesh:
+    return mesh_surface(prepared_surface(surface), edge_length, told)
 
 
 def _from_segmentation(
@@ -156,7 +160,7 @@ def _from_segmentation(
     segmentation = read_segmentation(file)
     labels = _segmentation_labels(source.numbers)
     surface = surface_from_segmentation(segmentation, labels, noted=notes.append)
-    mesh = mesh_surface(surface, edge_length, told)
+    mesh = _meshed(surface, edge_length, told)
     if labels.scar is not None:
         centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
         mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -318,7 +319,7 @@ def _seeds(
 def _seed(option: str, text: str | None) -> ChosenSeed:
     if text is None:
         return None
-    if text.strip().isdigit():
+    if re.fullmatch(r"\s*-?\d+\s*", text):
         return int(text)
     values = _floats(text)
     if values is None or len(values) != 3:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import igl
 import numpy as np
@@ -90,7 +91,7 @@ class Heart:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything that the forward model depends on."""
-        arrays = [self.vertices, self.tetrahedra, self.fibres, self.electrodes]
+        arrays: list[NDArray[Any]] = [self.vertices, self.tetrahedra, self.fibres, self.electrodes]
         for endocardium in self.endocardia:
             seeds = np.array([endocardium.root, endocardium.direction])
             arrays += [endocardium.vertices, endocardium.triangles, seeds]

@@ -123,7 +123,8 @@ def _lead_fields(mesh: Mesh, key: str | None) -> LeadFields | None:
     if key is None:
         return None
     names = [f"{LEAD_FIELD}{electrode}" for electrode in ELECTRODES]
-    missing = [name for name in names if np.shape(mesh.point_data.get(name)) != (len(mesh.points),)]
+    shape = (len(mesh.points),)
+    missing = [name for name in names if np.shape(mesh.point_data.get(name, 0.0)) != shape]
     if missing:
         raise InputError(
             f"{mesh.path}: the point array '{missing[0]}' is missing; build the heart again, or "

@@ -193,6 +193,7 @@ def _paint(
 
 def _plot_helix(axes: Axes, check: HeartCheck) -> None:
     """Median and middle half of the angles over depth, wall by wall."""
+    axes.axhline(0, color=GREY, linewidth=0.5)
     edges = np.linspace(0, 1, 11)
     for name, helix in check.helix.items():
         layer = np.digitize(helix.depth, edges[1:-1])
@@ -203,11 +204,11 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
         middle = (edges[:-1] + edges[1:])[there] / 2
         axes.fill_between(middle, spread[0], spread[2], color=WALL_COLOURS[name], alpha=0.15, lw=0)
         axes.plot(middle, spread[1], color=WALL_COLOURS[name], label=name)
-    axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))
     axes.set_xlabel("depth (0 inside, 1 outside)", fontsize=LABEL_SIZE)
     axes.set_ylabel("helix angle (degrees)", fontsize=LABEL_SIZE)
-    axes.legend(frameon=False, fontsize=TICK_SIZE)
+    if axes.lines[1:]:
+        axes.legend(frameon=False, fontsize=TICK_SIZE)
     axes.set_title("fibre angles: median, middle half", fontsize=TITLE_SIZE)
     tidy(axes)
 
@@ -221,12 +222,13 @@ def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
         if wall.thickness.size:
             share = np.full(wall.thickness.size, 100 / wall.thickness.size)
             axes.hist(
-                wall.thickness, bins.tolist(), weights=share, histtype="step", color=WALL_COLOURS[name],
-                label=f"{name}: {wall.median:.1f} mm",
+                wall.thickness, bins.tolist(), weights=share, histtype="step",
+                color=WALL_COLOURS[name], label=f"{name}: {wall.median:.1f} mm",
             )  # fmt: skip
     axes.set_xlabel("wall thickness (mm)", fontsize=LABEL_SIZE)
     axes.set_ylabel("endocardial points (%)", fontsize=LABEL_SIZE)
-    axes.legend(frameon=False, fontsize=TICK_SIZE, title="median", title_fontsize=TICK_SIZE)
+    if any(wall.thickness.size for wall in walls):
+        axes.legend(frameon=False, fontsize=TICK_SIZE, title="median", title_fontsize=TICK_SIZE)
     axes.set_title("wall thickness", fontsize=TITLE_SIZE)
     tidy(axes)
 

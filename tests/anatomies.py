@@ -1,0 +1,294 @@
+"""Thick-walled ventricles whose volumes are known, in every kind of file a heart is built from."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import igl
+import meshio
+import nibabel
+import nrrd
+import numpy as np
+import pyvista as pv
+from scipy.spatial import Delaunay, cKDTree
+
+from fascicle.anatomy.closed import prepared_surface
+from fascicle.anatomy.meshing import mesh_surface
+from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
+from fascicle.leads import ELECTRODES
+from fascicle.torso.surfaces import Surface
+
+EPI, BASE = Label.EPICARDIUM, Label.BASE
+LV, RV = Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM
+# Half-ellipsoids below z = 0: half-axes, and centre along x (mm). The right cavity is bent around
+# the left one by a shear, which leaves its volume as it is.
+HALF_AXES = {EPI: (54.0, 38.0, 68.0), LV: (20.0, 20.0, 52.0), RV: (17.0, 25.0, 47.0)}
+CENTRE_X = {EPI: 22.0, LV: 0.0, RV: 48.0}  # mm
+BEND = {EPI: 0.0, LV: 0.0, RV: 1 / 80}  # 1/mm
+SUBDIVISIONS = 4  # of the four triangles of a half octahedron
+BASE_EDGE = 5.0  # mm
+
+EDGE = 7.0  # mm; walls of 10 mm have room for two
+COARSER = 8.0  # mm, for which they have none
+# Of the idealised torso around these ventricles, to 1 mm
+PLACES = {
+    "RA": (157, 28, 153), "LA": (-47, 165, -3), "LL": (-2, -172, -286),
+    "V1": (117, 9, -36), "V2": (82, 33, -63), "V3": (56, 33, -90),
+    "V4": (26, 31, -114), "V5": (-33, 40, -123), "V6": (-98, 21, -96),
+}  # fmt: skip
+NETWORK = {
+    "lv_initial_length": 25.0, "rv_initial_length": 25.0,
+    "lv_fascicle_length_1": 10.0, "lv_fascicle_length_2": 12.0,
+    "rv_fascicle_length_1": 12.0, "rv_fascicle_length_2": 10.0,
+    "lv_fascicle_angle_1": 0.9, "lv_fascicle_angle_2": -0.6,
+    "rv_fascicle_angle_1": 0.7, "rv_fascicle_angle_2": -0.4,
+    "root_time": 0.0, "cv": 2.5,
+}  # fmt: skip
+
+# A sphere around a point outside the left ventricle's free wall
+SCAR_CENTRE, SCAR_RADIUS = np.array([-32.0, 0.0, -22.0]), 24.0  # mm
+NUMBERS = {LV: 1, RV: 2, EPI: 3}  # of blood and muscle in segmentations
+SCAR = 4
+VOXEL = 2.0  # mm
+GROUPS = {BASE: "base", EPI: "epi", LV: "lv_endo", RV: "rv_endo"}
+
+
+def volume_below(label: Label) -> float:
+    """Exact volume of a half-ellipsoid (ml)."""
+    return float(2 / 3 * np.pi * np.prod(HALF_AXES[label])) / 1000
+
+
+MYOCARDIUM = volume_below(EPI) - volume_below(LV) - volume_below(RV)  # ml
+
+
+def enclosed(label: Label, points: np.ndarray) -> np.ndarray:
+    """Which points lie within an ellipsoid, above the base too."""
+    straight = points - [CENTRE_X[label], 0, 0]
+    straight[..., 0] += BEND[label] * points[..., 1] ** 2
+    return ((straight / HALF_AXES[label]) ** 2).sum(axis=-1) < 1
+
+
+def _in_wall(points: np.ndarray) -> np.ndarray:
+    return enclosed(EPI, points) & ~enclosed(LV, points) & ~enclosed(RV, points)
+
+
+def half_ellipsoid(label: Label) -> tuple[np.ndarray, np.ndarray]:
+    """Points and triangles of one, counter-clockwise seen from outside; the rim is at z = 0."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
+    faces = np.array([[1, 4, 0], [2, 4, 1], [3, 4, 2], [0, 4, 3]])
+    points, faces = igl.upsample(corners, faces, SUBDIVISIONS)
+    points = points / np.linalg.norm(points, axis=1, keepdims=True) * HALF_AXES[label]
+    points[:, 0] += CENTRE_X[label] - BEND[label] * points[:, 1] ** 2
+    points[np.abs(points[:, 2]) < 1e-9, 2] = 0.0
+    return points, np.asarray(faces, dtype=np.int64)
+
+
+def _base(rims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, 2), the rims' first, and triangles of the flat base between three rims."""
+    rows = np.arange(-40, 41, BASE_EDGE * np.sqrt(0.75))
+    grid = np.stack(np.meshgrid(np.arange(-40, 85, BASE_EDGE), rows), axis=-1)
+    grid[1::2, :, 0] += BASE_EDGE / 2
+    inner = grid.reshape(-1, 2)
+    inner = inner[_in_wall(np.column_stack([inner, np.zeros(len(inner))]))]
+    inner = inner[cKDTree(rims).query(inner)[0] > 0.6 * BASE_EDGE]
+    points = np.concatenate([rims, inner])
+    triangles = Delaunay(points).simplices
+    middle = points[triangles].mean(axis=1)
+    triangles = triangles[_in_wall(np.column_stack([middle, np.zeros(len(middle))]))]
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    return points, triangles
+
+
+@cache
+def ventricles() -> LabelledSurface:
+    """The closed surface; its points are single precision, as STL has them, and in its order."""
+    parts = {label: half_ellipsoid(label) for label in HALF_AXES}
+    first = np.cumsum([0, *(len(points) for points, _ in parts.values())])
+    points = np.concatenate([points for points, _ in parts.values()])
+    faces = [triangles + start for (_, triangles), start in zip(parts.values(), first, strict=False)]
+    faces[1:] = [cavity[:, ::-1] for cavity in faces[1:]]  # normals leave the tissue
+    rims = np.flatnonzero(points[:, 2] == 0)
+    flat, triangles = _base(points[rims, :2])
+    number = np.concatenate([rims, len(points) + np.arange(len(flat) - len(rims))])
+    points = np.concatenate([points, np.column_stack([flat, np.zeros(len(flat))])[len(rims) :]])
+    faces.append(number[triangles])
+    triangles = np.concatenate(faces)
+    used, order = np.unique(triangles, return_index=True)
+    used = used[np.argsort(order)]
+    renumbered = np.empty(len(points), dtype=np.int64)
+    renumbered[used] = np.arange(len(used))
+    labels = np.repeat([*parts, BASE], [len(part) for part in faces]).astype(np.int64)
+    return LabelledSurface(
+        points[used].astype(np.float32).astype(float), renumbered[triangles], labels, "ventricles"
+    )
+
+
+@cache
+def tissue() -> LabelledMesh:
+    """Tetrahedra of the ventricles."""
+    return mesh_surface(prepared_surface(ventricles()), EDGE)
+
+
+def circular_fibres(mesh: LabelledMesh) -> np.ndarray:
+    """Unit directions around the z axis through the middle, one a tetrahedron."""
+    x, y, _ = (mesh.vertices[mesh.tetrahedra].mean(axis=1) - [CENTRE_X[EPI], 0, 0]).T
+    around = np.column_stack([-y, x, np.zeros(len(x))])
+    return around / np.linalg.norm(around, axis=1, keepdims=True)
+
+
+def quarters(mesh: LabelledMesh) -> np.ndarray:
+    """A region for each tetrahedron: 1 or 2 by the side of y = 0."""
+    return 1 + (mesh.vertices[mesh.tetrahedra].mean(axis=1)[:, 1] > 0)
+
+
+def write_electrodes(path: Path, shift=(0.0, 0.0, 0.0)) -> Path:
+    """The nine standard electrodes as CSV."""
+    rows = [",".join(map(str, [name, *np.add(PLACES[name], shift)])) for name in ELECTRODES]
+    path.write_text("\n".join(["name,x,y,z", *rows]) + "\n")
+    return path
+
+
+def write_surface(path: Path, points=None, triangles=None, **arrays) -> Path:
+    """A surface, the ventricles' if no other is given, with arrays of its triangles."""
+    points = ventricles().vertices if points is None else points
+    triangles = ventricles().triangles if triangles is None else triangles
+    if path.suffix == ".obj":
+        lines = ["v " + " ".join(map(repr, row)) for row in np.asarray(points).tolist()]
+        lines += ["f " + " ".join(map(str, row)) for row in (np.asarray(triangles) + 1).tolist()]
+        path.write_text("\n".join(lines) + "\n")
+        return path
+    data = pv.PolyData.from_regular_faces(np.asarray(points), np.asarray(triangles))
+    for name, values in arrays.items():
+        data.cell_data[name] = values
+    data.save(path)
+    return path
+
+
+def write_labelled(path: Path, points=None, labels=None) -> Path:
+    """The ventricles with their labels in the array `class`."""
+    labels = ventricles().labels if labels is None else labels
+    return write_surface(path, points, **{"class": labels})
+
+
+def write_parts(folder: Path, gap: float = 0.0, rng=None) -> dict[str, Path]:
+    """One STL file for each label, apart from the base by `gap` mm, as separate programs give."""
+    whole, files = ventricles(), {}
+    names = {LV: "lv-endocardium", RV: "rv-endocardium", EPI: "epicardium", BASE: "base"}
+    for label, name in names.items():
+        used, corners = np.unique(whole.having(label), return_inverse=True)
+        points = whole.vertices[used] + [0, 0, gap if label == BASE else 0]
+        files[name] = write_surface(folder / f"{name}.stl", points, corners.reshape(-1, 3))
+    return files
+
+
+def write_vtu(path: Path, *, labelled: bool, mesh: LabelledMesh | None = None) -> Path:
+    """Tetrahedra, and their labelled boundary."""
+    mesh = mesh if mesh is not None else tissue()
+    blocks = {pv.CellType.TETRA: mesh.tetrahedra}
+    if labelled:
+        blocks = {pv.CellType.TRIANGLE: mesh.triangles, **blocks}
+    grid = pv.UnstructuredGrid(blocks, mesh.vertices)
+    if labelled:
+        none = np.zeros(len(mesh.tetrahedra), dtype=np.int64)
+        grid.cell_data["label"] = np.concatenate([mesh.labels, none])
+    grid.save(path)
+    return path
+
+
+def write_gmsh(path: Path) -> Path:
+    """Tetrahedra in two physical volumes, and the boundary in physical surfaces."""
+    mesh = tissue()
+    cells, numbers = [("tetra", mesh.tetrahedra)], [quarters(mesh)]
+    names = {"front": np.array([1, 3]), "back": np.array([2, 3])}
+    for label, name in GROUPS.items():
+        cells.append(("triangle", mesh.having(label)))
+        numbers.append(np.full(len(cells[-1][1]), 10 + label))
+        names[name] = np.array([10 + label, 2])
+    data = {"gmsh:physical": numbers, "gmsh:geometrical": numbers}
+    meshio.write(
+        path,
+        meshio.Mesh(mesh.vertices, cells, cell_data=data, field_data=names),
+        file_format="gmsh22",
+    )
+    return path
+
+
+def write_opencarp(folder: Path) -> Path:
+    """A mesh of openCARP (µm) with fibres, tags, and a `.surf` file for each label."""
+    mesh = tissue()
+
+    def write(name: str, header: list[object], rows: np.ndarray, lead: str = "") -> None:
+        lines = [lead + " ".join(map(repr, row)) for row in rows.tolist()]
+        (folder / name).write_text("\n".join([*map(str, header), *lines]) + "\n")
+
+    write("carp.pts", [len(mesh.vertices)], mesh.vertices * 1000)
+    tagged = np.column_stack([mesh.tetrahedra, quarters(mesh)])
+    write("carp.elem", [len(tagged)], tagged, "Tt ")
+    write("carp.lon", [1], circular_fibres(mesh))
+    for label, name in GROUPS.items():
+        rows = mesh.having(label)
+        write(f"carp_{name}.surf", [len(rows)], rows, "Tr ")
+    return folder / "carp.pts"
+
+
+@cache
+def label_map(voxel: float = VOXEL) -> tuple[np.ndarray, np.ndarray]:
+    """Labels of voxels, whose uppermost layer ends at the base, and the affine from index to mm."""
+    first, last = np.array([-36.0, -42.0, -74.0]), np.array([80.0, 42.0, 0.0])
+    axes = [np.arange(a + voxel / 2, b, voxel) for a, b in zip(first, last, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    labels = np.where(_in_wall(points), NUMBERS[EPI], 0)
+    scar = np.linalg.norm(points - SCAR_CENTRE, axis=-1) < SCAR_RADIUS
+    labels[(labels > 0) & scar] = SCAR
+    for cavity in (LV, RV):
+        labels[enclosed(cavity, points)] = NUMBERS[cavity]
+    affine = np.diag([voxel, voxel, voxel, 1.0])
+    affine[:3, 3] = first + voxel / 2
+    return np.pad(labels, ((0, 0), (0, 0), (0, 3))).astype(np.int16), affine
+
+
+@cache
+def scar_volume() -> float:
+    """Volume of the scar (ml), by a fine midpoint rule."""
+    labels, _ = label_map(0.75)
+    return float((labels == SCAR).sum()) * 0.75**3 / 1000
+
+
+def write_nifti(path: Path, labels=None) -> Path:
+    """The label map in RAS+, its last voxel axis running down."""
+    own, affine = label_map()
+    labels = own if labels is None else labels
+    turned = affine.copy()
+    turned[:3, 3] += affine[:3, 2] * (labels.shape[2] - 1)
+    turned[:3, 2] *= -1
+    image = nibabel.Nifti1Image(np.ascontiguousarray(labels[:, :, ::-1]), turned)
+    image.header.set_xyzt_units("mm")
+    nibabel.save(image, path)
+    return path
+
+
+def write_nrrd(path: Path, spacing: bool = True) -> Path:
+    """The label map in LPS, as ITK writes it."""
+    labels, affine = label_map()
+    lps = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine
+    fields = {
+        "space": "left-posterior-superior",
+        "space directions": lps[:3, :3].T,
+        "space origin": lps[:3, 3],
+        "encoding": "gzip",
+    }
+    nrrd.write(str(path), labels, fields if spacing else {})
+    return path
+
+
+def body(half_axes=(130.0, 105.0, 150.0), centre=(22.0, 0.0, -30.0)) -> Surface:
+    """A coarse closed skin around the ventricles."""
+    corners = np.concatenate([np.eye(3), -np.eye(3)])
+    upper = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)])
+    faces = np.concatenate([upper, np.where(upper == 2, 5, upper)[:, ::-1]]).astype(np.int64)
+    points, faces = igl.upsample(corners, faces, 4)
+    points = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return Surface(points * np.asarray(half_axes) + np.asarray(centre), faces.astype(np.int64))
