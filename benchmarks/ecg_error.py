@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from fascicle.ecg.action_potential import Upstroke
+from fascicle.cable.stored import default_template
 from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
 from fascicle.eikonal.tissue import EDGES, barycentric_gradients
@@ -89,7 +89,7 @@ class ActivatedMesh:
             np.abs(signed_volumes(self.vertices, self.corners)),
             Conduction().intracellular(self.fibres),
             gradients,
-            Upstroke(),
+            default_template(),
         )
 
     def mean_gradients(self, electrodes: Array) -> Array:

@@ -93,11 +93,11 @@ def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
 
 def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
     """Time and memory of the forward run on a prepared heart; for a process of its own."""
-    from fascicle.ecg.action_potential import Upstroke
+    from fascicle.cable.stored import default_template
     from fascicle.forward import ForwardModel
     from fascicle.preparation import load_with_heart
 
-    heart, prepared = load_with_heart(path, Upstroke())
+    heart, prepared = load_with_heart(path, default_template())
     model = ForwardModel(heart, prepared=prepared)
     new = networks(parameters)
     model.simulate(next(new))

@@ -23,8 +23,8 @@ EPI, BASE = Label.EPICARDIUM, Label.BASE
 LV, RV = Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM
 # Half-ellipsoids below z = 0: half-axes, and centre along x (mm). The right cavity is bent around
 # the left one by a shear, which leaves its volume as it is.
-HALF_AXES = {EPI: (54.0, 38.0, 68.0), LV: (20.0, 20.0, 52.0), RV: (17.0, 25.0, 47.0)}
-CENTRE_X = {EPI: 22.0, LV: 0.0, RV: 48.0}  # mm
+HALF_AXES = {EPI: (55.5, 38.0, 68.0), LV: (20.0, 20.0, 52.0), RV: (18.0, 25.0, 48.0)}
+CENTRE_X = {EPI: 22.5, LV: 0.0, RV: 49.0}  # mm
 BEND = {EPI: 0.0, LV: 0.0, RV: 1 / 80}  # 1/mm
 SUBDIVISIONS = 4  # of the four triangles of a half octahedron
 BASE_EDGE = 5.0  # mm
@@ -108,7 +108,9 @@ def ventricles() -> LabelledSurface:
     parts = {label: half_ellipsoid(label) for label in HALF_AXES}
     first = np.cumsum([0, *(len(points) for points, _ in parts.values())])
     points = np.concatenate([points for points, _ in parts.values()])
-    faces = [triangles + start for (_, triangles), start in zip(parts.values(), first, strict=False)]
+    faces = [
+        triangles + start for (_, triangles), start in zip(parts.values(), first, strict=False)
+    ]
     faces[1:] = [cavity[:, ::-1] for cavity in faces[1:]]  # normals leave the tissue
     rims = np.flatnonzero(points[:, 2] == 0)
     flat, triangles = _base(points[rims, :2])
@@ -139,7 +141,7 @@ def circular_fibres(mesh: LabelledMesh) -> np.ndarray:
     return around / np.linalg.norm(around, axis=1, keepdims=True)
 
 
-def quarters(mesh: LabelledMesh) -> np.ndarray:
+def halves(mesh: LabelledMesh) -> np.ndarray:
     """A region for each tetrahedron: 1 or 2 by the side of y = 0."""
     return 1 + (mesh.vertices[mesh.tetrahedra].mean(axis=1)[:, 1] > 0)
 
@@ -173,7 +175,7 @@ def write_labelled(path: Path, points=None, labels=None) -> Path:
     return write_surface(path, points, **{"class": labels})
 
 
-def write_parts(folder: Path, gap: float = 0.0, rng=None) -> dict[str, Path]:
+def write_parts(folder: Path, gap: float = 0.0) -> dict[str, Path]:
     """One STL file for each label, apart from the base by `gap` mm, as separate programs give."""
     whole, files = ventricles(), {}
     names = {LV: "lv-endocardium", RV: "rv-endocardium", EPI: "epicardium", BASE: "base"}
@@ -184,9 +186,15 @@ def write_parts(folder: Path, gap: float = 0.0, rng=None) -> dict[str, Path]:
     return files
 
 
-def write_vtu(path: Path, *, labelled: bool, mesh: LabelledMesh | None = None) -> Path:
-    """Tetrahedra, and their labelled boundary."""
-    mesh = mesh if mesh is not None else tissue()
+def in_scar(mesh: LabelledMesh) -> np.ndarray:
+    """Region 1 where the middle of a tetrahedron lies in the scar, else 0."""
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    return (np.linalg.norm(middle - SCAR_CENTRE, axis=1) < SCAR_RADIUS).astype(np.int64)
+
+
+def write_vtu(path: Path, *, labelled: bool, scar: bool = False) -> Path:
+    """Tetrahedra, perhaps with their labelled boundary, perhaps with a region of scar."""
+    mesh = tissue()
     blocks = {pv.CellType.TETRA: mesh.tetrahedra}
     if labelled:
         blocks = {pv.CellType.TRIANGLE: mesh.triangles, **blocks}
@@ -194,6 +202,9 @@ def write_vtu(path: Path, *, labelled: bool, mesh: LabelledMesh | None = None) -
     if labelled:
         none = np.zeros(len(mesh.tetrahedra), dtype=np.int64)
         grid.cell_data["label"] = np.concatenate([mesh.labels, none])
+    if scar:
+        none = np.zeros(grid.n_cells - len(mesh.tetrahedra), dtype=np.int64)
+        grid.cell_data["region"] = np.concatenate([none, in_scar(mesh)])
     grid.save(path)
     return path
 
@@ -201,7 +212,7 @@ def write_vtu(path: Path, *, labelled: bool, mesh: LabelledMesh | None = None) -
 def write_gmsh(path: Path) -> Path:
     """Tetrahedra in two physical volumes, and the boundary in physical surfaces."""
     mesh = tissue()
-    cells, numbers = [("tetra", mesh.tetrahedra)], [quarters(mesh)]
+    cells, numbers = [("tetra", mesh.tetrahedra)], [halves(mesh)]
     names = {"front": np.array([1, 3]), "back": np.array([2, 3])}
     for label, name in GROUPS.items():
         cells.append(("triangle", mesh.having(label)))
@@ -225,7 +236,7 @@ def write_opencarp(folder: Path) -> Path:
         (folder / name).write_text("\n".join([*map(str, header), *lines]) + "\n")
 
     write("carp.pts", [len(mesh.vertices)], mesh.vertices * 1000)
-    tagged = np.column_stack([mesh.tetrahedra, quarters(mesh)])
+    tagged = np.column_stack([mesh.tetrahedra, halves(mesh)])
     write("carp.elem", [len(tagged)], tagged, "Tt ")
     write("carp.lon", [1], circular_fibres(mesh))
     for label, name in GROUPS.items():
@@ -237,7 +248,7 @@ def write_opencarp(folder: Path) -> Path:
 @cache
 def label_map(voxel: float = VOXEL) -> tuple[np.ndarray, np.ndarray]:
     """Labels of voxels, whose uppermost layer ends at the base, and the affine from index to mm."""
-    first, last = np.array([-36.0, -42.0, -74.0]), np.array([80.0, 42.0, 0.0])
+    first, last = np.array([-36.0, -42.0, -74.0]), np.array([82.0, 42.0, 0.0])
     axes = [np.arange(a + voxel / 2, b, voxel) for a, b in zip(first, last, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     labels = np.where(_in_wall(points), NUMBERS[EPI], 0)

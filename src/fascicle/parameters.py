@@ -105,9 +105,9 @@ def check_names(values: Mapping[str, float], names: tuple[str, ...]) -> None:
         raise InputError(f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}")
 
 
-# A network with an ECG within normal limits: QRS 100 ms, normal axis, R growing to V5. Found by a
-# random search on the packaged heart and on the mean shape of 1000 hearts (Cobiveco's geo1), both in
-# the idealised torso; with root_time -60 both show left bundle branch block.
+# A network with an ECG within normal limits: QRS 100 ms, normal axis, R growing to V4. Found by a
+# random search on the packaged heart and on the mean shape of 1000 hearts (Cobiveco's geo1), both
+# in the idealised torso; with root_time -60 both show left bundle branch block.
 EXAMPLE_PARAMETERS: dict[str, float] = {
     "lv_initial_length": 64.0,
     "rv_initial_length": 86.0,

@@ -9,7 +9,7 @@ import pytest
 from builders import activate, box, conduction_for, heart_vertices, vertex_at
 
 from fascicle.ecg.electrocardiogram import build_electrocardiograph
-from fascicle.ecg.lead_field import unbounded_gradients
+from fascicle.ecg.lead_field import nodal_gradients
 from fascicle.eikonal.scenario import Scenario, Slowing, Stimulus
 from fascicle.eikonal.tissue import barycentric_gradients, build_tissue
 from fascicle.errors import InputError
@@ -136,7 +136,10 @@ class TestStimuli:
 
     def test_of_a_tree_that_fires_before_zero_pre_excites(self, simulate, normal):
         """A His-side stimulus of both trees at −30 ms is the normal beat 30 ms earlier."""
-        roots = [Stimulus(-30.0, tuple(tree.nodes[tree.root]), tree.side) for tree in normal.trees]
+        roots = [
+            Stimulus(float(times[tree.root]) - 30.0, tuple(tree.nodes[tree.root]), tree.side)
+            for tree, times in zip(normal.trees, normal.coupled.trees, strict=True)
+        ]
         early = simulate(stimuli=tuple(roots))
         np.testing.assert_allclose(early.activation, normal.activation - 30.0, atol=1e-9)
         assert early.ecg.time.to_numpy()[0] == 0.0, "the trees fire earlier, the myocardium not"
@@ -218,7 +221,7 @@ class TestSlowings:
         later = cut.coupled.trees[0] - normal.coupled.trees[0]
         assert np.isfinite(later[beyond]).all()
         assert later[beyond].max() > 5
-        assert cut.coupled.antidromic[0].sum() > normal.coupled.antidromic[0].sum() + 10
+        assert cut.coupled.antidromic[0].sum() > normal.coupled.antidromic[0].sum() + 5
 
 
 class TestDelays:
@@ -258,7 +261,7 @@ class TestSilentRoots:
         assert times[silent.trees[0].root] == times[bundle].max()
         assert times[silent.trees[0].root] > 50
         assert np.isfinite(times).all()
-        assert silent.coupled.trees[1][silent.trees[1].root] == 0
+        assert silent.coupled.trees[1][silent.trees[1].root] == EXAMPLE_PARAMETERS["root_time"]
 
 
 class TestExtraTrees:
@@ -343,20 +346,21 @@ class TestScar:
         later = (simulation.activation - normal.activation)[reached]
         assert later.max() > 5
         # where the straight way is slow the one that bends around the scar can be the better guess:
-        # measured at 1.2 % of the vertices, by 0.17 ms on average and 1.0 at most
-        assert later.min() > -1.5
+        # measured at less than 2 % of the vertices, by 1.6 ms at most
+        assert later.min() > -2.0
         assert (later < -1e-9).mean() < 0.02
 
     def test_ecg_is_that_of_the_rest(self, simulation, normal, default_heart, scarred, scar):
         """The same as if the elements of the scar were not there at all."""
         heart, conduction = default_heart, scarred.conduction
         rest, fibres = heart.tetrahedra[~scar], heart.fibres[~scar]
+        barycentric = barycentric_gradients(heart.vertices, rest)
         electrocardiograph = build_electrocardiograph(
             rest,
-            barycentric_gradients(heart.vertices, rest),
+            barycentric,
             heart.volumes[~scar],
             conduction.intracellular(fibres),
-            unbounded_gradients(heart.vertices, rest, heart.electrodes, conduction.torso),
+            nodal_gradients(heart.lead_fields.values, rest, barycentric),
             scarred.action_potential,
         )
         expected = electrocardiograph.leads(simulation.activation)

@@ -18,6 +18,8 @@ DEFAULT_CELL = "endocardial"
 BEFORE = 4.0  # ms before the upstroke; the foot of the front is then below 1e-6 of the rise
 OPENING = 0.5  # ms over which the window lets U′ in
 UNTIL = 60.0  # ms after the upstroke
+FROM = (-5.0, -2.0, 3.0, 15.0, 100.0)  # ms from which a record is kept every so many ms:
+EVERY = (5.0, 0.05, 0.02, 0.05, 0.5, 2.0)
 TAPER = 10.0  # ms over which the window fades U′ out
 
 
@@ -92,6 +94,9 @@ class CableTemplate:
     def __hash__(self) -> int:
         return hash(self.digest)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return CableTemplate, (self.cell, self.times, self.potentials, self.speed, self.until)
+
     def __repr__(self) -> str:
         return f"CableTemplate({self.cell}, until={self.until:g} ms, {self.digest[:12]})"
 
@@ -139,4 +144,14 @@ def make_template(cell: str = DEFAULT_CELL, until: float = UNTIL) -> CableTempla
 def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate:
     """The template in a cable's record."""
     times = run.time - max_upstroke(run.time, run.potential)[1]
-    return CableTemplate(cell, times, run.potential, run.speed, until)
+    kept = _thinned(times)
+    return CableTemplate(cell, kept, CubicSpline(times, run.potential)(kept), run.speed, until)
+
+
+def _thinned(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times at which a record is kept, so that it is small enough to go along with every task."""
+    parts = [
+        np.arange(begin, end, step)
+        for begin, end, step in zip((times[0], *FROM), (*FROM, times[-1]), EVERY, strict=True)
+    ]
+    return np.concatenate([*parts, [times[-1]]])

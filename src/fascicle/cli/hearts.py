@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from fascicle.geometry.seeds import ChosenSeed
     from fascicle.harmonic.chart import Chart
 
-PICTURE = "check.png"
-
 heart_app = typer.Typer(
     no_args_is_help=True,
     help="Build heart folders from an anatomy or a finished mesh; check and export them.",
@@ -213,7 +211,7 @@ def heart_check(
     ] = None,
 ) -> None:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
-    from fascicle.io.hearts import load_heart
+    from fascicle.io.hearts import PICTURE, load_heart
 
     loaded = load_heart(heart)
     charts = _growable_charts(loaded, {"lv": heart, "rv": heart})
@@ -241,7 +239,7 @@ def heart_export(
 
 def _write_and_check(heart: Heart, folder: Path) -> None:
     """Write a heart folder with its picture in it, and print what it holds."""
-    from fascicle.io.hearts import write_heart
+    from fascicle.io.hearts import PICTURE, write_heart
 
     sources = {"lv": folder, "rv": folder}
     charts = _growable_charts(heart, sources)

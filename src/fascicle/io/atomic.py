@@ -6,7 +6,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -42,11 +42,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def atomic_folder(folder: Path) -> Iterator[Path]:
+def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Path]:
     """Give a temporary folder that takes the place of `folder` on success.
 
     A folder that stands there already is replaced only once the new one is complete, and only if
     the new one has every file that the old one has: what somebody else put there is not lost.
+    Files whose names are `disposable` may go.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         yield temporary
         temporary.chmod(0o755)
         if folder.exists():
-            _check_nothing_lost(folder, temporary)
+            _check_nothing_lost(folder, temporary, disposable)
             shutil.rmtree(folder)
         os.replace(temporary, folder)
     except OSError as error:
@@ -92,9 +93,9 @@ def _make_parent(path: Path) -> None:
         ) from None
 
 
-def _check_nothing_lost(old: Path, new: Path) -> None:
+def _check_nothing_lost(old: Path, new: Path, disposable: Collection[str]) -> None:
     for path in sorted(old.rglob("*")):
-        if DISPOSABLE in path.relative_to(old).parts:
+        if {DISPOSABLE, *disposable}.intersection(path.relative_to(old).parts):
             continue
         if not (new / path.relative_to(old)).exists():
             raise InputError(

@@ -36,6 +36,8 @@ from fascicle.io.torsos import read_torso, write_torso
 from fascicle.leads import ELECTRODES
 
 MANIFEST = "heart.toml"
+TORSO = "torso.vtu"
+PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
 DEFAULT_HEART = "default"
 FORMAT = "fascicle heart 1"
 REGION = "region"  # cell array of labels
@@ -336,7 +338,7 @@ def write_heart(heart: Heart, folder: Path) -> None:
     if heart.lead_fields is not None:
         for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
             points[f"{LEAD_FIELD}{electrode}"] = values
-    with atomic_folder(folder) as temporary:
+    with atomic_folder(folder, disposable=(PICTURE, TORSO)) as temporary:
         write_grid(
             temporary / "mesh.vtu",
             heart.vertices,
@@ -361,8 +363,8 @@ def write_heart(heart: Heart, folder: Path) -> None:
         write_electrodes(temporary / "electrodes.csv", heart.electrodes)
         lines.append('electrodes = "electrodes.csv"')
         if heart.torso is not None:
-            write_torso(temporary / "torso.vtu", heart.torso)
-            lines.append('torso = "torso.vtu"')
+            write_torso(temporary / TORSO, heart.torso)
+            lines.append(f'torso = "{TORSO}"')
         if heart.lead_fields is not None:
             lines.append(f'lead_fields = "{heart.lead_fields.key}"')
         for endocardium in heart.endocardia:

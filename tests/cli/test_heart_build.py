@@ -1,0 +1,296 @@
+"""`fascicle heart build` on thick-walled ventricles: every kind of input, every option."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import anatomies
+import numpy as np
+import pytest
+from anatomies import (
+    CENTRE_X,
+    EDGE,
+    HALF_AXES,
+    LV,
+    NETWORK,
+    RV,
+    SCAR_CENTRE,
+    SCAR_RADIUS,
+)
+
+import fascicle
+from fascicle.anatomy.check import cavity_volume
+from fascicle.geometry.endocardium import boundary_loops
+from fascicle.io.scenarios import read_scenario
+
+BLOOD_AND_SCAR = "lv=1,rv=2,myocardium=3,scar=4"
+SURFACE_KINDS = {
+    "labelled": lambda folder: [anatomies.write_labelled(folder / "heart.vtp")],
+    "another array": lambda folder: [
+        anatomies.write_surface(
+            folder / "heart.vtk",
+            part=10 * anatomies.ventricles().labels,
+            number=np.arange(len(anatomies.ventricles().labels)),
+        ),
+        *("--label-array", "part", "--labels", "base=10,epicardium=20,lv=30,rv=40"),
+    ],
+    "file of labels": lambda folder: [
+        anatomies.write_surface(folder / "heart.stl"),
+        *("--labels-file", write_numbers(folder / "labels.txt", anatomies.ventricles().labels)),
+    ],
+    "unlabelled STL": lambda folder: [anatomies.write_surface(folder / "heart.stl")],
+    "unlabelled OBJ": lambda folder: [anatomies.write_surface(folder / "heart.obj")],
+    "parts": lambda folder: options_of(anatomies.write_parts(folder)),
+    "parts 1 mm apart": lambda folder: options_of(anatomies.write_parts(folder, 1.0)),
+    "parts without base": lambda folder: options_of(anatomies.write_parts(folder), "base"),
+}
+
+
+def write_numbers(path: Path, numbers: np.ndarray) -> Path:
+    path.write_text("\n".join(map(str, numbers)) + "\n")
+    return path
+
+
+def options_of(files: dict[str, Path], without: str = "") -> list[object]:
+    return [word for name, file in files.items() if name != without for word in (f"--{name}", file)]
+
+
+@pytest.fixture
+def build(run, tmp_path):
+    """Build a heart in an unbounded conductor; the heart, and how the command ended."""
+    electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
+
+    def call(*arguments, out=None, edge_length=EDGE):
+        out = out if out is not None else tmp_path / "built"
+        around = ["--torso", "none", "--electrodes", electrodes, "--edge-length", edge_length]
+        ended = run("heart", "build", *arguments, *around, "--out", out)
+        assert ended.status == 0, ended
+        return fascicle.load_heart(out), ended
+
+    return call
+
+
+def off_ellipsoid(vertices, label):
+    """How far points lie from an exact half-ellipsoid (share of its half-axes)."""
+    straight = vertices - [CENTRE_X[label], 0, 0]
+    straight[:, 0] += anatomies.BEND[label] * vertices[:, 1] ** 2
+    return np.abs(np.linalg.norm(straight / HALF_AXES[label], axis=1) - 1)
+
+
+def assert_ventricles(heart, cavities=0.06):
+    """The heart is that of `anatomies`: volumes, endocardia, directions; and it simulates.
+
+    Faces of 7 mm cut the corners of cavities of 20 mm: 1 - sin(7/40)/(7/40) across them is 0.5 %,
+    and as much again along each of the other ways.
+    """
+    assert heart.volumes.sum() / 1000 == pytest.approx(anatomies.MYOCARDIUM, rel=0.02)
+    for endocardium, label in ((heart.lv, LV), (heart.rv, RV)):
+        assert np.median(off_ellipsoid(endocardium.vertices, label)) < 0.03
+        exact = anatomies.volume_below(label)
+        assert cavity_volume(endocardium) == pytest.approx(exact, rel=cavities)
+        assert len(boundary_loops(endocardium.triangles)) == 1
+    assert np.abs(np.linalg.norm(heart.fibres, axis=1) - 1).max() < 1e-12
+    if heart.sheets is not None:
+        assert np.abs(np.linalg.norm(heart.sheets, axis=1) - 1).max() < 1e-9
+        assert np.abs(np.einsum("ij,ij->i", heart.fibres, heart.sheets)).max() < 1e-9
+    simulation = fascicle.ForwardModel(heart).simulate(NETWORK)
+    assert not simulation.unreached.any()
+    assert 40 < simulation.total_activation_time < 200  # ms
+    assert np.abs(simulation.leads).max() > 0.1  # mV
+
+
+@pytest.mark.parametrize("kind", SURFACE_KINDS)
+def test_surfaces(build, tmp_path, kind):
+    heart, ended = build(*SURFACE_KINDS[kind](tmp_path))
+    assert_ventricles(heart)
+    assert "no problem found" in ended.out
+    assert ("labels: found from the shape" in ended.out) == ("unlabelled" in kind)
+    assert heart.sheets is not None
+    assert heart.regions is None
+    assert heart.edge_length == pytest.approx(EDGE, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["heart.nii.gz", "heart.nrrd"])
+def test_segmentations_with_scar(build, tmp_path, monkeypatch, name):
+    # cubes of 2 mm instead of 1: walls of 10 mm need no more, and it is four times as fast
+    monkeypatch.setattr("fascicle.anatomy.segmentation_surface.EDGE", 2.0)
+    write = anatomies.write_nifti if "nii" in name else anatomies.write_nrrd
+    heart, ended = build(write(tmp_path / name), "--labels", BLOOD_AND_SCAR, edge_length=6.5)
+    assert_ventricles(heart, cavities=0.1)
+    assert "scar: region 1" in ended.out
+    assert np.unique(heart.regions).tolist() == [0, 1]
+    scar = heart.regions == 1
+    assert heart.volumes[scar].sum() / 1000 == pytest.approx(anatomies.scar_volume(), rel=0.1)
+    centres = heart.vertices[heart.tetrahedra].mean(axis=1)
+    distance = np.linalg.norm(centres - SCAR_CENTRE, axis=1)
+    assert distance[scar].max() < SCAR_RADIUS + anatomies.VOXEL
+    assert (distance[~scar] > SCAR_RADIUS - anatomies.VOXEL).all()
+
+
+def test_scar_that_does_not_conduct_is_never_reached(build, tmp_path):
+    labelled = anatomies.write_vtu(tmp_path / "heart.vtu", labelled=True, scar=True)
+    heart, _ = build(labelled)
+    scenario = tmp_path / "scar.toml"
+    scenario.write_text("[[region]]\nlabel = 1\nconductivity = 0.0\n")
+    _, regions = read_scenario(scenario)
+    model = fascicle.ForwardModel(heart, fascicle.Conduction(regions=regions))
+    unreached = model.simulate(NETWORK).unreached
+    scar = heart.regions == 1
+    only_scar = np.setdiff1d(heart.tetrahedra[scar], heart.tetrahedra[~scar])
+    assert len(only_scar) > 20
+    np.testing.assert_array_equal(np.flatnonzero(unreached), only_scar)
+    assert not fascicle.ForwardModel(heart).simulate(NETWORK).unreached.any()
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_tetrahedra_stay_as_they_are(build, tmp_path, labelled):
+    mesh = anatomies.tissue()
+    file = anatomies.write_vtu(tmp_path / "heart.vtu", labelled=labelled)
+    heart, ended = build(file, edge_length=2.0)  # of no consequence here
+    np.testing.assert_array_equal(heart.vertices, mesh.vertices)
+    np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
+    assert ("labels: found from the shape" in ended.out) == (not labelled)
+    assert_ventricles(heart)
+
+
+def test_gmsh_with_physical_groups(build, tmp_path):
+    mesh = anatomies.tissue()
+    heart, _ = build(anatomies.write_gmsh(tmp_path / "heart.msh"))
+    np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
+    np.testing.assert_array_equal(heart.regions, anatomies.halves(mesh))
+    assert_ventricles(heart)
+
+
+def test_opencarp_keeps_its_fibres(build, tmp_path):
+    mesh = anatomies.tissue()
+    heart, _ = build(anatomies.write_opencarp(tmp_path))
+    np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
+    np.testing.assert_allclose(heart.vertices, mesh.vertices, atol=1e-9)
+    np.testing.assert_allclose(heart.fibres, anatomies.circular_fibres(mesh), atol=1e-12)
+    np.testing.assert_array_equal(heart.regions, anatomies.halves(mesh))
+    assert heart.sheets is None
+    assert_ventricles(heart)
+
+
+@pytest.fixture
+def mesh_file(tmp_path):
+    """Labelled tetrahedra, from which a heart is built in a second."""
+    return anatomies.write_vtu(tmp_path / "mesh.vtu", labelled=True)
+
+
+def test_named_after_the_file_and_written_where_one_is(run, tmp_path, mesh_file, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
+    ended = run("heart", "build", mesh_file, "--torso", "none", "--electrodes", electrodes)
+    assert ended.status == 0
+    assert "heart written to mesh" in ended.out
+    assert fascicle.load_heart("mesh").name == "mesh"
+    assert (tmp_path / "mesh" / "check.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_found_seeds_lie_on_the_septum_near_the_base(build, mesh_file):
+    heart, _ = build(mesh_file)
+    for endocardium, towards_other in ((heart.lv, 1), (heart.rv, -1)):
+        label = LV if endocardium.side == "lv" else RV
+        half_width, _, depth = HALF_AXES[label]
+        for vertex, highest, lowest in (
+            (endocardium.root, 0.02, 0.3),
+            (endocardium.direction, 0.35, 0.6),
+        ):
+            x, y, z = endocardium.vertices[vertex]
+            x += anatomies.BEND[label] * y**2
+            assert towards_other * (x - CENTRE_X[label]) > 0.6 * half_width
+            assert abs(y) < 12
+            assert highest * depth < -z < lowest * depth
+
+
+def test_given_seeds_are_kept_by_number_and_by_place(build, mesh_file, tmp_path):
+    found, _ = build(mesh_file)
+    place = found.rv.vertices[17] + [0.3, -0.2, 0.1]
+    chosen, _ = build(
+        mesh_file,
+        *("--lv-root", 11, "--lv-direction", 60),
+        *("--rv-root", ",".join(map(str, place)), "--rv-direction", 40),
+        out=tmp_path / "chosen",
+    )
+    assert (chosen.lv.root, chosen.lv.direction) == (11, 60)
+    assert (chosen.rv.root, chosen.rv.direction) == (17, 40)
+    np.testing.assert_array_equal(chosen.vertices, found.vertices)
+
+
+def test_angles_are_those_that_were_asked_for(build, mesh_file, tmp_path):
+    """Without a helix, fibres lie across the long axis but where the wall itself leans."""
+    circular, _ = build(mesh_file, "--lv-angles", "0,0", "--rv-angles", "0,0")
+    steep, _ = build(
+        mesh_file, "--lv-angles", "80,80", "--rv-angles", "80,80", out=tmp_path / "steep"
+    )
+    upper = circular.vertices[circular.tetrahedra][:, :, 2].min(axis=1) > -30
+    assert np.percentile(np.abs(circular.fibres[upper, 2]), 90) < 0.1
+    assert np.median(np.abs(steep.fibres[upper, 2])) > 0.9
+
+
+def test_the_same_command_gives_the_same_files_in_place_of_its_own(build, tmp_path):
+    surface = anatomies.write_labelled(tmp_path / "heart.vtp")
+    build(surface)
+    folder = tmp_path / "built"
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    build(surface)
+    again = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert again.keys() == first.keys()
+    for name in set(first) - {"check.png"}:
+        assert again[name] == first[name], name
+    assert "mesh.vtu" in first
+
+
+def tree_of(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_stopped_while_writing_it_leaves_what_was_there(build, run, mesh_file, tmp_path, outside):
+    electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
+    arguments = ["heart", "build", mesh_file, "--torso", "none", "--electrodes", electrodes]
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.io.hearts.write_electrodes", stop)
+        ended = run(*arguments, "--out", outside / "heart")
+    assert ended.status not in (0, 2)
+    assert "heart written" not in ended.out
+    assert list(outside.iterdir()) == []
+    build(mesh_file, out=outside / "heart")
+    before = tree_of(outside)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fascicle.io.hearts.write_electrodes", stop)
+        assert run(*arguments, "--out", outside / "heart").status not in (0, 2)
+    assert tree_of(outside) == before
+
+
+KILLED = """
+import os, signal, sys
+import fascicle.io.hearts
+from fascicle.cli import main
+fascicle.io.hearts.write_electrodes = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+main()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal on this system")
+def test_killed_while_writing_it_leaves_no_half_heart(mesh_file, tmp_path, outside):
+    electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
+    arguments = ["heart", "build", mesh_file, "--torso", "none", "--electrodes", electrodes]
+    command = [sys.executable, "-c", KILLED, *map(str, arguments), "--out", str(outside / "heart")]
+    ended = subprocess.run(command, capture_output=True, check=False, env=dict(os.environ))
+    assert ended.returncode == -signal.SIGKILL, ended
+    assert not (outside / "heart").exists()
+    with pytest.raises(fascicle.InputError, match="no such heart folder"):
+        fascicle.load_heart(outside / "heart")
