@@ -16,7 +16,6 @@ from scipy.spatial import Delaunay, cKDTree
 from fascicle.anatomy.closed import prepared_surface
 from fascicle.anatomy.meshing import mesh_surface
 from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
-from fascicle.leads import ELECTRODES
 from fascicle.torso.surfaces import Surface
 
 EPI, BASE = Label.EPICARDIUM, Label.BASE
@@ -25,12 +24,13 @@ LV, RV = Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM
 # the left one by a shear, which leaves its volume as it is.
 HALF_AXES = {EPI: (55.5, 38.0, 68.0), LV: (20.0, 20.0, 52.0), RV: (18.0, 25.0, 48.0)}
 CENTRE_X = {EPI: 22.5, LV: 0.0, RV: 49.0}  # mm
-BEND = {EPI: 0.0, LV: 0.0, RV: 1 / 80}  # 1/mm
+BEND = {EPI: 0.0, LV: 0.0, RV: 1 / 40}  # 1/mm
 SUBDIVISIONS = 4  # of the four triangles of a half octahedron
 BASE_EDGE = 5.0  # mm
 
-EDGE = 7.0  # mm; walls of 10 mm have room for two
-COARSER = 8.0  # mm, for which they have none
+EDGE = 8.0  # mm; walls of 12 mm have room for two
+FINER = 5.0  # mm
+COARSER = 10.0  # mm, for which they have none
 # Of the idealised torso around these ventricles, to 1 mm
 PLACES = {
     "RA": (157, 28, 153), "LA": (-47, 165, -3), "LL": (-2, -172, -286),
@@ -69,14 +69,15 @@ def enclosed(label: Label, points: np.ndarray) -> np.ndarray:
     return ((straight / HALF_AXES[label]) ** 2).sum(axis=-1) < 1
 
 
-def _in_wall(points: np.ndarray) -> np.ndarray:
+def in_wall(points: np.ndarray) -> np.ndarray:
+    """Which points lie in the myocardium, below the base or above it."""
     return enclosed(EPI, points) & ~enclosed(LV, points) & ~enclosed(RV, points)
 
 
 def half_ellipsoid(label: Label) -> tuple[np.ndarray, np.ndarray]:
     """Points and triangles of one, counter-clockwise seen from outside; the rim is at z = 0."""
     corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
-    faces = np.array([[1, 4, 0], [2, 4, 1], [3, 4, 2], [0, 4, 3]])
+    faces = np.array([[0, 4, 1], [1, 4, 2], [2, 4, 3], [3, 4, 0]])
     points, faces = igl.upsample(corners, faces, SUBDIVISIONS)
     points = points / np.linalg.norm(points, axis=1, keepdims=True) * HALF_AXES[label]
     points[:, 0] += CENTRE_X[label] - BEND[label] * points[:, 1] ** 2
@@ -90,12 +91,12 @@ def _base(rims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     grid = np.stack(np.meshgrid(np.arange(-40, 85, BASE_EDGE), rows), axis=-1)
     grid[1::2, :, 0] += BASE_EDGE / 2
     inner = grid.reshape(-1, 2)
-    inner = inner[_in_wall(np.column_stack([inner, np.zeros(len(inner))]))]
+    inner = inner[in_wall(np.column_stack([inner, np.zeros(len(inner))]))]
     inner = inner[cKDTree(rims).query(inner)[0] > 0.6 * BASE_EDGE]
     points = np.concatenate([rims, inner])
     triangles = Delaunay(points).simplices
     middle = points[triangles].mean(axis=1)
-    triangles = triangles[_in_wall(np.column_stack([middle, np.zeros(len(middle))]))]
+    triangles = triangles[in_wall(np.column_stack([middle, np.zeros(len(middle))]))]
     a, b, c = points[triangles].transpose(1, 0, 2)
     clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
     triangles[clockwise] = triangles[clockwise][:, ::-1]
@@ -129,9 +130,9 @@ def ventricles() -> LabelledSurface:
 
 
 @cache
-def tissue() -> LabelledMesh:
+def tissue(edge_length: float = EDGE) -> LabelledMesh:
     """Tetrahedra of the ventricles."""
-    return mesh_surface(prepared_surface(ventricles()), EDGE)
+    return mesh_surface(prepared_surface(ventricles()), edge_length)
 
 
 def circular_fibres(mesh: LabelledMesh) -> np.ndarray:
@@ -146,9 +147,9 @@ def halves(mesh: LabelledMesh) -> np.ndarray:
     return 1 + (mesh.vertices[mesh.tetrahedra].mean(axis=1)[:, 1] > 0)
 
 
-def write_electrodes(path: Path, shift=(0.0, 0.0, 0.0)) -> Path:
-    """The nine standard electrodes as CSV."""
-    rows = [",".join(map(str, [name, *np.add(PLACES[name], shift)])) for name in ELECTRODES]
+def write_electrodes(path: Path, places=PLACES) -> Path:
+    """Electrodes, the nine standard ones if no others are given, as CSV."""
+    rows = [",".join(map(str, [name, *place])) for name, place in places.items()]
     path.write_text("\n".join(["name,x,y,z", *rows]) + "\n")
     return path
 
@@ -192,16 +193,20 @@ def in_scar(mesh: LabelledMesh) -> np.ndarray:
     return (np.linalg.norm(middle - SCAR_CENTRE, axis=1) < SCAR_RADIUS).astype(np.int64)
 
 
-def write_vtu(path: Path, *, labelled: bool, scar: bool = False) -> Path:
+def write_vtu(
+    path: Path, *, labelled: bool, scar: bool = False, labels=None, vertices=None
+) -> Path:
     """Tetrahedra, perhaps with their labelled boundary, perhaps with a region of scar."""
     mesh = tissue()
+    labels = mesh.labels if labels is None else labels
+    vertices = mesh.vertices if vertices is None else vertices
     blocks = {pv.CellType.TETRA: mesh.tetrahedra}
     if labelled:
         blocks = {pv.CellType.TRIANGLE: mesh.triangles, **blocks}
-    grid = pv.UnstructuredGrid(blocks, mesh.vertices)
+    grid = pv.UnstructuredGrid(blocks, vertices)
     if labelled:
         none = np.zeros(len(mesh.tetrahedra), dtype=np.int64)
-        grid.cell_data["label"] = np.concatenate([mesh.labels, none])
+        grid.cell_data["label"] = np.concatenate([labels, none])
     if scar:
         none = np.zeros(grid.n_cells - len(mesh.tetrahedra), dtype=np.int64)
         grid.cell_data["region"] = np.concatenate([none, in_scar(mesh)])
@@ -251,7 +256,7 @@ def label_map(voxel: float = VOXEL) -> tuple[np.ndarray, np.ndarray]:
     first, last = np.array([-36.0, -42.0, -74.0]), np.array([82.0, 42.0, 0.0])
     axes = [np.arange(a + voxel / 2, b, voxel) for a, b in zip(first, last, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    labels = np.where(_in_wall(points), NUMBERS[EPI], 0)
+    labels = np.where(in_wall(points), NUMBERS[EPI], 0)
     scar = np.linalg.norm(points - SCAR_CENTRE, axis=-1) < SCAR_RADIUS
     labels[(labels > 0) & scar] = SCAR
     for cavity in (LV, RV):
@@ -268,13 +273,14 @@ def scar_volume() -> float:
     return float((labels == SCAR).sum()) * 0.75**3 / 1000
 
 
-def write_nifti(path: Path, labels=None) -> Path:
+def write_nifti(path: Path, labels=None, factor: float = 1.0) -> Path:
     """The label map in RAS+, its last voxel axis running down."""
     own, affine = label_map()
     labels = own if labels is None else labels
     turned = affine.copy()
     turned[:3, 3] += affine[:3, 2] * (labels.shape[2] - 1)
     turned[:3, 2] *= -1
+    turned[:3] *= factor
     image = nibabel.Nifti1Image(np.ascontiguousarray(labels[:, :, ::-1]), turned)
     image.header.set_xyzt_units("mm")
     nibabel.save(image, path)
@@ -295,11 +301,23 @@ def write_nrrd(path: Path, spacing: bool = True) -> Path:
     return path
 
 
-def body(half_axes=(130.0, 105.0, 150.0), centre=(22.0, 0.0, -30.0)) -> Surface:
-    """A coarse closed skin around the ventricles."""
+BODY, BODY_CENTRE = (130.0, 105.0, 150.0), (22.0, 0.0, -30.0)  # half-axes and centre (mm)
+
+
+def body(half_axes=BODY, centre=BODY_CENTRE) -> Surface:
+    """A coarse closed ellipsoid, of itself a skin around the ventricles."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     upper = np.array([(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2)])
     faces = np.concatenate([upper, np.where(upper == 2, 5, upper)[:, ::-1]]).astype(np.int64)
     points, faces = igl.upsample(corners, faces, 4)
     points = points / np.linalg.norm(points, axis=1, keepdims=True)
     return Surface(points * np.asarray(half_axes) + np.asarray(centre), faces.astype(np.int64))
+
+
+def places_on_body() -> dict[str, tuple[float, ...]]:
+    """The electrodes, moved towards the middle of that skin onto it."""
+    moved = {}
+    for name, place in PLACES.items():
+        way = np.subtract(place, BODY_CENTRE)
+        moved[name] = tuple(BODY_CENTRE + way / np.linalg.norm(way / np.array(BODY)))
+    return moved

@@ -112,8 +112,8 @@ def test_qrs_does_not_feel_where_the_template_stops(default_model, template):
         cut = replace(template, until=until)
         electrocardiograph = replace(default_model.electrocardiograph, action_potential=cut)
         leads.append(electrocardiograph.leads(activation)[:, : last + 1])
-    assert np.abs(leads[0]).max() > 0.9
-    assert np.abs(leads[0] - leads[1]).max() < 0.003
+    assert np.abs(leads[0]).max() > 1.5
+    assert np.abs(leads[0] - leads[1]).max() < 0.02
     assert np.abs(leads[0] - leads[1]).max() > 1e-5
 
 

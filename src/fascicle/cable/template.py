@@ -150,8 +150,9 @@ def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate
 
 def _thinned(times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Times at which a record is kept, so that it is small enough to go along with every task."""
+    edges = np.clip([-np.inf, *FROM, np.inf], times[0], times[-1])
     parts = [
-        np.arange(begin, end, step)
-        for begin, end, step in zip((times[0], *FROM), (*FROM, times[-1]), EVERY, strict=True)
+        np.linspace(begin, end, int(np.ceil((end - begin) / step)), endpoint=False)
+        for begin, end, step in zip(edges[:-1], edges[1:], EVERY, strict=True)
     ]
-    return np.concatenate([*parts, [times[-1]]])
+    return np.concatenate([*parts, edges[-1:]])

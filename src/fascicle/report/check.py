@@ -200,7 +200,7 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
         there = [k for k in range(10) if (layer == k).sum() > 5]
         if not there:
             continue
-        spread = np.array([np.percentile(helix.angle[layer == k], [25, 50, 75]) for k in there]).T
+        spread = np.array([_quartiles(helix.angle[layer == k]) for k in there]).T
         middle = (edges[:-1] + edges[1:])[there] / 2
         axes.fill_between(middle, spread[0], spread[2], color=WALL_COLOURS[name], alpha=0.15, lw=0)
         axes.plot(middle, spread[1], color=WALL_COLOURS[name], label=name)
@@ -211,6 +211,12 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
         axes.legend(frameon=False, fontsize=TICK_SIZE)
     axes.set_title("fibre angles: median, middle half", fontsize=TITLE_SIZE)
     tidy(axes)
+
+
+def _quartiles(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quartiles of axes (degrees), which -90 and 90 are the same for: about their mean axis."""
+    mean = np.degrees(np.angle(np.exp(2j * np.radians(angle)).sum())) / 2
+    return np.asarray(mean + np.percentile((angle - mean + 90) % 180 - 90, [25, 50, 75]))
 
 
 def _plot_thickness(axes: Axes, check: HeartCheck) -> None:

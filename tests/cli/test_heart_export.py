@@ -1,0 +1,157 @@
+"""`fascicle heart export` of a built heart, read back by `fascicle` and by others."""
+
+from __future__ import annotations
+
+import anatomies
+import meshio
+import numpy as np
+import pytest
+import pyvista as pv
+from anatomies import LV, RV
+
+from fascicle.io.hearts import load_heart
+from fascicle.io.labelled_meshes import read_labelled_mesh
+from fascicle.io.meshes import TETRAHEDRON, read_mesh
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A built heart with sheets, a region of scar, and endocardia in register."""
+    from fascicle.anatomy.build import Body, build_heart
+    from fascicle.anatomy.source import Source
+    from fascicle.io.hearts import write_heart
+
+    work = tmp_path_factory.mktemp("built")
+    source = Source(anatomies.write_vtu(work / "mesh.vtu", labelled=True, scar=True))
+    electrodes = anatomies.write_electrodes(work / "electrodes.csv")
+    heart = build_heart(source, body=Body("none", electrodes=electrodes), name="built").heart
+    write_heart(heart, work / "heart")
+    return work / "heart"
+
+
+@pytest.fixture
+def heart(folder):
+    return load_heart(folder)
+
+
+@pytest.fixture
+def export(run, folder, outside):
+    def call(name, kind):
+        ended = run("heart", "export", folder, "--format", kind, "--out", outside / name)
+        assert (ended.status, ended.err) == (0, "")
+        assert ended.out == f"written to {outside / name}\n"
+        return outside / name
+
+    return call
+
+
+def assert_same(mesh, heart, exact):
+    """Tetrahedra, fibres, sheets and regions are the heart's."""
+    count = len(heart.vertices)
+    np.testing.assert_allclose(mesh.points[:count], heart.vertices, rtol=0, atol=exact)
+    np.testing.assert_array_equal(mesh.cells[TETRAHEDRON], heart.tetrahedra)
+    arrays = mesh.cell_data[TETRAHEDRON]
+    np.testing.assert_allclose(arrays["fibre"], heart.fibres, atol=1e-14)
+    np.testing.assert_allclose(arrays["sheet"], heart.sheets, atol=1e-14)
+    np.testing.assert_array_equal(arrays["region"], heart.regions)
+    assert 20 < heart.regions.sum() < len(heart.regions) / 2
+
+
+def test_vtu(export, heart):
+    path = export("heart.vtu", "vtu")
+    assert_same(read_mesh(path), heart, 0.0)
+    other = pv.read(path)
+    assert other.n_cells == len(heart.tetrahedra)
+    sizes = other.compute_cell_sizes(length=False, area=False)["Volume"]
+    np.testing.assert_allclose(sizes, heart.volumes, rtol=1e-9)
+
+
+def test_gmsh(export, heart):
+    path = export("heart.msh", "gmsh")
+    mesh = read_mesh(path)
+    assert_same(mesh, heart, 0.0)
+    assert {"region 0", "region 1", "lv_endo", "rv_endo"} == set(mesh.groups)
+    content = path.read_bytes()
+    bare = path.with_name("bare.msh")  # meshio cannot read its element data
+    bare.write_bytes(content[: content.index(b"$ElementData")])
+    cells = meshio.gmsh.read(bare).cells_dict
+    np.testing.assert_array_equal(cells["tetra"], heart.tetrahedra)
+    assert len(cells["triangle"]) == len(heart.lv.triangles) + len(heart.rv.triangles)
+
+
+def test_opencarp(export, heart):
+    out = export("carp", "opencarp")
+    assert_same(read_mesh(out / "heart.pts"), heart, 1e-9)
+    lines = (out / "heart.pts").read_text().split("\n")
+    assert int(lines[0]) == len(heart.vertices)
+    first = [float(word) for word in lines[1].split()]
+    np.testing.assert_allclose(first, heart.vertices[0] * 1000, atol=1e-5)  # µm
+    known = anatomies.tissue()
+    for name, label in (("lv", LV), ("rv", RV)):
+        rows = (out / f"heart_{name}_endo.surf").read_text().split("\n")[1:-1]
+        found = np.sort([[int(word) for word in row.split()[1:]] for row in rows], axis=1)
+        there = np.sort(known.having(label), axis=1)
+        assert {*map(tuple, found)} == {*map(tuple, there)}
+
+
+def test_what_went_out_to_opencarp_builds_the_same_heart(export, heart, run, outside):
+    """Its surfaces are endocardia alone, so the rest is found by shape."""
+    out = export("carp", "opencarp")
+    for path in out.glob("*.surf"):
+        path.unlink()
+    for path in out.glob("*.vtx"):
+        path.unlink()
+    arguments = ["--torso", "none", "--electrodes", out / "electrodes.csv"]
+    ended = run("heart", "build", out / "heart.pts", *arguments, "--out", outside / "again")
+    assert ended.status == 0, ended
+    again = load_heart(outside / "again")
+    np.testing.assert_array_equal(again.tetrahedra, heart.tetrahedra)
+    np.testing.assert_allclose(again.fibres, heart.fibres, atol=1e-12)
+    np.testing.assert_allclose(again.sheets, heart.sheets, atol=1e-12)
+    np.testing.assert_array_equal(again.regions, heart.regions)
+    np.testing.assert_array_equal(again.electrodes, heart.electrodes)
+    assert again.lv.area == pytest.approx(heart.lv.area, rel=0.02)
+
+
+def test_endocardia_that_go_out_alone_are_not_enough_labels(export, run, outside):
+    out = export("carp", "opencarp")
+    arguments = ["--torso", "none", "--electrodes", out / "electrodes.csv"]
+    ended = run("heart", "build", out / "heart.pts", *arguments, "--out", outside / "again")
+    assert ended.status == 2
+    assert "labels missing: base, epicardium" in ended.err
+    assert not (outside / "again").exists()
+
+
+def test_gmsh_goes_back_in_with_its_regions_and_fibres(export, heart):
+    read = read_labelled_mesh_without_labels(export("heart.msh", "gmsh"))
+    np.testing.assert_allclose(read.fibres, heart.fibres, atol=1e-12)
+    np.testing.assert_array_equal(read.regions, heart.regions)
+
+
+def read_labelled_mesh_without_labels(path):
+    """Tetrahedra of a Gmsh file whose surfaces are dropped: two of four would be missing."""
+    mesh = read_mesh(path)
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells[TETRAHEDRON]}, mesh.points)
+    for name in ("fibre", "sheet", "region"):
+        grid.cell_data[name] = mesh.cell_data[TETRAHEDRON][name]
+    grid.save(path.with_suffix(".vtu"))
+    return read_labelled_mesh(path.with_suffix(".vtu"))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("heart.vtk", "vtu", "a vtu file must end in .vtu"),
+        ("heart", "gmsh", "a gmsh file must end in .msh"),
+        ("notes/heart", "opencarp", "cannot be written"),
+    ],
+)
+def test_bad_places(refused, folder, outside, name, kind, words):
+    (outside / "notes").write_text("mine")
+    refused(["heart", "export", folder, "--format", kind, "--out", outside / name], words)
+    assert [path.name for path in outside.iterdir()] == ["notes"]
+
+
+def test_no_heart_there(refused, outside):
+    refused(["heart", "export", outside / "none", "--out", outside / "x"], "no such heart folder")
+    assert list(outside.iterdir()) == []
