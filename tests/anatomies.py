@@ -31,7 +31,7 @@ BASE_EDGE = 5.0  # mm
 EDGE = 8.0  # mm; walls of 12 mm have room for two
 FINER = 5.0  # mm
 COARSER = 10.0  # mm, for which they have none
-# Of the idealised torso around these ventricles, to 1 mm
+# About where the idealised torso around these ventricles has its electrodes (mm)
 PLACES = {
     "RA": (157, 28, 153), "LA": (-47, 165, -3), "LL": (-2, -172, -286),
     "V1": (117, 9, -36), "V2": (82, 33, -63), "V3": (56, 33, -90),
@@ -177,12 +177,12 @@ def write_labelled(path: Path, points=None, labels=None) -> Path:
 
 
 def write_parts(folder: Path, gap: float = 0.0) -> dict[str, Path]:
-    """One STL file for each label, apart from the base by `gap` mm, as separate programs give."""
+    """One STL file for each label; the base lies `gap` mm beside the others' rims."""
     whole, files = ventricles(), {}
     names = {LV: "lv-endocardium", RV: "rv-endocardium", EPI: "epicardium", BASE: "base"}
     for label, name in names.items():
         used, corners = np.unique(whole.having(label), return_inverse=True)
-        points = whole.vertices[used] + [0, 0, gap if label == BASE else 0]
+        points = whole.vertices[used] + gap * np.array([0.6, 0.8, 0.0]) * (label == BASE)
         files[name] = write_surface(folder / f"{name}.stl", points, corners.reshape(-1, 3))
     return files
 
@@ -288,13 +288,12 @@ def write_nifti(path: Path, labels=None, factor: float = 1.0) -> Path:
 
 
 def write_nrrd(path: Path, spacing: bool = True) -> Path:
-    """The label map in LPS, as ITK writes it."""
+    """The label map with positions in LPS, as ITK writes it: the heart stays in these."""
     labels, affine = label_map()
-    lps = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine
     fields = {
         "space": "left-posterior-superior",
-        "space directions": lps[:3, :3].T,
-        "space origin": lps[:3, 3],
+        "space directions": affine[:3, :3].T,
+        "space origin": affine[:3, 3],
         "encoding": "gzip",
     }
     nrrd.write(str(path), labels, fields if spacing else {})

@@ -119,7 +119,7 @@ def make_heart() -> Heart:
         fibres=fibres,
         sheets=None,
         torso=None,
-        lead_fields=LeadFields(single, heart.lead_fields.key),
+        lead_fields=LeadFields(single, heart.lead_fields.key, torso=""),
     )
 
 

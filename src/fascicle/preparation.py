@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,12 @@ from fascicle.geometry.heart import Heart
 from fascicle.harmonic.chart import Chart, build_chart
 from fascicle.io.atomic import DISPOSABLE, atomic_path
 from fascicle.kernels.arrays import Mesh, Table
-from fascicle.study import Progress
+from fascicle.study import Progress, stage_of
 from fascicle.torso.known import known_lead_fields
 from fascicle.tree.grow import Seed, find_seed
 
 FORMAT = 3  # of the files; another number makes them anew
+ONCE = "once per heart"
 KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
 
@@ -109,7 +109,7 @@ def build(
         _lead_field_gradients(heart, conduction, barycentric, progress),
         action_potential,
     )
-    tissue = build_tissue(heart, conduction, _told(progress, "preparation"))
+    tissue = build_tissue(heart, conduction, stage_of(progress, "preparation", ONCE))
     return Prepared(charts, _seeds(heart, charts), tissue, electrocardiograph)
 
 
@@ -120,18 +120,10 @@ def _lead_field_gradients(
     progress: Progress | None,
 ) -> NDArray[np.float64]:
     """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9, m, 3)."""
-    fields = known_lead_fields(heart, conduction, _told(progress, "lead fields"))
+    fields = known_lead_fields(heart, conduction, stage_of(progress, "lead fields", ONCE))
     if fields is not None:
         return nodal_gradients(fields.values, heart.tetrahedra, barycentric)
     return unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso)
-
-
-def _told(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else partial(_tell, progress, stage)
-
-
-def _tell(progress: Progress, stage: str, done: int, total: int) -> None:
-    progress(stage, done, total, "once per heart")
 
 
 def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:

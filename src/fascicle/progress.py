@@ -18,7 +18,8 @@ from rich.progress import (
 NAMES = {
     "compilation": "first run here",
     "template": "cables",
-    "anatomy": "meshing",
+    "surface": "surface",
+    "meshing": "meshing",
     "fibres": "fibres",
     "torso": "torso",
     "lead fields": "lead fields",

@@ -10,6 +10,7 @@ draws from ``default_rng([seed, stage, k])`` and from nothing else.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
@@ -39,6 +40,19 @@ class Progress(Protocol):
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
         """`done` of `total` in `stage`; `message` says more, for people."""
+
+
+def stage_of(
+    progress: Progress | None, stage: str, message: str = ""
+) -> Callable[[int, int], None] | None:
+    """What tells `progress` how far one stage is, for code that knows of no others."""
+    if progress is None:
+        return None
+
+    def told(done: int, total: int) -> None:
+        progress(stage, done, total, message)
+
+    return told
 
 
 class FreeParameter(BaseModel):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 import pyvista as pv
@@ -37,39 +38,70 @@ def written(path: Path, **arrays: np.ndarray) -> Path:
 
 
 def test_labels_of_triangles(tmp_path):
-    path = written(tmp_path / "heart.vtp", region=ventricles().labels)
+    path = written(tmp_path / "heart.vtp", Label=ventricles().labels)
     surface = read_labelled_surface(path)
     assert (surface.labels == ventricles().labels).all()
     assert surface.name == str(path)
 
 
-def test_class_comes_before_other_whole_numbers(tmp_path):
+def test_whole_numbers_are_labels_by_name_only(tmp_path):
     labels = ventricles().labels
-    path = written(tmp_path / "heart.vtk", class_=labels, other=np.arange(len(labels)))
-    with pytest.raises(InputError, match="which array"):
+    path = written(tmp_path / "heart.vtk", patch=labels, RegionId=np.zeros(len(labels), int))
+    assert not has_labels(read_mesh(path))
+    with pytest.raises(InputError, match=r"\(arrays: RegionId, patch\); name .*--label-array"):
         read_labelled_surface(path)
-    assert (read_labelled_surface(path, array="class_").labels == labels).all()
-    arrays = {"class": labels, "other": np.arange(len(labels))}
-    assert (read_labelled_surface(written(path, **arrays)).labels == labels).all()
+    assert (read_labelled_surface(path, array="patch").labels == labels).all()
+    for name in ("class", "label", "surface"):
+        arrays = {name: labels, "other": np.arange(len(labels))}
+        path = written(tmp_path / f"{name}.vtk", **arrays)
+        assert has_labels(read_mesh(path))
+        assert (read_labelled_surface(path).labels == labels).all()
+
+
+def write_groups(path: Path, numbers: np.ndarray, names: dict[str, int]) -> Path:
+    """Triangles with physical groups, in Gmsh's format 2."""
+    data = {"gmsh:physical": [numbers], "gmsh:geometrical": [numbers]}
+    groups = {name: np.array([number, 2]) for name, number in names.items()}
+    cells = [("triangle", ventricles().triangles)]
+    mesh = meshio.Mesh(ventricles().vertices, cells, cell_data=data, field_data=groups)
+    meshio.gmsh.write(path, mesh, fmt_version="2.2", binary=True)
+    return path
+
+
+def test_names_of_physical_groups(tmp_path):
+    labels = ventricles().labels
+    names = {"base": 11, "epi": 12, "LV endo": 13, "right ventricle": 14}
+    path = write_groups(tmp_path / "heart.msh", labels + 10, names)
+    assert has_labels(read_mesh(path))
+    assert (read_labelled_surface(path).labels == labels).all()
+
+
+def test_one_physical_group_tells_nothing(tmp_path):
+    path = write_groups(tmp_path / "a.msh", np.ones_like(ventricles().labels), {"heart": 1})
+    assert not has_labels(read_mesh(path))
 
 
 def test_own_numbers_are_translated(tmp_path):
     own = np.array([0, 10, 20, 30, 40])[ventricles().labels]
-    path = written(tmp_path / "heart.vtp", region=own)
+    path = written(tmp_path / "heart.vtp", label=own)
     numbers = {"base": 10, "epicardium": 20, "lv": 30, "rv": 40}
     assert (read_labelled_surface(path, names=numbers).labels == ventricles().labels).all()
     with pytest.raises(InputError, match=rf"40 \({(own == 40).sum()} times\); known are"):
         read_labelled_surface(path, names={k: v for k, v in numbers.items() if k != "rv"})
     with pytest.raises(InputError, match="two meanings"):
         read_labelled_surface(path, names={"lv": 10, "rv": 10})
-    with pytest.raises(InputError, match="label 'apex': unknown"):
+    shorter = {"BASE": 10, "epi": 20, "lv_endo": 30, "Right ventricle": 40}
+    assert (read_labelled_surface(path, names=shorter).labels == ventricles().labels).all()
+    with pytest.raises(InputError, match="as in --labels base=1,epicardium=2,lv=3,rv=4$"):
+        read_labelled_surface(path)
+    with pytest.raises(InputError, match="unknown 'apex'; the parts are base, epicardium, lv"):
         read_labelled_surface(path, names={"apex": 10})
 
 
 def test_numbers_may_exchange_the_default_ones(tmp_path):
     labels = ventricles().labels
     exchanged = np.where(labels == 3, 4, np.where(labels == 4, 3, labels))
-    path = written(tmp_path / "heart.vtp", region=exchanged)
+    path = written(tmp_path / "heart.vtp", label=exchanged)
     assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
 
 

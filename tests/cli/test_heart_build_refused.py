@@ -213,6 +213,12 @@ class TestTetrahedra:
         grid.save(build_refused.folder / "mesh.vtu")
         build_refused("mesh.vtu", words=["mesh.vtu: the tissue falls into 2 unconnected pieces"])
 
+    def test_labels_are_swapped(self, build_refused):
+        swapped = np.array([0, 1, 2, 4, 3])[anatomies.tissue().labels]
+        file = build_refused.folder / "mesh.vtu"
+        anatomies.write_vtu(file, labelled=True, labels=swapped)
+        build_refused(file, words=["mesh.vtu: LV and RV endocardium seem to be swapped"])
+
     def test_unknown_label_names(self, build_refused, mesh):
         build_refused(mesh, "--labels", "myocardium=3", words=["unknown 'myocardium'"])
 
@@ -243,7 +249,12 @@ class TestSegmentations:
         labels = anatomies.label_map()[0].copy()
         labels[labels == anatomies.NUMBERS[LV]] = 0
         anatomies.write_nifti(build_refused.folder / "map.nii.gz", labels)
-        build_refused("map.nii.gz", words=["LV blood (label 1) has 0 voxels"])
+        words = ["LV blood (label 1) has 0 voxels"]
+        build_refused("map.nii.gz", "--labels", "lv=1,rv=2,myocardium=3", words=words)
+
+    def test_labels_that_nobody_explained(self, build_refused):
+        anatomies.write_nifti(build_refused.folder / "map.nii.gz")
+        build_refused("map.nii.gz", words=["its labels (0, 1, 2, 3, 4)", "--labels lv=1,rv=2"])
 
     def test_no_voxel_spacing(self, build_refused):
         anatomies.write_nrrd(build_refused.folder / "map.nrrd", spacing=False)
@@ -377,21 +388,34 @@ class TestBody:
 
 
 class TestOut:
-    def test_a_file(self, refused_late, mesh, outside):
+    """Told before the work is done, so that the error stands alone."""
+
+    def test_a_file(self, refused, mesh, outside):
         (outside / "heart").write_text("mine")
-        refused_late(
-            ["heart", "build", mesh, *AROUND, "--out", outside / "heart"], "is a file; give"
-        )
+        refused(["heart", "build", mesh, *AROUND, "--out", outside / "heart"], "is a file; give")
         assert (outside / "heart").read_text() == "mine"
         assert len(list(outside.iterdir())) == 1
 
-    def test_a_folder_with_something_else(self, refused_late, mesh, outside):
+    def test_a_folder_that_is_no_heart(self, refused, mesh, outside):
         (outside / "notes.txt").write_text("mine")
         arguments = ["heart", "build", mesh, *AROUND, "--out", outside]
-        refused_late(arguments, "holds 'notes.txt', which would be lost")
+        refused(arguments, "holds files and is no heart folder (no heart.toml); give another --out")
         assert [path.name for path in outside.iterdir()] == ["notes.txt"]
 
-    def test_below_a_file(self, refused_late, mesh, outside):
+    def test_a_heart_with_something_else_in_it(self, refused, mesh, outside):
+        for name in ("heart.toml", "notes.txt"):
+            (outside / name).write_text("mine")
+        arguments = ["heart", "build", mesh, *AROUND, "--out", outside]
+        refused(arguments, "holds 'notes.txt', which would be lost")
+        assert {path.name for path in outside.iterdir()} == {"heart.toml", "notes.txt"}
+
+    def test_a_folder_that_holds_the_input(self, refused, mesh, build_refused):
+        arguments = ["heart", "build", mesh, *AROUND, "--out", mesh.parent]
+        before = mesh.read_bytes()
+        refused(arguments, "; give", "--out")
+        assert mesh.read_bytes() == before
+
+    def test_below_a_file(self, refused, mesh, outside):
         (outside / "file").write_text("mine")
         arguments = ["heart", "build", mesh, *AROUND, "--out", outside / "file" / "heart"]
-        refused_late(arguments, "cannot be written", "; choose another place (--out)")
+        refused(arguments, "cannot be written", "; choose another place (--out)")

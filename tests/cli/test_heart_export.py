@@ -9,18 +9,15 @@ import pytest
 import pyvista as pv
 from anatomies import LV, RV
 
-from fascicle.io.hearts import load_heart
-from fascicle.io.labelled_meshes import read_labelled_mesh
+from fascicle.anatomy.build import Body, build_heart
+from fascicle.anatomy.source import Source
+from fascicle.io.hearts import load_heart, write_heart
 from fascicle.io.meshes import TETRAHEDRON, read_mesh
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A built heart with sheets, a region of scar, and endocardia in register."""
-    from fascicle.anatomy.build import Body, build_heart
-    from fascicle.anatomy.source import Source
-    from fascicle.io.hearts import write_heart
-
     work = tmp_path_factory.mktemp("built")
     source = Source(anatomies.write_vtu(work / "mesh.vtu", labelled=True, scar=True))
     electrodes = anatomies.write_electrodes(work / "electrodes.csv")
@@ -95,11 +92,9 @@ def test_opencarp(export, heart):
 
 
 def test_what_went_out_to_opencarp_builds_the_same_heart(export, heart, run, outside):
-    """Its surfaces are endocardia alone, so the rest is found by shape."""
+    """Without its surfaces, which are the endocardia alone: all labels are found by shape."""
     out = export("carp", "opencarp")
-    for path in out.glob("*.surf"):
-        path.unlink()
-    for path in out.glob("*.vtx"):
+    for path in (*out.glob("*.surf"), *out.glob("*.vtx")):
         path.unlink()
     arguments = ["--torso", "none", "--electrodes", out / "electrodes.csv"]
     ended = run("heart", "build", out / "heart.pts", *arguments, "--out", outside / "again")
@@ -111,31 +106,6 @@ def test_what_went_out_to_opencarp_builds_the_same_heart(export, heart, run, out
     np.testing.assert_array_equal(again.regions, heart.regions)
     np.testing.assert_array_equal(again.electrodes, heart.electrodes)
     assert again.lv.area == pytest.approx(heart.lv.area, rel=0.02)
-
-
-def test_endocardia_that_go_out_alone_are_not_enough_labels(export, run, outside):
-    out = export("carp", "opencarp")
-    arguments = ["--torso", "none", "--electrodes", out / "electrodes.csv"]
-    ended = run("heart", "build", out / "heart.pts", *arguments, "--out", outside / "again")
-    assert ended.status == 2
-    assert "labels missing: base, epicardium" in ended.err
-    assert not (outside / "again").exists()
-
-
-def test_gmsh_goes_back_in_with_its_regions_and_fibres(export, heart):
-    read = read_labelled_mesh_without_labels(export("heart.msh", "gmsh"))
-    np.testing.assert_allclose(read.fibres, heart.fibres, atol=1e-12)
-    np.testing.assert_array_equal(read.regions, heart.regions)
-
-
-def read_labelled_mesh_without_labels(path):
-    """Tetrahedra of a Gmsh file whose surfaces are dropped: two of four would be missing."""
-    mesh = read_mesh(path)
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: mesh.cells[TETRAHEDRON]}, mesh.points)
-    for name in ("fibre", "sheet", "region"):
-        grid.cell_data[name] = mesh.cell_data[TETRAHEDRON][name]
-    grid.save(path.with_suffix(".vtu"))
-    return read_labelled_mesh(path.with_suffix(".vtu"))
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 from builders import box, face_of, line_tree
 
+from fascicle.anatomy.labels import labelled_mesh
 from fascicle.errors import InputError
+from fascicle.geometry.surface import NEEDED
 from fascicle.geometry.torso import LeadFields
 from fascicle.io.electrodes import read_electrodes, write_electrodes
 from fascicle.io.export import export_heart
+from fascicle.io.labelled_meshes import read_labelled_mesh
 from fascicle.io.meshes import GROUP, TETRAHEDRON, TRIANGLE, read_mesh
 from fascicle.io.opencarp_mesh import read_opencarp_mesh
 from fascicle.io.trees import read_tree
@@ -39,7 +42,7 @@ def heart():
         lv=face_of(block, 0, 0.0),
         rv=replace(face_of(block, 0, SIZE), side="rv"),
         electrodes=300 * rng.standard_normal((9, 3)),
-        lead_fields=LeadFields(rng.standard_normal((9, len(block.vertices))), "key"),
+        lead_fields=LeadFields(rng.standard_normal((9, len(block.vertices))), "key", ""),
     )
 
 
@@ -78,6 +81,8 @@ def test_gmsh_groups(tmp_path, heart):
     assert {name: of for name, (of, _) in mesh.groups.items()} == {
         "lv_endo": 2,
         "rv_endo": 2,
+        "epi": 2,
+        "base": 2,
         **{f"region {k}": 3 for k in range(-1, 4)},
     }
     numbers = mesh.cell_data[TETRAHEDRON][GROUP]
@@ -93,8 +98,7 @@ def test_gmsh_groups(tmp_path, heart):
 
 def test_gmsh_agrees_with_meshio(tmp_path, heart):
     """A second reader finds the same nodes, elements and groups."""
-    plain = replace(heart, lv=replace(heart.lv, vertices=heart.lv.vertices - 0.5))
-    export_heart(plain, tmp_path / "heart.msh", "gmsh")
+    export_heart(heart, tmp_path / "heart.msh", "gmsh")
     mesh = read_mesh(tmp_path / "heart.msh")
     content = (tmp_path / "heart.msh").read_bytes()
     bare = tmp_path / "bare.msh"  # meshio cannot read this format's element data
@@ -105,8 +109,21 @@ def test_gmsh_agrees_with_meshio(tmp_path, heart):
     np.testing.assert_array_equal(mesh.cells[TRIANGLE], other.cells_dict["triangle"])
     numbers = other.get_cell_data(GROUP, "triangle")
     np.testing.assert_array_equal(mesh.cell_data[TRIANGLE][GROUP], numbers)
-    corners = mesh.points[mesh.cells[TRIANGLE][numbers == 3]]
-    np.testing.assert_array_equal(corners, plain.lv.vertices[plain.lv.triangles])
+    assert len(numbers) == len(heart.boundary[0])
+
+
+@pytest.mark.parametrize("kind", ["opencarp", "gmsh"])
+def test_what_goes_out_has_every_label(tmp_path, default_heart, kind):
+    export_heart(default_heart, tmp_path / OUT[kind], kind)
+    read = read_labelled_mesh(tmp_path / MESH[kind])
+    known = labelled_mesh(default_heart)
+    order = [np.lexsort(np.sort(mesh.triangles).T) for mesh in (read, known)]
+    same = [np.sort(mesh.triangles)[at] for mesh, at in zip((read, known), order, strict=True)]
+    np.testing.assert_array_equal(*same)
+    np.testing.assert_array_equal(read.labels[order[0]], known.labels[order[1]])
+    assert np.unique(read.labels).tolist() == sorted(NEEDED)
+    np.testing.assert_array_equal(read.tetrahedra, default_heart.tetrahedra)
+    assert read.notes == ()
 
 
 def test_opencarp_takes_trees(tmp_path, heart):

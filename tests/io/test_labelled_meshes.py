@@ -13,7 +13,7 @@ from fascicle.errors import InputError
 from fascicle.geometry.endocardium import triangle_normals
 from fascicle.geometry.heart import boundary_triangles
 from fascicle.geometry.surface import Label
-from fascicle.io.label_names import label_of
+from fascicle.io.label_names import EXAMPLE, label_of, labels_by_number
 from fascicle.io.labelled_meshes import read_labelled_mesh
 from fascicle.io.meshes import read_mesh
 
@@ -136,10 +136,26 @@ def test_an_array_of_another_name(tmp_path, block):
 
 def test_numbers_of_another_meaning(tmp_path, block):
     path = block.vtu(tmp_path / "a.vtu", labels=block.labels + 40)
-    with pytest.raises(InputError, match="unknown label 41; the labels are 1 base, 2 epicardium"):
+    with pytest.raises(
+        InputError, match=r"unknown labels: 41 \(32 times\), .*; known are 1 base, 2 epi"
+    ):
         read_labelled_mesh(path)
     names = {str(40 + label): label for label in NAMES}
     check(read_labelled_mesh(path, names=names), block)
+    assert EXAMPLE == "--labels base=1,epicardium=2,lv=3,rv=4"
+    own = {"base": 41, "epi": 42, "LV endo": 43, "rv_endo": 44}
+    assert labels_by_number(own) == names
+
+
+def test_a_named_label_gives_up_its_own_number(tmp_path, block):
+    exchanged = np.array([0, 1, 2, 4, 3])[block.labels]
+    path = block.vtu(tmp_path / "a.vtu", labels=exchanged)
+    check(read_labelled_mesh(path, names=labels_by_number({"lv": 4, "rv": 3})), block)
+    path = block.vtu(tmp_path / "b.vtu", labels=np.where(exchanged == 4, 9, exchanged))
+    with pytest.raises(
+        InputError, match=r"unknown labels: 3 \(.*known are 9 lv_endocardium, 1 base"
+    ):
+        read_labelled_mesh(path, names=labels_by_number({"lv": 9}))
 
 
 def test_triangles_face_outwards(tmp_path, block):
@@ -180,7 +196,7 @@ def test_a_point_without_a_class(tmp_path, block):
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: block.tetrahedra}, block.points)
     grid.point_data["class"] = classes
     grid.save(tmp_path / "a.vtu")
-    with pytest.raises(InputError, match="array 'class': unknown label 0"):
+    with pytest.raises(InputError, match=r"array 'class': unknown labels: 0 \(1 times\)"):
         read_labelled_mesh(tmp_path / "a.vtu")
 
 
@@ -214,6 +230,10 @@ def test_groups_of_other_names(tmp_path, block):
     with pytest.raises(InputError, match="cannot tell which surface 'pericardial' is"):
         read_labelled_mesh(path)
     check(read_labelled_mesh(path, names={"pericardial": Label.EPICARDIUM}), block)
+    with pytest.raises(InputError, match="--labels epicardium=12$") as caught:
+        read_labelled_mesh(path)
+    word = str(caught.value).split()[-1].split("=")
+    check(read_labelled_mesh(path, names=labels_by_number({word[0]: int(word[1])})), block)
 
 
 def test_gmsh_data_of_some_elements(tmp_path, block):
@@ -285,6 +305,9 @@ def test_points_of_no_tetrahedron_are_left_out(tmp_path, block):
 def test_tetrahedra_all_inverted_are_turned(tmp_path, block):
     path = block.vtu(tmp_path / "a.vtu", tetrahedra=block.tetrahedra[:, [1, 0, 2, 3]])
     read = read_labelled_mesh(path)
+    assert len(read.notes) == 1
+    assert "all were inverted and have been turned" in read.notes[0]
+    assert read_labelled_mesh(block.vtu(tmp_path / "b.vtu")).notes == ()
     np.testing.assert_array_equal(np.sort(read.tetrahedra), np.sort(block.tetrahedra))
     order = np.lexsort(np.sort(read.triangles).T), np.lexsort(np.sort(block.triangles).T)
     np.testing.assert_array_equal(read.labels[order[0]], block.labels[order[1]])

@@ -9,6 +9,8 @@ import pytest
 from builders import box, face_of, line_tree
 
 from fascicle.errors import InputError
+from fascicle.geometry.heart import outward_triangles
+from fascicle.geometry.surface import Label, LabelledMesh
 from fascicle.io.meshes import LINE, TETRAHEDRON, TRIANGLE, read_mesh
 from fascicle.io.opencarp import write_opencarp, write_opencarp_tree, write_vtx
 from fascicle.io.opencarp_mesh import read_opencarp_mesh, read_surf, read_vtx
@@ -35,6 +37,16 @@ def heart():
     )
 
 
+def labelled(heart):
+    """The left face of the block is the LV, its right the RV, all else epicardium."""
+    triangles = outward_triangles(heart)
+    x = heart.vertices[triangles].mean(axis=1)[:, 0]
+    labels = np.full(len(triangles), int(Label.EPICARDIUM))
+    labels[x == 0] = Label.LV_ENDOCARDIUM
+    labels[x == SIZE] = Label.RV_ENDOCARDIUM
+    return LabelledMesh(heart.vertices, heart.tetrahedra, triangles, labels)
+
+
 @pytest.fixture
 def tree():
     """Bundle of three segments, a fork into three, curved segments; the root is node 2."""
@@ -48,7 +60,7 @@ def tree():
 
 @pytest.fixture
 def folder(tmp_path, heart, tree):
-    write_opencarp(heart, tmp_path / "heart", [tree])
+    write_opencarp(heart, labelled(heart), tmp_path / "heart", [tree])
     return tmp_path
 
 
@@ -76,28 +88,34 @@ def test_the_files_are_in_micrometres(folder):
 
 
 def test_without_regions_the_tag_is_one(tmp_path, heart):
-    write_opencarp(replace(heart, regions=None, sheets=None), tmp_path / "plain")
+    plain = replace(heart, regions=None, sheets=None)
+    write_opencarp(plain, labelled(plain), tmp_path / "plain")
     mesh = read_opencarp_mesh(tmp_path / "plain")
     assert set(mesh.cell_data[TETRAHEDRON]) == {"fibre", "region"}
     assert (mesh.cell_data[TETRAHEDRON]["region"] == 1).all()
     assert (tmp_path / "plain.lon").read_text().startswith("1\n")
 
 
-def test_endocardia_that_are_part_of_the_mesh(folder, heart):
-    for side, level in (("lv", 0.0), ("rv", SIZE)):
-        triangles = read_surf(folder / f"heart_{side}_endo.surf", len(heart.vertices))
-        assert len(triangles) == 32
-        assert (heart.vertices[triangles][:, :, 0] == level).all()
-        vertices, domain = read_vtx(folder / f"heart_{side}_endo.vtx")
+def test_the_whole_boundary_is_there(folder, heart):
+    """The base, which is missing in this one, has no files."""
+    for name, axis, level in (("lv_endo", 0, 0.0), ("rv_endo", 0, SIZE), ("epi", 2, SIZE)):
+        triangles = read_surf(folder / f"heart_{name}.surf", len(heart.vertices))
+        there = (heart.vertices[triangles][:, :, axis] == level).all(axis=1)
+        assert there.sum() == 32
+        assert len(triangles) == (128 if name == "epi" else 32)
+        vertices, domain = read_vtx(folder / f"heart_{name}.vtx")
         assert domain == "intra"
         np.testing.assert_array_equal(vertices, np.unique(triangles))
+    assert not list(folder.glob("heart_base.*"))
+    assert not list(folder.glob("heart_*_endocardium.*"))
 
 
 def test_endocardia_of_their_own_less_their_valves(tmp_path, heart):
     moved = replace(heart.lv, vertices=heart.lv.vertices + 0.4, valves=np.arange(32) < 2)
-    write_opencarp(replace(heart, lv=moved), tmp_path / "heart")
-    assert not (tmp_path / "heart_lv_endo.surf").exists()
-    mesh = read_opencarp_mesh(tmp_path / "heart_lv_endo")
+    write_opencarp(replace(heart, lv=moved), labelled(heart), tmp_path / "heart")
+    assert not (tmp_path / "heart_rv_endocardium.pts").exists()
+    assert len(read_surf(tmp_path / "heart_lv_endo.surf", len(heart.vertices))) == 32
+    mesh = read_opencarp_mesh(tmp_path / "heart_lv_endocardium")
     corners = mesh.points[mesh.cells[TRIANGLE]]
     assert np.abs(corners - moved.vertices[moved.triangles[2:]]).max() < 1e-9
 

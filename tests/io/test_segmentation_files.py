@@ -64,27 +64,30 @@ def read_or_message(path):
 
 
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"])
-def test_labels_and_positions_come_back_in_ras(tmp_path, labels, name):
-    write = write_nifti if ".nii" in name else write_nrrd
+def test_labels_and_positions_come_back_as_they_stand(tmp_path, labels, name):
+    nifti = ".nii" in name
+    write = write_nifti if nifti else write_nrrd
     found = read_segmentation(write(tmp_path / name, labels))
     np.testing.assert_array_equal(found.labels, labels)
-    np.testing.assert_allclose(found.affine, AFFINE, atol=1e-4)
+    np.testing.assert_allclose(found.affine, AFFINE if nifti else TO_LPS @ AFFINE, atol=1e-4)
+    assert found.space == ("RAS" if nifti else "LPS")
     np.testing.assert_allclose(found.spacing, [1.25, 1.25, 8.0], rtol=1e-6)
     assert found.name == str(tmp_path / name)
 
 
 @pytest.mark.parametrize(
-    ("space", "signs"),
-    [
-        ("left-anterior-superior", (-1, 1, 1)),
-        ("right-anterior-superior", (1, 1, 1)),
-        ("RAS", (1, 1, 1)),
-    ],
+    ("space", "known_as"),
+    [("LPS", "LPS"), ("right-anterior-superior", "RAS"), ("RAS", "RAS"), ("3D-right-handed", "")],
 )
-def test_nrrd_spaces_are_turned_to_ras(tmp_path, labels, space, signs):
-    affine = np.diag([*signs, 1.0]) @ AFFINE
-    found = read_segmentation(write_nrrd(tmp_path / "a.nrrd", labels, affine, space=space))
+def test_nrrd_spaces_are_kept(tmp_path, labels, space, known_as):
+    found = read_segmentation(write_nrrd(tmp_path / "a.nrrd", labels, AFFINE, space=space))
     np.testing.assert_allclose(found.affine, AFFINE, atol=1e-9)
+    assert found.space == known_as
+
+
+def test_a_left_handed_space_is_refused(tmp_path, labels):
+    path = write_nrrd(tmp_path / "a.nrrd", labels, space="left-anterior-superior")
+    assert "'left-anterior-superior' is unknown or left-handed" in refused(path)
 
 
 def test_nrrd_with_spacings_alone_keeps_its_axes(tmp_path, labels):

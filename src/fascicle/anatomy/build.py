@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from fascicle.geometry.surface import LabelledMesh
 from fascicle.geometry.validate import check_electrodes, check_tetrahedra
 from fascicle.io.electrodes import read_electrodes
 from fascicle.io.torsos import read_torso_surfaces
-from fascicle.study import Progress
+from fascicle.study import Progress, stage_of
 from fascicle.torso.electrodes import check_not_mirrored
 from fascicle.torso.idealised import Build, TorsoSurfaces, idealised_torso
 from fascicle.torso.known import known_lead_fields
@@ -66,6 +65,14 @@ class Body:
                 f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
                 "idealised torso has places for them)"
             )
+        idle = [name for name in ("height", "weight", "chest") if getattr(self, name) is not None]
+        if self.pose != "standard":
+            idle.append("pose")
+        if idle and self.torso != IDEALISED:
+            raise InputError(
+                f"--{idle[0]} goes with the idealised torso, not with --torso {self.torso}; leave "
+                "it out"
+            )
         if self.lungs and self.torso in (IDEALISED, NONE):
             raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
 
@@ -86,10 +93,13 @@ class BuiltHeart:
         Ready to simulate.
     anatomy : Anatomy
         What it was made of.
+    notes : tuple of str
+        What was decided on the way, for people.
     """
 
     heart: Heart
     anatomy: Anatomy
+    notes: tuple[str, ...] = ()
 
 
 def build_heart(
@@ -127,11 +137,21 @@ def build_heart(
         If the anatomy or the body cannot be used; the message says why.
     """
     body = body if body is not None else Body()
-    anatomy = read_anatomy(source, edge_length, _told(progress, "anatomy"))
+    anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
     heart = in_body(heart, anatomy.mesh, body, progress)
-    return BuiltHeart(heart, anatomy)
+    return BuiltHeart(heart, anatomy, (*anatomy.notes, *_kept(anatomy)))
+
+
+def _kept(anatomy: Anatomy) -> list[str]:
+    """What the source had already, so that options about it do nothing."""
+    notes = []
+    if anatomy.own_mesh:
+        notes.append("mesh: as in the file; the edge length is its own")
+    if anatomy.fibres is not None:
+        notes.append("fibres: those of the file; no rule was applied")
+    return notes
 
 
 def heart_of(
@@ -148,7 +168,7 @@ def heart_of(
     mesh, seeds = anatomy.mesh, seeds if seeds is not None else {}
     fibres, sheets = anatomy.fibres, anatomy.sheets
     if fibres is None:
-        ruled = rule_based_fibres(mesh, angles, _told(progress, "fibres"))
+        ruled = rule_based_fibres(mesh, angles, stage_of(progress, "fibres"))
         fibres, sheets = ruled.fibre, ruled.sheet
     lv, rv = endocardia(mesh)
     surfaces = {"lv": lv, "rv": rv}
@@ -184,9 +204,9 @@ def in_body(
     check_not_mirrored(source, heart)
     if surfaces is None:
         return heart
-    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, _told(progress, "torso"))
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_of(progress, "torso"))
     heart = replace(heart, torso=torso)
-    fields = known_lead_fields(heart, Conduction(), _told(progress, "lead fields"))
+    fields = known_lead_fields(heart, Conduction(), stage_of(progress, "lead fields"))
     return replace(heart, lead_fields=fields)
 
 
@@ -205,11 +225,3 @@ def _electrodes(body: Body, surfaces: TorsoSurfaces | None) -> NDArray[np.float6
     if surfaces is None or surfaces.electrodes is None:
         raise ValueError("only the idealised torso has places for electrodes")
     return surfaces.electrodes
-
-
-def _told(progress: Progress | None, stage: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else partial(_tell, progress, stage)
-
-
-def _tell(progress: Progress, stage: str, done: int, total: int) -> None:
-    progress(stage, done, total, "")

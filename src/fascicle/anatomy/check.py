@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fascicle.anatomy.labels import labelled_mesh
 from fascicle.anatomy.quality import Quality, quality
 from fascicle.anatomy.wall import Walls, wall_thickness
+from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.endocardium import Endocardium, boundary_loops
 from fascicle.geometry.heart import Heart, signed_volumes
 from fascicle.geometry.surface import Label, LabelledMesh
@@ -19,6 +20,7 @@ from fascicle.geometry.torso import Tissue
 from fascicle.harmonic.chart import Chart
 from fascicle.leads import ELECTRODES
 from fascicle.torso.electrodes import electrode_warnings
+from fascicle.torso.known import is_up_to_date
 
 ML, LITRE = 1e3, 1e6  # mm³
 # Outside these, somebody should look; human adults, healthy or not
@@ -111,6 +113,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
     warnings = [
         *_size_warnings(heart, walls, shape, charts),
         *_fibre_warnings(helix),
+        *_lead_field_warnings(heart),
         *electrode_warnings(heart),
     ]
     return HeartCheck(mesh, tuple(rows), tuple(warnings), walls, shape, helix)
@@ -262,6 +265,19 @@ def _size_warnings(
                 "than the other; branch angles are distorted there: remesh or smooth the surface"
             )
     return warnings
+
+
+def _lead_field_warnings(heart: Heart) -> list[str]:
+    """Lead fields of other electrodes or fibres, or of another torso."""
+    known = heart.lead_fields
+    if known is None or is_up_to_date(heart, Conduction()):
+        return []
+    if heart.torso is None:
+        return [
+            f"{heart.name}: its lead fields are not for these electrodes and fibres, and there is "
+            "no torso to compute new ones in: it cannot be simulated; build it again"
+        ]
+    return [f"{heart.name}: its lead fields are out of date; they are solved anew when needed"]
 
 
 def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:

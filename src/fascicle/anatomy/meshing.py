@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.anatomy.borders import cleaned_labels
 from fascicle.anatomy.closed import enclosed_volume
-from fascicle.anatomy.remeshing import as_float64, as_int32, remeshed_surface
+from fascicle.anatomy.remeshing import remeshed_surface
 from fascicle.anatomy.wall import check_edge_length, wall_thickness
 from fascicle.errors import InputError
-from fascicle.geometry.heart import boundary_triangles, signed_volumes
+from fascicle.geometry.heart import boundary_triangles
+from fascicle.geometry.meshers import NOTHING, Sheet, as_float64, as_int32, filled
 from fascicle.geometry.surface import LabelledMesh, LabelledSurface
 
 # Vertices in a cube with the edge length's side (measured: 2.0 at 1 mm, 2.2 at 2 mm, 2.4 at 3 mm on
@@ -23,6 +23,8 @@ from fascicle.geometry.surface import LabelledMesh, LabelledSurface
 # (measured at 1 mm: 1.6 GB for 292,000).
 VERTICES_PER_CUBE = 2.2
 MEMORY_PER_VERTEX = 6e3  # bytes
+
+TISSUE = 1  # Netgen's number of what is inside
 
 Told = Callable[[int, int], None]
 
@@ -58,7 +60,12 @@ def mesh_surface(
     report(0, 3)
     remeshed = remeshed_surface(surface, edge_length)
     report(1, 3)
-    vertices, tetrahedra = _filled(remeshed, edge_length)
+    vertices, tetrahedra, _ = filled(
+        [Sheet(remeshed.vertices, remeshed.triangles, TISSUE, NOTHING)],
+        f"{surface.name}: the inside of the surface with edges of {edge_length:g} mm",
+        "give a shorter edge length, or smooth the surface",
+        maxh=edge_length,
+    )
     report(2, 3)
     mesh = _refined(remeshed, vertices, tetrahedra, edge_length)
     report(3, 3)
@@ -101,36 +108,6 @@ def available_memory() -> float:
     if "SC_PHYS_PAGES" in getattr(os, "sysconf_names", {}):
         return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     return float("inf")
-
-
-def _filled(
-    surface: LabelledSurface, edge_length: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices, those of the surface first, and tetrahedra of Netgen inside a surface."""
-    from netgen import meshing as netgen
-
-    netgen.SetMessageImportance(0)
-    mesh: Any = netgen.Mesh()
-    mesh.dim = 3
-    points = [mesh.Add(netgen.MeshPoint(netgen.Pnt(*vertex))) for vertex in surface.vertices]
-    face = mesh.Add(netgen.FaceDescriptor(bc=1, domin=1, domout=0, surfnr=1))
-    for triangle in surface.triangles:
-        mesh.Add(netgen.Element2D(face, [points[vertex] for vertex in triangle]))
-    failed = (
-        f"{surface.name}: the surface could not be filled with edges of {edge_length:g} mm; give a "
-        "shorter edge length, or smooth the surface"
-    )
-    try:
-        mesh.GenerateVolumeMesh(netgen.MeshingParameters(maxh=edge_length))
-    except netgen.NgException as error:
-        raise InputError(f"{failed} ({' '.join(str(error).split())})") from None
-    tetrahedra = np.array(mesh.Elements3D().NumPy()["nodes"][:, :4], dtype=np.int64) - 1
-    vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
-    tetrahedra = tetrahedra[:, [0, 2, 1, 3]]  # Netgen's are wound the other way
-    volume = float(signed_volumes(vertices, tetrahedra).sum())
-    if not np.isclose(volume, enclosed_volume(surface), rtol=1e-6):
-        raise InputError(f"{failed} ({volume / 1000:.1f} ml of it were)")
-    return vertices, tetrahedra
 
 
 def _refined(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fascicle.anatomy.closed import compacted, oriented_outwards, place
 from fascicle.anatomy.intersections import self_intersections
 from fascicle.errors import InputError
+from fascicle.geometry.meshers import remeshed_triangles
 from fascicle.geometry.surface import LabelledSurface
 
 # Edge lengths that the new surface may lie from the given one (MMG stays far nearer: on a heart
@@ -74,20 +75,8 @@ def mean_edge(vertices: NDArray[np.float64], cells: NDArray[np.int64]) -> float:
 
 def _remeshed(surface: LabelledSurface, **options: float) -> LabelledSurface:
     """The surface remeshed by MMG with these of its options."""
-    import mmgpy
-
-    triangles = as_int32(surface.triangles)
-    # made with its triangles, then given them once more: only the second way takes their labels
-    mesh = mmgpy.MmgMeshS(as_float64(surface.vertices), triangles)
-    mesh.set_triangles(triangles, as_int32(surface.labels))
-    mesh.remesh(**options, verbose=-1)
-    new, labels = mesh.get_triangles_with_refs()
-    return LabelledSurface(
-        np.array(mesh.get_vertices(), dtype=float),
-        np.array(new, dtype=np.int64),
-        np.array(labels, dtype=np.int64),
-        surface.name,
-    )
+    new = remeshed_triangles(surface.vertices, surface.triangles, surface.labels, **options)
+    return LabelledSurface(*new, surface.name)
 
 
 def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSurface:
@@ -141,13 +130,3 @@ def _brought_together(triangles: NDArray[np.int64], edges: NDArray[np.int64]) ->
             target[lost] = kept
             busy |= around
     return target
-
-
-def as_int32(array: NDArray[np.int64]) -> NDArray[np.int32]:
-    """As MMG must have it: of another type or in another order it reads it wrongly."""
-    return np.ascontiguousarray(array, dtype=np.int32)
-
-
-def as_float64(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """As MMG must have it."""
-    return np.ascontiguousarray(array, dtype=np.float64)

@@ -34,10 +34,11 @@ class Segmentation:
     labels : (i, j, k) integer array
         The label of each voxel; 0 is background.
     affine : (4, 4) array
-        From voxel indices (of voxel centres) to mm, x to the right, y to the front, z to the head
-        (RAS+) where the file says how the patient lay, the file's own axes where it does not.
+        From voxel indices (of voxel centres) to mm, in the coordinates that the file has.
     name : str
         What to call it in messages; usually the file.
+    space : str
+        ``"RAS"`` or ``"LPS"`` if these are the patient's axes, otherwise empty.
 
     Raises
     ------
@@ -48,6 +49,7 @@ class Segmentation:
     labels: NDArray[np.int64]
     affine: NDArray[np.float64]
     name: str = "segmentation"
+    space: str = ""
 
     def __post_init__(self) -> None:
         axes = self.affine[:3, :3]

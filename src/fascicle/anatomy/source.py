@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from fascicle.anatomy.classify import classify_surface
 from fascicle.anatomy.closed import prepared_surface
 from fascicle.anatomy.join import join_surfaces
 from fascicle.anatomy.meshing import mesh_surface
-from fascicle.anatomy.segmentation import SegmentationLabels, regions_at
+from fascicle.anatomy.segmentation import Segmentation, SegmentationLabels, regions_at
 from fascicle.anatomy.segmentation_surface import surface_from_segmentation
+from fascicle.anatomy.wall import check_not_swapped
 from fascicle.errors import InputError
 from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
 from fascicle.io.label_names import label_of
@@ -22,17 +23,13 @@ from fascicle.io.labelled_meshes import read_labelled_mesh
 from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh
 from fascicle.io.segmentations import read_segmentation
 from fascicle.io.surfaces import has_labels, read_labelled_surface
+from fascicle.study import Progress, stage_of
 
 PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
-GUESSED = (
-    "labels: found from the shape, since the file has none; look at the picture, and give "
-    "--labels or --label-array if they are wrong",
-)
+OPTIONS = {"numbers": "--labels", "array": "--label-array", "labels_file": "--labels-file"}
 SEGMENTATIONS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
 OPENCARP = (".pts", ".elem")
 VOLUMES = (".vtk", ".vtu", ".msh")  # may hold tetrahedra or triangles
-
-Told = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -91,15 +88,21 @@ class Anatomy:
         Unit directions, where the source has them.
     notes : tuple of str
         What was decided on the way, for people.
+    guessed : bool
+        Whether the labels were found from the shape, and somebody should look at them.
+    own_mesh : bool
+        Whether the tetrahedra are the source's own.
     """
 
     mesh: LabelledMesh
     fibres: NDArray[np.float64] | None = None
     sheets: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+    guessed: bool = False
+    own_mesh: bool = False
 
 
-def read_anatomy(source: Source, edge_length: float, told: Told | None = None) -> Anatomy:
+def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
     """Read the files and mesh what is not a mesh yet.
 
     Parameters
@@ -108,8 +111,8 @@ def read_anatomy(source: Source, edge_length: float, told: Told | None = None) -
         The files.
     edge_length : float
         Of the tetrahedra (mm); a mesh of the user's own stays as it is.
-    told : callable, optional
-        Told how many steps of how many are done.
+    progress : Progress, optional
+        Told how far it is.
 
     Raises
     ------
@@ -117,50 +120,72 @@ def read_anatomy(source: Source, edge_length: float, told: Told | None = None) -
         If a file cannot be used; the message says why.
     """
     if source.file is None:
-        return Anatomy(_meshed(_joined(source), edge_length, told))
+        _check_unused(source, "separate surfaces", "numbers", "array", "labels_file")
+        return Anatomy(_meshed(_joined(source, progress), edge_length, progress))
     suffix = source.file.name.lower()
     if suffix.endswith(SEGMENTATIONS):
-        return _from_segmentation(source, source.file, edge_length, told)
+        _check_unused(source, "a segmentation", "array", "labels_file")
+        return _from_segmentation(source, source.file, edge_length, progress)
     if suffix.endswith((*OPENCARP, *VOLUMES)) and _has_tetrahedra(source.file):
-        return _from_tetrahedra(source, source.file)
-    return _from_surface(source, source.file, edge_length, told)
+        return _from_tetrahedra(source, source.file, progress)
+    return _from_surface(source, source.file, edge_length, progress)
+
+
+def _check_unused(source: Source, what: str, *names: str) -> None:
+    """Refuse options that would do nothing."""
+    for name in names:
+        if getattr(source, name) is not None:
+            raise InputError(f"{OPTIONS[name]} says nothing about {what}; leave it out")
 
 
 def _has_tetrahedra(file: Path) -> bool:
     return TETRAHEDRON in read_mesh(file, "anatomy").cells
 
 
-def _joined(source: Source) -> LabelledSurface:
+def _joined(source: Source, progress: Progress | None) -> LabelledSurface:
     read = {part: _triangles(read_mesh(path, part)) for part, path in source.parts.items()}
     name = str(source.parts["epicardium"])
-    return join_surfaces(read["lv"], read["rv"], read["epicardium"], read.get("base"), name)
+    told = stage_of(progress, "surface")
+    return join_surfaces(read["lv"], read["rv"], read["epicardium"], read.get("base"), name, told)
 
 
 def _triangles(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return mesh.points, mesh.require(TRIANGLE, "triangles")
 
 
-def _from_surface(source: Source, file: Path, edge_length: float, told: Told | None) -> Anatomy:
+def _from_surface(
+    source: Source, file: Path, edge_length: float, progress: Progress | None
+) -> Anatomy:
     mesh = read_mesh(file, "surface")
     if has_labels(mesh, source.array, source.labels_file):
         surface = read_labelled_surface(file, source.array, source.numbers, source.labels_file)
-        return Anatomy(_meshed(surface, edge_length, told))
-    surface = classify_surface(*_triangles(mesh), str(file))
-    return Anatomy(_meshed(surface, edge_length, told), notes=GUESSED)
+        return Anatomy(_meshed(surface, edge_length, progress))
+    _check_unused(source, f"{file}, which has no labels", "numbers")
+    surface = classify_surface(*_triangles(mesh), str(file), stage_of(progress, "surface"))
+    return Anatomy(_meshed(surface, edge_length, progress), guessed=True)
 
 
-def _meshed(surface: LabelledSurface, edge_length: float, told: Told | None) -> LabelledMesh:
-    return mesh_surface(prepared_surface(surface), edge_length, told)
+def _meshed(
+    surface: LabelledSurface, edge_length: float, progress: Progress | None
+) -> LabelledMesh:
+    return mesh_surface(prepared_surface(surface), edge_length, stage_of(progress, "meshing"))
 
 
 def _from_segmentation(
-    source: Source, file: Path, edge_length: float, told: Told | None
+    source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     notes: list[str] = []
     segmentation = read_segmentation(file)
-    labels = _segmentation_labels(source.numbers)
-    surface = surface_from_segmentation(segmentation, labels, noted=notes.append)
-    mesh = _meshed(surface, edge_length, told)
+    labels = _segmentation_labels(segmentation, source.numbers)
+    if segmentation.space:
+        notes.append(
+            f"coordinates: {segmentation.space}, as in the file; --pose "
+            f"{segmentation.space.lower()} lays the torso along them"
+        )
+    surface = surface_from_segmentation(
+        segmentation, labels, stage_of(progress, "surface"), notes.append
+    )
+    mesh = _meshed(surface, edge_length, progress)
     if labels.scar is not None:
         centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
         mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
@@ -168,9 +193,15 @@ def _from_segmentation(
     return Anatomy(mesh, notes=tuple(notes))
 
 
-def _segmentation_labels(numbers: Mapping[str, int] | None) -> SegmentationLabels:
+def _segmentation_labels(
+    segmentation: Segmentation, numbers: Mapping[str, int] | None
+) -> SegmentationLabels:
     if numbers is None:
-        return SegmentationLabels()
+        there = ", ".join(map(str, np.unique(segmentation.labels)))
+        raise InputError(
+            f"{segmentation.name}: which of its labels ({there}) is what differs from one program "
+            "to another; say so, as --labels lv=1,rv=2,myocardium=3,scar=4"
+        )
     known = [field.name for field in fields(SegmentationLabels)]
     unknown = [name for name in numbers if name not in known]
     if unknown:
@@ -192,11 +223,17 @@ def _surface_labels(numbers: Mapping[str, int]) -> dict[str, Label]:
     return labels
 
 
-def _from_tetrahedra(source: Source, file: Path) -> Anatomy:
+def _from_tetrahedra(source: Source, file: Path, progress: Progress | None) -> Anatomy:
+    _check_unused(source, "tetrahedra", "labels_file")
     names = None if source.numbers is None else _surface_labels(source.numbers)
     read = read_labelled_mesh(file, array=source.array, names=names)
-    if read.labels is not None:
-        return Anatomy(read.labelled(), read.fibres, read.sheets)
-    vertices, triangles, _ = read.boundary_surface()
-    surface = classify_surface(vertices, triangles, str(file))
-    return Anatomy(read.labelled(surface.labels), read.fibres, read.sheets, GUESSED)
+    labels = read.labels
+    if labels is None:
+        vertices, triangles, _ = read.boundary_surface()
+        told = stage_of(progress, "surface")
+        labels = classify_surface(vertices, triangles, str(file), told).labels
+    mesh = read.labelled(labels)
+    check_not_swapped(mesh)
+    return Anatomy(
+        mesh, read.fibres, read.sheets, read.notes, guessed=read.labels is None, own_mesh=True
+    )

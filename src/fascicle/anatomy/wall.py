@@ -114,8 +114,8 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
         )
 
 
-def check_not_swapped(surface: LabelledSurface) -> None:
-    """Refuse a surface whose left and right endocardium have each other's label.
+def check_not_swapped(surface: LabelledSurface | LabelledMesh) -> None:
+    """Refuse a body whose left and right endocardium have each other's label.
 
     The left ventricle has the thicker free wall and the rounder cavity: the right one is bent
     around it. Where both say the opposite of the labels these are swapped. One alone does not

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from botorch.acquisition import LogExpectedImprovement
+from botorch.exceptions.warnings import OptimizationWarning
 from botorch.generation.gen import gen_candidates_scipy
 from botorch.models.model import Model
 from numpy.typing import NDArray
@@ -107,13 +109,16 @@ def maximise(
     uniform = region.draw(rng, RAW_UNIFORM)
     local = region.clip(perturbed(rng, best_points, RAW_LOCAL))
     starts = np.vstack([_best(acquisition, uniform), _best(acquisition, local)])
-    polished, _ = gen_candidates_scipy(
-        to_tensor(starts)[:, None, :],
-        acquisition,
-        lower_bounds=to_tensor(region.lower),
-        upper_bounds=to_tensor(region.upper),
-        options={"maxiter": ITERATIONS},
-    )
+    with warnings.catch_warnings():
+        # a line search that ends early leaves a point that is judged with the others below
+        warnings.simplefilter("ignore", OptimizationWarning)
+        polished, _ = gen_candidates_scipy(
+            to_tensor(starts)[:, None, :],
+            acquisition,
+            lower_bounds=to_tensor(region.lower),
+            upper_bounds=to_tensor(region.upper),
+            options={"maxiter": ITERATIONS},
+        )
     candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])
     gap = np.abs(candidates[:, None, :] - known[None, :, :]).max(2).min(1)
     allowed = candidates[gap > NEAREST]

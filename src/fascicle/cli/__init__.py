@@ -28,8 +28,8 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     help="Learn a patient's Purkinje network, with its uncertainty, from a heart model and an "
     "ordinary 12-lead ECG, and predict from it what pacing would do.\n\n"
-    "The usual way: **heart import** a mesh, make a **target** of a recording, **fit**, then "
-    "**predict** and **report**. **demo** does it all on a packaged heart and a real ECG.",
+    "The usual way: **heart build** from an anatomy, make a **target** of a recording, **fit**, "
+    "then **predict** and **report**. **demo** does it all on a packaged heart and a real ECG.",
 )
 app.add_typer(heart_app, name="heart")
 
@@ -231,9 +231,10 @@ def template(
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
     from fascicle.progress import TerminalProgress
-    from fascicle.report.figures import save
+    from fascicle.report.figures import check_picture, save
     from fascicle.report.template import template_figure
 
+    check_picture(out)
     with TerminalProgress() as progress:
         figure, measures = template_figure(progress)
     save(figure, out)

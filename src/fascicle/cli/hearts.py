@@ -17,6 +17,7 @@ from fascicle.errors import InputError
 if TYPE_CHECKING:
     from fascicle.geometry.heart import Heart
     from fascicle.geometry.seeds import ChosenSeed
+    from fascicle.geometry.surface import LabelledMesh
     from fascicle.harmonic.chart import Chart
 
 heart_app = typer.Typer(
@@ -135,6 +136,7 @@ def heart_build(
     from fascicle.anatomy.build import Body, build_heart
     from fascicle.anatomy.source import Source
     from fascicle.fibres.rules import FibreAngles
+    from fascicle.io.hearts import check_heart_folder
     from fascicle.progress import TerminalProgress
 
     parts = {
@@ -151,6 +153,8 @@ def heart_build(
     rv_endo, rv_epi = _angles("--rv-angles", rv_angles)
     seeds = _seeds(lv_root, lv_direction, rv_root, rv_direction)
     folder = out if out is not None else Path(source.name)
+    given = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
+    check_heart_folder(folder, [path for path in given if path is not None and path.is_file()])
     with TerminalProgress() as progress:
         built = build_heart(
             source,
@@ -161,9 +165,11 @@ def heart_build(
             name=folder.resolve().name,
             progress=progress,
         )
-    for note in built.anatomy.notes:
+    for note in built.notes:
         print(note)
     _write_and_check(built.heart, folder)
+    if built.anatomy.guessed:
+        _draw_labels(built.anatomy.mesh, folder)
 
 
 @heart_app.command("import")
@@ -185,9 +191,10 @@ def heart_import(
     points may come in another order. Without seeds, sensible ones are found on the septal side of
     the base, pointing to the apex. The volume conductor is unbounded; **heart build** adds a torso.
     """
-    from fascicle.io.hearts import assemble_heart
+    from fascicle.io.hearts import assemble_heart, check_heart_folder
     from fascicle.io.meshes import read_mesh
 
+    check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
     heart = assemble_heart(
         mesh=read_mesh(mesh, "mesh"),
         fibres=read_mesh(fibres, "fibres"),
@@ -199,24 +206,27 @@ def heart_import(
         electrodes=electrodes,
         name=out.resolve().name,
     )
-    _growable_charts(heart, {"lv": lv_endocardium, "rv": rv_endocardium})
-    _write_and_check(heart, out)
+    _write_and_check(heart, out, {"lv": lv_endocardium, "rv": rv_endocardium})
 
 
 @heart_app.command("check")
 def heart_check(
     heart: HeartArgument,
     picture: Annotated[
-        Path | None, typer.Option(help="Picture to write; without it, check.png in the folder.")
+        Path | None,
+        typer.Option(help="Picture to write (PNG, PDF, SVG); otherwise check.png in the folder."),
     ] = None,
 ) -> None:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
     from fascicle.io.hearts import PICTURE, load_heart
+    from fascicle.report.figures import check_picture
 
+    if picture is not None:
+        check_picture(picture)
     loaded = load_heart(heart)
     charts = _growable_charts(loaded, {"lv": heart, "rv": heart})
-    if picture is None:
-        picture = Path(heart) / PICTURE if Path(heart).is_dir() else Path(f"{heart}-{PICTURE}")
+    if picture is None and Path(heart).is_dir():  # the packaged heart has no place for one
+        picture = Path(heart) / PICTURE
     _check(loaded, charts, picture)
 
 
@@ -237,18 +247,31 @@ def heart_export(
     print(f"written to {out}")
 
 
-def _write_and_check(heart: Heart, folder: Path) -> None:
+def _write_and_check(
+    heart: Heart, folder: Path, sources: Mapping[str, object] | None = None
+) -> None:
     """Write a heart folder with its picture in it, and print what it holds."""
     from fascicle.io.hearts import PICTURE, write_heart
 
-    sources = {"lv": folder, "rv": folder}
-    charts = _growable_charts(heart, sources)
+    charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
     _check(heart, charts, folder / PICTURE)
     print(f"heart written to {folder}")
 
 
-def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path) -> None:
+def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
+    from fascicle.io.hearts import LABELS_PICTURE
+    from fascicle.report.figures import save
+    from fascicle.report.labels import labels_figure
+
+    save(labels_figure(mesh), folder / LABELS_PICTURE)
+    print(
+        f"labels found from the shape: look at {folder / LABELS_PICTURE}; if they are wrong, give "
+        "a surface with labels"
+    )
+
+
+def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> None:
     from fascicle.anatomy.check import check_heart
     from fascicle.report.check import check_figure
     from fascicle.report.figures import save
@@ -257,10 +280,11 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path) -> None:
     print(heart.name)
     for what, value in found.rows:
         print(f"  {what:<18} {value}")
-    save(check_figure(heart, found), picture)
     for warning in found.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    print(f"picture: {picture}")
+    if picture is not None:
+        save(check_figure(heart, found), picture)
+        print(f"picture: {picture}")
     print(f"{len(found.warnings)} warnings" if found.warnings else "no problem found")
 
 
@@ -275,7 +299,7 @@ def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, C
             charts[endocardium.side] = build_chart(endocardium)
             find_seed(endocardium, charts[endocardium.side])
         except InputError as error:
-            raise InputError(f"{sources[endocardium.side]}: {error}") from None
+            raise InputError(f"{sources.get(endocardium.side, heart.name)}: {error}") from None
     return charts
 
 
@@ -286,8 +310,11 @@ def _numbers(labels: str | None) -> dict[str, int] | None:
     numbers: dict[str, int] = {}
     for item in labels.split(","):
         name, _, number = item.partition("=")
+        name = name.strip().lower()
+        if name in numbers:
+            raise InputError(f"--labels {labels}: '{name}' is there twice; give one number each")
         try:
-            numbers[name.strip().lower()] = int(number)
+            numbers[name] = int(number)
         except ValueError:
             raise InputError(
                 f"--labels {labels}: '{item}' is not a name and a number; write lv=3,rv=4"

@@ -13,7 +13,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.geometry.endocardium import Endocardium, triangle_normals
+from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.torso import LeadFields, Torso
 
 
@@ -118,21 +118,17 @@ def digest_of(*arrays: NDArray[np.generic]) -> str:
 def boundary_triangles(
     tetrahedra: NDArray[np.integer],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles (b, 3) that belong to one tetrahedron only, and which one (b,)."""
+    """Triangles (b, 3) that belong to one tetrahedron only, and which one (b,).
+
+    Seen from outside they run counter-clockwise, if the tetrahedra are positively oriented.
+    """
     triangles, owner, _ = igl.boundary_facets(tetrahedra.astype(np.int64))
     return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
 
 
 def outward_triangles(heart: Heart) -> NDArray[np.int64]:
     """Boundary triangles (b, 3), counter-clockwise seen from outside the tissue."""
-    triangles, owner = heart.boundary
-    normals = triangle_normals(heart.vertices, triangles)
-    inside = heart.vertices[heart.tetrahedra[owner]].mean(axis=1)
-    middle = heart.vertices[triangles].mean(axis=1)
-    inverted = np.einsum("ij,ij->i", normals, middle - inside) < 0
-    turned = triangles.copy()
-    turned[inverted] = turned[inverted][:, ::-1]
-    return turned
+    return heart.boundary[0]
 
 
 def signed_volumes(

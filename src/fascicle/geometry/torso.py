@@ -46,7 +46,10 @@ class LeadFields:
         Potential for unit current through each electrode (kΩ), up to a constant.
     key : str
         `fascicle.torso.known.key_of` heart and conduction.
+    torso : str
+        `fascicle.torso.known.torso_key` of the body they were computed in.
     """
 
     values: NDArray[np.float64]
     key: str
+    torso: str

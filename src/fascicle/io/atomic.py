@@ -54,20 +54,15 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
     InputError
         If `folder` holds anything that would be lost, or is a file.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; give the path of a folder (--out)")
-    if folder.resolve() in (Path.cwd(), *Path.cwd().parents):
-        raise InputError(
-            f"{folder}: is the folder you are in, or holds it; give a folder of its own (--out)"
-        )
+    check_folder(folder)
     folder = folder.resolve()  # a link stays a link
-    _make_parent(folder)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         yield temporary
         temporary.chmod(0o755)
         if folder.exists():
-            _check_nothing_lost(folder, temporary, disposable)
+            new = {str(path.relative_to(temporary)) for path in temporary.rglob("*")}
+            check_nothing_lost(folder, new | set(disposable))
             shutil.rmtree(folder)
         os.replace(temporary, folder)
     except OSError as error:
@@ -79,6 +74,23 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
         ) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be written, before the work that its content takes.
+
+    Raises
+    ------
+    InputError
+        If it is a file, holds the current folder, or lies where nothing can be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; give the path of a folder (--out)")
+    if folder.resolve() in (Path.cwd(), *Path.cwd().parents):
+        raise InputError(
+            f"{folder}: is the folder you are in, or holds it; give a folder of its own (--out)"
+        )
+    _make_parent(folder.resolve())
 
 
 def _make_parent(path: Path) -> None:
@@ -93,12 +105,12 @@ def _make_parent(path: Path) -> None:
         ) from None
 
 
-def _check_nothing_lost(old: Path, new: Path, disposable: Collection[str]) -> None:
-    for path in sorted(old.rglob("*")):
-        if {DISPOSABLE, *disposable}.intersection(path.relative_to(old).parts):
-            continue
-        if not (new / path.relative_to(old)).exists():
+def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
+    """Refuse to replace a folder that holds what the new one (these relative paths) does not."""
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder)
+        if DISPOSABLE not in relative.parts and str(relative) not in new:
             raise InputError(
-                f"{old}: holds '{path.relative_to(old)}', which would be lost; give another --out "
-                "or empty the folder"
+                f"{folder}: holds '{relative}', which would be lost; give another --out or empty "
+                "the folder"
             )

@@ -11,18 +11,17 @@ from numpy.typing import NDArray
 
 from fascicle.errors import InputError
 from fascicle.geometry.heart import Heart
-from fascicle.geometry.surface import Label
 from fascicle.io.atomic import DISK_FULL, atomic_folder, atomic_path
 from fascicle.io.hearts import LEAD_FIELD, REGION, SHEET
+from fascicle.io.label_names import SURFACE_NAMES
 from fascicle.io.meshes import GROUP, TETRAHEDRON, write_grid
-from fascicle.io.opencarp import ONE_REGION, place_in_mesh, wall_triangles, write_opencarp
+from fascicle.io.opencarp import ONE_REGION, write_opencarp
 from fascicle.leads import ELECTRODES
 from fascicle.tree.purkinje import PurkinjeTree
 
 ExportFormat = Literal["opencarp", "vtu", "gmsh"]
 SUFFIXES = {"vtu": ".vtu", "gmsh": ".msh"}
 FIBRE = "fibre"
-ENDOCARDIA = {"lv": ("lv_endo", Label.LV_ENDOCARDIUM), "rv": ("rv_endo", Label.RV_ENDOCARDIUM)}
 
 
 def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
@@ -36,7 +35,9 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
         openCARP: a folder, see `fascicle.io.opencarp.write_opencarp`; the files are called
         ``heart``. VTU: a file; tetrahedra with the cell arrays ``fibre``, ``sheet`` and ``region``
         and the point arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh: a file
-        (format 2.2), see `write_gmsh`. VTU and Gmsh are in mm, openCARP in µm.
+        (format 2.2), see `write_gmsh`. VTU and Gmsh are in mm, openCARP in µm. openCARP and Gmsh
+        have the whole boundary, labelled by `fascicle.anatomy.labels.labelled_mesh`, so that
+        `fascicle.io.labelled_meshes.read_labelled_mesh` reads it.
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
@@ -52,8 +53,10 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
             f"format '{kind}' is unknown; use one of {', '.join(get_args(ExportFormat))}"
         )
     if kind == "opencarp":
+        from fascicle.anatomy.labels import labelled_mesh
+
         with atomic_folder(out) as temporary:
-            write_opencarp(heart, temporary / "heart", trees)
+            write_opencarp(heart, labelled_mesh(heart), temporary / "heart", trees)
         return
     if out.suffix.lower() != SUFFIXES[kind]:
         raise InputError(f"{out}: a {kind} file must end in {SUFFIXES[kind]}; rename it (--out)")
@@ -96,29 +99,27 @@ def write_gmsh(heart: Heart, path: Path) -> None:
     """Write a heart as a Gmsh file (2.2, binary, mm).
 
     The physical groups are a volume for each region (``region 3``; ``myocardium`` without regions)
-    and the surfaces ``lv_endo`` and ``rv_endo``, less what spans a valve opening. An endocardium
-    that is no part of the mesh brings points of its own, after the heart's. Element data are
-    ``fibre``, ``sheet`` and ``region``; meshio wants them zero on triangles.
+    and the surfaces ``lv_endo``, ``rv_endo``, ``epi`` and ``base``, together the whole boundary.
+    Element data are ``fibre``, ``sheet`` and ``region``; meshio wants them zero on triangles.
     """
     import meshio
 
+    from fascicle.anatomy.labels import labelled_mesh
+
+    surface = labelled_mesh(heart)
     tags, groups = _volume_groups(heart)
-    points, cells, numbers = [heart.vertices], [("tetra", heart.tetrahedra)], [tags]
-    for endocardium in heart.endocardia:
-        name, label = ENDOCARDIA[endocardium.side]
-        triangles = wall_triangles(endocardium)
-        index, same = place_in_mesh(heart, endocardium)
-        own = np.setdiff1d(triangles, np.flatnonzero(same))
-        index[own] = sum(map(len, points)) + np.arange(len(own))
-        points.append(endocardium.vertices[own])
-        cells.append(("triangle", index[triangles]))
-        numbers.append(np.full(len(triangles), int(label)))
-        groups[name] = np.array([int(label), 2])
+    cells, numbers = [("tetra", heart.tetrahedra)], [tags]
+    for label, name in SURFACE_NAMES.items():
+        triangles = surface.having(label)
+        if len(triangles):
+            cells.append(("triangle", triangles))
+            numbers.append(np.full(len(triangles), int(label)))
+            groups[name] = np.array([int(label), 2])
     data = {GROUP: numbers, "gmsh:geometrical": numbers}
     for name, values in _cell_arrays(heart).items():
         data[name] = [np.asarray(values, dtype=float)]
         data[name] += [np.zeros((len(block), *values.shape[1:])) for _, block in cells[1:]]
-    mesh = meshio.Mesh(np.concatenate(points), cells, cell_data=data, field_data=groups)
+    mesh = meshio.Mesh(heart.vertices, cells, cell_data=data, field_data=groups)
     with atomic_path(path) as temporary:
         meshio.gmsh.write(temporary, mesh, fmt_version="2.2", binary=True)
 

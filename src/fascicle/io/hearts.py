@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
@@ -28,7 +29,7 @@ from fascicle.geometry.validate import (
     check_tetrahedra,
     check_units,
 )
-from fascicle.io.atomic import atomic_folder
+from fascicle.io.atomic import atomic_folder, check_folder, check_nothing_lost
 from fascicle.io.cache import user_cache
 from fascicle.io.electrodes import read_electrodes, write_electrodes
 from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh, write_grid, write_surface
@@ -38,6 +39,11 @@ from fascicle.leads import ELECTRODES
 MANIFEST = "heart.toml"
 TORSO = "torso.vtu"
 PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
+LABELS_PICTURE = "labels.png"  # of labels that were found from the shape
+OWN_FILES = (
+    MANIFEST, "mesh.vtu", "lv_endocardium.vtp", "rv_endocardium.vtp", "electrodes.csv", TORSO,
+    PICTURE, LABELS_PICTURE,
+)  # fmt: skip
 DEFAULT_HEART = "default"
 FORMAT = "fascicle heart 1"
 REGION = "region"  # cell array of labels
@@ -57,11 +63,16 @@ class Seeds(BaseModel):
     direction: int
 
 
-class Manifest(BaseModel):
-    """Contents of `heart.toml`; file names are relative to the folder.
+class LeadFieldKeys(BaseModel):
+    """What the lead fields in the mesh were computed from; see `fascicle.torso.known`."""
 
-    `lead_fields` is the key of those in the mesh: what they were computed from.
-    """
+    model_config = ConfigDict(extra="forbid")
+    heart: str
+    torso: str
+
+
+class Manifest(BaseModel):
+    """Contents of `heart.toml`; file names are relative to the folder."""
 
     model_config = ConfigDict(extra="forbid")
     format: Literal["fascicle heart 1"]
@@ -72,7 +83,7 @@ class Manifest(BaseModel):
     rv_endocardium: str
     electrodes: str
     torso: str | None = None
-    lead_fields: str | None = None
+    lead_fields: LeadFieldKeys | None = None
     lv: Seeds
     rv: Seeds
 
@@ -120,29 +131,32 @@ def load_heart(path: Path | str) -> Heart:
     return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields)
 
 
-def _lead_fields(mesh: Mesh, key: str | None) -> LeadFields | None:
+def _lead_fields(mesh: Mesh, keys: LeadFieldKeys | None) -> LeadFields | None:
     """Lead fields that stand in the mesh file, if the manifest says what they are."""
-    if key is None:
+    if keys is None:
         return None
-    names = [f"{LEAD_FIELD}{electrode}" for electrode in ELECTRODES]
-    shape = (len(mesh.points),)
-    missing = [name for name in names if np.shape(mesh.point_data.get(name, 0.0)) != shape]
-    if missing:
-        raise InputError(
-            f"{mesh.path}: the point array '{missing[0]}' is missing; build the heart again, or "
-            f"take 'lead_fields' out of {MANIFEST} to have them computed"
-        )
     used = np.unique(mesh.cells[TETRAHEDRON])
-    return LeadFields(np.array([mesh.point_data[name][used] for name in names]), key)
+    values = np.full((len(ELECTRODES), len(used)), np.nan)
+    for row, electrode in zip(values, ELECTRODES, strict=True):
+        array = mesh.point_data.get(f"{LEAD_FIELD}{electrode}")
+        if array is not None and array.shape == (len(mesh.points),):
+            row[:] = array[used]
+        if not np.isfinite(row).all():
+            raise InputError(
+                f"{mesh.path}: the point array '{LEAD_FIELD}{electrode}' is missing or not finite; "
+                f"build the heart again, or take 'lead_fields' out of {MANIFEST} to have them "
+                "computed"
+            )
+    return LeadFields(values, keys.heart, keys.torso)
 
 
 def _read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     if not folder.exists():
-        raise InputError(f"{folder}: no such heart folder; make one with 'fascicle heart import'")
+        raise InputError(f"{folder}: no such heart folder; make one with 'fascicle heart build'")
     if not path.is_file():
         raise InputError(
-            f"{folder}: not a heart folder (no {MANIFEST}); make one with 'fascicle heart import'"
+            f"{folder}: not a heart folder (no {MANIFEST}); make one with 'fascicle heart build'"
         )
     try:
         return Manifest.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
@@ -327,8 +341,39 @@ def _toml_string(text: str) -> str:
     return json.dumps(readable, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a folder that a heart cannot be written to, before the work of building it.
+
+    Parameters
+    ----------
+    folder : Path
+        May be a heart folder already; its files are then replaced.
+    inputs : iterable of Path
+        Files that the heart is made of, which must not be among them.
+
+    Raises
+    ------
+    InputError
+        If something of somebody else's would be lost, or nothing can be written there.
+    """
+    check_folder(folder)
+    for path in inputs:
+        if folder.resolve() in path.resolve().parents:
+            raise InputError(
+                f"{folder}: holds the input {path.name}, which would be lost; give another --out"
+            )
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    if not (folder / MANIFEST).exists():
+        raise InputError(
+            f"{folder}: holds files and is no heart folder (no {MANIFEST}); give another --out"
+        )
+    check_nothing_lost(folder, OWN_FILES)
+
+
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
+    check_heart_folder(folder)
     cells: dict[str, NDArray[Any]] = {"fibre": heart.fibres}
     if heart.regions is not None:
         cells[REGION] = heart.regions
@@ -338,7 +383,7 @@ def write_heart(heart: Heart, folder: Path) -> None:
     if heart.lead_fields is not None:
         for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
             points[f"{LEAD_FIELD}{electrode}"] = values
-    with atomic_folder(folder, disposable=(PICTURE, TORSO)) as temporary:
+    with atomic_folder(folder, disposable=OWN_FILES) as temporary:
         write_grid(
             temporary / "mesh.vtu",
             heart.vertices,
@@ -366,7 +411,8 @@ def write_heart(heart: Heart, folder: Path) -> None:
             write_torso(temporary / TORSO, heart.torso)
             lines.append(f'torso = "{TORSO}"')
         if heart.lead_fields is not None:
-            lines.append(f'lead_fields = "{heart.lead_fields.key}"')
+            keys = f'heart = "{heart.lead_fields.key}", torso = "{heart.lead_fields.torso}"'
+            lines.append(f"lead_fields = {{ {keys} }}")
         for endocardium in heart.endocardia:
             lines += [
                 "",

@@ -3,13 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.errors import InputError
 from fascicle.geometry.surface import Label
+from fascicle.io.meshes import GROUP
 
 Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of labels
+
+# Arrays of surfaces and meshes that hold labels, in the order in which they are looked for
+LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
+EXAMPLE = "--labels base=1,epicardium=2,lv=3,rv=4"
+PARTS = "base, epicardium, lv, rv, mitral, aortic, tricuspid, pulmonary"
+# What the surfaces are called in files for other software
+SURFACE_NAMES = {
+    Label.LV_ENDOCARDIUM: "lv_endo",
+    Label.RV_ENDOCARDIUM: "rv_endo",
+    Label.EPICARDIUM: "epi",
+    Label.BASE: "base",
+}
 
 # Words that decide, in the order in which they do: "lv_epi" is epicardium, "rv base" is base.
 DECIDING: dict[Label, tuple[str, ...]] = {
@@ -67,38 +85,130 @@ def _words(letters: str) -> frozenset[str] | None:
     return None
 
 
-def label_of_number(source: str, number: int, names: Names, group: str | None = None) -> Label:
-    """Label that a number means: the caller's, that of its group's name, or the `Label` itself.
+def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
+    """Labels by their number in the file, as text, from names as in ``{"lv": 3, "rv_endo": 4}``.
+
+    Raises
+    ------
+    InputError
+        If a name means no label, or a number is given to two.
+    """
+    labels: dict[str, Label] = {}
+    for name, number in numbers.items():
+        label = label_of(name)
+        if label is None:
+            raise InputError(f"--labels: unknown '{_shown(name)}'; the parts are {PARTS}")
+        if labels.setdefault(str(number), label) != label:
+            raise InputError(
+                f"--labels: label number {number} is given two meanings; give each number one"
+            )
+    return labels
+
+
+def array_of_labels(arrays: Mapping[str, NDArray[Any]], array: str | None) -> str | None:
+    """Which of these arrays holds labels: the one asked for, or else one of `LABEL_NAMES`."""
+    if array is not None:
+        return array if array in arrays else None
+    lower = {key.lower(): key for key in arrays}
+    return next((lower[name] for name in LABEL_NAMES if name in lower), None)
+
+
+def no_such_array(path: Path, array: str, known: Iterable[str]) -> InputError:
+    """What to say if neither triangles nor points have the array of labels."""
+    listed = ", ".join(sorted(known)) or "none"
+    return InputError(
+        f"{path}: no array '{array}' on triangles or points; there are: {listed}; name one of "
+        "them (--label-array)"
+    )
+
+
+def whole_numbers(source: str, values: NDArray[Any]) -> NDArray[np.int64]:
+    """Values of an array of labels, shape (k,).
+
+    Raises
+    ------
+    InputError
+        If they are not one whole number each.
+    """
+    numbers = np.asarray(values)
+    if (
+        numbers.ndim != 1
+        or not np.issubdtype(numbers.dtype, np.number)
+        or not (np.isfinite(numbers) & (numbers == np.round(numbers))).all()
+    ):
+        raise InputError(
+            f"{source} must hold one whole number each, the label; correct or rename it, or name "
+            "another (--label-array)"
+        )
+    return numbers.astype(np.int64)
+
+
+def labels_of(
+    source: str, numbers: NDArray[np.int64], names: Names, groups: Mapping[int, str]
+) -> NDArray[np.int64]:
+    """Label that each number means: the caller's, that of its group's name, or the `Label` itself.
 
     Parameters
     ----------
     source : str
         File and array, for an error.
-    number : int
+    numbers : (k,) array
         What stands in the file.
     names : mapping of str to Label
-        The caller's own names and numbers; they come first.
-    group : str, optional
-        Name of the physical group with this number.
+        The caller's own names and numbers; they come first, and a label that they name is meant
+        by no other number.
+    groups : mapping of int to str
+        Names of physical groups by their number.
+
+    Returns
+    -------
+    (k,) array
+        A `Label` each.
 
     Raises
     ------
     InputError
-        If it means no label.
+        If one means no label.
     """
+    kinds, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    found = [_meaning(source, kind, names, groups.get(kind)) for kind in kinds.tolist()]
+    strange = [
+        f"{kind} ({count} times)"
+        for kind, count, label in zip(kinds, counts, found, strict=True)
+        if label is None
+    ]
+    if strange:
+        given = [f"{name} {label.name.lower()}" for name, label in names.items()]
+        own = [f"{label.value} {label.name.lower()}" for label in _free(names)]
+        raise InputError(
+            f"{source}: unknown labels: {', '.join(strange)}; known are {', '.join(given + own)}; "
+            f"say which number is what, as in {EXAMPLE}"
+        )
+    return np.array(found, dtype=np.int64)[which]
+
+
+def _meaning(source: str, number: int, names: Names, group: str | None) -> Label | None:
+    """Label of one number; None if it is not known."""
     for own in (group, str(number)):
         if own is not None and own in names:
             return names[own]
-    if group is not None:
-        label = label_of(group)
-        if label is None:
-            shown = "".join(c if c.isprintable() else "?" for c in group[:LONGEST_NAME])
-            raise InputError(
-                f"{source}: cannot tell which surface '{shown}' is; name it epi, base, lv_endo or "
-                "rv_endo (or mitral, aortic, tricuspid, pulmonary)"
-            )
-        return label
-    if number not in set(Label):
-        known = ", ".join(f"{label.value} {label.name.lower()}" for label in Label)
-        raise InputError(f"{source}: unknown label {number}; the labels are {known}")
-    return Label(number)
+    if group is None:
+        return Label(number) if number in _free(names) else None
+    label = label_of(group)
+    if label is None:
+        raise InputError(
+            f"{source}: cannot tell which surface '{_shown(group)}' is; name it epi, base, lv_endo "
+            "or rv_endo (or mitral, aortic, tricuspid, pulmonary), or say what its number is, as "
+            f"in --labels epicardium={number}"
+        )
+    return label
+
+
+def _free(names: Names) -> list[Label]:
+    """Labels that still have their own number."""
+    return [label for label in Label if label not in names.values()]
+
+
+def _shown(name: str) -> str:
+    """Name, fit for a message of one line."""
+    return "".join(c if c.isprintable() else "?" for c in name[:LONGEST_NAME])

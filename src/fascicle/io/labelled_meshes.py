@@ -21,6 +21,10 @@ from fascicle.io.surface_labels import label_boundary
 
 REGION_NAMES = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
 SHEET_NAMES = ("sheet", "sheets", "s0", "sheet_direction")
+TURNED = (
+    "tetrahedra: all were inverted and have been turned; if left and right are exchanged in the "
+    "picture, the file is mirrored"
+)
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class TissueMesh:
         Unit directions of each tetrahedron.
     name : str
         The file.
+    notes : tuple of str
+        What was changed on reading, for people.
     """
 
     vertices: NDArray[np.float64]
@@ -53,6 +59,7 @@ class TissueMesh:
     fibres: NDArray[np.float64] | None
     sheets: NDArray[np.float64] | None
     name: str
+    notes: tuple[str, ...] = ()
 
     def boundary_surface(
         self,
@@ -105,15 +112,16 @@ def read_labelled_mesh(
     array : str, optional
         Name of the array of labels, if it has another one.
     names : mapping of str to Label, optional
-        The file's own names or numbers (as text) of labels, where they are not understood.
+        The file's own names or numbers (as text) of labels, where they are not understood;
+        `fascicle.io.label_names.labels_by_number` makes them from ``{"lv": 3}``.
 
     Raises
     ------
     InputError
         If the file cannot be read; if tetrahedra are flat, overlap or are inverted (unless all
-        are: then they are turned), or lie in several pieces; if labels are missing or unknown,
-        contradict one another, or lie on triangles that are not on the boundary; if regions are
-        not whole numbers or fibres have no length; if it is not in mm.
+        are: then they are turned, and `TissueMesh.notes` says so), or lie in several pieces; if
+        labels are missing or unknown, contradict one another, or lie on triangles that are not on
+        the boundary; if regions are not whole numbers or fibres have no length; if it is not in mm.
     """
     mesh = read_mesh(path, "tissue mesh")
     file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
@@ -121,7 +129,7 @@ def read_labelled_mesh(
     used, corners = np.unique(file_tetrahedra, return_inverse=True)
     vertices = mesh.points[used]
     check_units(name, vertices)
-    tetrahedra = _positively_oriented(vertices, corners.reshape(-1, 4).astype(np.int64))
+    tetrahedra, notes = _positively_oriented(vertices, corners.reshape(-1, 4).astype(np.int64))
     check_tetrahedra(name, vertices, tetrahedra)
     triangles, _ = boundary_triangles(tetrahedra)
     return TissueMesh(
@@ -133,15 +141,20 @@ def read_labelled_mesh(
         fibres=_directions(mesh, FIBRE_NAMES),
         sheets=_directions(mesh, SHEET_NAMES),
         name=name,
+        notes=notes,
     )
 
 
 def _positively_oriented(
     vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Tetrahedra, turned if every single one is inverted: another program's convention."""
-    inverted = signed_volumes(vertices, tetrahedra) < 0
-    return tetrahedra[:, [0, 2, 1, 3]] if inverted.all() else tetrahedra
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Tetrahedra, turned if every single one is inverted, and a note if they were.
+
+    It may be another program's convention, or the file may be mirrored.
+    """
+    if (signed_volumes(vertices, tetrahedra) < 0).all():
+        return tetrahedra[:, [0, 2, 1, 3]], (TURNED,)
+    return tetrahedra, ()
 
 
 def _named(

@@ -31,8 +31,10 @@ from scipy.spatial import cKDTree
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.heart import Heart
+from fascicle.geometry.surface import LabelledMesh
 from fascicle.io.atomic import write_text
 from fascicle.io.electrodes import write_electrodes
+from fascicle.io.label_names import SURFACE_NAMES
 from fascicle.io.meshes import LINE, Mesh
 from fascicle.io.opencarp_mesh import (
     MICROMETRES,
@@ -48,19 +50,23 @@ IN_REGISTER = 1e-3
 COORDINATE, DIRECTION = "%.6f", "%.15f"  # 1e-6 µm
 
 
-def write_opencarp(heart: Heart, stem: Path, trees: Iterable[PurkinjeTree] = ()) -> None:
+def write_opencarp(
+    heart: Heart, surface: LabelledMesh, stem: Path, trees: Iterable[PurkinjeTree] = ()
+) -> None:
     """Write a heart for openCARP.
 
     There are ``<stem>.pts``, ``<stem>.elem`` (tags are the regions; 1 without any), ``<stem>.lon``
-    (fibres, and sheets if the heart has them) and ``electrodes.csv`` (mm). The endocardia are
-    ``<stem>_lv_endo.surf`` and ``.vtx`` where they are part of the mesh, else
-    ``<stem>_lv_endo.pts`` and ``.elem`` with triangles of their own; what spans a valve opening is
-    left out.
+    (fibres, and sheets if the heart has them) and ``electrodes.csv`` (mm). The boundary is
+    in ``<stem>_lv_endo``, ``_rv_endo``, ``_epi`` and ``_base``, each as ``.surf`` and ``.vtx``. An
+    endocardium that is no part of the mesh is ``<stem>_lv_endocardium.pts`` and ``.elem`` besides,
+    with triangles of its own, less what spans a valve opening.
 
     Parameters
     ----------
     heart : Heart
         The heart.
+    surface : LabelledMesh
+        Its boundary with labels.
     stem : Path
         Folder and name of the files, without a suffix.
     trees : iterable of PurkinjeTree
@@ -71,43 +77,38 @@ def write_opencarp(heart: Heart, stem: Path, trees: Iterable[PurkinjeTree] = ())
     _write_mesh(stem, heart.vertices, "Tt", heart.tetrahedra, tags)
     axes = [heart.fibres] if heart.sheets is None else [heart.fibres, heart.sheets]
     _write_directions(opencarp_file(stem, ".lon"), axes)
+    for label, name in SURFACE_NAMES.items():
+        _write_surface(stem.with_name(f"{stem.name}_{name}"), surface.having(label))
     for endocardium in heart.endocardia:
         _write_endocardium(
-            stem.with_name(f"{stem.name}_{endocardium.side}_endo"), endocardium, heart
+            stem.with_name(f"{stem.name}_{endocardium.side}_endocardium"), endocardium, heart
         )
     write_electrodes(stem.with_name("electrodes.csv"), heart.electrodes)
     for tree in trees:
         write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)
 
 
-def wall_triangles(endocardium: Endocardium) -> NDArray[np.int64]:
-    """Triangles (k, 3) that lie on tissue, so without those that span a valve opening."""
-    if endocardium.valves is None:
-        return endocardium.triangles
-    return endocardium.triangles[~endocardium.valves]
-
-
-def place_in_mesh(
-    heart: Heart, endocardium: Endocardium
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Nearest vertex of the mesh to each of the endocardium's, and whether it is the same one."""
-    distance, nearest = cKDTree(heart.vertices).query(endocardium.vertices)
-    return np.asarray(nearest, dtype=np.int64), np.asarray(distance <= IN_REGISTER)
+def _write_surface(stem: Path, triangles: NDArray[np.int64]) -> None:
+    """Write triangles of the mesh, and their vertices; nothing if there are none."""
+    if not len(triangles):
+        return
+    rows = _rows("Tr %d %d %d", triangles)
+    write_text(opencarp_file(stem, ".surf"), f"{len(triangles)}\n{rows}")
+    write_vtx(opencarp_file(stem, ".vtx"), np.unique(triangles))
 
 
 def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> None:
-    wall = wall_triangles(endocardium)
-    nearest, same = place_in_mesh(heart, endocardium)
-    if same[wall].all():
-        triangles = nearest[wall]
-        lines = _rows("Tr %d %d %d", triangles)
-        write_text(opencarp_file(stem, ".surf"), f"{len(triangles)}\n{lines}")
-        write_vtx(opencarp_file(stem, ".vtx"), np.unique(triangles))
-        return
+    """Write an endocardium as a mesh of triangles, unless it is part of the heart's."""
+    wall = endocardium.triangles
+    if endocardium.valves is not None:
+        wall = wall[~endocardium.valves]
     used, corners = np.unique(wall, return_inverse=True)
+    vertices = endocardium.vertices[used]
+    distance, _ = cKDTree(heart.vertices).query(vertices)
+    if (distance <= IN_REGISTER).all():
+        return
     corners = corners.reshape(-1, 3)
-    tags = np.full(len(corners), ONE_REGION)
-    _write_mesh(stem, endocardium.vertices[used], "Tr", corners, tags)
+    _write_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))
 
 
 def write_vtx(

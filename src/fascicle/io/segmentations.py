@@ -28,15 +28,13 @@ NIFTI_UNITS = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
 NRRD_UNITS = {"mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "": 1.0, "m": 1e3, "cm": 10.0,
               "um": 1e-3, "μm": 1e-3, "µm": 1e-3}  # fmt: skip
 NIFTI_SPATIAL_UNITS = 0x07  # bits of xyzt_units
-# Towards RAS+: the signs of the first three axes of each anatomical space of NRRD
+# The right-handed spaces of NRRD, and what each is called here
 SPACES = {
-    "right-anterior-superior": (1, 1, 1),
-    "ras": (1, 1, 1),
-    "left-anterior-superior": (-1, 1, 1),
-    "las": (-1, 1, 1),
-    "left-posterior-superior": (-1, -1, 1),
-    "lps": (-1, -1, 1),
-    "3d-right-handed": (1, 1, 1),
+    "right-anterior-superior": "RAS",
+    "ras": "RAS",
+    "left-posterior-superior": "LPS",
+    "lps": "LPS",
+    "3d-right-handed": "",
 }
 
 
@@ -70,8 +68,8 @@ def read_segmentation(path: Path | str) -> Segmentation:
     else:
         check_file(path, (".nii", *NRRD_FORMATS), "segmentation")
     read = _read_nrrd if path.suffix.lower() in NRRD_FORMATS else _read_nifti
-    values, affine = read(path)
-    return Segmentation(_whole_numbers(path, values), affine, str(path))
+    values, affine, space = read(path)
+    return Segmentation(_whole_numbers(path, values), affine, str(path), space)
 
 
 def _damaged(path: Path, error: BaseException) -> InputError:
@@ -81,7 +79,7 @@ def _damaged(path: Path, error: BaseException) -> InputError:
     )
 
 
-def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
     import nibabel
     from nibabel.filebasedimages import ImageFileError
     from nibabel.imageglobals import LoggingOutputSuppressor
@@ -123,10 +121,10 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:
         raise _damaged(path, error) from None
     affine = np.array(image.affine, dtype=np.float64)
     affine[:3] *= NIFTI_UNITS[unit]
-    return values, affine
+    return values, affine, "RAS"
 
 
-def _read_nrrd(path: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def _read_nrrd(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
     import nrrd
 
     damaged = (*DAMAGED, nrrd.NRRDError)
@@ -137,6 +135,7 @@ def _read_nrrd(path: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:
         raise _damaged(path, error) from None
     _check_shape(path, shape)
     affine = _nrrd_affine(path, header)
+    space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -145,11 +144,17 @@ def _read_nrrd(path: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:
         raise _damaged(path, error) from None
     if values.shape != shape:
         raise _damaged(path, ValueError(f"{values.shape} values, {shape} in the header"))
-    return values, affine
+    return values, affine, space
 
 
 def _nrrd_affine(path: Path, header: dict[str, Any]) -> NDArray[np.float64]:
-    """Voxel index to mm; RAS+ where the file names a space."""
+    """Voxel index to mm, in the file's own space."""
+    space = str(header.get("space", "3D-right-handed")).lower()
+    if space not in SPACES:  # in a left-handed one the heart would be mirrored
+        raise InputError(
+            f"{path}: space '{space}' is unknown or left-handed; export the map in "
+            "left-posterior-superior or right-anterior-superior"
+        )
     directions, spacings = header.get("space directions"), header.get("spacings")
     affine = np.eye(4)
     if directions is not None:
@@ -162,13 +167,6 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> NDArray[np.float64]:
         affine[:3, :3] = directions.T
         origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=np.float64)
         affine[:3, 3] = origin if origin.shape == (3,) else np.nan
-        space = str(header.get("space", "3D-right-handed")).lower()
-        if space not in SPACES:
-            raise InputError(
-                f"{path}: space '{space}' says not where left and right are; use one of "
-                "left-posterior-superior, left-anterior-superior, right-anterior-superior"
-            )
-        affine[:3] *= np.array(SPACES[space])[:, None]
     elif spacings is not None and len(spacings) == 3:
         affine[:3, :3] = np.diag(np.asarray(spacings, dtype=np.float64))
     else:

@@ -10,11 +10,17 @@ from numpy.typing import NDArray
 
 from fascicle.errors import InputError
 from fascicle.geometry.surface import BASAL, NEEDED, Label
-from fascicle.io.label_names import Names, label_of, label_of_number
+from fascicle.io.label_names import (
+    Names,
+    array_of_labels,
+    label_of,
+    labels_of,
+    no_such_array,
+    whole_numbers,
+)
 from fascicle.io.meshes import GROUP, OPENCARP_FORMATS, TRIANGLE, Mesh
 from fascicle.io.opencarp_mesh import opencarp_file, read_surf, read_vtx
 
-LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
 UNLABELLED = 0
 # Which label a triangle gets that has as many corners of one as of another
 PRECEDENCE = (
@@ -46,7 +52,8 @@ def label_boundary(
     boundary : (b, 3) array
         The boundary of its tetrahedra, as indices of its points.
     array : str, optional
-        Name of the array of labels, if it is none of `LABEL_NAMES`.
+        Name of the array of labels, if it is none of
+        `fascicle.io.label_names.LABEL_NAMES`.
     names : mapping of str to Label
         The caller's own names and numbers of labels.
 
@@ -78,44 +85,24 @@ def _labelled_triangles(mesh: Mesh, array: str | None, names: Names) -> _Labelle
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
         return _surf_files(mesh, names)
     arrays = mesh.cell_data.get(TRIANGLE, {})
-    name = _array_name(arrays, array)
+    name = array_of_labels(arrays, array)
     if name is None:
         if array is not None and array not in mesh.point_data:
-            known = ", ".join(sorted({*arrays, *mesh.point_data})) or "none"
-            raise InputError(
-                f"{mesh.path}: no array '{array}' on triangles or points; there are: {known}"
-            )
+            raise no_such_array(mesh.path, array, {*arrays, *mesh.point_data})
         return None
     source = f"{mesh.path}: array '{name}'"
-    numbers = _numbers(source, arrays[name])
-    groups = {number: group for group, (of, number) in mesh.groups.items() if of == 2}
+    numbers = whole_numbers(source, arrays[name])
     is_group = name == GROUP
     given = numbers != UNLABELLED if is_group else np.ones(len(numbers), dtype=bool)
     if not given.any():
         return None
-    labels = _labels_of(source, numbers[given], names, groups if is_group else {})
+    labels = labels_of(source, numbers[given], names, surface_groups(mesh) if is_group else {})
     return _Labelled(source, mesh.cells[TRIANGLE][given], labels)
 
 
-def _array_name(arrays: dict[str, NDArray[np.float64]], array: str | None) -> str | None:
-    if array is not None:
-        return array if array in arrays else None
-    return next((key for name in LABEL_NAMES for key in arrays if key.lower() == name), None)
-
-
-def _numbers(source: str, values: NDArray[np.float64]) -> NDArray[np.int64]:
-    numbers = np.asarray(values, dtype=float)
-    if numbers.ndim != 1 or not (np.isfinite(numbers) & (numbers == np.round(numbers))).all():
-        raise InputError(f"{source} must hold one whole number each, the label; correct it")
-    return numbers.astype(np.int64)
-
-
-def _labels_of(
-    source: str, numbers: NDArray[np.int64], names: Names, groups: dict[int, str]
-) -> NDArray[np.int64]:
-    kinds, which = np.unique(numbers, return_inverse=True)
-    labels = [label_of_number(source, int(k), names, groups.get(int(k))) for k in kinds]
-    return np.array(labels, dtype=np.int64)[which]
+def surface_groups(mesh: Mesh) -> dict[int, str]:
+    """Names of the physical groups of triangles by their number."""
+    return {number: name for name, (dimension, number) in mesh.groups.items() if dimension == 2}
 
 
 def _files_beside(mesh: Mesh, suffix: str, names: Names) -> list[tuple[Path, Label]]:
@@ -160,12 +147,12 @@ def _point_votes(
             votes[indices, label] = True
         source = f"{mesh.path} ({', '.join(path.name for path, _ in files)})"
     else:
-        name = _array_name(mesh.point_data, array)
+        name = array_of_labels(mesh.point_data, array)
         if name is None:
             return None
         source = f"{mesh.path}: array '{name}'"
-        numbers = _numbers(source, np.asarray(mesh.point_data[name])[on_boundary])
-        votes[on_boundary, _labels_of(source, numbers, names, {})] = True
+        numbers = whole_numbers(source, np.asarray(mesh.point_data[name])[on_boundary])
+        votes[on_boundary, labels_of(source, numbers, names, {})] = True
     without = on_boundary[~votes[on_boundary].any(axis=1)]
     if without.size:
         raise InputError(

@@ -13,26 +13,26 @@ from scipy.spatial import cKDTree
 
 from fascicle.anatomy.borders import labels_from_points
 from fascicle.errors import InputError
-from fascicle.geometry.surface import Label, LabelledSurface
+from fascicle.geometry.surface import LabelledSurface
 from fascicle.geometry.validate import check_units
-from fascicle.io.meshes import TRIANGLE, Mesh, check_file, read_mesh
+from fascicle.io.label_names import (
+    LABEL_NAMES,
+    array_of_labels,
+    labels_by_number,
+    labels_of,
+    no_such_array,
+    whole_numbers,
+)
+from fascicle.io.meshes import GROUP, TRIANGLE, Mesh, check_file, read_mesh
+from fascicle.io.surface_labels import surface_groups
 
-DEFAULT_ARRAY = "class"
 TEXT_FORMATS = (".txt", ".csv", ".dat")
 WELD = 1e-6  # of the largest extent; points of an STL file closer than this are one
-# Shorter names of labels
-ALIASES = {
-    "lv": Label.LV_ENDOCARDIUM,
-    "rv": Label.RV_ENDOCARDIUM,
-    "epi": Label.EPICARDIUM,
-    **{label.name.lower(): label for label in Label},
-}
-MAPPING_EXAMPLE = "base=1 epicardium=2 lv=3 rv=4"
 
 
 def has_labels(mesh: Mesh, array: str | None = None, labels_file: Path | None = None) -> bool:
-    """Whether there are labels: a file of them, a named array, or one that can be labels."""
-    return labels_file is not None or array is not None or bool(_candidates(mesh))
+    """Whether there are labels: a file of them, a named array, or one of `LABEL_NAMES`."""
+    return labels_file is not None or array is not None or _found(mesh, None) is not None
 
 
 def read_labelled_surface(
@@ -48,11 +48,11 @@ def read_labelled_surface(
     path : Path
         A VTP, VTU, VTK, STL, OBJ, PLY or Gmsh file of triangles, in mm.
     array : str, optional
-        Name of the array of labels, one a triangle or one a point. If it is not given: ``class``,
-        or else the only one with whole numbers.
+        Name of the array of labels, one a triangle or one a point, if it is none of
+        `fascicle.io.label_names.LABEL_NAMES`.
     names : mapping of str to int, optional
-        Which number in the file stands for which label, as ``{"lv": 3}``; names are those of
-        `Label` in small letters, ``lv``, ``rv`` and ``epi``. Those not named have `Label`'s number.
+        Which number in the file stands for which label, as ``{"lv": 3}``; names are what
+        `fascicle.io.label_names.label_of` understands. Those not named have `Label`'s number.
     labels_file : Path, optional
         A text file with one whole number a triangle or point, in the order of the surface file,
         instead of an array in it; STL files hold none.
@@ -72,14 +72,14 @@ def read_labelled_surface(
     mesh = read_mesh(path, "labelled surface")
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
+    groups: dict[int, str] = {}
     if labels_file is not None:
         source, values = str(labels_file), _read_numbers(Path(labels_file))
         on_triangles = _is_of_triangles(mesh, values, source)
     else:
-        source, values, on_triangles = _array(mesh, array)
-    if len(values) != (len(triangles) if on_triangles else len(mesh.points)):
-        raise InputError(f"{source}: {len(values)} labels for {len(triangles)} triangles")
-    labels = _translated(values, names, source)
+        source, values, on_triangles, groups = _array(mesh, array)
+    own = {} if names is None else labels_by_number(names)
+    labels = labels_of(source, values, own, groups)
     vertices, welded, kept = _welded(mesh.points, triangles)
     if not on_triangles:
         at_vertices = np.empty(len(vertices), dtype=np.int64)
@@ -100,52 +100,36 @@ def _welded(
     return points[first], group.astype(np.int64)[triangles], group.astype(np.int64)
 
 
-def _whole(values: NDArray[np.float64]) -> bool:
-    """Whether an array is one column of whole numbers."""
-    numbers = np.asarray(values)
-    if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.number):
-        return False
-    return bool(np.isfinite(numbers).all() and (numbers == np.round(numbers)).all())
-
-
-def _candidates(mesh: Mesh) -> list[tuple[str, NDArray[np.float64], bool]]:
-    """Arrays of whole numbers: name, values, and whether they are of triangles."""
+def _found(mesh: Mesh, array: str | None) -> tuple[str, bool] | None:
+    """Name of the array of labels, and whether it is of triangles; those come first."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
-    found = [(name, values, True) for name, values in of_triangles.items() if _whole(values)]
-    found += [(name, values, False) for name, values in mesh.point_data.items() if _whole(values)]
-    named = [candidate for candidate in found if candidate[0] == DEFAULT_ARRAY]
-    return named[:1] or found
+    name = array_of_labels(of_triangles, array)
+    if array is None and name == GROUP and len(np.unique(of_triangles[GROUP])) == 1:
+        name = None  # the whole surface is one physical group, or none, and tells nothing
+    if name is not None:
+        return name, True
+    name = array_of_labels(mesh.point_data, array)
+    return None if name is None else (name, False)
 
 
-def _array(mesh: Mesh, array: str | None) -> tuple[str, NDArray[np.int64], bool]:
-    """Where the labels stand, the labels, and whether they are of triangles."""
-    there = {**mesh.point_data, **mesh.cell_data.get(TRIANGLE, {})}
-    listed = ", ".join(sorted(there)) or "none"
-    if array is not None:
-        if array not in there:
-            raise InputError(
-                f"{mesh.path}: no array '{array}' on triangles or points; there are: {listed}"
-            )
-        values, on_triangles = there[array], array in mesh.cell_data.get(TRIANGLE, {})
-        if not _whole(values):
-            raise InputError(
-                f"{mesh.path}: array '{array}' must hold one whole number each, the label; "
-                f"there are: {listed}"
-            )
-        return f"{mesh.path}: array '{array}'", values.astype(np.int64), on_triangles
-    candidates = _candidates(mesh)
-    if not candidates:
+def _array(mesh: Mesh, array: str | None) -> tuple[str, NDArray[np.int64], bool, dict[int, str]]:
+    """Where the labels stand, the labels, whether they are of triangles, and names of groups."""
+    of_triangles = mesh.cell_data.get(TRIANGLE, {})
+    found = _found(mesh, array)
+    if found is None:
+        there = {*mesh.point_data, *of_triangles}
+        if array is not None:
+            raise no_such_array(mesh.path, array, there)
         raise InputError(
-            f"{mesh.path}: no labels: no array of whole numbers on triangles or points (arrays: "
-            f"{listed}); give a file of labels, one a triangle, or name the array"
+            f"{mesh.path}: no labels: no array called {', '.join(LABEL_NAMES[:-1])} on triangles "
+            f"or points (arrays: {', '.join(sorted(there)) or 'none'}); name the array "
+            "(--label-array) or give a file of labels (--labels-file)"
         )
-    if len(candidates) > 1:
-        raise InputError(
-            f"{mesh.path}: which array holds the labels? Of whole numbers are "
-            f"{', '.join(name for name, _, _ in candidates)}; name one"
-        )
-    name, values, on_triangles = candidates[0]
-    return f"{mesh.path}: array '{name}'", values.astype(np.int64), on_triangles
+    name, on_triangles = found
+    source = f"{mesh.path}: array '{name}'"
+    values = whole_numbers(source, (of_triangles if on_triangles else mesh.point_data)[name])
+    groups = surface_groups(mesh) if name == GROUP else {}
+    return source, values, on_triangles, groups
 
 
 def _read_numbers(path: Path) -> NDArray[np.int64]:
@@ -173,35 +157,3 @@ def _is_of_triangles(mesh: Mesh, values: NDArray[np.int64], source: str) -> bool
             f"{points} points ({welded} different); give one a triangle or point"
         )
     return len(values) == triangles
-
-
-def _translated(
-    values: NDArray[np.int64], names: Mapping[str, int] | None, source: str
-) -> NDArray[np.int64]:
-    """The `Label` that each number stands for."""
-    label_of = _numbering(names)
-    known = np.array(sorted(label_of), dtype=np.int64)
-    strange, count = np.unique(values[~np.isin(values, known)], return_counts=True)
-    if strange.size:
-        listed = ", ".join(f"{v} ({n} times)" for v, n in zip(strange, count, strict=True))
-        meant = ", ".join(f"{n} {Label(label_of[n]).name.lower()}" for n in sorted(label_of))
-        raise InputError(
-            f"{source}: unknown labels: {listed}; known are {meant}; say which number is what, as "
-            f"{MAPPING_EXAMPLE}"
-        )
-    labels = np.array([label_of[number] for number in known.tolist()], dtype=np.int64)
-    return np.asarray(labels[np.searchsorted(known, values)])
-
-
-def _numbering(names: Mapping[str, int] | None) -> dict[int, Label]:
-    """The label of each number: the caller's, and `Label`'s own where they leave it free."""
-    given: dict[int, Label] = {}
-    for name, number in (names or {}).items():
-        label = ALIASES.get(name.lower())
-        if label is None:
-            raise InputError(f"label '{name}': unknown; names are {', '.join(ALIASES)}")
-        if given.get(number, label) != label:
-            raise InputError(f"label number {number} is given two meanings; give each number one")
-        given[number] = label
-    own = {int(label): label for label in Label if label not in given.values()}
-    return {**own, **given}

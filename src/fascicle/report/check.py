@@ -160,13 +160,7 @@ def outline(heart: Heart, torso: Torso, tissue: Tissue | None) -> NDArray[np.int
         if tissue is not None
         else np.concatenate([heart.tetrahedra, torso.tetrahedra])
     )
-    triangles, owner = boundary_triangles(cells)
-    normals = triangle_normals(torso.vertices, triangles)
-    inside = torso.vertices[cells[owner]].mean(axis=1)
-    away = torso.vertices[triangles].mean(axis=1) - inside
-    inverted = np.einsum("ij,ij->i", normals, away) < 0
-    triangles[inverted] = triangles[inverted][:, ::-1]
-    return triangles
+    return boundary_triangles(cells)[0]
 
 
 def _paint(

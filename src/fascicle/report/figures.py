@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from fascicle.errors import InputError
 from fascicle.io.atomic import atomic_path
 
 # Okabe & Ito's palette (2008): distinct with every common form of colour blindness.
@@ -20,6 +21,7 @@ LABEL_SIZE = 9.0  # points
 TICK_SIZE = 8.0
 TITLE_SIZE = 10.5
 
+FORMATS = (".png", ".pdf", ".svg")
 RESOLUTION = 150  # dots per inch
 
 
@@ -50,6 +52,14 @@ def tidy(axes: Axes) -> None:
         axes.spines[side].set_linewidth(0.6)
 
 
+def check_picture(path: Path) -> None:
+    """Refuse a picture in a format that cannot be drawn."""
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(
+            f"{path}: cannot draw '{path.suffix or 'no suffix'}'; use one of {', '.join(FORMATS)}"
+        )
+
+
 def save(figure: Figure, path: Path | str) -> Path:
     """Write a figure whole or not at all.
 
@@ -66,6 +76,7 @@ def save(figure: Figure, path: Path | str) -> Path:
         The path written.
     """
     path = Path(path)
+    check_picture(path)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=RESOLUTION)
     return path

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import boundary_loops, triangle_normals
-from fascicle.geometry.surface import NEEDED, Label, LabelledSurface
+from fascicle.geometry.surface import NEEDED, Label, LabelledMesh, LabelledSurface
 from fascicle.report.figures import (
     BLACK,
     BLUE,
@@ -54,13 +54,13 @@ SCALE_BAR = 20.0  # mm
 MM2_PER_CM2 = 100.0
 
 
-def labels_figure(surface: LabelledSurface) -> Figure:
-    """Draw a labelled surface from the front, the back and the base, and without its epicardium.
+def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
+    """Draw labels from the front, the back and the base, and without its epicardium.
 
     Parameters
     ----------
-    surface : LabelledSurface
-        Closed surface with base, epicardium and both endocardia, in any frame.
+    surface : LabelledSurface or LabelledMesh
+        Closed, or a mesh's boundary, with base, epicardium and both endocardia, in any frame.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def labels_figure(surface: LabelledSurface) -> Figure:
     return figure
 
 
-def label_areas(surface: LabelledSurface) -> dict[Label, float]:
+def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
     """Area (cm²) of each label that the surface has."""
     areas = np.linalg.norm(triangle_normals(surface.vertices, surface.triangles), axis=1)
     return {
@@ -113,7 +113,7 @@ def label_areas(surface: LabelledSurface) -> dict[Label, float]:
     }
 
 
-def _views(surface: LabelledSurface) -> list[View]:
+def _views(surface: LabelledSurface | LabelledMesh) -> list[View]:
     """Cameras in the frame of the left cavity's opening and apex and of the right cavity."""
     left_cavity, right_cavity = (surface.having(label) for label in ENDOCARDIA)
     rims = boundary_loops(left_cavity)
@@ -134,7 +134,7 @@ def _views(surface: LabelledSurface) -> list[View]:
     return [View(name, np.array(axes), centre) for name, axes in zip(VIEWS, rows, strict=True)]
 
 
-def _draw(axes: Axes, view: View, surface: LabelledSurface, *, cast: bool) -> None:
+def _draw(axes: Axes, view: View, surface: LabelledSurface | LabelledMesh, *, cast: bool) -> None:
     """Painter's algorithm; as a cast, without epicardium and with cavities as if they were full."""
     triangles, labels = surface.triangles, surface.labels
     if cast:
@@ -156,7 +156,7 @@ def _draw(axes: Axes, view: View, surface: LabelledSurface, *, cast: bool) -> No
     )  # fmt: skip
 
 
-def _legend(surface: LabelledSurface) -> list[Patch]:
+def _legend(surface: LabelledSurface | LabelledMesh) -> list[Patch]:
     return [
         Patch(facecolor=COLOURS[label], label=f"{NAMES[label]}\n{area:.1f} cm²")
         for label, area in label_areas(surface).items()

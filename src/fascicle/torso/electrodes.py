@@ -36,6 +36,8 @@ INTERCOSTAL = 0.021  # the fifth intercostal space below the fourth
 FURTHEST_LEFT, FURTHEST_BACK = 0.25, 0.5  # of the distance from the LV to the RV
 NEAREST, FURTHEST_CHEST = 10.0, 350.0  # mm from the heart; ribs lie between, a chest is not wider
 
+FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso do not belong together
+
 
 def standard_electrodes(build: Build, skin: Surface) -> Floats:
     """Put the nine electrodes onto the skin of an idealised torso.
@@ -84,6 +86,46 @@ def _on_skin(skin: Surface, start: Floats, way: Floats) -> Floats:
     """Where a ray from within leaves the skin."""
     hits = igl.ray_mesh_intersect(start, way, *skin)
     return np.asarray(start + max(distance for _, distance, *_ in hits) * way)
+
+
+def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
+    """How far electrodes (n, 3) are from a skin; (n,), mm."""
+    squared, _, _ = igl.point_mesh_squared_distance(
+        np.ascontiguousarray(electrodes, dtype=float), *skin
+    )
+    return np.sqrt(np.asarray(squared))
+
+
+def check_on_skin(name: str, electrodes: Floats, skin: Surface) -> None:
+    """Refuse electrodes that are not on the skin, before the torso is meshed.
+
+    Parameters
+    ----------
+    name : str
+        What they come from, for the message.
+    electrodes : (9, 3) array
+        Positions in the order of `fascicle.leads.ELECTRODES` (mm).
+    skin : Surface
+        The torso's (mm).
+
+    Raises
+    ------
+    InputError
+        If one is more than `FARTHEST` away.
+    """
+    check_distances(name, distances_to_skin(electrodes, skin))
+
+
+def check_distances(name: str, distances: Floats) -> None:
+    """Refuse electrodes, as `check_on_skin` does, by their distances from the skin (9,), mm."""
+    worst = int(np.argmax(distances))
+    if distances[worst] > FARTHEST:
+        raise InputError(
+            f"{name}: electrode {ELECTRODES[worst]} is {distances[worst]:.0f} mm from the skin, "
+            f"more than {FARTHEST:.0f}; give the person's own skin in the electrodes' frame and in "
+            "mm (--torso FILE), the idealised torso's --height, --weight or --chest, or none "
+            "(--torso none)"
+        )
 
 
 def check_not_mirrored(name: str, heart: Heart) -> None:

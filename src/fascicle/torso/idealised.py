@@ -39,6 +39,7 @@ from fascicle.geometry.surface import Label, LabelledMesh
 from fascicle.torso.electrodes import standard_electrodes
 from fascicle.torso.placing import BodyFrame, Pose, body_frame, opening
 from fascicle.torso.surfaces import Surface, remeshed, signed_distance
+from fascicle.torso.within import check_within
 
 Floats = NDArray[np.float64]
 
@@ -111,14 +112,11 @@ class TorsoSurfaces:
     electrodes : (9, 3) array, optional
         Positions on the skin, in the order of `fascicle.leads.ELECTRODES` (mm); those of a torso
         of the user's own are not known.
-    frame : BodyFrame, optional
-        Where the body's axes lie; likewise.
     """
 
     skin: Surface
     lungs: tuple[Surface, ...]
     electrodes: Floats | None = None
-    frame: BodyFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -200,26 +198,41 @@ def idealised_torso(
     Raises
     ------
     InputError
-        If the heart does not fit into that torso, or leaves no room for the lungs.
+        If the heart does not fit into that torso, leaves no room for the lungs, or is not closed.
     """
     build = build if build is not None else Build()
-    lv = Surface(mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM))
-    rv = Surface(mesh.vertices, mesh.having(Label.RV_ENDOCARDIUM))
-    corners = mesh.vertices[mesh.tetrahedra].mean(axis=1)
-    volumes = signed_volumes(mesh.vertices, mesh.tetrahedra)
-    place = np.array([HEART_LEFT, -HEART_FRONT * build.half_depth, -HEART_BELOW])
-    frame = body_frame(lv, rv, np.average(corners, axis=0, weights=volumes), place, pose)
+    frame = frame_around(mesh, build, pose)
     heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
     skin = trunk(build)
     _check_fits(mesh.name, heart, skin)
-    base = frame.to_body(np.stack([opening(lv), opening(rv)]))
+    base = frame.to_body(np.stack([opening(side) for side in _endocardia(mesh)]))
     lungs = _lungs(mesh.name, build, _kept_clear(heart, base))
     electrodes = standard_electrodes(build, skin)
-    return TorsoSurfaces(
+    surfaces = TorsoSurfaces(
         Surface(frame.to_heart(skin.vertices), skin.triangles),
         tuple(Surface(frame.to_heart(lung.vertices), lung.triangles) for lung in lungs),
         frame.to_heart(electrodes),
-        frame,
+    )
+    check_within(mesh, surfaces.skin, surfaces.lungs)
+    return surfaces
+
+
+def frame_around(mesh: LabelledMesh, build: Build, pose: Pose = "standard") -> BodyFrame:
+    """Where the axes of an idealised body lie around a heart.
+
+    See `idealised_torso` for the parameters, and `fascicle.torso.placing.body_frame`.
+    """
+    centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    centroid = np.average(centres, axis=0, weights=signed_volumes(mesh.vertices, mesh.tetrahedra))
+    place = np.array([HEART_LEFT, -HEART_FRONT * build.half_depth, -HEART_BELOW])
+    return body_frame(*_endocardia(mesh), centroid, place, pose)
+
+
+def _endocardia(mesh: LabelledMesh) -> tuple[Surface, Surface]:
+    """Left and right."""
+    return (
+        Surface(mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)),
+        Surface(mesh.vertices, mesh.having(Label.RV_ENDOCARDIUM)),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, digest_of
-from fascicle.geometry.torso import LeadFields
+from fascicle.geometry.torso import LeadFields, Torso
 from fascicle.torso.lead_fields import lead_fields
 
 CONDUCTIVITIES = (
@@ -42,17 +42,32 @@ def known_lead_fields(
     InputError
         If the lead fields are not those of this heart, and there is no torso to compute others in.
     """
-    if heart.lead_fields is None and heart.torso is None:
-        return None
-    key = key_of(heart, conduction)
-    if heart.lead_fields is not None and heart.lead_fields.key == key:
+    if heart.lead_fields is not None and is_up_to_date(heart, conduction):
         return heart.lead_fields
+    if heart.torso is None and heart.lead_fields is None:
+        return None
     if heart.torso is None:
         raise InputError(
             f"{heart.name}: its lead fields are for other electrodes, fibres or conductivities, "
             "and there is no torso to compute new ones in; build the heart again with a torso"
         )
-    return LeadFields(lead_fields(heart, heart.torso, conduction, told), key)
+    values = lead_fields(heart, heart.torso, conduction, told)
+    return LeadFields(values, key_of(heart, conduction), torso_key(heart.torso))
+
+
+def is_up_to_date(heart: Heart, conduction: Conduction) -> bool:
+    """Whether a heart's own lead fields are those of its electrodes, fibres, torso and tissues."""
+    known = heart.lead_fields
+    return (
+        known is not None
+        and known.key == key_of(heart, conduction)
+        and (heart.torso is None or known.torso == torso_key(heart.torso))
+    )
+
+
+def torso_key(torso: Torso | None) -> str:
+    """SHA-256 of a torso; empty for a heart that carries its lead fields without one."""
+    return "" if torso is None else digest_of(torso.vertices, torso.tetrahedra, torso.tissues)
 
 
 def key_of(heart: Heart, conduction: Conduction) -> str:

@@ -28,10 +28,9 @@ from fascicle.errors import InputError
 from fascicle.geometry.conduction import Conduction
 from fascicle.geometry.heart import Heart, boundary_triangles
 from fascicle.geometry.torso import Tissue, Torso
-from fascicle.leads import ELECTRODES
+from fascicle.torso.electrodes import check_distances
 
 MM_PER_CM = 10.0
-FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso are not in the same frame
 # Residual relative to the current; ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
 TOLERANCE = 1e-9
 MOST_ITERATIONS = 500  # good meshes of 300,000 vertices take 30
@@ -96,11 +95,9 @@ def lead_fields(
     """
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrodes)
-    check_distances(contacts.moved, heart.name)
-    stiffness = assemble_stiffness(
-        torso.vertices, tetrahedra, total_conductivity(heart, torso, conduction)
-    )
-    fields = solve_neumann(stiffness, contacts.currents(len(torso.vertices)), told)
+    check_distances(heart.name, contacts.moved)
+    conductivity = total_conductivity(heart, torso, conduction)
+    fields = solve_lead_fields(torso.vertices, tetrahedra, conductivity, contacts, told)
     return fields[:, : len(heart.vertices)].copy()
 
 
@@ -108,7 +105,7 @@ def solve_lead_fields(
     vertices: NDArray[np.float64],
     tetrahedra: NDArray[np.int64],
     conductivity: NDArray[np.float64],
-    electrodes: NDArray[np.float64],
+    contacts: Contacts,
     told: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float64]:
     """Lead fields of electrodes on any conductor.
@@ -119,8 +116,8 @@ def solve_lead_fields(
         The mesh (mm).
     conductivity : (m, 3, 3) array
         σ of each tetrahedron (mS/cm).
-    electrodes : (e, 3) array
-        Positions (mm); the current enters at the nearest point of the skin.
+    contacts : Contacts
+        Where the current enters, from `place_electrodes`.
     told : callable, optional
         Told how many of how many electrodes are done.
 
@@ -134,7 +131,8 @@ def solve_lead_fields(
     InputError
         If the mesh falls into pieces, or the solver gets stuck.
     """
-    contacts = place_electrodes(vertices, tetrahedra, electrodes)
+    if told is not None:
+        told(0, len(contacts.moved))
     stiffness = assemble_stiffness(vertices, tetrahedra, conductivity)
     return solve_neumann(stiffness, contacts.currents(len(vertices)), told)
 
@@ -161,29 +159,6 @@ def place_electrodes(
     corners = (np.ascontiguousarray(vertices[triangles[:, k]]) for k in range(3))
     weights = igl.barycentric_coordinates(points, *corners)
     return Contacts(triangles, weights, np.sqrt(squared))
-
-
-def check_distances(moved: NDArray[np.float64], name: str) -> None:
-    """Refuse electrodes that are not on the torso.
-
-    Parameters
-    ----------
-    moved : (9,) array
-        Distance of each electrode from the skin (mm).
-    name : str
-        Of the heart, for the message.
-
-    Raises
-    ------
-    InputError
-        If one is more than `FARTHEST` away.
-    """
-    worst = int(np.argmax(moved))
-    if moved[worst] > FARTHEST:
-        raise InputError(
-            f"{name}: electrode {ELECTRODES[worst]} is {moved[worst]:.0f} mm from the skin, more "
-            f"than {FARTHEST:.0f}; give electrodes and torso in the same frame, in mm"
-        )
 
 
 def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> NDArray[np.float64]:

@@ -11,18 +11,20 @@ from numpy.typing import NDArray
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import boundary_loops
 from fascicle.geometry.heart import signed_volumes
+from fascicle.geometry.meshers import NOTHING, Filling, Sheet, filled
 from fascicle.geometry.surface import Label, LabelledMesh
 from fascicle.geometry.torso import Tissue, Torso
-from fascicle.torso.surfaces import MM3_PER_LITRE, Surface
-from fascicle.torso.within import check_within
+from fascicle.torso.surfaces import Surface
 
-# Netgen's numbers of what lies on the two sides of a surface; those of the lungs follow
-NOTHING, BODY, FIRST_LUNG = 0, 1, 2
+BODY, FIRST_LUNG = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
 
 COARSEST = 15.0  # mm, edges far from all surfaces
 GRADING = 0.5  # Netgen's: how fast edges grow away from a surface
 OPTIMISATION_STEPS = 1  # leaves no dihedral angle below 5 degrees around a good heart mesh
-VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
+REMEDY = (
+    "a surface crosses itself or another or is too rough; remesh the heart, the torso or the lungs "
+    "more evenly"
+)
 ENCLOSED = 0.5  # winding number from which a point counts as enclosed
 
 
@@ -48,7 +50,7 @@ def mesh_torso(
     skin : Surface
         Closed surface around it (mm).
     lungs : sequence of Surface
-        Closed surfaces between the two (mm).
+        Closed surfaces between the two (mm); see `fascicle.torso.within.check_within`.
     told : callable, optional
         Told how many of how many steps are done.
 
@@ -60,24 +62,15 @@ def mesh_torso(
     Raises
     ------
     InputError
-        If the surfaces are not closed, do not lie within one another (see `check_within`), or
-        leave a space that cannot be meshed.
-
-    Notes
-    -----
-    The mesher is Netgen: Schöberl 1997, Comput Vis Sci 1:41-52.
+        If the surfaces leave a space that cannot be meshed.
     """
-    steps = 3
+    steps = 2
     if told is not None:
         told(0, steps)
-    check_within(mesh, skin, lungs)
-    if told is not None:
-        told(1, steps)
     used = np.unique(mesh.triangles)
     vertices, tetrahedra, domains = _fill(mesh, used, skin, lungs)
-    _check_filled(mesh, skin, signed_volumes(vertices, tetrahedra))
     if told is not None:
-        told(2, steps)
+        told(1, steps)
     tissues = np.where(domains == BODY, int(Tissue.BODY), int(Tissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
@@ -90,17 +83,6 @@ def mesh_torso(
     if told is not None:
         told(steps, steps)
     return Torso(np.concatenate([mesh.vertices, added]), number[tetrahedra], tissues)
-
-
-def _check_filled(mesh: LabelledMesh, skin: Surface, volumes: NDArray[np.float64]) -> None:
-    """Refuse a mesh with gaps: Netgen leaves out what it could not fill and goes on."""
-    myocardium = signed_volumes(mesh.vertices, mesh.tetrahedra).sum()
-    filled = (volumes.sum() + myocardium) / (skin.litres * MM3_PER_LITRE)
-    if volumes.min() <= 0 or abs(filled - 1) > VOLUME_TOLERANCE:
-        raise InputError(
-            f"{mesh.name}: {1 - filled:.2%} of the torso around it could not be meshed; a surface "
-            "crosses itself or is too rough, remesh the heart, the torso or the lungs more evenly"
-        )
 
 
 def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
@@ -125,33 +107,23 @@ def _in_box(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArra
 
 def _fill(
     mesh: LabelledMesh, used: NDArray[np.int64], skin: Surface, lungs: Sequence[Surface]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Let Netgen fill the domains; vertices, tetrahedra and their domains.
-
-    The vertices begin with those of the heart's surface, which are the `used` ones.
-    """
-    from netgen.meshing import FaceDescriptor, Mesh, MeshingParameters
-
+) -> Filling:
+    """Fill the domains; the vertices begin with those of the heart's surface, the `used` ones."""
     compact = np.empty(len(mesh.vertices), dtype=np.int64)
     compact[used] = np.arange(len(used))
-    # triangles whose normals leave a domain, that one and the other
-    sheets = [
-        (Surface(mesh.vertices[used], compact[mesh.triangles]), NOTHING, BODY),
-        (skin, BODY, NOTHING),
-        *((lung, number, BODY) for number, lung in enumerate(lungs, start=FIRST_LUNG)),
-    ]
-    netgen = Mesh()
-    netgen.dim = 3
-    count = 0
-    for face, (surface, inner, outer) in enumerate(sheets, start=1):
-        netgen.AddPoints(np.ascontiguousarray(surface.vertices))
-        index = netgen.Add(FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
-        corners = np.ascontiguousarray(surface.triangles + count, dtype=np.int32)
-        netgen.AddElements(dim=2, index=index, data=corners, base=0)
-        count += len(surface.vertices)
-    parameters = MeshingParameters(maxh=COARSEST, grading=GRADING, optsteps3d=OPTIMISATION_STEPS)
-    netgen.GenerateVolumeMesh(parameters)
-    elements = netgen.Elements3D().NumPy()
-    tetrahedra = elements["nodes"][:, :4].astype(np.int64) - 1
-    tetrahedra = tetrahedra[:, [0, 2, 1, 3]]  # Netgen's are negatively oriented
-    return netgen.Coordinates().copy(), tetrahedra, elements["index"].astype(np.int64)
+    filling = filled(
+        [
+            Sheet(mesh.vertices[used], compact[mesh.triangles], NOTHING, BODY),
+            Sheet(*skin, BODY, NOTHING),
+            *(Sheet(*lung, number, BODY) for number, lung in enumerate(lungs, start=FIRST_LUNG)),
+        ],
+        f"{mesh.name}: the torso around it",
+        REMEDY,
+        maxh=COARSEST,
+        grading=GRADING,
+        optsteps3d=OPTIMISATION_STEPS,
+    )
+    flat = np.count_nonzero(signed_volumes(filling.vertices, filling.tetrahedra) <= 0)
+    if flat:
+        raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {REMEDY}")
+    return filling

@@ -134,8 +134,8 @@ def body_frame(
     Raises
     ------
     InputError
-        If the pose is unknown, or is that of an image and the heart's apex then points up, to the
-        right or to the back.
+        If the pose is unknown, or is that of an image and the heart's apex then points two of
+        three wrong ways: up, to the right, to the back.
     """
     if pose not in get_args(Pose):
         raise InputError(f"pose: '{pose}' is unknown; use one of {', '.join(get_args(Pose))}")
@@ -149,10 +149,10 @@ def body_frame(
 
 
 def _check_pose(pose: Pose, towards_apex: NDArray[np.float64]) -> None:
-    """Refuse image axes in which the apex is not on the left, in front or below: not both can be.
+    """Refuse image axes in which the apex points two of these ways: right, back, up.
 
-    Hearts differ, so one of the three may be wrong: a vertical heart points hardly to the left, a
-    horizontal one hardly down.
+    Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
+    one hardly down.
     """
     wrong = [
         name

@@ -8,6 +8,8 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.geometry.meshers import remeshed_triangles
+
 MM3_PER_LITRE = 1e6
 REMESHING_ERROR = 0.25  # largest distance between old and new surface, of the new edge length
 
@@ -45,16 +47,9 @@ def signed_distance(points: NDArray[np.float64], surface: Surface) -> NDArray[np
 
 
 def remeshed(surface: Surface, edge: float) -> Surface:
-    """Triangulate a closed surface anew by Mmg, with edges of about this length (mm).
-
-    Source: Dapogny, Dobrzynski and Frey 2014, J Comput Phys 262:358-378.
-    """
-    import mmgpy
-
-    mesh = mmgpy.MmgMeshS(
-        np.ascontiguousarray(surface.vertices),
-        np.ascontiguousarray(surface.triangles, dtype=np.int32),
+    """Triangulate a closed surface anew, with edges of about this length (mm)."""
+    alike = np.zeros(len(surface.triangles), dtype=np.int64)
+    vertices, triangles, _ = remeshed_triangles(
+        *surface, alike, hsiz=edge, hausd=REMESHING_ERROR * edge, angle=0
     )
-    mesh.remesh(hsiz=edge, hausd=REMESHING_ERROR * edge, angle=0, verbose=-1)
-    vertices, triangles = mesh.get_vertices(), mesh.get_triangles()
-    return Surface(np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64))
+    return Surface(vertices, triangles)
