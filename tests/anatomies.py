@@ -187,6 +187,11 @@ def write_parts(folder: Path, gap: float = 0.0) -> dict[str, Path]:
     return files
 
 
+def options_of(files: dict[str, Path], without: str = "") -> list[object]:
+    """Options of `heart build` that name parts."""
+    return [word for name, file in files.items() if name != without for word in (f"--{name}", file)]
+
+
 def in_scar(mesh: LabelledMesh) -> np.ndarray:
     """Region 1 where the middle of a tetrahedron lies in the scar, else 0."""
     middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)

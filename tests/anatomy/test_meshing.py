@@ -19,6 +19,7 @@ from fascicle.anatomy.wall import wall_thickness
 from fascicle.errors import InputError
 from fascicle.geometry.endocardium import boundary_loops, oriented_into_cavity, triangle_normals
 from fascicle.geometry.heart import boundary_triangles, signed_volumes
+from fascicle.geometry.meshers import NOTHING, Sheet, filled
 from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
 from fascicle.io.surfaces import read_labelled_surface
 
@@ -97,6 +98,17 @@ def test_the_same_surface_gives_the_same_mesh_and_nothing_is_printed(mesh, surfa
     assert np.array_equal(again.vertices, mesh.vertices)
     assert np.array_equal(again.tetrahedra, mesh.tetrahedra)
     assert np.array_equal(again.labels, mesh.labels)
+
+
+def test_a_surface_that_cannot_be_filled_is_refused_in_one_line(surface, capfd):
+    turned = replace(surface, triangles=surface.triangles[:, ::-1])
+    sheet = Sheet(turned.vertices, turned.triangles, 1, NOTHING)
+    with pytest.raises(
+        InputError,
+        match=r"^h\.vtk: inside: 100\.00% .* \(too many attempts in domain 1\); smooth it$",
+    ):
+        filled([sheet], "h.vtk: inside", "smooth it", maxh=EDGE)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_steps_are_told(mesh, steps):

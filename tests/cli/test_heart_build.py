@@ -48,19 +48,17 @@ SURFACE_KINDS = {
     ],
     "unlabelled STL": lambda folder: [anatomies.write_surface(folder / "heart.stl")],
     "unlabelled OBJ": lambda folder: [anatomies.write_surface(folder / "heart.obj")],
-    "parts": lambda folder: options_of(anatomies.write_parts(folder)),
-    "parts 1 mm apart": lambda folder: options_of(anatomies.write_parts(folder, 1.0)),
-    "parts without base": lambda folder: options_of(anatomies.write_parts(folder), "base"),
+    "parts": lambda folder: anatomies.options_of(anatomies.write_parts(folder)),
+    "parts 1 mm apart": lambda folder: anatomies.options_of(anatomies.write_parts(folder, 1.0)),
+    "parts without base": lambda folder: anatomies.options_of(
+        anatomies.write_parts(folder), "base"
+    ),
 }
 
 
 def write_numbers(path: Path, numbers: np.ndarray) -> Path:
     path.write_text("\n".join(map(str, numbers)) + "\n")
     return path
-
-
-def options_of(files: dict[str, Path], without: str = "") -> list[object]:
-    return [word for name, file in files.items() if name != without for word in (f"--{name}", file)]
 
 
 MESHED: dict[str, LabelledMesh] = {}
@@ -129,7 +127,8 @@ def test_surfaces(build, tmp_path, kind):
     heart, ended = build(*SURFACE_KINDS[kind](tmp_path))
     assert_ventricles(heart)
     assert "no problem found" in ended.out
-    assert ("labels: found from the shape" in ended.out) == ("unlabelled" in kind)
+    assert ("found from the shape: look at" in ended.out) == ("unlabelled" in kind)
+    assert (heart.folder / "labels.png").exists() == ("unlabelled" in kind)
     assert heart.sheets is not None
     assert heart.regions is None
     assert heart.edge_length == pytest.approx(EDGE, rel=0.05)
@@ -181,7 +180,8 @@ def test_tetrahedra_stay_as_they_are(build, tmp_path, labelled):
     heart, ended = build(file, edge_length=2.0)  # of no consequence here
     np.testing.assert_array_equal(heart.vertices, mesh.vertices)
     np.testing.assert_array_equal(heart.tetrahedra, mesh.tetrahedra)
-    assert ("labels: found from the shape" in ended.out) == (not labelled)
+    assert ("found from the shape: look at" in ended.out) == (not labelled)
+    assert "mesh: as in the file" in ended.out
     assert_ventricles(heart)
 
 

@@ -8,10 +8,11 @@ import anatomies
 import numpy as np
 import pytest
 import pyvista as pv
-from anatomies import BASE, COARSER, EDGE, EPI, LV, RV, SCAR, ventricles
+from anatomies import BASE, COARSER, EDGE, EPI, LV, RV, SCAR, options_of, ventricles
 
 # Options that leave the volume conductor unbounded, so that little is done before an error
 AROUND = ("--torso", "none", "--electrodes", "electrodes.csv", "--edge-length", EDGE)
+IN_SKIN = ("--torso", "skin.stl", "--electrodes", "electrodes.csv")
 BAR = "━"  # of what progress bars are made
 
 
@@ -62,10 +63,6 @@ def surface(build_refused):
 @pytest.fixture
 def mesh(build_refused):
     return anatomies.write_vtu(build_refused.folder / "mesh.vtu", labelled=True)
-
-
-def without(triangles, labels, gone):
-    return triangles[~gone], labels[~gone]
 
 
 class TestInput:
@@ -121,10 +118,9 @@ class TestSurfaces:
     def test_open(self, build_refused, labelled):
         whole = ventricles()
         hole = (whole.labels == EPI) & (whole.vertices[whole.triangles][:, :, 2].max(axis=1) < -50)
-        triangles, labels = without(whole.triangles, whole.labels, hole)
-        arrays = {"class": labels} if labelled else {}
+        arrays = {"class": whole.labels[~hole]} if labelled else {}
         file = build_refused.folder / "heart.vtp"
-        anatomies.write_surface(file, triangles=triangles, **arrays)
+        anatomies.write_surface(file, triangles=whole.triangles[~hole], **arrays)
         build_refused(file, words=["heart.vtp", "hole" if labelled else "edges are open"])
 
     @pytest.mark.parametrize("labelled", [True, False])
@@ -148,17 +144,15 @@ class TestSurfaces:
 
     def test_parts_are_swapped(self, build_refused):
         parts = anatomies.write_parts(build_refused.folder)
-        build_refused(
-            *("--lv-endocardium", parts["rv-endocardium"]),
-            *("--rv-endocardium", parts["lv-endocardium"]),
-            *("--epicardium", parts["epicardium"], "--base", parts["base"]),
-            words=["seem to be swapped"],
-        )
+        swapped = {
+            "lv-endocardium": parts["rv-endocardium"],
+            "rv-endocardium": parts["lv-endocardium"],
+        }
+        build_refused(*options_of(parts | swapped), words=["seem to be swapped"])
 
     def test_a_part_too_far_away(self, build_refused):
         parts = anatomies.write_parts(build_refused.folder, 4.0)
-        options = [word for name, file in parts.items() for word in (f"--{name}", file)]
-        build_refused(*options, words=["rims of", "mm apart"])
+        build_refused(*options_of(parts), words=["rims of", "mm apart"])
 
     @pytest.mark.parametrize(("label", "name"), [(BASE, "base"), (RV, "rv endocardium")])
     def test_a_label_is_missing(self, build_refused, label, name):
@@ -353,8 +347,7 @@ class TestBody:
         build_refused(mesh, "--lung", "lung.stl", around=around, words=words)
 
     def test_a_torso_that_is_not_there(self, build_refused, mesh):
-        around = ("--torso", "skin.stl", "--electrodes", "electrodes.csv")
-        build_refused(mesh, around=around, words=["skin.stl: no such file (torso)"])
+        build_refused(mesh, around=IN_SKIN, words=["skin.stl: no such file (torso)"])
 
     @pytest.mark.parametrize(
         ("half_axes", "centre", "words"),
@@ -368,23 +361,20 @@ class TestBody:
         anatomies.write_surface(
             build_refused.folder / "skin.stl", *anatomies.body(half_axes, centre)
         )
-        around = ("--torso", "skin.stl", "--electrodes", "electrodes.csv")
-        build_refused(mesh, around=around, words=words)
+        build_refused(mesh, around=IN_SKIN, words=words)
 
     def test_an_open_torso(self, build_refused, mesh):
         skin = anatomies.body()
         anatomies.write_surface(
             build_refused.folder / "skin.stl", skin.vertices, skin.triangles[9:]
         )
-        around = ("--torso", "skin.stl", "--electrodes", "electrodes.csv")
-        build_refused(mesh, around=around, words=["skin.stl: the surface has an open edge at"])
+        build_refused(mesh, around=IN_SKIN, words=["skin.stl: the surface has an open edge at"])
 
     def test_a_lung_in_the_heart(self, build_refused, mesh):
         anatomies.write_surface(build_refused.folder / "skin.stl", *anatomies.body())
         lung = anatomies.body((40.0, 40.0, 60.0), (-30.0, 0.0, -30.0))
         anatomies.write_surface(build_refused.folder / "lung.stl", *lung)
-        around = ("--torso", "skin.stl", "--electrodes", "electrodes.csv")
-        build_refused(mesh, "--lung", "lung.stl", around=around, words=["lung.stl: overlaps"])
+        build_refused(mesh, "--lung", "lung.stl", around=IN_SKIN, words=["lung.stl: overlaps"])
 
 
 class TestOut:
@@ -394,7 +384,6 @@ class TestOut:
         (outside / "heart").write_text("mine")
         refused(["heart", "build", mesh, *AROUND, "--out", outside / "heart"], "is a file; give")
         assert (outside / "heart").read_text() == "mine"
-        assert len(list(outside.iterdir())) == 1
 
     def test_a_folder_that_is_no_heart(self, refused, mesh, outside):
         (outside / "notes.txt").write_text("mine")
@@ -408,12 +397,6 @@ class TestOut:
         arguments = ["heart", "build", mesh, *AROUND, "--out", outside]
         refused(arguments, "holds 'notes.txt', which would be lost")
         assert {path.name for path in outside.iterdir()} == {"heart.toml", "notes.txt"}
-
-    def test_a_folder_that_holds_the_input(self, refused, mesh, build_refused):
-        arguments = ["heart", "build", mesh, *AROUND, "--out", mesh.parent]
-        before = mesh.read_bytes()
-        refused(arguments, "; give", "--out")
-        assert mesh.read_bytes() == before
 
     def test_below_a_file(self, refused, mesh, outside):
         (outside / "file").write_text("mine")

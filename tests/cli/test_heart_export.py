@@ -67,13 +67,13 @@ def test_gmsh(export, heart):
     path = export("heart.msh", "gmsh")
     mesh = read_mesh(path)
     assert_same(mesh, heart, 0.0)
-    assert {"region 0", "region 1", "lv_endo", "rv_endo"} == set(mesh.groups)
+    assert set(mesh.groups) == {"region 0", "region 1", "lv_endo", "rv_endo", "epi", "base"}
     content = path.read_bytes()
     bare = path.with_name("bare.msh")  # meshio cannot read its element data
     bare.write_bytes(content[: content.index(b"$ElementData")])
     cells = meshio.gmsh.read(bare).cells_dict
     np.testing.assert_array_equal(cells["tetra"], heart.tetrahedra)
-    assert len(cells["triangle"]) == len(heart.lv.triangles) + len(heart.rv.triangles)
+    assert len(cells["triangle"]) == len(heart.boundary[0])
 
 
 def test_opencarp(export, heart):
@@ -91,21 +91,28 @@ def test_opencarp(export, heart):
         assert {*map(tuple, found)} == {*map(tuple, there)}
 
 
-def test_what_went_out_to_opencarp_builds_the_same_heart(export, heart, run, outside):
-    """Without its surfaces, which are the endocardia alone: all labels are found by shape."""
-    out = export("carp", "opencarp")
-    for path in (*out.glob("*.surf"), *out.glob("*.vtx")):
-        path.unlink()
-    arguments = ["--torso", "none", "--electrodes", out / "electrodes.csv"]
-    ended = run("heart", "build", out / "heart.pts", *arguments, "--out", outside / "again")
+@pytest.mark.parametrize(
+    ("name", "kind", "mesh"),
+    [
+        ("carp", "opencarp", "carp/heart.pts"),
+        ("heart.msh", "gmsh", "heart.msh"),
+        ("heart.vtu", "vtu", "heart.vtu"),  # without labels, which are then found by shape
+    ],
+)
+def test_what_went_out_builds_the_same_heart(export, folder, heart, run, outside, name, kind, mesh):
+    export(name, kind)
+    around = ["--torso", "none", "--electrodes", folder / "electrodes.csv"]
+    ended = run("heart", "build", outside / mesh, *around, "--out", outside / "again")
     assert ended.status == 0, ended
     again = load_heart(outside / "again")
     np.testing.assert_array_equal(again.tetrahedra, heart.tetrahedra)
+    np.testing.assert_allclose(again.vertices, heart.vertices, rtol=0, atol=1e-9)
     np.testing.assert_allclose(again.fibres, heart.fibres, atol=1e-12)
     np.testing.assert_allclose(again.sheets, heart.sheets, atol=1e-12)
-    np.testing.assert_array_equal(again.regions, heart.regions)
     np.testing.assert_array_equal(again.electrodes, heart.electrodes)
-    assert again.lv.area == pytest.approx(heart.lv.area, rel=0.02)
+    for side in ("lv", "rv"):
+        assert getattr(again, side).area == pytest.approx(getattr(heart, side).area, rel=1e-6)
+    np.testing.assert_array_equal(again.regions, heart.regions)
 
 
 @pytest.mark.parametrize(

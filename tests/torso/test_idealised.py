@@ -11,8 +11,19 @@ from fascicle.geometry.heart import Heart
 from fascicle.geometry.surface import LabelledMesh
 from fascicle.leads import ELECTRODES
 from fascicle.torso import idealised
-from fascicle.torso.electrodes import check_not_mirrored, electrode_warnings
-from fascicle.torso.idealised import Build, TorsoSurfaces, idealised_torso, trunk
+from fascicle.torso.electrodes import (
+    check_not_mirrored,
+    check_on_skin,
+    distances_to_skin,
+    electrode_warnings,
+)
+from fascicle.torso.idealised import (
+    Build,
+    TorsoSurfaces,
+    frame_around,
+    idealised_torso,
+    trunk,
+)
 from fascicle.torso.surfaces import Surface, signed_distance
 from fascicle.torso.within import check_within, crossing
 
@@ -74,17 +85,18 @@ def test_surfaces_fit_into_one_another(mesh: LabelledMesh, body: TorsoSurfaces) 
     assert crossing(*body.lungs) is None
 
 
-def test_lungs_lie_to_the_left_and_right(body: TorsoSurfaces) -> None:
-    assert body.frame is not None
-    left, right = (body.frame.to_body(lung.vertices) for lung in body.lungs)
+def test_lungs_lie_to_the_left_and_right(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
+    frame = frame_around(mesh, Build())
+    left, right = (frame.to_body(lung.vertices) for lung in body.lungs)
     assert left[:, 0].min() > 0 > right[:, 0].max()
 
 
-def test_electrodes_are_on_the_skin_where_they_belong(body: TorsoSurfaces) -> None:
+def test_electrodes_are_on_the_skin_where_they_belong(
+    mesh: LabelledMesh, body: TorsoSurfaces
+) -> None:
     assert body.electrodes is not None
-    assert body.frame is not None
     assert np.abs(signed_distance(body.electrodes, body.skin)).max() < 1e-3
-    place = dict(zip(ELECTRODES, body.frame.to_body(body.electrodes), strict=True))
+    place = dict(zip(ELECTRODES, frame_around(mesh, Build()).to_body(body.electrodes), strict=True))
     np.testing.assert_allclose(place["V1"] * [-1, 1, 1], place["V2"], atol=1)
     np.testing.assert_allclose(place["RA"] * [-1, 1, 1], place["LA"], atol=2)
     assert place["V1"][2] == pytest.approx(0)
@@ -93,6 +105,26 @@ def test_electrodes_are_on_the_skin_where_they_belong(body: TorsoSurfaces) -> No
     assert place["V1"][1] < place["V4"][1] < place["V5"][1] < place["V6"][1]  # ever further back
     assert place["LL"][2] < -250
     assert place["RA"][2] > 100
+
+
+def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
+    assert body.electrodes is not None
+    v1, to_the_front = ELECTRODES.index("V1"), -frame_around(mesh, Build()).rotation[:, 1]
+    moved = body.electrodes.copy()
+    moved[v1] += 25 * to_the_front
+    expected = np.where(np.arange(9) == v1, 25, 0)  # the chest is nearly flat there
+    assert distances_to_skin(moved, body.skin) == pytest.approx(expected, abs=1)
+    check_on_skin("e.csv", moved, body.skin)
+    moved[v1] += 25 * to_the_front
+    message = r"^e\.csv: electrode V1 is (49|50) mm from the skin, more than 30; .*--torso FILE"
+    with pytest.raises(InputError, match=message):
+        check_on_skin("e.csv", moved, body.skin)
+
+
+def test_refuses_a_heart_that_is_open(mesh: LabelledMesh) -> None:
+    opened = replace(mesh, triangles=mesh.triangles[1:], labels=mesh.labels[1:])
+    with pytest.raises(InputError, match="the surface has an open edge"):
+        idealised_torso(opened)
 
 
 def test_agrees_with_the_packaged_electrodes(default_heart: Heart, body: TorsoSurfaces) -> None:

@@ -7,6 +7,7 @@ import pytest
 from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung, skin
 
 from fascicle.errors import InputError
+from fascicle.geometry.endocardium import triangle_normals
 from fascicle.geometry.heart import boundary_triangles, signed_volumes
 from fascicle.geometry.surface import Label
 from fascicle.geometry.torso import Tissue
@@ -116,6 +117,32 @@ def test_refuses_surfaces_that_do_not_fit(heart, body, lungs, message) -> None:
     with pytest.raises(InputError, match=message) as error:
         check_within(heart, body, lungs)
     assert "\n" not in str(error.value)
+
+
+def test_a_fill_that_fails_is_one_line_and_nothing_is_printed(heart, capfd) -> None:
+    with pytest.raises(
+        InputError,
+        match=r"^block: the torso around it: 100\.00% could not be filled .* \(boundary mesh is "
+        r"overlapping\); .* remesh",
+    ) as error:
+        mesh_torso(heart, dented())
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_nothing_is_printed_of_a_fill(heart, capfd) -> None:
+    mesh_torso(heart, skin())
+    assert capfd.readouterr() == ("", "")
+
+
+def test_boundaries_of_positive_tetrahedra_face_outwards(torso) -> None:
+    for tissue in (Tissue.BODY, Tissue.LUNG):
+        cells = torso.tetrahedra[torso.tissues == tissue]
+        triangles, owner = boundary_triangles(cells)
+        inside = torso.vertices[cells[owner]].mean(axis=1)
+        away = torso.vertices[triangles].mean(axis=1) - inside
+        normals = triangle_normals(torso.vertices, triangles)
+        assert np.einsum("ij,ij->i", normals, away).min() > 0
 
 
 def test_names_the_files_of_surfaces(heart) -> None:

@@ -17,8 +17,8 @@ from fascicle.anatomy.segmentation import Segmentation, SegmentationLabels, regi
 from fascicle.anatomy.segmentation_surface import surface_from_segmentation
 from fascicle.anatomy.wall import check_not_swapped
 from fascicle.errors import InputError
-from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
-from fascicle.io.label_names import label_of
+from fascicle.geometry.surface import LabelledMesh, LabelledSurface
+from fascicle.io.label_names import labels_by_number
 from fascicle.io.labelled_meshes import read_labelled_mesh
 from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh
 from fascicle.io.segmentations import read_segmentation
@@ -157,10 +157,9 @@ def _from_surface(
     source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     mesh = read_mesh(file, "surface")
-    if has_labels(mesh, source.array, source.labels_file):
+    if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
         surface = read_labelled_surface(file, source.array, source.numbers, source.labels_file)
         return Anatomy(_meshed(surface, edge_length, progress))
-    _check_unused(source, f"{file}, which has no labels", "numbers")
     surface = classify_surface(*_triangles(mesh), str(file), stage_of(progress, "surface"))
     return Anatomy(_meshed(surface, edge_length, progress), guessed=True)
 
@@ -209,26 +208,13 @@ def _segmentation_labels(
     return SegmentationLabels(**numbers)
 
 
-def _surface_labels(numbers: Mapping[str, int]) -> dict[str, Label]:
-    """Labels by their number in the file, as text."""
-    labels = {}
-    for name, number in numbers.items():
-        label = label_of(name)
-        if label is None:
-            raise InputError(
-                f"--labels: unknown '{name}'; the parts are base, epicardium, lv, rv, mitral, "
-                "aortic, tricuspid, pulmonary"
-            )
-        labels[str(number)] = label
-    return labels
-
-
 def _from_tetrahedra(source: Source, file: Path, progress: Progress | None) -> Anatomy:
     _check_unused(source, "tetrahedra", "labels_file")
-    names = None if source.numbers is None else _surface_labels(source.numbers)
+    names = None if source.numbers is None else labels_by_number(source.numbers)
     read = read_labelled_mesh(file, array=source.array, names=names)
     labels = read.labels
     if labels is None:
+        _check_unused(source, f"{file}, which has no labels (--label-array names one)", "numbers")
         vertices, triangles, _ = read.boundary_surface()
         told = stage_of(progress, "surface")
         labels = classify_surface(vertices, triangles, str(file), told).labels

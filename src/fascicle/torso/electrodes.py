@@ -93,7 +93,7 @@ def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
     squared, _, _ = igl.point_mesh_squared_distance(
         np.ascontiguousarray(electrodes, dtype=float), *skin
     )
-    return np.sqrt(np.asarray(squared))
+    return np.asarray(np.sqrt(squared))
 
 
 def check_on_skin(name: str, electrodes: Floats, skin: Surface) -> None:
