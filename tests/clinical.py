@@ -7,6 +7,16 @@ import numpy as np
 from fascicle.forward import Simulation
 from fascicle.leads import LEADS
 
+# Bundles and fascicles short enough for a patient's heart (crtdemo); EXAMPLE_PARAMETERS are not
+SHORT_BUNDLES = {
+    "lv_initial_length": 45.0, "rv_initial_length": 55.0,
+    "lv_fascicle_length_1": 15.0, "lv_fascicle_length_2": 20.0,
+    "rv_fascicle_length_1": 20.0, "rv_fascicle_length_2": 15.0,
+    "lv_fascicle_angle_1": 0.9, "lv_fascicle_angle_2": -0.6,
+    "rv_fascicle_angle_1": 0.7, "rv_fascicle_angle_2": -0.4,
+    "root_time": 0.0, "cv": 3.0,
+}  # fmt: skip
+
 
 def curves(simulation: Simulation) -> dict[str, np.ndarray]:
     """The twelve leads (mV) by name."""

@@ -38,6 +38,7 @@ from fascicle.anatomy.segmentation import Segmentation, SegmentationLabels
 from fascicle.anatomy.segmentation_surface import surface_from_segmentation
 from fascicle.anatomy.source import Anatomy
 from fascicle.geometry.heart import Heart
+from fascicle.geometry.seeds import ChosenSeed
 from fascicle.geometry.torso import LeadFields
 from fascicle.io.hearts import write_heart
 from fascicle.torso.placing import standard_axes
@@ -77,6 +78,14 @@ LOW, HIGH = np.array([-38.0, -46.0, -96.0]), np.array([78.0, 46.0, 0.0])  # of t
 EDGE = 3.0  # mm; two layers of tetrahedra in the RV wall
 HEART_CENTRE = np.array([33.0, -37.0, -5.0])  # of the map's muscle, in the body frame
 
+# Roots and directions of the bundles (heart frame, mm), on the anterior-superior part of the septum,
+# where they come out under the aortic valve. The ellipsoids are symmetric, so that a rule that goes
+# by the shape alone might as well choose the other side.
+SEEDS = {
+    "lv": ((12.0, 21.2, -9.8), (11.9, 19.6, -41.8)),
+    "rv": ((20.4, 27.3, -12.5), (15.8, 28.6, -36.2)),
+}
+
 # What keeps the file small: positions and fibres are rounded to these, which zlib squeezes
 POSITION_STEP, FIBRE_STEP = 2.0**-10, 2.0**-12
 
@@ -90,24 +99,38 @@ def label_map() -> Segmentation:
     outer = LV_OUTER.holds(points)
     rv = RV_INNER.holds(points) & ~outer
     labels = np.where(lv, 1, np.where(rv, 2, np.where(outer | RV_OUTER.holds(points), 3, 0)))
-    turn = standard_axes()
     affine = np.eye(4)
-    affine[:3, :3] = turn * SPACING
-    affine[:3, 3] = HEART_CENTRE + turn @ (axes_start(axes) - points[labels == 3].mean(axis=0))
+    affine[:3, :3] = standard_axes() * SPACING
+    first = np.array([axis[0] for axis in axes])
+    affine[:3, 3] = to_body(first, points[labels == 3].mean(axis=0))
     return Segmentation(labels, affine, "idealised adult heart")
 
 
-def axes_start(axes: list[Floats]) -> Floats:
-    """Position of the first voxel (mm)."""
-    return np.array([axis[0] for axis in axes])
+def to_body(point: Floats, centre: Floats) -> Floats:
+    """A point of the heart frame, where the map's muscle has this centre, in the body frame."""
+    return HEART_CENTRE + standard_axes() @ (point - centre)
+
+
+def seeds_in_body(drawn: Segmentation) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
+    """`SEEDS` in the body frame."""
+    turn, first = standard_axes(), LOW + SPACING / 2
+    placed = {
+        side: [drawn.affine[:3, 3] + turn @ (np.array(point) - first) for point in pair]
+        for side, pair in SEEDS.items()
+    }
+    return {
+        side: ((x.item(0), x.item(1), x.item(2)), (y.item(0), y.item(1), y.item(2)))
+        for side, (x, y) in placed.items()
+    }
 
 
 def make_heart() -> Heart:
     """Build the heart with what is small enough to be packaged: no sheets, no torso mesh."""
-    surface = surface_from_segmentation(label_map(), SegmentationLabels(), noted=print)
+    drawn = label_map()
+    surface = surface_from_segmentation(drawn, SegmentationLabels(), noted=print)
     mesh = mesh_surface(surface, EDGE)
     mesh = replace(mesh, vertices=rounded(mesh.vertices, POSITION_STEP))
-    heart = heart_of(Anatomy(mesh), name="idealised adult heart")
+    heart = heart_of(Anatomy(mesh), seeds=seeds_in_body(drawn), name="idealised adult heart")
     fibres = rounded(heart.fibres, FIBRE_STEP)
     # as they will be when the file is read
     heart = replace(heart, fibres=fibres / np.linalg.norm(fibres, axis=1, keepdims=True))

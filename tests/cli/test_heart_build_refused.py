@@ -27,7 +27,6 @@ def refused_late(run):
         *before, message = ended.err.splitlines()
         assert all(BAR in line for line in before), ended.err
         assert message.startswith("error: ")
-        assert ended.err.endswith("\n")
         for word in words:
             assert str(word) in message
         return message
@@ -170,7 +169,6 @@ class TestSurfaces:
             ("base=1,apex=9", ["apex"]),
             ("base=1,epicardium=one", ["'epicardium=one' is not a name and a number"]),
             ("base", ["'base' is not a name and a number"]),
-            ("", ["is not a name and a number"]),
             ("lv=1,rv=1", ["label number 1 is given two meanings"]),
         ],
     )
@@ -285,7 +283,6 @@ class TestNumbers:
         [
             ("--lv-root", "99999", ["LV root 99999 is not one of its points"]),
             ("--rv-direction", "-3", ["-3"]),
-            ("--lv-root", "1,2", ["--lv-root 1,2: give the number of a point"]),
             ("--lv-root", "nan,0,0", ["--lv-root nan,0,0: give the number"]),
             ("--rv-root", "200,0,0", ["RV root (200, 0, 0) is", "mm from the endocardium"]),
         ],
@@ -377,9 +374,7 @@ class TestBody:
         build_refused(mesh, "--lung", "lung.stl", around=IN_SKIN, words=["lung.stl: overlaps"])
 
 
-class TestOut:
-    """Told before the work is done, so that the error stands alone."""
-
+class TestOut:  # told before the work is done, so that the error stands alone
     def test_a_file(self, refused, mesh, outside):
         (outside / "heart").write_text("mine")
         refused(["heart", "build", mesh, *AROUND, "--out", outside / "heart"], "is a file; give")

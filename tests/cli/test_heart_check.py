@@ -33,7 +33,7 @@ def edit(heart, old, new):
 def test_packaged_heart(run, outside):
     ended = run("heart", "check", "default", "--picture", outside / "page.png")
     assert (ended.status, ended.err) == (0, "")
-    assert "69851 tetrahedra" in ended.out
+    assert "70190 tetrahedra" in ended.out
     assert ended.out.endswith("no problem found\n")
     assert (outside / "page.png").read_bytes()[:4] == b"\x89PNG"
 

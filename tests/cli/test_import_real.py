@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from clinical import SHORT_BUNDLES
 from scipy.spatial import cKDTree
 
 from fascicle.geometry.endocardium import boundary_loops
@@ -26,7 +27,7 @@ def command(data_folder, outside):
     ]  # fmt: skip
 
 
-def test_with_the_published_seeds_to_an_ecg(command, outside, run):
+def test_with_the_published_seeds_to_an_ecg(command, outside, run, tmp_path):
     seeds = ["--lv-root", 388, "--lv-direction", 412, "--rv-root", 198, "--rv-direction", 186]
     ended = run(*command, *seeds)
     assert ended.well
@@ -38,7 +39,10 @@ def test_with_the_published_seeds_to_an_ecg(command, outside, run):
     heart = load_heart(outside / "crtdemo")
     assert (heart.lv.root, heart.rv.direction) == (388, 186)
     np.testing.assert_allclose(np.linalg.norm(heart.fibres, axis=1), 1, atol=1e-12)
-    ended = run("simulate", outside / "crtdemo", "--cv", 2.5, "--out", outside / "simulated")
+    network = tmp_path / "network.toml"
+    network.write_text("\n".join(f"{name} = {value}" for name, value in SHORT_BUNDLES.items()))
+    simulate = ["simulate", outside / "crtdemo", "--params", network, "--cv", 2.5]
+    ended = run(*simulate, "--out", outside / "simulated")
     assert (ended.status, ended.err) == (0, "")
     summary = json.loads((outside / "simulated" / "summary.json").read_text())
     assert 60 < summary["qrs_duration_ms"] < 200

@@ -13,6 +13,7 @@ from builders import (
     offers,
     solve_without_trees,
 )
+from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +23,6 @@ from fascicle.geometry.endocardium import Endocardium
 from fascicle.geometry.heart import Heart, signed_volumes
 from fascicle.kernels.coupled import STEEP
 from fascicle.kernels.local_solver import from_new_corner
-from fascicle.parameters import EXAMPLE_PARAMETERS
 
 TOLERANCE = 1e-9  # ms
 OTHERS = [[c for c in range(4) if c != s] for s in range(4)]  # than each corner
@@ -65,7 +65,7 @@ def test_no_vertex_can_be_lowered_after_straight_ways(speeds):
 def test_no_vertex_of_a_heart_can_be_lowered(model, root_time, request):
     """After the coupled sweep, with both trees and with the left one entered backwards."""
     model = request.getfixturevalue(model)
-    time = model.simulate(EXAMPLE_PARAMETERS | {"root_time": root_time}).activation
+    time = model.simulate(SHORT_BUNDLES | {"root_time": root_time}).activation
     assert np.max(time - offers(model.tissue, time)) < TOLERANCE
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from builders import activate, box_tissue, heart_vertices, ray_ways
+from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fascicle.eikonal.activation import attach
-from fascicle.parameters import EXAMPLE_PARAMETERS
 from fascicle.tree.purkinje import PurkinjeTree
 
 SIZE = (30.0, 20.0, 6.0)  # mm
@@ -136,7 +136,7 @@ def test_antidromic_flags_say_who_came_first(seed, roots):
 def test_monotone_on_a_heart(crtdemo_model):
     """A fourth stimulus beside three makes no vertex and no node of a tree later."""
     vertices, tissue = crtdemo_model.heart.vertices, crtdemo_model.tissue
-    trees = crtdemo_model.grow(EXAMPLE_PARAMETERS)
+    trees = crtdemo_model.grow(SHORT_BUNDLES)
     captured = []
     for seed in range(30):
         rng = np.random.default_rng(seed)

@@ -20,11 +20,11 @@ from builders import (
     ray_ways,
     solve_without_trees,
 )
+from clinical import SHORT_BUNDLES
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from fascicle.eikonal.activation import attach
-from fascicle.parameters import EXAMPLE_PARAMETERS
 from fascicle.tree.purkinje import PurkinjeTree
 
 HALVINGS = 50
@@ -195,7 +195,7 @@ def test_on_a_heart_one_sweep_is_the_limit_of_sweeps_in_turn(
     crtdemo_model, root_times, vertices, moments
 ):
     """Junctions that the front enters backwards are what a one-pass scheme gets wrong."""
-    tissue, trees = crtdemo_model.tissue, crtdemo_model.grow(EXAMPLE_PARAMETERS)
+    tissue, trees = crtdemo_model.tissue, crtdemo_model.grow(SHORT_BUNDLES)
     points = crtdemo_model.heart.vertices[vertices]
     swept = activate(tissue, trees, root_times, 3.0, stimuli=points, times=moments)
     myocardium, times, rounds = Swept(tissue, trees, points).run(root_times, 3.0, moments)

@@ -37,10 +37,11 @@ def test_opening_is_in_the_middle_of_the_rim() -> None:
 
 
 def test_axes_of_a_known_heart(default_heart: Heart) -> None:
-    """The packaged heart was made with these angles, and is coarse."""
+    """The packaged heart was put at these angles before it was meshed."""
     sides = (Surface(e.vertices, e.triangles) for e in default_heart.endocardia)
     _, axes = heart_axes(*sides)
-    np.testing.assert_allclose(axes, standard_axes(), atol=1e-4)
+    turn = Rotation.from_matrix(axes @ standard_axes().T).magnitude()
+    assert np.degrees(turn) < 0.25  # which vertex is the apex depends on the mesh
 
 
 def test_axes_turn_with_the_heart() -> None:

@@ -22,7 +22,7 @@ from fascicle.geometry.validate import check_electrodes, check_tetrahedra
 from fascicle.io.electrodes import read_electrodes
 from fascicle.io.torsos import read_torso_surfaces
 from fascicle.study import Progress, stage_of
-from fascicle.torso.electrodes import check_not_mirrored
+from fascicle.torso.electrodes import check_not_mirrored, check_on_skin
 from fascicle.torso.idealised import Build, TorsoSurfaces, idealised_torso
 from fascicle.torso.known import known_lead_fields
 from fascicle.torso.mesh import mesh_torso
@@ -75,6 +75,20 @@ class Body:
             )
         if self.lungs and self.torso in (IDEALISED, NONE):
             raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
+        self._check_before_meshing()
+
+    def _check_before_meshing(self) -> None:
+        """Refuse at once what would otherwise be found out after minutes."""
+        files = [path for path in (self.electrodes, *self.lungs) if path is not None]
+        if self.torso == IDEALISED:
+            _ = self.build
+        elif self.torso != NONE:
+            files.append(Path(self.torso))
+        for path in files:
+            if not path.is_file():
+                raise InputError(f"{path}: no such file (torso or electrodes); check the path")
+        if self.electrodes is not None:
+            read_electrodes(self.electrodes)
 
     @property
     def build(self) -> Build:
@@ -204,6 +218,7 @@ def in_body(
     check_not_mirrored(source, heart)
     if surfaces is None:
         return heart
+    check_on_skin(source, heart.electrodes, surfaces.skin)
     torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_of(progress, "torso"))
     heart = replace(heart, torso=torso)
     fields = known_lead_fields(heart, Conduction(), stage_of(progress, "lead fields"))

@@ -26,7 +26,7 @@ SHORTEST, LONGEST, FIRST_DEVIATION = 0.77, 1.43, 0.1
 TOO_SHORT = 0.3  # edge lengths; shorter edges are closed up before
 EDGE_KEPT = 0.01  # relative error of the mean edge length at which to be content
 TRIALS = 6  # at the size for which MMG gives that length; two or three are enough
-FIRST_SIZE = 1.05  # edge lengths
+FIRST_SIZE, SMALLEST, LARGEST = 1.05, 0.75, 1.35  # edge lengths
 
 
 def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSurface:
@@ -54,7 +54,8 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
             best, error = trial, abs(ratio - 1)
         if error < EDGE_KEPT:
             break
-        size /= ratio
+        # slivers that MMG leaves as they are must not drive the size of all the others away
+        size = edge_length * float(np.clip(size / ratio / edge_length, SMALLEST, LARGEST))
     best = oriented_outwards(compacted(best))
     cuts = self_intersections(best.vertices, best.triangles)
     if len(cuts):

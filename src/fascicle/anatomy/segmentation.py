@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
 from fascicle.geometry.validate import check_units
@@ -189,7 +190,9 @@ def segmentation_volumes(
 def regions_at(
     segmentation: Segmentation, labels: SegmentationLabels, points: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Whether points lie in scar: the label of the voxel around each.
+    """Whether points lie in scar: the label of the nearest voxel of muscle or scar.
+
+    At a surface the voxel around a point of the tissue may well be blood or background.
 
     Parameters
     ----------
@@ -201,21 +204,25 @@ def regions_at(
     Returns
     -------
     (n,) array
-        1 in scar, 0 elsewhere, and outside the map.
+        1 in scar, 0 elsewhere, and more than a voxel's diagonal from all muscle.
 
     Raises
     ------
     InputError
         If a label is not in the map.
     """
-    scar = _masks(segmentation, labels).get("scar")
-    if scar is None:
+    masks = _masks(segmentation, labels)
+    if "scar" not in masks:
         return np.zeros(len(points), dtype=np.int64)
-    back = np.linalg.inv(segmentation.affine)
-    index = np.rint(points @ back[:3, :3].T + back[:3, 3]).astype(np.int64)
-    inside = ((index >= 0) & (index < scar.shape)).all(axis=1)
+    voxels = np.argwhere(masks["myocardium"] | masks["scar"])
+    affine = segmentation.affine
+    diagonal = float(np.linalg.norm(segmentation.spacing))
+    distance, nearest = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3]).query(
+        points, distance_upper_bound=diagonal
+    )
+    near = np.isfinite(distance)
     regions = np.zeros(len(points), dtype=np.int64)
-    regions[inside] = scar[tuple(index[inside].T)]
+    regions[near] = masks["scar"][tuple(voxels[nearest[near]].T)]
     return regions
 
 

@@ -191,7 +191,11 @@ def _multigrid(
     quadratic.A = inner
     quadratic.P = space.from_linear[free][:, free[free < len(space.vertices)]].tocsr()
     quadratic.R = quadratic.P.T.tocsr()
-    coarse = smoothed_aggregation_solver((quadratic.R @ inner @ quadratic.P).tocsr())
+    coarse = smoothed_aggregation_solver(
+        (quadratic.R @ inner @ quadratic.P).tocsr(),
+        # bounds the spectrum by row sums; the default draws on NumPy's global random state
+        smooth=("jacobi", {"weighting": "local"}),
+    )
     fine = MultilevelSolver([quadratic, *coarse.levels], coarse_solver="pinv")
     forth, back = (("gauss_seidel", {"sweep": way}) for way in ("forward", "backward"))
     change_smoothers(fine, presmoother=forth, postsmoother=back)

@@ -228,7 +228,11 @@ def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
     axes.set_xlabel("wall thickness (mm)", fontsize=LABEL_SIZE)
     axes.set_ylabel("endocardial points (%)", fontsize=LABEL_SIZE)
     if any(wall.thickness.size for wall in walls):
-        axes.legend(frameon=False, fontsize=TICK_SIZE, title="median", title_fontsize=TICK_SIZE)
+        axes.set_ylim(top=1.4 * axes.get_ylim()[1])  # room for the legend
+        axes.legend(
+            frameon=False, fontsize=TICK_SIZE, title="median", title_fontsize=TICK_SIZE,
+            loc="upper right",
+        )  # fmt: skip
     axes.set_title("wall thickness", fontsize=TITLE_SIZE)
     tidy(axes)
 
