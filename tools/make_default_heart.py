@@ -78,7 +78,7 @@ LOW, HIGH = np.array([-38.0, -46.0, -96.0]), np.array([78.0, 46.0, 0.0])  # of t
 EDGE = 3.0  # mm; two layers of tetrahedra in the RV wall
 HEART_CENTRE = np.array([33.0, -37.0, -5.0])  # of the map's muscle, in the body frame
 
-# Roots and directions of the bundles (heart frame, mm), on the anterior-superior part of the septum,
+# Roots and directions of the bundles (heart frame, mm), on the front upper part of the septum,
 # where they come out under the aortic valve. The ellipsoids are symmetric, so that a rule that goes
 # by the shape alone might as well choose the other side.
 SEEDS = {

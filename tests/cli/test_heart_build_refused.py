@@ -344,7 +344,7 @@ class TestBody:
         build_refused(mesh, "--lung", "lung.stl", around=around, words=words)
 
     def test_a_torso_that_is_not_there(self, build_refused, mesh):
-        build_refused(mesh, around=IN_SKIN, words=["skin.stl: no such file (torso)"])
+        build_refused(mesh, around=IN_SKIN, words=["skin.stl: no such file (torso or electrodes)"])
 
     @pytest.mark.parametrize(
         ("half_axes", "centre", "words"),

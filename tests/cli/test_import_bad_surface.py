@@ -266,9 +266,7 @@ class TestOut:
         out = outside / "heart"
         out.mkdir()
         (out / "thesis.tex").write_text("mine")
-        refused(
-            materials.command(out), out, "'thesis.tex', which would be lost; give another --out"
-        )
+        refused(materials.command(out), out, "holds files and is no heart folder", "another --out")
         assert [p.name for p in out.iterdir()] == ["thesis.tex"]
         assert list(outside.iterdir()) == [out]
 

@@ -41,7 +41,7 @@ def test_axes_of_a_known_heart(default_heart: Heart) -> None:
     sides = (Surface(e.vertices, e.triangles) for e in default_heart.endocardia)
     _, axes = heart_axes(*sides)
     turn = Rotation.from_matrix(axes @ standard_axes().T).magnitude()
-    assert np.degrees(turn) < 0.25  # which vertex is the apex depends on the mesh
+    assert np.degrees(turn) < 1.5  # which vertex is the apex depends on the mesh: edges of 3 mm
 
 
 def test_axes_turn_with_the_heart() -> None:

@@ -109,9 +109,7 @@ def maximise(
     uniform = region.draw(rng, RAW_UNIFORM)
     local = region.clip(perturbed(rng, best_points, RAW_LOCAL))
     starts = np.vstack([_best(acquisition, uniform), _best(acquisition, local)])
-    with warnings.catch_warnings():
-        # a line search that ends early leaves a point that is judged with the others below
-        warnings.simplefilter("ignore", OptimizationWarning)
+    with warnings.catch_warnings(record=True) as caught:  # BoTorch overrides any filter
         polished, _ = gen_candidates_scipy(
             to_tensor(starts)[:, None, :],
             acquisition,
@@ -119,6 +117,10 @@ def maximise(
             upper_bounds=to_tensor(region.upper),
             options={"maxiter": ITERATIONS},
         )
+    for told in caught:
+        # a line search that ends early leaves a point that is judged with the others below
+        if not issubclass(told.category, OptimizationWarning):
+            warnings.warn_explicit(told.message, told.category, told.filename, told.lineno)
     candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])
     gap = np.abs(candidates[:, None, :] - known[None, :, :]).max(2).min(1)
     allowed = candidates[gap > NEAREST]
