@@ -55,7 +55,8 @@ class Quality:
             f"{self.vertices} vertices, {self.tetrahedra} tetrahedra, {self.volume / 1000:.1f} ml, "
             f"edges {self.mean_edge:.2f} mm ({self.shortest_edge:.2f} to {self.longest_edge:.2f}), "
             f"smallest dihedral angle {self.smallest_angle:.1f} degrees (median "
-            f"{self.median_angle:.1f}; {self.sharp:.2%} below {SHARP:g})"
+            f"{self.median_angle:.1f}; {self.sharp:.2%} below {SHARP:g}), radius ratio "
+            f"{self.mean_radius_ratio:.2f} (worst {self.worst_radius_ratio:.2f})"
         )
 
 
