@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 
@@ -46,6 +48,20 @@ def box(size, cells, *, jitter=0.0, fibre=(1.0, 0.0, 0.0), seed=0) -> Heart:
         fibres = np.tile(np.asarray(fibre) / np.linalg.norm(fibre), (len(tetrahedra), 1))
     face = Endocardium("lv", vertices[:3], np.array([[0, 1, 2]]), 0, 1)
     return Heart(vertices, tetrahedra.astype(np.int64), fibres, face, face, np.zeros((9, 3)))
+
+
+def block_of_random_tissue(size, rng) -> Heart:
+    """A block with random fibres, sheets and regions, an endocardium on its left and right face."""
+    block = box(size, 4, jitter=0.1)
+    axes = np.linalg.qr(rng.standard_normal((len(block.tetrahedra), 3, 3)))[0]
+    return replace(
+        block,
+        fibres=axes[:, :, 0],
+        sheets=axes[:, :, 1],
+        regions=rng.integers(-1, 4, len(block.tetrahedra)),
+        lv=face_of(block, 0, 0.0),
+        rv=replace(face_of(block, 0, size), side="rv"),
+    )
 
 
 def face_of(heart, axis, level) -> Endocardium:

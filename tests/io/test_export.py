@@ -8,7 +8,7 @@ from dataclasses import replace
 import meshio
 import numpy as np
 import pytest
-from builders import box, face_of, line_tree
+from builders import block_of_random_tissue, line_tree
 
 from fascicle.anatomy.labels import labelled_mesh
 from fascicle.errors import InputError
@@ -32,15 +32,9 @@ TOLERANCE = {"opencarp": 1e-9, "vtu": 0.0, "gmsh": 0.0}  # mm
 def heart():
     """A block with random fibres, sheets, regions, electrodes and lead fields."""
     rng = np.random.default_rng(5)
-    block = box(SIZE, 4, jitter=0.1)
-    axes = np.linalg.qr(rng.standard_normal((len(block.tetrahedra), 3, 3)))[0]
+    block = block_of_random_tissue(SIZE, rng)
     return replace(
         block,
-        fibres=axes[:, :, 0],
-        sheets=axes[:, :, 1],
-        regions=rng.integers(-1, 4, len(block.tetrahedra)),
-        lv=face_of(block, 0, 0.0),
-        rv=replace(face_of(block, 0, SIZE), side="rv"),
         electrodes=300 * rng.standard_normal((9, 3)),
         lead_fields=LeadFields(rng.standard_normal((9, len(block.vertices))), "key", ""),
     )

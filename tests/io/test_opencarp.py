@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import box, face_of, line_tree
+from builders import block_of_random_tissue, line_tree
 
 from fascicle.errors import InputError
 from fascicle.geometry.heart import outward_triangles
@@ -24,17 +24,7 @@ TREE = [".pts", ".elem", ".lon", "_length.dat"]
 @pytest.fixture
 def heart():
     """A block of 384 tetrahedra with random fibres, sheets and regions."""
-    rng = np.random.default_rng(3)
-    block = box(SIZE, 4, jitter=0.1)
-    axes = np.linalg.qr(rng.standard_normal((len(block.tetrahedra), 3, 3)))[0]
-    return replace(
-        block,
-        fibres=axes[:, :, 0],
-        sheets=axes[:, :, 1],
-        regions=rng.integers(-1, 4, len(block.tetrahedra)),
-        lv=face_of(block, 0, 0.0),
-        rv=replace(face_of(block, 0, SIZE), side="rv"),
-    )
+    return block_of_random_tissue(SIZE, np.random.default_rng(3))
 
 
 def labelled(heart):

@@ -13,7 +13,7 @@ from fascicle.anatomy.labels import labelled_mesh
 from fascicle.anatomy.quality import Quality, quality
 from fascicle.anatomy.wall import Walls, wall_thickness
 from fascicle.geometry.conduction import Conduction
-from fascicle.geometry.endocardium import Endocardium, boundary_loops
+from fascicle.geometry.endocardium import Endocardium, enclosed_volume, long_axis
 from fascicle.geometry.heart import Heart, signed_volumes
 from fascicle.geometry.surface import Label, LabelledMesh
 from fascicle.geometry.torso import Tissue
@@ -121,11 +121,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
 
 def cavity_volume(endocardium: Endocardium) -> float:
     """Volume of a cavity closed at its opening by a fan (ml)."""
-    closed = endocardium.vertices - endocardium.vertices[
-        boundary_loops(endocardium.triangles)[0]
-    ].mean(axis=0)
-    a, b, c = (closed[endocardium.triangles[:, k]] for k in range(3))
-    return float(-np.einsum("ij,ij->", a, np.cross(b, c)) / 6 / ML)
+    return -enclosed_volume(endocardium.vertices, endocardium.triangles) / ML
 
 
 def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
@@ -146,7 +142,7 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
             square, _, point = igl.point_mesh_squared_distance(centres, mesh.vertices, triangles)
             distances[k], nearest[k] = np.sqrt(np.asarray(square)), point
     furthest = distances.argmax(axis=0)
-    base, apex = _long_axis(heart)
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
     found = {}
     for name, inner, outer in zip(WALLS, (0, 0, 2), (1, 2, 1), strict=True):
         outward = nearest[outer] - nearest[inner]
@@ -169,13 +165,6 @@ def _helix(
     around = np.cross(along, across)
     angle = np.arctan2(np.einsum("ij,ij->i", fibres, along), np.einsum("ij,ij->i", fibres, around))
     return np.asarray(90 - (90 - np.degrees(angle)) % 180)
-
-
-def _long_axis(heart: Heart) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Middle of the LV's opening, and its apex (mm)."""
-    base = heart.lv.vertices[boundary_loops(heart.lv.triangles)[0]].mean(axis=0)
-    apex = heart.lv.vertices[np.argmax(np.linalg.norm(heart.lv.vertices - base, axis=1))]
-    return base, apex
 
 
 def _tissue_rows(heart: Heart, shape: Quality) -> list[tuple[str, str]]:

@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.geometry.endocardium import boundary_loops, triangle_normals
+from fascicle.geometry.endocardium import boundary_loops, long_axis, triangle_normals
 from fascicle.geometry.heart import Heart, outward_triangles
 from fascicle.geometry.surface import Label, LabelledMesh
 
@@ -53,8 +53,7 @@ def _basal(
 ) -> NDArray[np.bool_]:
     """Which triangles face away from the apex near the rims of the endocardia."""
     rims = [e.vertices[boundary_loops(e.triangles)[0]] for e in heart.endocardia]
-    base = rims[0].mean(axis=0)
-    apex = heart.lv.vertices[np.argmax(np.linalg.norm(heart.lv.vertices - base, axis=1))]
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
     length = float(np.linalg.norm(base - apex))
     up = (base - apex) / length
     lowest = min(float(((rim - apex) @ up).min()) for rim in rims)

@@ -88,7 +88,7 @@ def oriented_into_cavity(
             "keep the one that is the endocardium"
         )
     _check_disk(oriented, name)
-    if _enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
+    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
         oriented = oriented[:, ::-1]
     return np.ascontiguousarray(oriented, dtype=np.int64)
 
@@ -124,8 +124,20 @@ def _check_disk(triangles: NDArray[np.int64], name: str) -> None:
         )
 
 
-def _enclosed_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
-    """Signed volume of the surface closed by a fan over its opening (mm³)."""
+def long_axis(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middle of an endocardium's opening, and its apex: the vertex furthest from there (mm)."""
+    base = vertices[boundary_loops(triangles)[0]].mean(axis=0)
+    apex = vertices[np.argmax(np.linalg.norm(vertices - base, axis=1))]
+    return np.asarray(base), np.asarray(apex)
+
+
+def enclosed_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+    """Signed volume of an open surface closed by a fan over its opening (mm³).
+
+    Negative where the normals point into the cavity, as an `Endocardium`'s do.
+    """
     loop = vertices[boundary_loops(triangles)[0]]
     centred = vertices - loop.mean(axis=0)  # the fan's triangles then contribute nothing
     a, b, c = (centred[triangles[:, k]] for k in range(3))

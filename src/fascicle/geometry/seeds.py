@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fascicle.errors import InputError
-from fascicle.geometry.endocardium import boundary_loops
+from fascicle.geometry.endocardium import boundary_loops, long_axis
 
 # Depth below the base, as a fraction of the way to the apex, at which the seeds are looked for:
 # the bundle branches appear subendocardially in the upper septum.
@@ -45,8 +45,7 @@ def septal_seeds(
         Vertex indices.
     """
     loop = boundary_loops(triangles)[0]
-    base = vertices[loop].mean(axis=0)
-    apex = vertices[np.argmax(np.linalg.norm(vertices - base, axis=1))]
+    base, apex = long_axis(vertices, triangles)
     axis = (apex - base) / np.linalg.norm(apex - base)
     depth = (vertices - base) @ axis / np.linalg.norm(apex - base)
     to_other, _ = cKDTree(opposite).query(vertices)

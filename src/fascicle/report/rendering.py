@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.geometry.endocardium import Endocardium, boundary_loops, triangle_normals
+from fascicle.geometry.endocardium import long_axis, triangle_normals
 from fascicle.geometry.heart import Heart
 
 Point = tuple[float, float, float]  # x, y (mm on the screen) and time (ms)
@@ -65,9 +65,8 @@ def heart_views(heart: Heart) -> dict[str, View]:
         ``"anterior"``, ``"RV side"`` and ``"LV side"`` with the base up, and ``"base"`` as tipping
         the first of them towards the eye brings it: the front down, the left on the right.
     """
-    opening = _opening(heart.lv)
-    long_axis = _farthest(heart.lv.vertices, opening) - opening
-    up = -long_axis / np.linalg.norm(long_axis)
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    up = (base - apex) / np.linalg.norm(base - apex)
     left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
     left -= (left @ up) * up
     left /= np.linalg.norm(left)
@@ -165,12 +164,3 @@ def _clip(points: list[Point], level: float, sign: float) -> list[Point]:
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1.0))
-
-
-def _opening(endocardium: Endocardium) -> NDArray[np.float64]:
-    """Centre of the opening at the base (mm), shape (3,)."""
-    return np.asarray(endocardium.vertices[boundary_loops(endocardium.triangles)[0]].mean(axis=0))
-
-
-def _farthest(positions: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(positions[np.argmax(np.linalg.norm(positions - origin, axis=1))])
