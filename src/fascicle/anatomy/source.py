@@ -22,14 +22,13 @@ from fascicle.io.label_names import labels_by_number
 from fascicle.io.labelled_meshes import read_labelled_mesh
 from fascicle.io.meshes import TETRAHEDRON, TRIANGLE, Mesh, read_mesh
 from fascicle.io.segmentations import read_segmentation
-from fascicle.io.surfaces import has_labels, read_labelled_surface
+from fascicle.io.surfaces import has_labels, labelled_surface
 from fascicle.study import Progress, stage_of
 
 PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
 OPTIONS = {"numbers": "--labels", "array": "--label-array", "labels_file": "--labels-file"}
 SEGMENTATIONS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
-OPENCARP = (".pts", ".elem")
-VOLUMES = (".vtk", ".vtu", ".msh")  # may hold tetrahedra or triangles
+VOLUMES = (".vtk", ".vtu", ".msh", ".pts", ".elem")  # may hold tetrahedra
 
 
 @dataclass(frozen=True)
@@ -126,9 +125,10 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
     if suffix.endswith(SEGMENTATIONS):
         _check_unused(source, "a segmentation", "array", "labels_file")
         return _from_segmentation(source, source.file, edge_length, progress)
-    if suffix.endswith((*OPENCARP, *VOLUMES)) and _has_tetrahedra(source.file):
+    mesh = read_mesh(source.file, "anatomy" if suffix.endswith(VOLUMES) else "surface")
+    if TETRAHEDRON in mesh.cells:
         return _from_tetrahedra(source, source.file, progress)
-    return _from_surface(source, source.file, edge_length, progress)
+    return _from_surface(source, mesh, edge_length, progress)
 
 
 def _check_unused(source: Source, what: str, *names: str) -> None:
@@ -136,10 +136,6 @@ def _check_unused(source: Source, what: str, *names: str) -> None:
     for name in names:
         if getattr(source, name) is not None:
             raise InputError(f"{OPTIONS[name]} says nothing about {what}; leave it out")
-
-
-def _has_tetrahedra(file: Path) -> bool:
-    return TETRAHEDRON in read_mesh(file, "anatomy").cells
 
 
 def _joined(source: Source, progress: Progress | None) -> LabelledSurface:
@@ -154,13 +150,13 @@ def _triangles(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def _from_surface(
-    source: Source, file: Path, edge_length: float, progress: Progress | None
+    source: Source, mesh: Mesh, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    mesh = read_mesh(file, "surface")
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
-        surface = read_labelled_surface(file, source.array, source.numbers, source.labels_file)
+        surface = labelled_surface(mesh, source.array, source.numbers, source.labels_file)
         return Anatomy(_meshed(surface, edge_length, progress))
-    surface = classify_surface(*_triangles(mesh), str(file), stage_of(progress, "surface"))
+    told = stage_of(progress, "surface")
+    surface = classify_surface(*_triangles(mesh), str(mesh.path), told)
     return Anatomy(_meshed(surface, edge_length, progress), guessed=True)
 
 

@@ -69,7 +69,16 @@ def read_labelled_surface(
     InputError
         If it cannot be read, is not in mm, or has no labels, or unknown ones.
     """
-    mesh = read_mesh(path, "labelled surface")
+    return labelled_surface(read_mesh(path, "labelled surface"), array, names, labels_file)
+
+
+def labelled_surface(
+    mesh: Mesh,
+    array: str | None = None,
+    names: Mapping[str, int] | None = None,
+    labels_file: Path | str | None = None,
+) -> LabelledSurface:
+    """The labelled surface of a file that was read already; see `read_labelled_surface`."""
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
     groups: dict[int, str] = {}
