@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
 LEADS: tuple[str, ...] = (
     "I", "II", "III", "aVR", "aVL", "aVF", "V1", "V2", "V3", "V4", "V5", "V6",
 )  # fmt: skip
+LIMB_LEADS, CHEST_LEADS = LEADS[:6], LEADS[6:]
+INDEPENDENT_LEADS: tuple[str, ...] = ("I", "II", *CHEST_LEADS)
 ELECTRODES: tuple[str, ...] = ("RA", "LA", "LL", "V1", "V2", "V3", "V4", "V5", "V6")
 
 
@@ -25,3 +29,29 @@ def lead_matrix() -> NDArray[np.float64]:
     limb = [la - ra, ll - ra, ll - la]
     augmented = [ra - (la + ll) / 2, la - (ra + ll) / 2, ll - (ra + la) / 2]
     return np.array([*limb, *augmented, *(electrode - wilson for electrode in chest)])
+
+
+def limb_leads_from(recorded: Collection[str]) -> NDArray[np.float64] | None:
+    """Matrix that computes the six limb leads from two that were recorded.
+
+    Two potential differences determine all six, by Einthoven's and Goldberger's laws.
+
+    Parameters
+    ----------
+    recorded : collection of str
+        Names of limb leads; the first two in the order of `LEADS` that are there count, so that
+        I and II are used where both exist.
+
+    Returns
+    -------
+    (6, 6) array or None
+        ``limb = matrix @ limb`` in the order of `LIMB_LEADS`; columns of unused leads are zero.
+        None where fewer than two are recorded.
+    """
+    columns = [k for k, lead in enumerate(LIMB_LEADS) if lead in recorded][:2]
+    if len(columns) < 2:
+        return None
+    from_potentials = lead_matrix()[: len(LIMB_LEADS), 1:3]  # the right arm is at zero
+    matrix = np.zeros((len(LIMB_LEADS), len(LIMB_LEADS)))
+    matrix[:, columns] = from_potentials @ np.linalg.inv(from_potentials[columns])
+    return matrix

@@ -12,8 +12,18 @@ from fascicle.errors import InputError
 from fascicle.leads import LEADS
 
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
+HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
 SHORTEST = 1.5  # s; two beats cannot be found in less
-FLAT = 1e-3  # mV; standard deviation below which a lead carries no heart beat
+LONGEST = 1800.0  # s; bounds the memory that a recording takes
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Filters that the recorder has applied, as far as the file tells (Hz)."""
+
+    highpass: float | None = None
+    lowpass: float | None = None
+    notch: float | None = None
 
 
 @dataclass(frozen=True)
@@ -23,25 +33,39 @@ class Recording:
     Attributes
     ----------
     signal : (12, n) array
-        Potential (mV), leads in the order of `fascicle.leads.LEADS`.
+        Potential (mV), leads in the order of `fascicle.leads.LEADS`. A lead that was not recorded
+        is NaN throughout. Where leads were recorded one group after another, as on paper, each is
+        NaN outside its own stretch.
     sampling_rate : float
         Samples per second (Hz).
     source : str
         Where it came from, usually the file name; error messages start with it.
     provenance : dict
         Text about the file: its format, its hash.
+    filters : Filters
+        What the recorder did to the signal.
+    digits_per_millivolt : (12,) array, optional
+        Gain of each lead as the file states it; NaN where it does not.
+    derived : tuple of str
+        Limb leads that were computed from two others.
+    ignored : tuple of str
+        Channels of the file that are none of the twelve leads, or were not wanted.
 
     Raises
     ------
     InputError
-        When the array is not twelve leads, a lead is flat or not finite, or the recording is too
-        short or too coarse in time.
+        When the array is not twelve leads, has gaps or no leads, or the recording is too short,
+        too long or too coarse in time.
     """
 
     signal: NDArray[np.float64]
     sampling_rate: float
     source: str
     provenance: dict[str, str] = field(default_factory=dict)
+    filters: Filters = field(default_factory=Filters)
+    digits_per_millivolt: NDArray[np.float64] | None = None
+    derived: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal, dtype=np.float64)
@@ -51,48 +75,85 @@ class Recording:
                 f"{self.source}: signal has shape {signal.shape}; it must be (12, samples), with "
                 f"leads in the order {', '.join(LEADS)}"
             )
-        _check_rate(self.sampling_rate, self.source)
-        _check_length(signal.shape[1] / self.sampling_rate, self.source)
-        _check_finite(signal, self.source)
-        _check_not_flat(signal, self.source)
+        check_extent(signal.shape[1], self.sampling_rate, self.source)
+        if not self.recorded.any():
+            raise InputError(f"{self.source}: no lead holds a sample; give another recording")
+        _check_gaps(signal, self.spans, self.sampling_rate, self.source)
 
     @property
     def duration(self) -> float:
         """Length of the recording (s)."""
         return float(self.signal.shape[1] / self.sampling_rate)
 
+    @property
+    def recorded(self) -> NDArray[np.bool_]:
+        """Which of the twelve leads are there, shape (12,)."""
+        return np.asarray(np.isfinite(self.signal).any(axis=1))
 
-def _check_rate(rate: float, source: str) -> None:
-    if not math.isfinite(rate) or rate < LOWEST_RATE:
+    @property
+    def spans(self) -> NDArray[np.int64]:
+        """First sample of each lead and the one after its last, shape (12, 2); zeros if absent."""
+        finite = np.isfinite(self.signal)
+        first = np.argmax(finite, axis=1)
+        stop = finite.shape[1] - np.argmax(finite[:, ::-1], axis=1)
+        return np.where(self.recorded[:, None], np.stack([first, stop], axis=1), 0)
+
+    @property
+    def simultaneous(self) -> bool:
+        """Whether all leads were recorded over the same time, as they are by digital recorders."""
+        spans = self.spans[self.recorded]
+        return bool((spans == spans[0]).all())
+
+
+def check_extent(samples: int, sampling_rate: float, source: str) -> None:
+    """Refuse a sampling rate or a length that cannot be used, before anything is read.
+
+    Parameters
+    ----------
+    samples : int
+        Samples of each lead.
+    sampling_rate : float
+        Samples per second (Hz).
+    source : str
+        What the message begins with.
+    """
+    if not math.isfinite(sampling_rate) or not LOWEST_RATE <= sampling_rate <= HIGHEST_RATE:
         raise InputError(
-            f"{source}: sampling rate is {rate:g} Hz; at least {LOWEST_RATE:g} Hz is needed to see "
-            "the QRS, export the recording at its full rate"
+            f"{source}: sampling rate is {sampling_rate:g} Hz; at least {LOWEST_RATE:g} Hz is "
+            "needed to see the QRS, export the recording at its full rate"
         )
-
-
-def _check_length(seconds: float, source: str) -> None:
+    seconds = samples / sampling_rate
     if seconds < SHORTEST:
         raise InputError(
             f"{source}: recording is {seconds:.2f} s long; at least two beats are needed, give 10 s"
         )
-
-
-def _check_finite(signal: NDArray[np.float64], source: str) -> None:
-    bad = ~np.isfinite(signal)
-    if bad.any():
-        lead = int(np.argmax(bad.any(axis=1)))
-        first = int(np.argmax(bad[lead]))
+    if seconds > LONGEST:
         raise InputError(
-            f"{source}: {int(bad.sum())} samples are missing or not finite (first: lead "
-            f"{LEADS[lead]}, sample {first}); cut the recording to a part without gaps"
+            f"{source}: recording is {seconds:.0f} s long; cut it to {LONGEST:.0f} s or less, "
+            "10 s are enough"
         )
 
 
-def _check_not_flat(signal: NDArray[np.float64], source: str) -> None:
-    flat = [name for name, lead in zip(LEADS, signal, strict=True) if lead.std() < FLAT]
-    if flat:
-        plural = "s" * (len(flat) > 1)
-        raise InputError(
-            f"{source}: lead{plural} {', '.join(flat)} {'are' if plural else 'is'} flat (varies by "
-            f"less than {FLAT * 1000:g} uV); use a recording with every electrode attached"
-        )
+def _check_gaps(
+    signal: NDArray[np.float64], spans: NDArray[np.int64], rate: float, source: str
+) -> None:
+    """Refuse missing samples, unless they come from recording one group of leads after another."""
+    present = np.flatnonzero(spans[:, 1] > 0)
+    first, stop = spans[present].T
+    in_turns = stop.min() <= first.max() + rate * _OVERLAP
+    for lead, begin, end in zip(present, first, stop, strict=True):
+        bad = ~np.isfinite(signal[lead, begin:end] if in_turns else signal[lead])
+        if bad.any():
+            sample = int(np.argmax(bad)) + (int(begin) if in_turns else 0)
+            raise InputError(
+                f"{source}: lead {LEADS[lead]} lacks {int(bad.sum())} samples (first: sample "
+                f"{sample}, at {sample / rate:.3f} s); cut the recording to a part without gaps"
+            )
+        if (end - begin) / rate < SHORTEST:
+            raise InputError(
+                f"{source}: lead {LEADS[lead]} covers only {(end - begin) / rate:.2f} s; at least "
+                f"{SHORTEST:g} s of each lead are needed"
+            )
+
+
+_OVERLAP = 0.1  # s by which leads recorded in turns may overlap

@@ -18,6 +18,7 @@ class Target:
     ----------
     beats : (n_beats, 12, n_time) array
         Potential (mV), leads in the order of `fascicle.leads.LEADS`, isoelectric level removed.
+        Leads that are not used are NaN in every beat.
     time : (n_time,) array
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float
@@ -26,6 +27,10 @@ class Target:
         Beats per minute.
     provenance : dict
         Text about where this came from: source file, its hash, choices made.
+    onset_sd, offset_sd : float
+        Standard deviations of the ends of the window (ms); 0 where the user has given them.
+    noise : float, optional
+        Standard deviation of every sample (mV), stated by the user; needed for a single beat.
     """
 
     beats: NDArray[np.float64]
@@ -34,6 +39,14 @@ class Target:
     qrs_offset: float
     heart_rate: float
     provenance: dict[str, str] = field(default_factory=dict)
+    onset_sd: float = 0.0
+    offset_sd: float = 0.0
+    noise: float | None = None
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which of the twelve leads are there, shape (12,)."""
+        return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -43,6 +56,8 @@ class Target:
     @property
     def standard_deviation(self) -> NDArray[np.float64]:
         """Beat-to-beat standard deviation (mV), shape (12, n_time)."""
+        if self.noise is not None:
+            return np.where(self.used[:, None], self.noise, np.nan) * np.ones(len(self.time))
         return np.asarray(self.beats.std(axis=0, ddof=1))
 
     @property

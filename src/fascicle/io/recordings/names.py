@@ -1,16 +1,10 @@
-"""Lead names and units as they are spelt in files, and the leads that follow from others."""
+"""Lead names and units as they are spelt in files."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fascicle.errors import InputError
 from fascicle.leads import LEADS
-from fascicle.recording.recording import Recording
 
 _STANDARD = {lead.lower(): lead for lead in LEADS}
 _SPELLINGS = (
@@ -55,43 +49,3 @@ def first_line(error: BaseException) -> str:
     """Return one line about an error of a library."""
     lines = str(error).strip().splitlines()
     return lines[0].strip().rstrip(".") if lines else type(error).__name__
-
-
-def assemble(
-    leads: Mapping[str, NDArray[np.float64]],
-    sampling_rate: float,
-    source: str,
-    provenance: Mapping[str, str],
-) -> Recording:
-    """Put leads by standard name, each (n,) mV, in order; limb leads follow from I and II.
-
-    Raises
-    ------
-    InputError
-        When leads are missing, or the recording fails its checks.
-    """
-    given = dict(leads)
-    derived = _derived_limb_leads(given)
-    missing = [lead for lead in LEADS if lead not in given and lead not in derived]
-    if missing:
-        raise InputError(
-            f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing (found: "
-            f"{', '.join(given) or 'none'}); all 12 leads are needed, III and aVR, aVL, aVF follow "
-            "from I and II"
-        )
-    notes = dict(provenance)
-    if derived:
-        notes["derived_leads"] = ", ".join(derived)
-    signal = np.stack([(given | derived)[lead] for lead in LEADS])
-    return Recording(signal, sampling_rate, source, notes)
-
-
-def _derived_limb_leads(
-    given: Mapping[str, NDArray[np.float64]],
-) -> dict[str, NDArray[np.float64]]:
-    """Compute the absent ones of III, aVR, aVL, aVF by Einthoven's and Goldberger's laws."""
-    if "I" not in given or "II" not in given:
-        return {}
-    i, ii = given["I"], given["II"]
-    limb = {"III": ii - i, "aVR": -(i + ii) / 2, "aVL": i - ii / 2, "aVF": ii - i / 2}
-    return {name: lead for name, lead in limb.items() if name not in given}

@@ -7,17 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.errors import InputError
-from fascicle.io.recordings_names import (
-    assemble,
-    first_line,
-    lead_name,
-    lead_of_code,
-    millivolts,
-)
-from fascicle.recording.recording import Recording
+from fascicle.io.recordings.contents import Channel, Contents, Given
+from fascicle.io.recordings.names import first_line, lead_name, lead_of_code
 
 # What pydicom raises on damaged elements
 _PARSE_ERRORS = (
@@ -32,7 +25,7 @@ _PARSE_ERRORS = (
 )
 
 
-def read_dicom(path: Path) -> Recording:
+def read_dicom(path: Path, given: Given) -> Contents:
     """Read the multiplex group with the most leads and, of those, the most samples."""
     dataset = _open(path)
     if "WaveformSequence" not in dataset or not dataset.WaveformSequence:
@@ -51,12 +44,12 @@ def read_dicom(path: Path) -> Recording:
             f"{path}: its waveform is truncated or damaged ({first_line(error)}); export it again"
         ) from error
     definitions = dataset.WaveformSequence[best].ChannelDefinitionSequence
-    leads: dict[str, NDArray[np.float64]] = {
-        lead: _scale(path, lead, definitions[column]) * values[:, column]
+    channels = [
+        Channel(lead, values[:, column], _unit(path, lead, definitions[column]), lead)
         for lead, column in groups[best].items()
-    }
-    provenance = {"format": "DICOM waveform", "multiplex_group": str(best + 1)}
-    return assemble(leads, rates[best], str(path), provenance)
+    ]
+    notes = {"multiplex_group": str(best + 1)}
+    return Contents(channels, rates[best], "DICOM waveform", notes=notes)
 
 
 def _open(path: Path) -> Any:
@@ -92,15 +85,12 @@ def _channels(group: Any) -> dict[str, int]:
     return columns
 
 
-def _scale(path: Path, lead: str, channel: Any) -> float:
-    """Return the mV of one unit of a channel."""
+def _unit(path: Path, lead: str, channel: Any) -> str:
+    """Return the unit of a channel; without a sensitivity its numbers have none."""
     units = channel.get("ChannelSensitivityUnitsSequence", None)
-    unit = str(units[0].get("CodeValue", "")) if units else ""
-    scale = millivolts(unit)
-    if scale is None or "ChannelSensitivity" not in channel:
-        found = f"'{unit}'" if unit and scale is None else "no channel sensitivity"
+    if not units or "ChannelSensitivity" not in channel:
         raise InputError(
-            f"{path}: unknown units of lead {lead} ({found}); export the waveform calibrated in uV "
-            "or mV"
+            f"{path}: unknown unit of lead {lead} (no channel sensitivity); export the waveform "
+            "calibrated in uV or mV"
         )
-    return scale
+    return str(units[0].get("CodeValue", ""))

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.errors import InputError
-from fascicle.io.recordings_names import assemble, first_line, lead_name, millivolts
-from fascicle.recording.recording import Recording
+from fascicle.io.recordings.contents import Channel, Contents, Given
+from fascicle.io.recordings.names import first_line
 
 _LEADING_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 # What wfdb raises on files that are not what they claim to be
@@ -28,7 +27,7 @@ _PARSE_ERRORS = (
 )
 
 
-def read_wfdb(path: Path) -> Recording:
+def read_wfdb(path: Path, given: Given) -> Contents:
     """Read the record of a ``.hea`` header; extra signals such as Frank leads are left out."""
     import wfdb
 
@@ -49,8 +48,14 @@ def read_wfdb(path: Path) -> Recording:
         ) from error
     if record.p_signal is None or not record.p_signal.size:
         raise InputError(f"{path}: header without samples; give a record that has signals")
-    provenance = {"format": "WFDB"} | _signal_hash(path, header)
-    return assemble(_leads(path, record), float(record.fs), str(path), provenance)
+    gains = getattr(record, "adc_gain", None) or [None] * record.n_sig
+    channels = [
+        Channel(name or "", np.asarray(values, dtype=np.float64), unit, digits_per_millivolt=gain)
+        for name, unit, values, gain in zip(
+            record.sig_name, record.units, record.p_signal.T, gains, strict=True
+        )
+    ]
+    return Contents(channels, float(record.fs), "WFDB", notes=_signal_hash(path, header))
 
 
 def _check_header(path: Path, header: Any) -> None:
@@ -88,25 +93,6 @@ def _check_calibrated(path: Path) -> None:
                 f"{path}: unknown units, signal {number} has no gain; write the units per mV as "
                 "the third field of its line, such as 1000/mV"
             )
-
-
-def _leads(path: Path, record: Any) -> dict[str, NDArray[np.float64]]:
-    """Pick the leads by standard name, each (n,) mV."""
-    leads: dict[str, NDArray[np.float64]] = {}
-    for name, unit, signal in zip(record.sig_name, record.units, record.p_signal.T, strict=True):
-        lead = lead_name(name or "")
-        if lead is None:
-            continue
-        scale = millivolts(unit or "")
-        if scale is None:
-            raise InputError(
-                f"{path}: unknown units '{unit}' of lead {lead}; correct the header, known are "
-                "nV, uV, mV and V"
-            )
-        if lead in leads:
-            raise InputError(f"{path}: lead {lead} is there twice; remove one from the header")
-        leads[lead] = scale * np.asarray(signal, dtype=np.float64)
-    return leads
 
 
 def _signal_hash(path: Path, header: Any) -> dict[str, str]:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.errors import InputError
-from fascicle.io.recordings_names import assemble, first_line, lead_name, millivolts
+from fascicle.io.recordings.contents import Channel, Contents, Given
+from fascicle.io.recordings.names import first_line
 from fascicle.leads import LEADS
-from fascicle.recording.recording import Recording
 
 # "V1_uV", "V1 [uV]", "V1 (uV)": a name and its unit
 _WITH_UNIT = re.compile(
@@ -23,22 +23,20 @@ _PER_SECOND = {"ms": 1000.0, "s": 1.0}
 _UNEVEN = 0.5  # of a step; more is a gap, less is rounding of the time column
 
 
-def read_csv(path: Path) -> Recording:
+def read_table(path: Path, given: Given) -> Contents:
     """Read a table with ``time_ms`` or ``time_s`` and leads whose units are in the header."""
     table = _table(path)
     names = [str(column) for column in table.columns]
     time_column, per_second = _time_column(path, names)
     rate = _rate(path, _numbers(path, table, time_column) / per_second)
     written_here = names == ["time_ms", *LEADS]
-    leads: dict[str, NDArray[np.float64]] = {}
+    channels = []
     for name in names:
-        lead, scale = _lead(path, name, written_here)
-        if lead is None:
-            continue
-        if lead in leads:
-            raise InputError(f"{path}: lead {lead} is there twice; remove one of the columns")
-        leads[lead] = scale * _numbers(path, table, name)
-    return assemble(leads, rate, str(path), {"format": "CSV"})
+        if name != time_column:
+            quantity, unit = _split(name)
+            unit = "mV" if written_here else unit
+            channels.append(Channel(quantity, _numbers(path, table, name), unit))
+    return Contents(channels, rate, "table")
 
 
 def _table(path: Path) -> Any:
@@ -82,22 +80,6 @@ def _time_column(path: Path, names: list[str]) -> tuple[str, float]:
         f"{path}: no time column among {', '.join(names[:4])}{' ...' * (len(names) > 4)}; add one "
         "named time_ms or time_s"
     )
-
-
-def _lead(path: Path, name: str, written_here: bool) -> tuple[str | None, float]:
-    """Find the lead a column holds, None if it holds none, and the mV of its unit."""
-    quantity, unit = _split(name)
-    lead = lead_name(quantity)
-    if lead is None or (unit is None and written_here):
-        return lead, 1.0
-    scale = None if unit is None else millivolts(unit)
-    if scale is None:
-        found = "it has no unit" if unit is None else f"'{unit}'"
-        raise InputError(
-            f"{path}: unknown units of column '{name}' ({found}); name the column {lead}_mV or "
-            f"{lead}_uV"
-        )
-    return lead, scale
 
 
 def _numbers(path: Path, table: Any, name: str) -> NDArray[np.float64]:

@@ -1,0 +1,94 @@
+"""Everything that was found on the way from a recording to its target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.recording.quality.finding import Finding
+from fascicle.recording.recording import Recording
+from fascicle.recording.target import Target
+
+
+@dataclass(frozen=True)
+class Beat:
+    """One heart beat of a recording.
+
+    Attributes
+    ----------
+    number : int
+        From 1, in the order of time; what the user calls it.
+    time : float
+        Of its R peak (s from the start of the recording).
+    label : str
+        Its class: A is the one with the most beats, then B and so on.
+    interval : float
+        Time since the beat before (ms); NaN for the first.
+    used : bool
+        Whether it is one of the target's beats.
+    reason : str
+        Why it is not; empty where it is.
+    """
+
+    number: int
+    time: float
+    label: str
+    interval: float
+    used: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class BeatClass:
+    """Beats of one shape.
+
+    Attributes
+    ----------
+    label : str
+        A, B, ...
+    count : int
+        Number of beats.
+    description : str
+        What is notable about them, such as ``early, wide`` or ``paced``; may be empty.
+    """
+
+    label: str
+    count: int
+    description: str
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """A recording, what was found in it, and the target made of it.
+
+    Attributes
+    ----------
+    recording : Recording
+        With the user's corrections.
+    signal : (12, n) array
+        Potential (mV) every `fascicle.recording.target.SAMPLING_STEP`, as shown on the strip; NaN
+        where a lead was not recorded.
+    beats : tuple of Beat
+        Every beat that was found.
+    classes : tuple of BeatClass
+        Their shapes, the most frequent first.
+    spikes : (k,) array
+        Times of pacing spikes (s).
+    findings : tuple of Finding
+        Every check with its figure.
+    target : Target
+        What the inference gets.
+    chosen : str
+        Label of the class of the target's beats.
+    """
+
+    recording: Recording
+    signal: NDArray[np.float64]
+    beats: tuple[Beat, ...]
+    classes: tuple[BeatClass, ...]
+    spikes: NDArray[np.float64]
+    findings: tuple[Finding, ...]
+    target: Target
+    chosen: str
