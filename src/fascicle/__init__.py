@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fascicle.io.recordings import read_recording
     from fascicle.io.targets import read_target
     from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-    from fascicle.recording.beats import make_target
+    from fascicle.recording.making import make_target
     from fascicle.tree.grow import GrowthRules
     from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 
@@ -50,7 +50,7 @@ _HOMES = {
     "fit": "fascicle.fitting",
     "load_heart": "fascicle.io.hearts",
     "load_study": "fascicle.fitting",
-    "make_target": "fascicle.recording.beats",
+    "make_target": "fascicle.recording.making",
     "read_recording": "fascicle.io.recordings",
     "read_target": "fascicle.io.targets",
 }

@@ -9,8 +9,10 @@ from fascicle.io.recordings import read_recording
 from fascicle.io.targets import write_target
 from fascicle.predict.pacing import Pacing
 from fascicle.predict.write import write_pacing
-from fascicle.recording.beats import make_target
-from fascicle.recording.target import Target
+from fascicle.recording.analysis import Analysis
+from fascicle.recording.making import analyse
+from fascicle.report.figures import save
+from fascicle.report.recording import recording_figure
 from fascicle.report.study import write_figures
 from fascicle.study import Progress
 
@@ -26,21 +28,23 @@ def demo_recording() -> Path:
     return Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
 
 
-def run_demo(out: Path, progress: Progress) -> tuple[Target, FittedStudy, Pacing]:
+def run_demo(out: Path, progress: Progress) -> tuple[Analysis, FittedStudy, Pacing]:
     """Make the target, fit, draw the figures, predict simultaneous activation of both trees.
 
     Parameters
     ----------
     out : Path
-        Folder that gets ``target.nc``, ``study`` and ``pacing``; run again, the study resumes.
+        Folder that gets ``target.nc`` and ``target.png``, ``study`` and ``pacing``; run again, the
+        study resumes.
     progress : callable
         Told how far each stage is.
     """
-    target = make_target(read_recording(demo_recording()))
-    write_target(target, out / "target.nc")
+    analysis = analyse(read_recording(demo_recording()))
+    write_target(analysis.target, out / "target.nc")
+    save(recording_figure(analysis), out / "target.png")
     fitted = fit(
         "default",
-        target,
+        analysis.target,
         out / "study",
         initial=INITIAL,
         steps=STEPS,
@@ -52,4 +56,4 @@ def run_demo(out: Path, progress: Progress) -> tuple[Target, FittedStudy, Pacing
     )
     write_figures(fitted, fitted.networks(progress))
     pacing = write_pacing(fitted, 0.0, out / "pacing", progress)
-    return target, fitted, pacing
+    return analysis, fitted, pacing

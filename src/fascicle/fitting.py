@@ -220,7 +220,10 @@ def _silent(stage: str, done: int, total: int, message: str) -> None:
 def target_digest(target: Target) -> str:
     """SHA-256 of what the fit sees of a target."""
     digest = hashlib.sha256()
-    for array in (target.beats, target.time, np.array([target.qrs_onset, target.qrs_offset])):
+    numbers = [target.qrs_onset, target.qrs_offset]
+    if target.noise is not None:
+        numbers.append(target.noise)
+    for array in (target.beats, target.time, np.array(numbers)):
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
     return digest.hexdigest()

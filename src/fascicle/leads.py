@@ -55,3 +55,21 @@ def limb_leads_from(recorded: Collection[str]) -> NDArray[np.float64] | None:
     matrix = np.zeros((len(LIMB_LEADS), len(LIMB_LEADS)))
     matrix[:, columns] = from_potentials @ np.linalg.inv(from_potentials[columns])
     return matrix
+
+
+def measured_rows(present: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows of leads that are no combination of one another, of those that are present.
+
+    Parameters
+    ----------
+    present : (12,) array of bool
+        Which leads there are.
+
+    Returns
+    -------
+    (k,) array
+        Two limb leads (I and II where both are there) and the chest leads, increasing.
+    """
+    limb = np.flatnonzero(present[: len(LIMB_LEADS)])[:2]
+    chest = len(LIMB_LEADS) + np.flatnonzero(present[len(LIMB_LEADS) :])
+    return np.concatenate([limb, chest])

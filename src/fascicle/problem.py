@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from fascicle.evaluation import Evaluation
 from fascicle.forward import ForwardModel, Simulation
 from fascicle.loss import Alignment, align, placed
 from fascicle.parameters import ParameterSpace
+from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
 from fascicle.tree.purkinje import InvalidTree
 
@@ -60,8 +62,9 @@ class Problem:
         return Evaluation(point, alignment.loss, self.beat_errors(outcome, alignment))
 
     def align(self, simulation: Simulation) -> Alignment:
-        """Best alignment of a simulation with the mean recorded QRS."""
-        return align(simulation.leads, self.target.qrs, free_gain=self.free_gain)
+        """Best alignment of a simulation with the mean recorded QRS, over the target's leads."""
+        used = self.target.used
+        return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
 
     def predicted(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
@@ -74,9 +77,18 @@ class Problem:
 
         The beats are aligned with one another, so one alignment with their mean serves all.
         """
-        recorded = self.target.qrs_beats
-        simulated = placed(simulation.leads, alignment, recorded.shape[2])
+        recorded = self._recorded_beats
+        simulated = placed(simulation.leads[self.target.used], alignment, recorded.shape[2])
         return np.asarray(((recorded - simulated) ** 2).sum(axis=(1, 2)) / recorded.shape[2])
+
+    @cached_property
+    def _recorded_beats(self) -> NDArray[np.float64]:
+        """QRS of every beat in the target's leads; a single one is repeated with its noise."""
+        target = self.target
+        if target.noise is not None:
+            # one seed for all time: every evaluation, and a resumed study, sees the same beats
+            target = repeated(target, np.random.default_rng(0))
+        return np.asarray(target.qrs_beats[:, target.used])
 
 
 def simulate_valid(model: ForwardModel, parameters: Mapping[str, float]) -> Simulation:

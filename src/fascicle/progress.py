@@ -15,8 +15,11 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from fascicle.errors import InputError
+
 NAMES = {
     "compilation": "first run here",
+    "recording": "recording",
     "template": "cables",
     "surface": "surface",
     "meshing": "meshing",
@@ -59,7 +62,13 @@ class TerminalProgress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._tasks:
+        if not self._tasks:
+            return
+        if kind is not None and issubclass(kind, InputError):
+            # a refusal stands alone, in one line
+            self._bars.live.transient = True
+            self._bars.live.stop()
+        else:
             self._bars.stop()
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

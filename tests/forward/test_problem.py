@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,29 @@ def test_prediction_lies_under_the_recorded_beat(default_model, target, points):
     predicted = problem.predicted(simulation, problem.align(simulation))
     assert predicted.shape == target.mean.shape
     assert np.abs(predicted - target.mean).max() < 5 * NOISE
+
+
+def test_unused_leads_do_not_count(default_model, target, points):
+    """As if the lead were not there: no term of the loss, but a prediction in it, too."""
+    beats = target.beats.copy()
+    beats[:, 7] = np.nan
+    problem = Problem(default_model, replace(target, beats=beats), NETWORK_SPACE)
+    best = problem.evaluate(points[0])
+    assert best.loss == pytest.approx(11 * NOISE**2 / 5, rel=0.1)
+    np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
+    simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
+    predicted = problem.predicted(simulation, problem.align(simulation))
+    assert np.abs(predicted[7] - target.mean[7]).max() < 5 * NOISE
+
+
+def test_single_beat_varies_by_its_stated_noise(default_model, target, points):
+    """Ten repetitions with noise σ: each misses the truth by about 12·σ², always the same."""
+    mean = target.mean[None]
+    single = replace(target, beats=mean, noise=0.05)
+    first = Problem(default_model, single, NETWORK_SPACE).evaluate(points[0])
+    again = Problem(default_model, single, NETWORK_SPACE).evaluate(points[0])
+    assert len(first.beat_errors) == 10
+    np.testing.assert_array_equal(first.beat_errors, again.beat_errors)
+    assert first.beat_errors.mean() == pytest.approx(12 * 0.05**2, rel=0.2)
+    assert 0.02 < first.beat_errors.std() / first.beat_errors.mean() < 0.3
+    assert first.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,6 +11,7 @@ import xarray as xr
 from fascicle.errors import InputError
 from fascicle.io.targets import read_target, write_target
 from fascicle.leads import LEADS
+from fascicle.recording.covariance import residual_covariance
 from fascicle.recording.target import Target
 
 
@@ -21,7 +24,8 @@ def target():
         "warnings": "I + III differs; μV ≠ mV",
         "none": "",
     }
-    return Target(rng.normal(size=(3, 12, 201)), np.arange(-80.0, 121.0), -41.5, 62.0, 71.25, notes)
+    beats, time = rng.normal(size=(3, 12, 201)), np.arange(-80.0, 121.0)
+    return Target(beats, time, -41.5, 62.0, 71.25, notes, onset_sd=3.5, offset_sd=4.25)
 
 
 def test_round_trip_is_exact(target, tmp_path):
@@ -30,6 +34,7 @@ def test_round_trip_is_exact(target, tmp_path):
     assert np.array_equal(again.beats, target.beats)
     assert np.array_equal(again.time, target.time)
     assert (again.qrs_onset, again.qrs_offset, again.heart_rate) == (-41.5, 62.0, 71.25)
+    assert (again.onset_sd, again.offset_sd, again.noise) == (3.5, 4.25, None)
     assert again.provenance == target.provenance
     assert again.beats.dtype == np.float64
 
@@ -41,14 +46,48 @@ def test_file_explains_itself(target, tmp_path):
     units = {name: variable.attrs.get("units") for name, variable in dataset.variables.items()}
     assert units == {
         "beats": "mV", "mean": "mV", "standard_deviation": "mV",
-        "time": "ms", "beat": "1", "lead": None,
+        "residual_covariance_leads": "1", "residual_covariance_time": "1",
+        "time": "ms", "qrs_time": "ms", "beat": "1", "in_qrs": "1", "lead": None,
     }  # fmt: skip
     assert dataset["mean"].sel(lead="V2", time=7.0).item() == target.mean[7, 87]
     assert dataset["standard_deviation"].values == pytest.approx(target.standard_deviation)
+    assert dataset["beats"].isel(time=dataset["in_qrs"] == 1).values == pytest.approx(
+        target.qrs_beats
+    )
+    assert all("long_name" in variable.attrs for variable in dataset.variables.values())
     assert dataset.attrs["qrs_duration_ms"] == 103.5
+    assert dataset.attrs["qrs_onset_sd_ms"] == 3.5
     assert dataset.attrs["heart_rate_bpm"] == 71.25
     assert dataset.attrs["provenance_source"] == "rec.hea"
     assert dataset.attrs["software"].startswith("fascicle ")
+
+
+def test_covariance_can_be_put_together_from_the_file(target, tmp_path):
+    write_target(target, tmp_path / "target.nc")
+    dataset = xr.load_dataset(tmp_path / "target.nc", engine="h5netcdf")
+    sd = dataset["standard_deviation"].isel(time=dataset["in_qrs"] == 1).values
+    leads, time = dataset["residual_covariance_leads"], dataset["residual_covariance_time"]
+    assert "standard_deviation[l, t]" in leads.attrs["comment"]
+    assert 0 < leads.attrs["shrinkage"] <= 1
+    full = residual_covariance(target).full
+    found = sd[2, 5] * sd[9, 11] * leads.values[2, 9] * time.values[5, 11]
+    assert found == pytest.approx(full[2, 5, 9, 11])
+
+
+def test_single_beat_and_unused_leads_come_back(target, tmp_path):
+    beats = target.beats[:1].copy()
+    beats[:, 7] = np.nan
+    one = replace(target, beats=beats, noise=0.03, heart_rate=float("nan"))
+    write_target(one, tmp_path / "one.nc")
+    again = read_target(tmp_path / "one.nc")
+    assert np.array_equal(again.beats, beats, equal_nan=True)
+    assert again.noise == 0.03
+    assert np.isnan(again.heart_rate)
+    assert not again.used[7]
+    assert again.used.sum() == 11
+    dataset = xr.load_dataset(tmp_path / "one.nc", engine="h5netcdf")
+    assert (dataset["standard_deviation"].sel(lead="I") == 0.03).all()
+    assert dataset["standard_deviation"].sel(lead="V2").isnull().all()
 
 
 def test_failed_write_leaves_the_old_file(target, tmp_path, monkeypatch):
@@ -93,9 +132,12 @@ def test_files_that_are_not_targets(target, tmp_path):
     ("change", "word"),
     [
         (lambda d: d.drop_vars("beats"), "without beats"),
-        (lambda d: d.isel(beat=[0]), "at least 2 beats"),
+        (lambda d: d.isel(beat=[0]), "1 beats without a stated noise"),
         (lambda d: d.isel(lead=slice(0, 8)), "not the standard 12"),
         (lambda d: d.assign(beats=d["beats"] * np.nan), "not finite"),
+        (lambda d: d.assign(beats=d["beats"].where(d["time"] < 100)), "not finite"),
+        (lambda d: d.assign_attrs(heart_rate_bpm=np.nan), "heart_rate_bpm is"),
+        (lambda d: d.assign_attrs(qrs_onset_ms="early"), "qrs_onset_ms is 'early'"),
         (lambda d: d.assign_attrs(format_version=99), "format version 99"),
         (lambda d: d.assign_attrs(format="fascicle heart"), "not a target"),
     ],

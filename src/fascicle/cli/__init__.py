@@ -13,13 +13,14 @@ import typer
 
 from fascicle.cli.arguments import HeartArgument, OutOption
 from fascicle.cli.hearts import heart_app
+from fascicle.cli.recordings import print_analysis
+from fascicle.cli.recordings import target as target_command
 from fascicle.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.fitting import FittedStudy
     from fascicle.forward import Simulation
     from fascicle.predict.pacing import Pacing
-    from fascicle.recording.target import Target
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -130,24 +131,7 @@ def simulate(
     print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
 
 
-@app.command()
-def target(
-    recording: Annotated[
-        Path, typer.Argument(help="WFDB header (.hea), DICOM (.dcm) or CSV with named leads.")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Target to write (netCDF, .nc).")],
-    onset: Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")] = None,
-    offset: Annotated[float | None, typer.Option(help="QRS offset (ms from R).")] = None,
-) -> None:
-    """Turn a recording into a target: aligned beats, their mean and spread, the QRS window."""
-    from fascicle.io.recordings import read_recording
-    from fascicle.io.targets import write_target
-    from fascicle.recording.beats import make_target
-
-    made = make_target(read_recording(recording), onset, offset)
-    write_target(made, out)
-    _print_target(made)
-    print(f"target written to {out}")
+app.command(name="target")(target_command)
 
 
 @app.command()
@@ -259,12 +243,13 @@ def demo(
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
     with _resumable(), TerminalProgress() as progress:
-        made, fitted, pacing = run_demo(out, progress)
-    _print_target(made)
+        analysis, fitted, pacing = run_demo(out, progress)
+    print_analysis(analysis)
     _print_fit(fitted)
     _print_pacing(pacing)
     print(f"\nin {out}:")
     for name, what in (
+        ("target.png", "the recording: beats by class, their overlay, the QRS window"),
         ("target.nc", "beats, mean, standard deviation, QRS window"),
         ("study/posterior.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
         ("study/networks", "their trees, for ParaView"),
@@ -298,23 +283,11 @@ def _print_sites(simulation: Simulation, trees: Mapping[str, Mapping[str, float]
         print(f"stimuli                {captured.sum()} of {len(captured)} captured the myocardium")
 
 
-def _print_target(target: Target) -> None:
-    print(f"beats          {len(target.beats)} at {target.heart_rate:.0f} per minute")
-    print(
-        f"QRS            {target.qrs_duration:.0f} ms, from {target.qrs_onset:.0f} to "
-        f"{target.qrs_offset:.0f} ms about R"
-    )
-    spread = target.standard_deviation[:, target.qrs_samples].mean()
-    print(f"beat to beat   {spread:.3f} mV (mean standard deviation in the QRS)")
-    if "warnings" in target.provenance:
-        print(f"warning: {target.provenance['warnings']}", file=sys.stderr)
-
-
 def _print_fit(fitted: FittedStudy) -> None:
     import numpy as np
 
     accepted = fitted.accepted
-    recorded = float((fitted.problem.target.qrs**2).sum(axis=0).mean())
+    recorded = float(np.nansum(fitted.problem.target.qrs**2, axis=0).mean())
     print(f"evaluations            {len(fitted.study.records())}")
     first = fitted.best_initial_loss
     print(f"best of the first      {first:.4f} mV² (flat line: {recorded:.4f})")

@@ -9,6 +9,7 @@ from fascicle.recording.window import spatial_velocity
 
 KNOT = 20  # samples; one period of 50 Hz mains, so that hum averages out
 EARLIEST = 60  # samples before the QRS; further back is the P wave
+FARTHEST = 2500  # samples; between isoelectric points farther apart, drift is no straight line
 
 
 def quiet_start(mean: NDArray[np.float64], onset: int, step: float) -> int:
@@ -38,9 +39,9 @@ def subtract_drift(
 ) -> NDArray[np.float64]:
     """Beats with a straight line removed from each lead.
 
-    The line of a beat runs from the isoelectric level before its QRS to that before the next QRS;
-    both points are of one kind, and neither T nor U waves enter. The last beat uses the line that
-    ends at it.
+    The line of a beat runs through the isoelectric level before its QRS and that before the QRS of
+    its nearest neighbour; both points are of one kind, and neither T nor U waves enter. Where no
+    neighbour is near, as for a single beat, the level alone is removed.
 
     Parameters
     ----------
@@ -58,12 +59,21 @@ def subtract_drift(
     (n_beats, 12, n) array
         Potential (mV), zero on average over each isoelectric stretch.
     """
-    level = np.stack([signal[:, k : k + KNOT].mean(axis=1) for k in knots])
-    slope = np.diff(level, axis=0) / np.diff(knots)[:, None]
-    slope = np.concatenate([slope, slope[-1:]])
+    level = np.stack([signal[:, max(k, 0) : k + KNOT].mean(axis=1) for k in knots])
     beats = np.empty((len(peaks), signal.shape[0], n))
     for i, (peak, knot) in enumerate(zip(peaks, knots, strict=True)):
         start = peak - before
         since = np.arange(start, start + n) - (knot + (KNOT - 1) / 2)
-        beats[i] = signal[:, start : start + n] - level[i][:, None] - slope[i][:, None] * since
+        slope = _slope(level, knots, i)
+        beats[i] = signal[:, start : start + n] - level[i][:, None] - slope[:, None] * since
     return beats
+
+
+def _slope(level: NDArray[np.float64], knots: NDArray[np.int64], beat: int) -> NDArray[np.float64]:
+    """Drift (mV per sample) of each lead from a beat to its nearest neighbour."""
+    neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
+    near = min(neighbours, key=lambda k: abs(int(knots[k] - knots[beat])), default=beat)
+    distance = int(knots[near] - knots[beat])
+    if not 0 < abs(distance) <= FARTHEST:
+        return np.zeros(level.shape[1])
+    return np.asarray((level[near] - level[beat]) / distance)

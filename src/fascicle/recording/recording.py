@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from fascicle.leads import LEADS
 
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
 HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
-SHORTEST = 1.5  # s; two beats cannot be found in less
+SHORTEST = 0.4  # s; less does not hold a beat
 LONGEST = 1800.0  # s; bounds the memory that a recording takes
 
 
@@ -85,12 +86,12 @@ class Recording:
         """Length of the recording (s)."""
         return float(self.signal.shape[1] / self.sampling_rate)
 
-    @property
+    @cached_property
     def recorded(self) -> NDArray[np.bool_]:
         """Which of the twelve leads are there, shape (12,)."""
         return np.asarray(np.isfinite(self.signal).any(axis=1))
 
-    @property
+    @cached_property
     def spans(self) -> NDArray[np.int64]:
         """First sample of each lead and the one after its last, shape (12, 2); zeros if absent."""
         finite = np.isfinite(self.signal)
@@ -125,7 +126,8 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
     seconds = samples / sampling_rate
     if seconds < SHORTEST:
         raise InputError(
-            f"{source}: recording is {seconds:.2f} s long; at least two beats are needed, give 10 s"
+            f"{source}: recording is {seconds:.2f} s long; at least {SHORTEST:g} s are needed for "
+            "one beat, give 10 s"
         )
     if seconds > LONGEST:
         raise InputError(

@@ -1,6 +1,8 @@
-"""Targets made from a simulated ECG, to see whether a known network is found again."""
+"""Beats made up: of a simulated ECG, and of a single recorded one with its noise."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from fascicle.recording.window import qrs_window
 
 MARGIN = 60  # samples before and after the simulated ECG
 NOISE_CORRELATION = 4.0  # ms
+REPETITIONS = 10  # as many beats as an ordinary 10 s recording has
 
 
 def synthetic_target(
@@ -41,9 +44,7 @@ def synthetic_target(
     clean = np.pad(leads, ((0, 0), (MARGIN, MARGIN)))
     onset, offset = qrs_window(clean, SAMPLING_STEP)
     peak = int(np.argmax((clean**2).sum(axis=0)))
-    white = rng.standard_normal((beats, *clean.shape))
-    smooth = gaussian_filter1d(white, NOISE_CORRELATION / SAMPLING_STEP, axis=-1)
-    smooth *= noise / smooth.std()
+    smooth = _smooth_noise(rng, (beats, *clean.shape), noise)
     amplitude = 1 + amplitude_spread * rng.standard_normal((beats, 1, 1))
     time = SAMPLING_STEP * (np.arange(clean.shape[1], dtype=np.float64) - peak)
     return Target(
@@ -54,3 +55,37 @@ def synthetic_target(
         heart_rate=60.0,
         provenance={"source": "simulated"},
     )
+
+
+def repeated(target: Target, rng: np.random.Generator, count: int = REPETITIONS) -> Target:
+    """Target with as many beats as if a single one had been recorded again and again.
+
+    Parameters
+    ----------
+    target : Target
+        One beat and its stated noise.
+    rng : numpy.random.Generator
+        Source of the noise.
+    count : int
+        Number of beats; their mean is exactly the recorded beat.
+
+    Raises
+    ------
+    ValueError
+        When no noise is stated.
+    """
+    if target.noise is None:
+        raise ValueError("a target without a stated noise has beats of its own")
+    noise = _smooth_noise(rng, (count, *target.beats.shape[1:]), target.noise)
+    noise -= noise.mean(axis=0)
+    noise *= np.sqrt(count / (count - 1))
+    return replace(target, beats=target.beats + noise, noise=None)
+
+
+def _smooth_noise(
+    rng: np.random.Generator, shape: tuple[int, ...], sd: float
+) -> NDArray[np.float64]:
+    """Noise (mV) of a standard deviation, smooth along the last axis over some ms."""
+    white = rng.standard_normal(shape)
+    smooth = gaussian_filter1d(white, NOISE_CORRELATION / SAMPLING_STEP, axis=-1)
+    return np.asarray(smooth * (sd / smooth.std()))

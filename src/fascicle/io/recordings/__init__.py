@@ -9,7 +9,8 @@ from importlib import import_module
 from pathlib import Path
 
 from fascicle.errors import InputError
-from fascicle.io.recordings.contents import Contents, Given, assemble
+from fascicle.io.recordings.contents import Contents, assemble
+from fascicle.io.recordings.given import Given
 from fascicle.recording.recording import Recording
 
 LARGEST_FILE = 512 * 2**20  # bytes; ten times what a recording of the longest length takes
@@ -27,14 +28,15 @@ _READERS = {
 }
 _KINDS = {
     ".hea": "WFDB", ".dcm": "DICOM", ".xml": "XML", ".scp": "SCP-ECG", ".edf": "EDF",
-    ".h5": "HDF5", ".hdf5": "HDF5", ".mat": "MAT", ".csv": "table", ".tsv": "table",
-    ".txt": "table",
+    ".h5": "HDF5", ".hdf5": "HDF5", ".nc": "HDF5", ".mat": "MAT", ".csv": "table",
+    ".tsv": "table", ".txt": "table",
 }  # fmt: skip
 _ADVICE = {
     ".pkl": "pickle files can run any code and are never opened, save the recording as CSV",
     ".pickle": "pickle files can run any code and are never opened, save the recording as CSV",
     ".npy": "arrays without lead names are not read, save the recording as CSV",
     ".dat": "give its WFDB header, the .hea file beside it",
+    ".bdf": "BDF is not read, save the recording as EDF",
     ".pdf": "give the recording itself, or digitise the picture to CSV",
 }
 _KNOWN = (
@@ -95,11 +97,13 @@ def _existing_file(path: Path) -> Path:
 
 def _reader(path: Path) -> Callable[[Path, Given], Contents]:
     """Choose by the suffix, or by the first bytes where there is none; both must agree."""
-    suffix = path.suffix.lower()
-    if path.stat().st_size > LARGEST_FILE:
+    suffix, size = path.suffix.lower(), path.stat().st_size
+    if not 0 < size <= LARGEST_FILE:
         raise InputError(
-            f"{path}: {path.stat().st_size / 2**20:.0f} MB; cut the recording to a part of at most "
+            f"{path}: {size / 2**20:.0f} MB; cut the recording to a part of at most "
             f"{LARGEST_FILE / 2**20:.0f} MB, 10 s are enough"
+            if size
+            else f"{path}: the file is empty; download or export it again"
         )
     found = _kind_of_content(path)
     kind = _KINDS.get(suffix)

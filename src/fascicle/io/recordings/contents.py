@@ -9,26 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.errors import InputError
+from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import lead_name, millivolts
+from fascicle.io.recordings.stated import printable, same_unit
 from fascicle.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.recording.limb_leads import derive_limb_leads
 from fascicle.recording.recording import Filters, Recording, check_extent
-
-
-@dataclass(frozen=True)
-class Given:
-    """What the user says about a file that does not say it itself.
-
-    Attributes
-    ----------
-    sampling_rate : float, optional
-        Samples per second (Hz).
-    unit : str, optional
-        Unit of the leads: nV, uV, mV or V.
-    """
-
-    sampling_rate: float | None = None
-    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -116,11 +102,11 @@ def _by_lead(
     for channel in contents.channels:
         lead = channel.lead if channel.lead is not None else lead_name(channel.name)
         if lead is None or (wanted is not None and lead not in wanted):
-            ignored.append(channel.name)
+            ignored.append(printable(channel.name))
         elif lead in leads:
             raise InputError(
-                f"{source}: lead {lead} is there twice ('{leads[lead].name}' and "
-                f"'{channel.name}'); keep one of them"
+                f"{source}: lead {lead} is there twice ('{printable(leads[lead].name)}' and "
+                f"'{printable(channel.name)}'); keep one of them"
             )
         else:
             leads[lead] = channel
@@ -172,7 +158,9 @@ def _in_millivolts(
     gains = np.full(len(LEADS), np.nan)
     for lead, channel in leads.items():
         row = LEADS.index(lead)
-        signal[row] = _scale(channel, lead, source, given) * channel.values
+        scale = _scale(channel, lead, source, given)
+        with np.errstate(over="ignore"):  # what is infinite is refused as a gap
+            signal[row] = scale * channel.values
         if channel.digits_per_millivolt is not None:
             gains[row] = channel.digits_per_millivolt
     return signal, gains
@@ -180,7 +168,13 @@ def _in_millivolts(
 
 def _scale(channel: Channel, lead: str, source: str, given: Given) -> float:
     """Return the mV of one unit of a channel."""
-    unit = channel.unit if channel.unit is not None else given.unit
+    stated = None if channel.unit is None else printable(channel.unit)
+    if stated is not None and given.unit is not None and not same_unit(stated, given.unit):
+        raise InputError(
+            f"{source}: lead {lead} is in '{stated}', --unit says '{given.unit}'; leave the option "
+            "out or correct the file"
+        )
+    unit = stated if stated is not None else given.unit
     scale = None if unit is None else millivolts(unit)
     if scale is None:
         found = "the file names none" if unit is None else f"'{unit}'"

@@ -1,113 +1,124 @@
-"""Recordings as tables: a time column and one column per lead."""
+"""Recordings as tables: a time column and one column per lead, or one row per lead and time."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.errors import InputError
-from fascicle.io.recordings.contents import Channel, Contents, Given
-from fascicle.io.recordings.names import first_line
-from fascicle.leads import LEADS
-
-# "V1_uV", "V1 [uV]", "V1 (uV)": a name and its unit
-_WITH_UNIT = re.compile(
-    r"\s*(?P<name>.+?)\s*(?:[\[(]\s*(?P<bracket>[^\])]*?)\s*[\])]|[_ ](?P<tail>[nuµμm]?v|ms|s))\s*",
-    re.IGNORECASE,
+from fascicle.io.recordings.contents import Channel, Contents
+from fascicle.io.recordings.given import Given
+from fascicle.io.recordings.long_tables import long_columns, read_long
+from fascicle.io.recordings.table_cells import numbers, read_columns
+from fascicle.io.recordings.table_columns import (
+    Column,
+    Strip,
+    choose_strips,
+    columns_of,
+    unit_of,
 )
-_PER_SECOND = {"ms": 1000.0, "s": 1.0}
-_UNEVEN = 0.5  # of a step; more is a gap, less is rounding of the time column
+from fascicle.io.recordings.table_text import TextTable, open_table, shown
+from fascicle.io.recordings.table_times import (
+    TimeColumn,
+    agreed_rate,
+    counter_columns,
+    rate_of,
+    time_columns,
+    times,
+)
+from fascicle.recording.recording import check_extent
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_FIRST_ROWS = 1000  # enough to know the rate before all rows are read
 
 
 def read_table(path: Path, given: Given) -> Contents:
-    """Read a table with ``time_ms`` or ``time_s`` and leads whose units are in the header."""
-    table = _table(path)
-    names = [str(column) for column in table.columns]
-    time_column, per_second = _time_column(path, names)
-    rate = _rate(path, _numbers(path, table, time_column) / per_second)
-    written_here = names == ["time_ms", *LEADS]
-    channels = []
-    for name in names:
-        if name != time_column:
-            quantity, unit = _split(name)
-            unit = "mV" if written_here else unit
-            channels.append(Channel(quantity, _numbers(path, table, name), unit))
-    return Contents(channels, rate, "table")
+    """Read a table of samples.
 
+    The separator is a tab, semicolon, comma or blanks; numbers may have decimal commas where no
+    comma separates cells. The first line names the columns, with units there (``V1_uV``, ``V1
+    [uV]``, ``V1/uV``) or in the row under it, as PhysioNet's `rdsamp` writes them. Times are in s,
+    ms or us, or of a clock; without them the rate must be given. Cells may be empty where a lead
+    was not recorded. A long table has one row per lead and time, in columns such as ``lead``,
+    ``time_s`` and ``value_mV``.
 
-def _table(path: Path) -> Any:
-    import pandas as pd
+    Parameters
+    ----------
+    path : Path
+        The file.
+    given : Given
+        Sampling rate and unit for tables that do not say; they must not contradict the table.
 
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            header = next((line for line in file if line.strip() and line[0] != "#"), "")
-        separator = max(",;\t", key=header.count)
-        table = pd.read_csv(path, sep=separator, comment="#", skipinitialspace=True)
-    except (ValueError, OSError) as error:  # pandas' ParserError and EmptyDataError are ValueErrors
+    Returns
+    -------
+    Contents
+        Columns that are no leads are named but not read. Where there are a lead and a rhythm strip
+        of the same lead, the longer one is the lead.
+
+    Raises
+    ------
+    InputError
+        When the table cannot be read, or what its numbers mean cannot be told.
+    """
+    table = open_table(path)
+    columns = columns_of(table)
+    long = long_columns(columns)
+    if long is not None:
+        return read_long(table, long, given)
+    leads = [column for column in columns if column.lead is not None]
+    if not leads:
         raise InputError(
-            f"{path}: not a readable CSV table ({first_line(error)}); save it as comma-separated "
-            "text in UTF-8 with one header line"
-        ) from error
-    if len(table) < 2:
-        raise InputError(f"{path}: {len(table)} rows of samples; give at least two beats")
-    return table.rename(columns=lambda name: str(name).strip())
-
-
-def _split(name: str) -> tuple[str, str | None]:
-    """Split a column name into the name proper and its unit, if it has one."""
-    match = _WITH_UNIT.fullmatch(name)
-    if match is None:
-        return name.strip(), None
-    unit = match["tail"] if match["bracket"] is None else match["bracket"]
-    return match["name"], unit
-
-
-def _time_column(path: Path, names: list[str]) -> tuple[str, float]:
-    """Find the time column and how many of its units are a second."""
-    for name in names:
-        quantity, unit = _split(name)
-        if quantity.lower() in ("time", "t"):
-            if unit is None or unit.lower() not in _PER_SECOND:
-                raise InputError(
-                    f"{path}: unknown units of the time column '{name}'; name it time_ms or time_s"
-                )
-            return name, _PER_SECOND[unit.lower()]
-    raise InputError(
-        f"{path}: no time column among {', '.join(names[:4])}{' ...' * (len(names) > 4)}; add one "
-        "named time_ms or time_s"
-    )
-
-
-def _numbers(path: Path, table: Any, name: str) -> NDArray[np.float64]:
-    """Return a column as numbers, (n,); empty cells are NaN."""
-    import pandas as pd
-
-    column = table[name]
-    numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
-    wrong = np.flatnonzero(np.isnan(numbers) & column.notna().to_numpy())
-    if wrong.size:
-        raise InputError(
-            f"{path}: column '{name}' holds {str(column.iloc[wrong[0]])[:20]!r} in row "
-            f"{wrong[0] + 2}; every sample must be a number with a decimal point"
+            f"{path}: no lead among the columns {', '.join(shown(n) for n in table.names[:4])}"
+            f"{' ...' * (len(table.names) > 4)}; name them I, II, V1 to V6 with their unit (I_mV)"
         )
-    return np.asarray(numbers)
-
-
-def _rate(path: Path, seconds: NDArray[np.float64]) -> float:
-    """Return the sampling rate (Hz) of increasing, evenly spaced times."""
-    steps = np.diff(seconds)
-    step = (seconds[-1] - seconds[0]) / len(steps)
-    if not np.isfinite(seconds).all() or step <= 0 or (steps <= 0).any():
-        raise InputError(f"{path}: times do not increase from row to row; sort or correct them")
-    uneven = np.flatnonzero(np.abs(steps - step) > _UNEVEN * step)
-    if uneven.size:
-        k = int(uneven[0])
-        raise InputError(
-            f"{path}: samples are not evenly spaced ({1000 * steps[k]:g} ms after row {k + 2}, "
-            f"{1000 * step:g} ms on average); resample, or cut the recording to a part without gaps"
+    units = {column.place: unit_of(table, column, given) for column in leads}
+    clocks = time_columns(columns)
+    frame, rate = _samples(table, leads, clocks, counter_columns(columns), given)
+    strips = [
+        Strip(
+            Channel(c.name, numbers(table, c.place, frame[c.place]), units[c.place], c.lead),
+            c.rhythm,
         )
-    return float(1.0 / step)
+        for c in leads
+    ]
+    channels, notes = choose_strips(strips, rate)
+    used = {c.place for c in leads} | {c.place for c in clocks}
+    others = [Channel(c.name, np.empty(0), None) for c in columns if c.place not in used]
+    return Contents([*channels, *others], rate, "table", notes=notes)
+
+
+def _samples(
+    table: TextTable,
+    leads: Sequence[Column],
+    clocks: Sequence[TimeColumn],
+    counters: Sequence[TimeColumn],
+    given: Given,
+) -> tuple[pd.DataFrame, float]:
+    """Read leads and times, once the first rows show that the recording is not too long."""
+    # sample numbers tell about gaps where no times do
+    clocks = clocks if clocks else counters if given.sampling_rate is not None else ()
+    places = [column.place for column in leads] + [clock.place for clock in clocks]
+    first = read_columns(table, places, rows=_FIRST_ROWS)
+    check_extent(table.rows, _rate(table, clocks, first, given), str(table.path))
+    frame = read_columns(table, places)
+    if clocks:
+        frame = frame.dropna(how="all")  # spreadsheets end with empty rows
+    return frame, _rate(table, clocks, frame, given)
+
+
+def _rate(
+    table: TextTable, clocks: Sequence[TimeColumn], frame: pd.DataFrame, given: Given
+) -> float:
+    stated = []
+    for clock in clocks:
+        values, per_second = times(table, clock, frame[clock.place].dropna(), given)
+        if len(values) != len(frame.dropna(how="all")):
+            raise InputError(f"{table.path}: column {shown(clock.name)} lacks times; fill them in")
+        where = f"the column {shown(clock.name)}"
+        stated.append((where, rate_of(values, per_second, f"in {where}", table.path)))
+    return agreed_rate(table, stated, given)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
 from fascicle.leads import LEADS
-from fascicle.recording.alignment import resample
-from fascicle.recording.beats import make_target
 from fascicle.recording.detection import r_peaks
+from fascicle.recording.making import make_target
+from fascicle.recording.resampling import resample
 
 TRIM = 2  # leads left out at each end: one lead marked oddly does not decide
 
@@ -93,9 +94,9 @@ def test_detrended_beats_start_from_zero(data_folder):
     assert target.beats.shape == (7, 12, len(target.time))
 
 
-def test_gain_per_lead_is_reported(data_folder):
-    target = make_target(read_recording(data_folder / "ecg" / "ludb" / "24.hea"))
-    assert "I + III differs from II by 0.20 mV" in target.provenance["warnings"]
+def test_gain_per_lead_is_refused(data_folder):
+    with pytest.raises(InputError, match=r"I \+ III - II is off by 0.19 mV.*--shared-gain"):
+        make_target(read_recording(data_folder / "ecg" / "ludb" / "24.hea"))
 
 
 def test_long_recording_keeps_its_beats(data_folder):

@@ -1,0 +1,243 @@
+"""`fascicle target`: from a recording to a target, and the page that shows it."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fascicle.errors import InputError
+
+if TYPE_CHECKING:
+    from fascicle.recording.analysis import Analysis
+    from fascicle.recording.recording import Recording
+    from fascicle.recording.target import Target
+
+_RANGE = re.compile(r"(\d+)(?:-(\d+))?")
+_WIDTH = 15  # of the first column
+
+
+def target(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            help="WFDB (.hea), DICOM (.dcm), HL7 aECG or MUSE (.xml), SCP-ECG (.scp), EDF (.edf), "
+            "HDF5 (.h5), MATLAB (.mat) or a table (.csv, .tsv)."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
+    ],
+    onset: Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")] = None,
+    offset: Annotated[float | None, typer.Option(help="QRS offset (ms from R).")] = None,
+    beat_class: Annotated[
+        str | None, typer.Option("--class", help="Class of the beats to use; A has the most.")
+    ] = None,
+    beats: Annotated[
+        str | None, typer.Option(help="Numbers of the beats to use, such as 1-4,7.")
+    ] = None,
+    exclude_beat: Annotated[
+        list[str] | None, typer.Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
+    ] = None,
+    leads: Annotated[
+        str | None,
+        typer.Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
+    ] = None,
+    invert: Annotated[
+        list[str] | None, typer.Option(help="Lead that was recorded upside down.")
+    ] = None,
+    swap: Annotated[
+        list[str] | None,
+        typer.Option(help="Exchanged electrodes or leads, such as RA-LA or V1-V2."),
+    ] = None,
+    shared_gain: Annotated[
+        bool,
+        typer.Option(
+            "--shared-gain", help="All leads share one gain, whatever the file says of each."
+        ),
+    ] = False,
+    digits_per_mv: Annotated[
+        float, typer.Option(min=1.0, help="That gain: the file's numbers per mV.")
+    ] = 1000.0,
+    noise: Annotated[
+        float | None, typer.Option(help="Standard deviation of a single beat (mV).")
+    ] = None,
+    sampling_rate: Annotated[
+        float | None, typer.Option(help="Samples per second (Hz), if the file does not say.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
+    ] = None,
+    lowpass: Annotated[
+        float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")
+    ] = None,
+    notch: Annotated[
+        float | None, typer.Option(help="Mains hum to remove, 50 or 60 (Hz); none by default.")
+    ] = None,
+) -> None:
+    """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
+
+    Beats are found, sorted by shape and aligned; those of the commonest shape (class A) make the
+    target. A page beside it (.png) shows the recording with every beat's number and class, the
+    beats on top of one another, and the QRS window. Look at it, and change what you would have
+    drawn differently:
+
+    ```
+    fascicle target ecg.hea --out t.nc --exclude-beat 3 --onset -52
+    fascicle target ecg.hea --out t.nc --class B          # the ectopic beats
+    fascicle target ecg.dcm --out t.nc --swap RA-LA       # arm cables were exchanged
+    fascicle target ecg.csv --out t.nc --unit uV --sampling-rate 500
+    ```
+    """
+    from fascicle.io.targets import write_target
+    from fascicle.progress import TerminalProgress
+    from fascicle.recording.choices import Choices
+    from fascicle.recording.making import analyse
+    from fascicle.report.figures import save
+    from fascicle.report.recording import recording_figure
+
+    picture = out.with_suffix(".png")
+    if picture == out:
+        raise InputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
+    choices = Choices(
+        onset, offset, beat_class, None if beats is None else _numbers(beats),
+        tuple(n for text in exclude_beat or () for n in _numbers(text)), noise, lowpass, notch,
+    )  # fmt: skip
+    gain = digits_per_mv if shared_gain else None
+    with TerminalProgress() as progress:
+        progress("recording", 0, 3, "reading")
+        read = _read(recording, leads, sampling_rate, unit)
+        progress("recording", 1, 3, "beats")
+        analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
+        progress("recording", 2, 3, "picture")
+        figure = recording_figure(analysis)
+        write_target(analysis.target, out)
+        save(figure, picture)
+        progress("recording", 3, 3, "")
+    print_analysis(analysis)
+    print(f"{'target':<{_WIDTH}}{out}")
+    print(f"{'picture':<{_WIDTH}}{picture}")
+
+
+def print_analysis(analysis: Analysis) -> None:
+    """Print what was found in a recording, every check with its figure, and the warnings."""
+    recording = analysis.recording
+    _line(
+        "recording",
+        f"{Path(recording.source).name}, {recording.provenance.get('format', 'in memory')}, "
+        f"{recording.duration:.1f} s at {recording.sampling_rate:g} Hz",
+    )
+    if recording.derived:
+        _line("computed leads", ", ".join(recording.derived))
+    if recording.ignored:
+        _line("ignored", ", ".join(recording.ignored))
+    print(f"{'checks':<{_WIDTH}}{'':<34}{'found':>8}{'limit':>8}")
+    for finding in analysis.findings:
+        print(
+            f"{'':<{_WIDTH}}{finding.check:<34}{_figure(finding.value):>8}"
+            f"{_figure(finding.limit):>8} {finding.unit:<3} {finding.severity.value}"
+        )
+    for group in analysis.classes:
+        notable = f": {group.description}" if group.description else ""
+        _line(f"class {group.label}", f"{group.count} beats{notable}")
+    for beat in analysis.beats:
+        if not beat.used and not beat.reason.startswith("class "):
+            _line(f"beat {beat.number}", f"at {beat.time:.2f} s, class {beat.label}: {beat.reason}")
+    print_target(analysis.target)
+
+
+def print_target(target: Target) -> None:
+    """Print the figures of a target; its warnings go to the standard error."""
+    import numpy as np
+
+    rate = f" at {target.heart_rate:.0f} per minute" if np.isfinite(target.heart_rate) else ""
+    _line("beats", f"{len(target.beats)} used{rate}")
+    width_sd = float(np.hypot(target.onset_sd, target.offset_sd))
+    _line(
+        "QRS",
+        f"{target.qrs_duration:.0f} ± {width_sd:.0f} ms, from {target.qrs_onset:.0f} ± "
+        f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R",
+    )
+    spread = np.nanmean(target.standard_deviation[:, target.qrs_samples])
+    _line("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
+    if "warnings" in target.provenance:
+        print(f"warning: {target.provenance['warnings']}", file=sys.stderr)
+
+
+def _figure(value: float) -> str:
+    """Three digits, or a dash for what the file does not tell."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _line(what: str, text: str) -> None:
+    print(f"{what:<{_WIDTH}}{text}")
+
+
+def _read(
+    path: Path, leads: str | None, sampling_rate: float | None, unit: str | None
+) -> Recording:
+    from fascicle.io.recordings import read_recording
+
+    wanted = None if leads is None else _leads(leads)
+    return read_recording(path, leads=wanted, sampling_rate=sampling_rate, unit=unit)
+
+
+def _corrected(
+    recording: Recording, gain: float | None, inverted: Sequence[str], swapped: Sequence[str]
+) -> Recording:
+    """Apply the user's corrections: gain first, then polarity, then exchanged cables."""
+    from fascicle.recording.corrections import invert, share_gain, swap
+
+    if gain is not None:
+        recording = share_gain(recording, gain)
+    for text in inverted:
+        for lead in _leads(text):
+            recording = invert(recording, lead)
+    for text in swapped:
+        names = [part.strip() for part in re.split(r"[-,]", text)]
+        if len(names) != 2:
+            raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
+        recording = swap(recording, _place(names[0]), _place(names[1]))
+    return recording
+
+
+def _place(text: str) -> str:
+    """Name of an electrode or a lead as it is written elsewhere."""
+    from fascicle.io.recordings.names import lead_name
+
+    return lead_name(text) or text.upper()
+
+
+def _leads(text: str) -> list[str]:
+    """Leads of a list such as ``I,II,V1-V6``."""
+    from fascicle.io.recordings.names import lead_name
+    from fascicle.leads import LEADS
+
+    leads: list[str] = []
+    for part in text.split(","):
+        ends = [lead_name(end) for end in part.split("-")]
+        if None in ends or len(ends) > 2:
+            raise InputError(f"lead '{part.strip()}' is unknown; leads are {', '.join(LEADS)}")
+        first, last = LEADS.index(str(ends[0])), LEADS.index(str(ends[-1]))
+        if first > last:
+            raise InputError(f"leads '{part.strip()}': the first comes after the last")
+        leads += [lead for lead in LEADS[first : last + 1] if lead not in leads]
+    return leads
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """Beat numbers of a list such as ``1-4,7``."""
+    numbers: list[int] = []
+    for part in text.split(","):
+        match = _RANGE.fullmatch(part.strip())
+        if match is None:
+            raise InputError(f"beats '{text}': give numbers such as 3 or 1-4,7")
+        numbers += range(int(match[1]), int(match[2] or match[1]) + 1)
+    return tuple(numbers)

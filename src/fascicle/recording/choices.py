@@ -1,0 +1,90 @@
+"""What a user may decide about the target that is made of a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from fascicle.errors import InputError
+
+SHORTEST_WINDOW = 20.0  # ms
+LOWPASS_RANGE = (40.0, 450.0)  # Hz; lower ones smear the QRS, higher ones do nothing
+MAINS = (50.0, 60.0)  # Hz
+LARGEST_NOISE = 1.0  # mV
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Decisions of the user; what is None or empty is decided by the program.
+
+    Attributes
+    ----------
+    onset, offset : float, optional
+        QRS window (ms from the R peak, onset negative).
+    beat_class : str, optional
+        Label of the class whose beats make the target; by default the one with the most beats.
+    beats : tuple of int, optional
+        Numbers of the beats to use, of whatever class.
+    exclude : tuple of int
+        Numbers of beats to leave out.
+    noise : float, optional
+        Standard deviation of a single beat (mV), which cannot tell it itself.
+    lowpass : float, optional
+        Cutoff of a zero-phase low-pass (Hz).
+    notch : float, optional
+        Mains frequency to remove (Hz).
+
+    Raises
+    ------
+    InputError
+        When a number is impossible whatever the recording.
+    """
+
+    onset: float | None = None
+    offset: float | None = None
+    beat_class: str | None = None
+    beats: tuple[int, ...] | None = None
+    exclude: tuple[int, ...] = ()
+    noise: float | None = None
+    lowpass: float | None = None
+    notch: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("onset", self.onset), ("offset", self.offset)):
+            if value is not None and not math.isfinite(value):
+                raise InputError(
+                    f"QRS window: {name} is {value} ms; give a number of ms from the R peak"
+                )
+        if self.onset is not None and self.offset is not None:
+            check_window(self.onset, self.offset, "given")
+        _check_within("noise", self.noise, (1e-4, LARGEST_NOISE), "mV")
+        _check_within("low-pass", self.lowpass, LOWPASS_RANGE, "Hz")
+        if self.notch is not None and self.notch not in MAINS:
+            raise InputError(f"notch filter at {self.notch:g} Hz; mains have 50 or 60 Hz")
+
+    def described(self) -> dict[str, str]:
+        """Text of every decision that was taken, for the provenance."""
+        texts = {
+            "class": self.beat_class,
+            "beats": None if self.beats is None else ", ".join(map(str, self.beats)),
+            "exclude": ", ".join(map(str, self.exclude)) or None,
+            "noise_mV": None if self.noise is None else f"{self.noise:g}",
+            "lowpass_hz": None if self.lowpass is None else f"{self.lowpass:g}",
+            "notch_hz": None if self.notch is None else f"{self.notch:g}",
+        }
+        return {f"choice_{name}": text for name, text in texts.items() if text is not None}
+
+
+def check_window(onset: float, offset: float, source: str) -> None:
+    """Refuse a QRS window (ms) that ends before it has lasted."""
+    if offset - onset < SHORTEST_WINDOW:
+        raise InputError(
+            f"{source}: QRS window {onset:g} to {offset:g} ms; the offset must be at least "
+            f"{SHORTEST_WINDOW:g} ms after the onset (both in ms from the R peak)"
+        )
+
+
+def _check_within(name: str, value: float | None, limits: tuple[float, float], unit: str) -> None:
+    low, high = limits
+    if value is not None and not low <= value <= high:
+        raise InputError(f"{name} is {value:g} {unit}; give {low:g} to {high:g} {unit}")

@@ -1,0 +1,122 @@
+"""What a user may set right in a recording: gains, polarity, exchanged cables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.errors import InputError
+from fascicle.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
+from fascicle.recording.limb_leads import derive_limb_leads
+from fascicle.recording.recording import Recording
+
+DIGITS_PER_MILLIVOLT = 1000.0  # 1 uV a digit, the commonest gain of digital recorders
+LIMB_ELECTRODES = ELECTRODES[:3]
+
+
+def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
+    """Give all leads one gain, where the file states one per lead.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it was read; the file must state the gain of every lead.
+    digits_per_millivolt : float
+        The gain that they share.
+
+    Raises
+    ------
+    InputError
+        When the file states no gains.
+    """
+    gains, kept = recording.digits_per_millivolt, _kept(recording)
+    rows = [LEADS.index(lead) for lead in kept]
+    if gains is None or not np.isfinite(gains[rows]).all():
+        raise InputError(
+            f"{recording.source}: the file does not state the gain of each lead, so they cannot "
+            "share one; leave out --shared-gain"
+        )
+    signal = recording.signal * (gains / digits_per_millivolt)[:, None]
+    shared = np.full(len(LEADS), digits_per_millivolt)
+    changed = replace(recording, digits_per_millivolt=shared)
+    return _changed(changed, signal, kept, "shared_gain", f"{digits_per_millivolt:g} per mV")
+
+
+def invert(recording: Recording, lead: str) -> Recording:
+    """Turn a recorded lead upside down."""
+    kept = _kept(recording)
+    if lead not in kept:
+        raise InputError(
+            f"{recording.source}: lead {lead} cannot be inverted, it was not recorded (recorded: "
+            f"{', '.join(kept)})"
+        )
+    signal = recording.signal.copy()
+    signal[LEADS.index(lead)] *= -1
+    return _changed(recording, signal, kept, "inverted", lead)
+
+
+def swap(recording: Recording, first: str, second: str) -> Recording:
+    """Undo the exchange of two limb electrodes (RA, LA, LL) or of two leads.
+
+    Chest leads are measured against the mean of the limb electrodes, which no exchange among these
+    alters; with two chest electrodes exchanged their leads are, too.
+
+    Raises
+    ------
+    InputError
+        When the two are not of one kind.
+    """
+    names = f"{first}-{second}"
+    if {first, second} <= set(LIMB_ELECTRODES) and first != second:
+        signal, kept = _limb_electrodes_swapped(recording, first, second)
+    elif {first, second} <= set(_kept(recording)) and first != second:
+        order = list(range(len(LEADS)))
+        a, b = LEADS.index(first), LEADS.index(second)
+        order[a], order[b] = b, a
+        signal, kept = recording.signal[order], _kept(recording)
+    else:
+        raise InputError(
+            f"{recording.source}: cannot swap {names}; give two of the electrodes RA, LA, LL, or "
+            f"two recorded leads ({', '.join(_kept(recording))})"
+        )
+    gainless = replace(recording, digits_per_millivolt=None)  # theirs were exchanged, too
+    return _changed(gainless, signal, kept, "swapped", names)
+
+
+def _limb_electrodes_swapped(
+    recording: Recording, first: str, second: str
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Signal with each limb lead taken from the one that was recorded in its place."""
+    limb = lead_matrix()[: len(LIMB_LEADS)]
+    order = list(range(len(ELECTRODES)))
+    a, b = ELECTRODES.index(first), ELECTRODES.index(second)
+    order[a], order[b] = b, a
+    recorded, signal = _kept(recording), recording.signal.copy()
+    kept = [lead for lead in recorded if lead not in LIMB_LEADS]
+    for row, exchanged in enumerate(limb[:, order]):
+        product = limb @ exchanged / np.linalg.norm(limb, axis=1) / np.linalg.norm(exchanged)
+        source = int(np.argmax(np.abs(product)))  # the same lead, perhaps upside down: +1 or -1
+        signal[row] = np.sign(product[source]) * recording.signal[source]
+        if LIMB_LEADS[source] in recorded:
+            kept.append(LIMB_LEADS[row])
+    return signal, kept
+
+
+def _kept(recording: Recording) -> list[str]:
+    """Name the leads that were recorded, not computed."""
+    there = [lead for lead, is_there in zip(LEADS, recording.recorded, strict=True) if is_there]
+    return [lead for lead in there if lead not in recording.derived]
+
+
+def _changed(
+    recording: Recording, signal: NDArray[np.float64], kept: list[str], what: str, how: str
+) -> Recording:
+    """Recording with a new signal, its computed leads computed anew, and a note."""
+    signal, derived = derive_limb_leads(signal, kept)
+    before = recording.provenance.get(what)
+    note = {what: how if before is None else f"{before}, {how}"}
+    return replace(
+        recording, signal=signal, derived=derived, provenance=recording.provenance | note
+    )

@@ -1,0 +1,72 @@
+"""Leads whose peaks are cut off."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.resolution import step_of
+from fascicle.recording.quality.stretches import measured
+from fascicle.recording.quality.wording import listed
+from fascicle.recording.recording import Recording
+
+SHORTEST_RUN = 3  # equal samples at the extreme value
+# A rounded peak comes to its top by steps of about one digit; a cut one arrives at full slope.
+STEEPEST_ROUND = 4.0  # digits between the run and the sample beside it
+FEWEST_RUNS, LONG_RUN = 3, 0.02  # runs, or s of one run; fewer and shorter happen by chance
+LARGEST_SHARE = 1e-4  # of the samples; one run of 3 in 30 000
+
+
+def check_clipping(recording: Recording) -> list[Finding]:
+    """Find leads that stay at their highest or lowest value where they were still rising.
+
+    Returns
+    -------
+    list of Finding
+        The largest share of a lead's samples that lie at such a rail.
+    """
+    long = LONG_RUN * recording.sampling_rate
+    shares = {lead: _share_at_rails(values, long) for lead, values in measured(recording).items()}
+    cut = [lead for lead, share in shares.items() if share > LARGEST_SHARE]
+    largest = max(shares.values())
+    message = ""
+    if cut:
+        message = (
+            f"peaks of {listed(cut)} are cut off ({largest:.2%} of the samples at the rails): the "
+            "amplifier's or the file's range was too small; leave out what is cut in the QRS"
+        )
+    severity = Severity.WARNING if cut else Severity.FINE
+    return [Finding("samples at the rails", largest, "", LARGEST_SHARE, severity, message)]
+
+
+def _share_at_rails(values: NDArray[np.float64], long: float) -> float:
+    """Share of the samples in runs at the lowest or highest value with a steep end."""
+    if np.ptp(values) == 0:
+        return 0.0
+    step = STEEPEST_ROUND * step_of(values)
+    count = 0
+    for rail in (values.min(), values.max()):
+        lengths = [
+            stop - start
+            for start, stop in _runs(values == rail)
+            if _steepness(values, start, stop) >= step
+        ]
+        if len(lengths) >= FEWEST_RUNS or max(lengths, default=0) >= long:
+            count += sum(lengths)
+    return count / len(values)
+
+
+def _runs(at_rail: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Start and stop of each run of at least `SHORTEST_RUN` samples."""
+    edges = np.diff(np.concatenate([[0], at_rail.astype(np.int8), [0]]))
+    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    long = stops - starts >= SHORTEST_RUN
+    return list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
+
+
+def _steepness(values: NDArray[np.float64], start: int, stop: int) -> float:
+    """Larger of the differences between a run and the samples beside it (mV)."""
+    before = abs(values[start] - values[start - 1]) if start > 0 else 0.0
+    after = abs(values[stop] - values[stop - 1]) if stop < len(values) else 0.0
+    return float(max(before, after))

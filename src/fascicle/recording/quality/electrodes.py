@@ -1,0 +1,103 @@
+"""Exchanged electrodes of the limbs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.leads import ELECTRODES, LEADS, lead_matrix
+from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.typical import BEFORE
+from fascicle.recording.recording import Recording
+
+P_WAVE = (-0.26, -0.10)  # s from R
+QRS = (-0.06, 0.08)  # s from R
+LEAST_LIKENESS = -0.4  # of lead I or II with V6
+EDGE = 0.01  # s at each end of a wave that is taken as its level
+PAIRS = (("RA", "LA"), ("RA", "LL"))
+
+
+def check_limb_electrodes(recording: Recording, typical: NDArray[np.float64]) -> list[Finding]:
+    """Suspect the right arm's electrode of having been exchanged with another limb's.
+
+    Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
+    in all three. Exchanged arms turn lead I upside down, and exchanged right arm and left leg lead
+    II; V6 stays as it is. The figure is the mean of the correlations with V6 in the P wave and in
+    the QRS, so that a QRS axis to the right alone does not count (a P wave that is negative in lead
+    I is the better sign). Exchanged left arm and left leg cannot be told from a turned axis.
+
+    Parameters
+    ----------
+    recording : Recording
+        Twelve leads.
+    typical : (12, n) array
+        As `typical.typical_beat` gives it.
+
+    Returns
+    -------
+    list of Finding
+        One; the lower likeness of I and II with V6 (with V5 where there is no V6).
+
+    References
+    ----------
+    V. N. Batchvarov, M. Malik, A. J. Camm, Europace 9:1081 (2007); K. K. Ho, S. K. Ho, J.
+    Electrocardiol. 34:161 (2001), on the P wave.
+    """
+    check = "lead I, II against V6"
+    left = [row for row in (11, 10) if np.isfinite(typical[row]).all()]
+    if not left or not np.isfinite(typical[:2]).all():
+        message = "not checked: needs leads I, II and V6 or V5, and two beats"
+        return [Finding(check, np.nan, "", LEAST_LIKENESS, Severity.FINE, message)]
+    rate = recording.sampling_rate
+    reference = typical[left[0]]
+    now = _likeness(typical[:2], reference, rate)
+    if min(now) >= LEAST_LIKENESS:
+        return [Finding(check, min(now), "", LEAST_LIKENESS, Severity.FINE)]
+    after = {pair: _likeness(_exchanged(typical[:2], *pair), reference, rate) for pair in PAIRS}
+    pair = max(after, key=lambda p: sum(after[p]))
+    turned = "I" if now[0] < now[1] else "II"
+    message = (
+        f"lead {turned} runs against {LEADS[left[0]]} in P wave and QRS: electrodes "
+        f"{pair[0]} and {pair[1]} are probably exchanged (or the heart lies on the right, or the "
+        f"rhythm is not from the sinus node); to undo it: --swap {pair[0]}-{pair[1]}"
+    )
+    return [Finding(check, min(now), "", LEAST_LIKENESS, Severity.WARNING, message)]
+
+
+def _likeness(
+    leads: NDArray[np.float64], reference: NDArray[np.float64], rate: float
+) -> tuple[float, float]:
+    """Mean of the correlations in P wave and QRS of leads I and II with another lead."""
+    one, two = (
+        (_correlation(lead, reference, P_WAVE, rate) + _correlation(lead, reference, QRS, rate)) / 2
+        for lead in leads
+    )
+    return one, two
+
+
+def _correlation(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    wave: tuple[float, float],
+    rate: float,
+) -> float:
+    """Correlation of two leads (n,) over a wave, each less the line between its ends."""
+    start, stop = (round((BEFORE + end) * rate) for end in wave)
+    a, b = (_levelled(lead[start : stop + 1], max(round(EDGE * rate), 1)) for lead in (x, y))
+    scale = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / scale if scale > 0 else 0.0
+
+
+def _levelled(x: NDArray[np.float64], edge: int) -> NDArray[np.float64]:
+    line = np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
+    return np.asarray(x - line - (x - line).mean())
+
+
+def _exchanged(leads: NDArray[np.float64], one: str, other: str) -> NDArray[np.float64]:
+    """Leads I and II (2, n) as they are with two electrodes exchanged."""
+    limb = lead_matrix()[:2, :3]
+    order = list(ELECTRODES[:3])
+    i, j = order.index(one), order.index(other)
+    columns = [0, 1, 2]
+    columns[i], columns[j] = j, i
+    return np.asarray(limb[:, columns] @ np.linalg.pinv(limb) @ leads)

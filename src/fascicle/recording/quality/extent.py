@@ -1,0 +1,39 @@
+"""Whether the recording is fine enough in time, and long enough."""
+
+from __future__ import annotations
+
+from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.recording import Recording
+
+RECOMMENDED_RATE = 500.0  # Hz; AHA/ACC/HRS, Circulation 115:1306 (2007)
+SHORT = 5.0  # s; half of the 10 s of a standard recording
+
+
+def check_extent_in_time(recording: Recording) -> list[Finding]:
+    """Compare the sampling rate (Hz) and the duration (s) with what is usual.
+
+    Returns
+    -------
+    list of Finding
+        Two; warnings below `RECOMMENDED_RATE` and below `SHORT`.
+
+    References
+    ----------
+    P. Kligfield et al., Recommendations for the standardization and interpretation of the
+    electrocardiogram, part I, Circulation 115:1306 (2007).
+    """
+    rate, duration = recording.sampling_rate, recording.duration
+    slow = ""
+    if rate < RECOMMENDED_RATE:
+        slow = f"{rate:g} Hz blur the QRS; export the recording at {RECOMMENDED_RATE:g} Hz or more"
+    short = ""
+    if duration < SHORT:
+        short = f"{duration:.1f} s hold few beats, so their spread is uncertain; give 10 s"
+    return [
+        Finding("sampling rate", rate, "Hz", RECOMMENDED_RATE, _severity(slow), slow),
+        Finding("duration", duration, "s", SHORT, _severity(short), short),
+    ]
+
+
+def _severity(message: str) -> Severity:
+    return Severity.WARNING if message else Severity.FINE

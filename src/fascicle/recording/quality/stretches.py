@@ -1,0 +1,73 @@
+"""Leads as they were recorded, without the time at which they were not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.leads import LEADS
+from fascicle.recording.recording import Recording
+
+COARSE_RATE = 250.0  # Hz; enough to see the QRS
+BASELINE_WIDTH = 0.5  # s; moving average, applied twice, that is taken as baseline
+SMOOTH_WIDTH = 0.012  # s; moving average against noise, -3 dB at 37 Hz
+
+
+def measured(recording: Recording) -> dict[str, NDArray[np.float64]]:
+    """Samples (mV) of each lead over its own time; computed leads are left out."""
+    spans = recording.spans
+    return {
+        lead: recording.signal[row, spans[row, 0] : spans[row, 1]]
+        for row, lead in enumerate(LEADS)
+        if spans[row, 1] > 0 and lead not in recording.derived
+    }
+
+
+def coarse(signal: NDArray[np.float64], rate: float) -> tuple[NDArray[np.float64], float]:
+    """Means over as many samples as leave at least `COARSE_RATE`.
+
+    Parameters
+    ----------
+    signal : (..., n) array
+        Potential (mV), without NaN.
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    (..., m) array
+        The means (mV).
+    float
+        Their rate (Hz).
+    """
+    factor = max(int(rate / COARSE_RATE), 1)
+    whole = signal.shape[-1] // factor * factor
+    blocks = signal[..., :whole].reshape(*signal.shape[:-1], -1, factor)
+    return np.asarray(blocks.mean(axis=-1)), rate / factor
+
+
+def steady(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+    """Signal without baseline and with less noise, about 0.6 to 37 Hz.
+
+    Moving averages cost the same at any width, so that half an hour takes a moment; they are
+    linear, so that whatever holds between leads still holds.
+
+    Parameters
+    ----------
+    signal : (..., n) array
+        Potential (mV), without NaN.
+    rate : float
+        Samples per second (Hz).
+
+    Returns
+    -------
+    (..., n) array
+        Potential (mV).
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    width = max(round(BASELINE_WIDTH * rate), 1)
+    baseline = uniform_filter1d(signal, width, axis=-1, mode="nearest")
+    baseline = uniform_filter1d(baseline, width, axis=-1, mode="nearest")
+    smooth = max(round(SMOOTH_WIDTH * rate), 1)
+    return np.asarray(uniform_filter1d(signal - baseline, smooth, axis=-1, mode="nearest"))

@@ -1,0 +1,52 @@
+"""Recordings at the sampling rate of targets, and zero-phase filters that a user may ask for."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.recording.target import SAMPLING_STEP
+
+TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
+LARGEST_DENOMINATOR = 1000
+FILTER_ORDER = 2  # run forward and backward: 4 in effect, without a shift in time
+NOTCH_QUALITY = 30.0  # of the notch filter: 50 Hz +- 0.8 Hz
+
+
+def resample(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.float64]:
+    """Signal at `sampling_rate` Hz to one sample every `SAMPLING_STEP`, by a polyphase filter.
+
+    Parameters
+    ----------
+    signal : (n_leads, n) array
+        Potential (mV); leads that are NaN throughout stay so.
+    sampling_rate : float
+        Samples per second (Hz); ratios to 1000 Hz are taken to the nearest fraction with a
+        denominator of at most 1000, which shifts the last sample of 10 s by less than 0.1 ms at the
+        rates of common recorders.
+    """
+    from scipy.signal import resample_poly
+
+    ratio = Fraction(TARGET_RATE / sampling_rate).limit_denominator(LARGEST_DENOMINATOR)
+    if ratio == 1:
+        return signal.copy()
+    up, down = ratio.numerator, ratio.denominator
+    return np.asarray(resample_poly(signal, up, down, axis=-1, padtype="line"))
+
+
+def lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
+    """Butterworth low-pass at `cutoff` Hz of a signal every `SAMPLING_STEP`, without delay."""
+    from scipy.signal import butter, sosfiltfilt
+
+    sections = butter(FILTER_ORDER, cutoff, fs=TARGET_RATE, output="sos")
+    return np.asarray(sosfiltfilt(sections, signal, axis=-1))
+
+
+def notch(signal: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
+    """Remove mains hum of `frequency` Hz from a signal every `SAMPLING_STEP`, without delay."""
+    from scipy.signal import filtfilt, iirnotch
+
+    b, a = iirnotch(frequency, NOTCH_QUALITY, fs=TARGET_RATE)
+    return np.asarray(filtfilt(b, a, signal, axis=-1))

@@ -1,0 +1,206 @@
+"""Every beat of a recording: where it is, and of which shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from string import ascii_uppercase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.leads import measured_rows
+from fascicle.recording.alignment import HALF_WIDTH, cut, levelled
+from fascicle.recording.choices import Choices
+from fascicle.recording.classes import noise_energy, sort_by_shape
+from fascicle.recording.detection import magnitude, r_peaks
+from fascicle.recording.recording import Recording
+from fascicle.recording.resampling import TARGET_RATE, lowpass, notch, resample
+from fascicle.recording.spikes import find_spikes, remove_spikes
+from fascicle.recording.target import SAMPLING_STEP
+from fascicle.recording.window import qrs_window
+
+SHORTEST_RHYTHM = 1.5  # s; less is one beat, as recorders print it
+CUT = 40.0  # ms; of a QRS that is nearer to an end of the recording, half is missing
+EARLY = 0.85  # of the usual interval; a beat that comes sooner is premature
+SMALLEST_R = 0.1  # of a lead's largest deflection
+WIDE, WIDER = 120.0, 20.0  # ms; a QRS that long, and that much longer than the commonest
+SPIKE_REACH = 200.0  # ms before R in which a spike is taken to have fired the beat
+
+
+@dataclass(frozen=True)
+class SortedBeats:
+    """The beats of a recording.
+
+    Attributes
+    ----------
+    signal : (12, n) array
+        Potential (mV) every `SAMPLING_STEP`, without pacing spikes, filtered if so chosen.
+    peaks : (n_beats,) array
+        R peak of each beat, a sample; beats of one class are aligned on all leads.
+    labels : tuple of str
+        Class of each beat: A is the one with the most beats, of equals the narrower.
+    spikes : (k, 2) array
+        First sample of each pacing spike and the one after its last.
+    """
+
+    signal: NDArray[np.float64]
+    peaks: NDArray[np.int64]
+    labels: tuple[str, ...]
+    spikes: NDArray[np.int64]
+
+    @property
+    def intervals(self) -> NDArray[np.float64]:
+        """Time since the beat before (ms), NaN for the first, shape (n_beats,)."""
+        return np.concatenate([[np.nan], SAMPLING_STEP * np.diff(self.peaks)])
+
+    @property
+    def heart_rate(self) -> float:
+        """Beats per minute, of all classes; NaN for a single beat."""
+        if len(self.peaks) < 2:
+            return float("nan")
+        return float(60000.0 / np.nanmean(self.intervals))
+
+    @property
+    def height(self) -> float:
+        """Largest deflection, peak to peak, of the typical beat of class A in any lead (mV)."""
+        beats = cut(self.signal, self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)
+        return float(np.nanmax(np.ptp(np.median(beats, axis=0), axis=1)))
+
+    @property
+    def signal_to_noise(self) -> float:
+        """Energy of the typical beat of class A over that of the noise between beats."""
+        rows = measured_rows(self._there)
+        typical = np.median(
+            levelled(
+                cut(self.signal[rows], self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)
+            ),
+            axis=0,
+        )
+        noise = max(noise_energy(self.signal[rows]), np.finfo(float).tiny)
+        return float((typical**2).sum() / noise)
+
+    @property
+    def _there(self) -> NDArray[np.bool_]:
+        """Which leads are there, shape (12,)."""
+        return np.asarray(np.isfinite(self.signal).all(axis=1))
+
+    def of_class(self, label: str) -> NDArray[np.int64]:
+        """Which beats have a label, increasing."""
+        return np.flatnonzero([one == label for one in self.labels])
+
+    def describe(self, label: str) -> str:
+        """What is notable about a class: paced, early, wide; empty if nothing is."""
+        members, words = self.of_class(label), []
+        if np.mean([self.spike_before(k) is not None for k in members]) > 0.5:
+            words.append("paced")
+        if label != "A":
+            usual = np.nanmedian(self.intervals)
+            if np.nanmedian(self.intervals[members]) < EARLY * usual:
+                words.append("early")
+            if self._width(members) > max(WIDE, self._width(self.of_class("A")) + WIDER):
+                words.append("wide")
+        return ", ".join(words)
+
+    def spike_before(self, beat: int) -> int | None:
+        """Sample after the end of the last pacing spike that may have fired a beat."""
+        peak = self.peaks[beat]
+        reach = SPIKE_REACH / SAMPLING_STEP
+        near = self.spikes[(self.spikes[:, 1] <= peak) & (self.spikes[:, 0] > peak - reach)]
+        return int(near[-1, 1]) if len(near) else None
+
+    def _width(self, members: NDArray[np.int64]) -> float:
+        """Rough QRS duration of the typical one of some beats (ms)."""
+        return _rough_width(self.signal, self.peaks[members])
+
+
+def sort_beats(signal: NDArray[np.float64], spikes: NDArray[np.int64]) -> SortedBeats:
+    """Find the beats of simultaneous leads and sort them by shape.
+
+    Parameters
+    ----------
+    signal : (12, n) array
+        Potential (mV) every `SAMPLING_STEP` without pacing spikes; NaN for absent leads.
+    spikes : (k, 2) array
+        First sample of each pacing spike and the one after its last.
+
+    Returns
+    -------
+    SortedBeats
+        Perhaps without a beat.
+    """
+    peaks = _find_peaks(signal)
+    if not len(peaks):
+        return SortedBeats(signal, peaks, (), spikes)
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(signal).all(axis=1))
+    rows = measured_rows(there)
+    classes, peaks = sort_by_shape(signal[rows], peaks)
+    for number in range(classes.max() + 1):
+        peaks[classes == number] += _to_r_peak(signal, peaks[classes == number])
+    peaks = np.clip(peaks, 0, signal.shape[1] - 1)
+    order = np.argsort(peaks, kind="stable")
+    peaks, classes = peaks[order], classes[order]
+    return SortedBeats(signal, peaks, _labels(signal, peaks, classes), spikes)
+
+
+def cleaned(
+    recording: Recording, choices: Choices
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Signal (12, n) every `SAMPLING_STEP` without pacing spikes, filtered; and the spikes."""
+    found = find_spikes(recording.signal, recording.sampling_rate)
+    without = remove_spikes(recording.signal, found)
+    signal = resample(without, recording.sampling_rate)
+    there = recording.recorded
+    if choices.lowpass is not None:
+        signal[there] = lowpass(signal[there], choices.lowpass)
+    if choices.notch is not None:
+        signal[there] = notch(signal[there], choices.notch)
+    spikes = np.round(found * (TARGET_RATE / recording.sampling_rate)).astype(np.int64)
+    return signal, spikes
+
+
+def _find_peaks(signal: NDArray[np.float64]) -> NDArray[np.int64]:
+    """R peaks of a signal (12, n) every `SAMPLING_STEP`; one where there is room for one only."""
+    if signal.shape[1] < SHORTEST_RHYTHM * TARGET_RATE:
+        return np.array([int(np.argmax(magnitude(levelled(signal))))])
+    peaks, margin = r_peaks(signal, TARGET_RATE), CUT / SAMPLING_STEP
+    return np.asarray(peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)])
+
+
+def _to_r_peak(signal: NDArray[np.float64], peaks: NDArray[np.int64]) -> int:
+    """Samples from the common mark of aligned beats to the R peak of their median.
+
+    It is the median over the leads of each one's R wave, its largest upward deflection, or of its
+    largest deflection where it has no R wave.
+    """
+    reach = 2 * HALF_WIDTH
+    typical = np.median(cut(signal, peaks, reach, reach), axis=0)
+    onset, offset = qrs_window(typical, SAMPLING_STEP)
+    qrs = typical[np.isfinite(typical).all(axis=1), onset : offset + 1]
+    qrs = qrs - np.linspace(qrs[:, 0], qrs[:, -1], qrs.shape[1], axis=1)
+    has_r = qrs.max(axis=1) >= SMALLEST_R * np.abs(qrs).max(axis=1)
+    tops = np.where(has_r, qrs.argmax(axis=1), qrs.argmin(axis=1))
+    return int(np.median(tops)) + onset - reach
+
+
+def _labels(
+    signal: NDArray[np.float64], peaks: NDArray[np.int64], classes: NDArray[np.int64]
+) -> tuple[str, ...]:
+    """Name the classes: A has the most beats, and of equally many the narrower QRS."""
+    numbers = range(classes.max() + 1)
+    rank = {k: (-(classes == k).sum(), _rough_width(signal, peaks[classes == k])) for k in numbers}
+    names = {k: _name(place) for place, k in enumerate(sorted(numbers, key=rank.__getitem__))}
+    return tuple(names[k] for k in classes)
+
+
+def _name(place: int) -> str:
+    """A to Z, then A2 to Z2 and so on."""
+    again, letter = divmod(place, len(ascii_uppercase))
+    return ascii_uppercase[letter] + (str(again + 1) if again else "")
+
+
+def _rough_width(signal: NDArray[np.float64], peaks: Sequence[int] | NDArray[np.int64]) -> float:
+    """QRS duration (ms) of the median of aligned beats."""
+    typical = np.median(cut(signal, np.asarray(peaks), 2 * HALF_WIDTH, 2 * HALF_WIDTH), axis=0)
+    onset, offset = qrs_window(typical, SAMPLING_STEP)
+    return (offset - onset) * SAMPLING_STEP

@@ -1,0 +1,158 @@
+"""The target of cut beats: their QRS window, what is suspicious, where they came from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.errors import InputError
+from fascicle.recording.beats import CutBeats
+from fascicle.recording.choices import Choices, check_window
+from fascicle.recording.detection import magnitude
+from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.recording import Recording
+from fascicle.recording.sorted_beats import SortedBeats
+from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.window import qrs_window, window_uncertainty
+
+NOISY = 0.2  # beat-to-beat spread over QRS height
+FEW_ALIKE = 0.7  # share of the beats that should be alike
+
+
+def whole_target(
+    recording: Recording,
+    cut: CutBeats,
+    groups: Sequence[SortedBeats],
+    choices: Choices,
+    label: str,
+    findings: Sequence[Finding],
+) -> Target:
+    """Make the target of beats that were cut out.
+
+    Parameters
+    ----------
+    recording : Recording
+        Where they are from.
+    cut : CutBeats
+        The beats.
+    groups : sequence of SortedBeats
+        All beats of each group of leads that were recorded together.
+    choices : Choices
+        Decisions of the user.
+    label : str
+        Class of the beats.
+    findings : sequence of Finding
+        What the checks of the recording said.
+
+    Raises
+    ------
+    InputError
+        When a single beat has no stated noise, or the window is impossible.
+    """
+    _check_noise(len(cut.beats), label, choices, recording.source)
+    mean = cut.beats.mean(axis=0)
+    onset, offset = _window(mean, cut, choices, recording.source)
+    onset_sd, offset_sd = window_uncertainty(
+        cut.beats, SAMPLING_STEP, cut.not_before, noise=choices.noise
+    )
+    target = Target(
+        beats=cut.beats,
+        time=cut.time,
+        qrs_onset=onset,
+        qrs_offset=offset,
+        heart_rate=float(np.mean([group.heart_rate for group in groups])),
+        provenance=_provenance(recording, groups, len(cut.beats), label, choices),
+        onset_sd=onset_sd if choices.onset is None else 0.0,
+        offset_sd=offset_sd if choices.offset is None else 0.0,
+        noise=choices.noise,
+    )
+    warnings = _warnings(recording, target, groups, label, findings)
+    if not warnings:
+        return target
+    return replace(target, provenance=target.provenance | {"warnings": "; ".join(warnings)})
+
+
+def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
+    """Ask for the noise of a single beat, and only of one."""
+    if count == 1 and choices.noise is None:
+        raise InputError(
+            f"{source}: a single beat (class {label}) cannot tell how beats vary; state its noise, "
+            "such as --noise 0.04 (mV), or give a recording with more beats of one shape"
+        )
+    if count > 1 and choices.noise is not None:
+        raise InputError(
+            f"{source}: {count} beats tell how they vary; --noise is for a single beat"
+        )
+
+
+def _window(
+    mean: NDArray[np.float64], cut: CutBeats, choices: Choices, source: str
+) -> tuple[float, float]:
+    """QRS window (ms from R): what is given, otherwise what is found."""
+    first, last = qrs_window(mean, SAMPLING_STEP, cut.not_before)
+    time = cut.time
+    start = float(time[first]) if choices.onset is None else float(choices.onset)
+    end = float(time[last]) if choices.offset is None else float(choices.offset)
+    check_window(start, end, source)
+    if start < time[0] or end > time[-1]:
+        raise InputError(
+            f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
+            f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
+        )
+    return start, end
+
+
+def _provenance(
+    recording: Recording,
+    groups: Sequence[SortedBeats],
+    n_used: int,
+    label: str,
+    choices: Choices,
+) -> dict[str, str]:
+    """Text about everything that decided the target."""
+    notes = {
+        "source": recording.source,
+        "sampling_rate_hz": f"{recording.sampling_rate:g}",
+        "recording_duration_s": f"{recording.duration:.3f}",
+        "beats_found": str(sum(len(group.peaks) for group in groups)),
+        "beats_used": str(n_used),
+        "beat_class": label,
+        "qrs_onset_from": "detected" if choices.onset is None else "given",
+        "qrs_offset_from": "detected" if choices.offset is None else "given",
+    }
+    if recording.derived:
+        notes["derived_leads"] = ", ".join(recording.derived)
+    if recording.ignored:
+        notes["ignored_channels"] = ", ".join(recording.ignored)
+    return recording.provenance | notes | choices.described()
+
+
+def _warnings(
+    recording: Recording,
+    target: Target,
+    groups: Sequence[SortedBeats],
+    label: str,
+    findings: Sequence[Finding],
+) -> list[str]:
+    """Collect what the user should know."""
+    warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
+    if not recording.simultaneous:
+        warnings.append(
+            "leads were recorded in turns: beats of different groups are put together, aligned to "
+            "within 5 to 15 ms unless they share a lead"
+        )
+    found = sum(len(group.peaks) for group in groups)
+    alike = sum(len(group.of_class(label)) for group in groups)
+    if alike < FEW_ALIKE * found:
+        warnings.append(f"only {alike} of {found} beats are of class {label}; look at the rhythm")
+    spread = float(np.nanmean(magnitude(target.standard_deviation[:, target.qrs_samples])))
+    height = float(magnitude(target.qrs).max())
+    if spread > NOISY * height:
+        warnings.append(
+            f"the QRS varies by {spread:.3f} mV from beat to beat, {spread / height:.0%} of its "
+            "height; the recording is noisy"
+        )
+    return warnings

@@ -1,0 +1,245 @@
+"""Ten seconds of a recording on ECG paper, every beat in the colour of its class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+
+from fascicle.leads import LEADS
+from fascicle.recording.analysis import Analysis, Beat
+from fascicle.recording.target import SAMPLING_STEP
+from fascicle.report.figures import BLACK, GREY, TICK_SIZE
+
+SHOWN = 10.0  # s
+PACE = 19.0  # mm/s; ten seconds then fill a page of A4
+PAPER_PACE, PAPER_GAIN = 25.0, 10.0  # mm/s and mm/mV, usual on electrocardiographs
+SMALL_SQUARE = PACE / PAPER_PACE  # mm; 40 ms wide
+LARGE_SQUARE = 5 * SMALL_SQUARE  # mm; 200 ms wide
+GAINS = (1.0, 0.5, 0.25)  # of the standard, as on electrocardiographs
+THIN_PINK, THICK_PINK = "#FBE3E0", "#F0B8B1"
+
+BEFORE, AFTER = 0.1, 0.4  # s about R that are drawn in the colour of the beat
+NUMBER_ROW, LETTER_ROW, SPIKE_ROW = 5.0, 2.6, 2.4  # mm above the leads
+CLOSEST = 4.6  # mm between two baselines, for the names of leads
+CLEARANCE = 0.8  # mm between two leads
+BEYOND = 9.0  # mm by which an artefact may leave the room of its lead
+RARE = 0.002  # share of the time in which leads may cross: artefacts are no reason to shrink all
+SPIKE_REACH = 8  # samples about a pacing spike that do not count for the room of a lead
+MOST_BEATS = 0.8  # the strip is the first that holds this share of the most that one can hold
+
+
+def strip_start(analysis: Analysis) -> float:
+    """Where the strip begins (s): the first stretch that shows about as many used beats as any."""
+    times = np.array([beat.time for beat in analysis.beats if beat.used])
+    starts = np.arange(0.0, max(_duration(analysis) - SHOWN, 0.0) + 0.5)
+    shown = [int(((times >= start) & (times < start + SHOWN)).sum()) for start in starts]
+    enough = MOST_BEATS * max(shown)
+    return float(next(start for start, count in zip(starts, shown, strict=True) if count >= enough))
+
+
+def draw_strip(
+    axes: Axes, analysis: Analysis, colours: Mapping[str, str], height: float
+) -> tuple[float, bool]:
+    """Draw all leads below one another, to one scale, with numbers above the beats.
+
+    Baselines are as far apart as the leads need so as not to cross; the gain is halved, as
+    electrocardiographs do, where they do not fit.
+
+    Parameters
+    ----------
+    axes : Axes
+        `SHOWN` times `PACE` mm wide.
+    analysis : Analysis
+        Recording, beats and classes.
+    colours : mapping of class label to colour
+        One for each class.
+    height : float
+        Of the axes (mm).
+
+    Returns
+    -------
+    gain : float
+        Share of the standard gain, one of `GAINS`.
+    cut : bool
+        Whether excursions were cut off.
+    """
+    start = strip_start(analysis)
+    first, stop = (round(second * 1000.0 / SAMPLING_STEP) for second in (start, start + SHOWN))
+    signal = analysis.signal[:, first:stop]
+    time = start + np.arange(signal.shape[1], dtype=np.float64) * (SAMPLING_STEP / 1000.0)
+    level = _levelled(signal)
+    rows = np.cumsum(
+        [
+            NUMBER_ROW,
+            LETTER_ROW * (len(analysis.classes) > 1),
+            SPIKE_ROW * (len(analysis.spikes) > 0),
+        ]
+    )
+    flat = _without_spikes(level, time, analysis.spikes)
+    gain, baselines = _arrange(flat, height, head=float(rows[-1]))
+    scale = gain * PAPER_GAIN * PACE / PAPER_PACE
+    traces, cut = _within_reach(scale * level, scale * flat)
+    axes.set(xlim=(start, start + SHOWN), ylim=(-height, 0.0))
+    _draw_grid(axes, start, height)
+    _draw_traces(axes, time, traces + baselines[:, None], analysis, colours)
+    _name_leads(axes, analysis, baselines, signal)
+    shown = [beat for beat in analysis.beats if start <= beat.time < start + SHOWN]
+    _number(axes, shown, colours, letters=len(analysis.classes) > 1)
+    spikes = analysis.spikes[(analysis.spikes >= start) & (analysis.spikes < start + SHOWN)]
+    axes.vlines(
+        spikes, 0.6 - rows[-1], SPIKE_ROW - rows[-1], color=BLACK, linewidth=0.8, label="spikes"
+    )
+    return gain, cut
+
+
+def beat_colour(beat: Beat, colours: Mapping[str, str], chosen: str) -> str:
+    """Colour of a beat's trace: that of its class, paler where the target lacks it nevertheless."""
+    colour = colours[beat.label]
+    return colour if beat.used or beat.label != chosen else _paler(colour)
+
+
+def _paler(colour: str) -> str:
+    red, green, blue = (round(255 * (0.5 + 0.5 * part)) for part in to_rgb(colour))
+    return f"#{red:02X}{green:02X}{blue:02X}"
+
+
+def _duration(analysis: Analysis) -> float:
+    return float(analysis.signal.shape[1] * SAMPLING_STEP / 1000.0)
+
+
+def _levelled(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each lead (12, n) less its median, which is its baseline."""
+    level = np.full(signal.shape, np.nan)
+    for lead, samples in enumerate(signal):
+        if np.isfinite(samples).any():
+            level[lead] = samples - np.nanmedian(samples)
+    return level
+
+
+def _without_spikes(
+    level: NDArray[np.float64], time: NDArray[np.float64], spikes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Leads (12, n), flat at pacing spikes and where nothing was recorded."""
+    flat = np.nan_to_num(level)
+    for sample in np.searchsorted(time, spikes[(spikes >= time[0]) & (spikes <= time[-1])]):
+        flat[:, max(sample - SPIKE_REACH, 0) : sample + SPIKE_REACH + 1] = 0.0
+    return flat
+
+
+def _arrange(
+    level: NDArray[np.float64], height: float, head: float
+) -> tuple[float, NDArray[np.float64]]:
+    """Gain (share of the standard) and where the baselines lie (mm, negative below the top).
+
+    Leads keep apart at every instant; with room to spare, also from one instant to another.
+    """
+    high, low = np.quantile(level, 1 - RARE, axis=1), np.quantile(level, RARE, axis=1)
+    between = np.quantile(level[1:] - level[:-1], 1 - RARE, axis=1)
+    at_once = np.array([high[0], *between, -low[-1]])  # mV
+    ever = np.array([high[0], *np.maximum(high[1:] - low[:-1], between), -low[-1]])  # mV
+    least = np.array([CLOSEST / 2, *np.full(len(between), CLOSEST), CLOSEST / 2])
+    for gain in GAINS:
+        scale = gain * PAPER_GAIN * PACE / PAPER_PACE
+        needed = np.maximum(scale * at_once + CLEARANCE, least)
+        spare = height - head - float(needed.sum())
+        if spare >= 0:
+            break
+    if spare < 0:  # leads cross, their names do not
+        needed = least + (needed - least) * (1 + spare / float((needed - least).sum()))
+    else:
+        wanted = np.maximum(scale * ever + CLEARANCE, needed) - needed
+        needed = needed + wanted * min(1.0, spare / max(float(wanted.sum()), CLEARANCE))
+        needed += max(height - head - float(needed.sum()), 0.0) / len(needed)
+    return gain, -head - np.cumsum(needed)[: len(level)]
+
+
+def _within_reach(
+    traces: NDArray[np.float64], flat: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], bool]:
+    """Traces (12, n) in mm without what artefacts and spikes add, and whether there was any."""
+    low = np.quantile(flat, RARE, axis=1, keepdims=True) - BEYOND
+    high = np.quantile(flat, 1 - RARE, axis=1, keepdims=True) + BEYOND
+    return np.clip(traces, low, high), bool(((traces < low) | (traces > high)).any())
+
+
+def _draw_grid(axes: Axes, start: float, height: float) -> None:
+    """Squares of 1 and 5 mm paper, at the strip's scale, from its upper left corner."""
+    for square, colour, width in (
+        (SMALL_SQUARE, THIN_PINK, 0.35), (LARGE_SQUARE, THICK_PINK, 0.5),
+    ):  # fmt: skip
+        across = start + np.arange(0.0, SHOWN + 1e-9, square / PACE)
+        down = -np.arange(0.0, height + 1e-9, square)
+        axes.vlines(across, -height, 0.0, color=colour, linewidth=width, zorder=0.5)
+        axes.hlines(down, start, start + SHOWN, color=colour, linewidth=width, zorder=0.5)
+    axes.spines[:].set(color=THICK_PINK, linewidth=0.6)
+    axes.set_yticks([])
+    seconds = start + np.arange(SHOWN + 1)
+    axes.set_xticks(seconds, [f"{second:g}" for second in seconds[:-1]] + [f"{seconds[-1]:g} s"])
+    axes.get_xticklabels()[-1].set_horizontalalignment("right")
+    axes.tick_params(labelsize=TICK_SIZE - 1, width=0.5, length=2, pad=1.5)
+
+
+def _draw_traces(
+    axes: Axes,
+    time: NDArray[np.float64],
+    traces: NDArray[np.float64],
+    analysis: Analysis,
+    colours: Mapping[str, str],
+) -> None:
+    """Each lead as one line per colour, with gaps where another one goes on."""
+    shades = np.full(len(time), GREY, dtype=object)
+    following = [beat.time - BEFORE for beat in analysis.beats[1:]] + [np.inf]
+    for beat, end in zip(analysis.beats, following, strict=True):
+        stretch = slice(*np.searchsorted(time, (beat.time - BEFORE, min(beat.time + AFTER, end))))
+        shades[stretch] = beat_colour(beat, colours, analysis.chosen)
+    for colour in dict.fromkeys(shades):
+        here = shades == colour
+        for trace in traces[np.isfinite(traces).any(axis=1)]:
+            axes.plot(time, np.where(here, trace, np.nan), color=colour, linewidth=0.65)
+
+
+def _name_leads(
+    axes: Axes, analysis: Analysis, baselines: NDArray[np.float64], signal: NDArray[np.float64]
+) -> None:
+    """Names at the left, and a word on rows that stay empty."""
+    middle = float(np.mean(axes.get_xlim()))
+    recorded = np.asarray(np.isfinite(analysis.signal).any(axis=1))
+    for lead, baseline in enumerate(baselines):
+        axes.annotate(
+            LEADS[lead], (0.0, baseline), xycoords=axes.get_yaxis_transform(), xytext=(-3, 0),
+            textcoords="offset points", ha="right", va="center", fontsize=TICK_SIZE,
+            fontweight="bold", color=BLACK if recorded[lead] else GREY,
+        )  # fmt: skip
+        if np.isfinite(signal[lead]).any():
+            continue
+        word = "not used"
+        if recorded[lead]:
+            samples = np.flatnonzero(np.isfinite(analysis.signal[lead]))[[0, -1]]
+            begin, end = samples * SAMPLING_STEP / 1000.0
+            word = f"recorded from {begin:.1f} to {end:.1f} s"
+        axes.text(middle, baseline, word, ha="center", va="center", fontsize=TICK_SIZE, color=GREY)
+
+
+def _number(
+    axes: Axes, beats: Sequence[Beat], colours: Mapping[str, str], *, letters: bool
+) -> None:
+    """Number of each beat above its R peak, hollow where the target lacks the beat."""
+    for beat in beats:
+        colour = colours[beat.label]
+        axes.text(
+            beat.time, -NUMBER_ROW / 2, str(beat.number), ha="center", va="center", fontsize=6.2,
+            fontweight="bold", color="white" if beat.used else colour,
+            bbox={
+                "boxstyle": "round,pad=0.2", "linewidth": 0.7, "edgecolor": colour,
+                "facecolor": colour if beat.used else "white",
+            },
+        )  # fmt: skip
+        if letters:
+            axes.text(
+                beat.time, -NUMBER_ROW - 1.0, beat.label, ha="center", va="center", fontsize=6.2,
+                color=colour,
+            )  # fmt: skip

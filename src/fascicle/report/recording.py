@@ -1,0 +1,259 @@
+"""One page that shows what a target was made of: the recording, its beats, the QRS window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import PureWindowsPath
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from fascicle.leads import LEADS
+from fascicle.recording.analysis import Analysis, BeatClass
+from fascicle.recording.quality.finding import Severity
+from fascicle.report.beat_panels import ROWS, draw_beats, panel_handles
+from fascicle.report.ecg_paper import PACE, PAPER_GAIN, PAPER_PACE, SHOWN, draw_strip, strip_start
+from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, new_figure
+from fascicle.report.fitted_text import shortened, wrapped
+
+MM = 1 / 25.4  # inch
+PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0  # mm, A4
+LEFT, RIGHT = 14.0, 6.0  # mm beside the strip, which is SHOWN * PACE = 190 mm wide
+TEXT_LEFT, TEXT_WIDTH = 6.0, 198.0  # mm
+SMALL, LINE = 7.0, 3.4  # points, and mm from one such line to the next
+MOST_WARNING_LINES, LONGEST_WARNING = 5, 2  # in all, and for one
+LEGEND_COLUMNS = 3
+PANEL_HEIGHT, PANEL_GAP = 37.0, 2.5  # mm
+PANEL_BLOCK = ROWS * PANEL_HEIGHT + (ROWS - 1) * PANEL_GAP  # mm
+BELOW_PANELS, ABOVE_PANELS = 11.0, 10.0  # mm for axis labels, and for the legend and the ends
+
+# Okabe & Ito's colours after the blue of the chosen class; what is left shares the grey.
+OTHER_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+
+
+def recording_figure(analysis: Analysis) -> Figure:
+    """Draw the page from which a cardiologist judges a target.
+
+    The strip above shows ten seconds of all leads as they were recorded, on the squares of ECG
+    paper, beats numbered and coloured by class. The panels below show the target: its beats, their
+    mean and spread, and the QRS window.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        A recording, its beats and the target.
+
+    Returns
+    -------
+    Figure
+        A4, upright. The first axes hold the strip, twelve more the leads in the order of
+        `fascicle.leads.LEADS`.
+    """
+    figure = new_figure(PAGE_WIDTH * MM, PAGE_HEIGHT * MM, constrained=False)
+    colours = class_colours(analysis)
+    top = _head(figure, analysis)
+    top = _class_legend(figure, analysis, colours, top)
+    unused = _unused_text(analysis)
+    panels_top = PAGE_HEIGHT - BELOW_PANELS - PANEL_BLOCK
+    strip_bottom = panels_top - ABOVE_PANELS - (2 if unused else 1) * LINE
+    top += LINE  # for the scale
+    strip = _axes(figure, LEFT, top + 1.0, SHOWN * PACE, strip_bottom - top - 1.0)
+    gain, cut = draw_strip(strip, analysis, colours, strip_bottom - top - 1.0)
+    _write(figure, TEXT_LEFT, top, _scale_text(analysis, gain, cut=cut), weight="bold")
+    if unused:
+        _write(figure, TEXT_LEFT, strip_bottom + 2 * LINE, unused)
+    _panel_legend(figure, analysis, panels_top - 4.0)
+    panels = _panels(figure, panels_top)
+    draw_beats(panels, analysis.target)
+    return figure
+
+
+def class_colours(analysis: Analysis) -> dict[str, str]:
+    """Colour of each class: blue for the chosen one, grey where the others run out."""
+    others = [known.label for known in analysis.classes if known.label != analysis.chosen]
+    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], GREY)
+    return colours | dict(zip(others, OTHER_COLOURS, strict=False)) | {analysis.chosen: BLUE}
+
+
+def _head(figure: Figure, analysis: Analysis) -> float:
+    """Name, measures and warnings; returns how far down (mm) they reach."""
+    name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
+    size = TITLE_SIZE + 1
+    name = shortened(name, size, TEXT_WIDTH, "bold")
+    _write(figure, TEXT_LEFT, 10.0, name, size=size, weight="bold")
+    _write(figure, TEXT_LEFT, 15.0, _measures_text(analysis), size=LABEL_SIZE)
+    warnings = _warning_lines(analysis)
+    for k, line in enumerate(warnings):
+        _write(figure, TEXT_LEFT, 19.5 + k * LINE, line)
+    return 19.5 + (len(warnings) - 1) * LINE
+
+
+def _measures_text(analysis: Analysis) -> str:
+    target = analysis.target
+    spread = math.hypot(target.onset_sd, target.offset_sd)
+    uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
+    used = sum(beat.used for beat in analysis.beats)
+    onset, offset = (
+        f"{end:.0f}".replace("-", "\N{MINUS SIGN}") for end in (target.qrs_onset, target.qrs_offset)
+    )
+    known = math.isfinite(target.heart_rate)
+    return "   ·   ".join(
+        [
+            f"{target.heart_rate:.0f} beats/min" if known else "heart rate unknown",
+            f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R",
+            f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}",
+        ]
+    )
+
+
+def _warning_lines(analysis: Analysis) -> list[str]:
+    """What the checks found, in as many lines as fit."""
+    prefix = f"{analysis.recording.source}: "
+    messages = [
+        (found.message or found.check).removeprefix(prefix)
+        for found in analysis.findings
+        if found.severity is not Severity.FINE
+    ]
+    if not messages:
+        return ["no warnings"]
+    lines: list[str] = []
+    for count, message in enumerate(messages):
+        more = wrapped(f"! {message}", SMALL, TEXT_WIDTH - 2.0)
+        if len(more) > LONGEST_WARNING:
+            more = [*more[: LONGEST_WARNING - 1], more[LONGEST_WARNING - 1] + " …"]
+        last = count == len(messages) - 1
+        if len(lines) + len(more) > MOST_WARNING_LINES - (0 if last else 1):
+            left = len(messages) - count
+            return [*lines, f"! and {left} more warning{'s' if left > 1 else ''}"]
+        lines += more
+    return lines
+
+
+def _class_legend(
+    figure: Figure, analysis: Analysis, colours: Mapping[str, str], top: float
+) -> float:
+    """What colours and marks of the strip mean; returns how far down (mm) it reaches."""
+    named = analysis.classes[: len(OTHER_COLOURS) + 1]
+    if analysis.chosen not in {known.label for known in named}:
+        named += tuple(known for known in analysis.classes if known.label == analysis.chosen)
+    handles = [(_line(colours[known.label], 2.2), _class_text(known)) for known in named]
+    rest = [known for known in analysis.classes if known not in named]
+    if rest:
+        count = sum(known.count for known in rest)
+        handles.append((_line(GREY, 2.2), f"{len(rest)} more classes, {count} beats"))
+    handles.append((_number_mark(BLUE), "filled number: beat used"))
+    if not all(beat.used for beat in analysis.beats):
+        handles.append((_number_mark("white"), "hollow number: beat not used"))
+    if len(analysis.spikes):
+        mark = Line2D([], [], color=BLACK, linestyle="none", marker="|", markersize=5)
+        handles.append((mark, "pacing spike"))
+    room = TEXT_WIDTH / LEGEND_COLUMNS - 12.0  # mm, less the mark and the gaps
+    handles = [(mark, shortened(text, SMALL, room)) for mark, text in handles]
+    _legend(figure, handles, top + 2.0, LEGEND_COLUMNS)
+    return top + 2.0 + math.ceil(len(handles) / LEGEND_COLUMNS) * LINE
+
+
+def _class_text(known: BeatClass) -> str:
+    count = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
+    return f"{count}: {known.description}" if known.description else count
+
+
+def _line(colour: str, width: float) -> Line2D:
+    return Line2D([], [], color=colour, linewidth=width)
+
+
+def _number_mark(fill: str) -> Line2D:
+    return Line2D(
+        [], [], linestyle="none", marker="s", markersize=5.5, markerfacecolor=fill,
+        markeredgecolor=BLUE, markeredgewidth=0.7,
+    )  # fmt: skip
+
+
+def _scale_text(analysis: Analysis, gain: float, *, cut: bool) -> str:
+    """Stretch of time, scales, and what the recorder did, above the strip."""
+    recording, start = analysis.recording, strip_start(analysis)
+    stretch = f"{recording.duration:.3g} s"
+    if recording.duration > SHOWN + 0.05:
+        stretch = f"{start:g} to {start + SHOWN:g} s of {recording.duration:.4g} s"
+        if start == 0:
+            stretch = f"first {SHOWN:g} s of {recording.duration:.4g} s"
+    share = PACE / PAPER_PACE
+    named = {1.0: "", 0.5: ": half gain", 0.25: ": quarter gain"}[gain]
+    parts = [
+        stretch,
+        f"{PACE:g} mm/s, {gain * share * PAPER_GAIN:.3g} mm/mV on A4 "
+        f"({share:.0%} of {PAPER_PACE:g} mm/s, {gain * PAPER_GAIN:g} mm/mV{named})",
+        f"small square 40 ms, {0.1 / gain:g} mV",
+    ]
+    if cut:
+        parts.append("largest excursions cut off")
+    if recording.derived:
+        parts.append(f"computed from other leads: {', '.join(recording.derived)}")
+    return shortened("   ·   ".join(parts), SMALL, TEXT_WIDTH, "bold")
+
+
+def _unused_text(analysis: Analysis) -> str:
+    """Numbers of the beats that the target lacks, by reason; empty where it lacks none."""
+    reasons: dict[str, list[str]] = {}
+    for beat in analysis.beats:
+        if not beat.used:
+            reasons.setdefault(beat.reason, []).append(str(beat.number))
+    parts = [
+        f"{', '.join(numbers)} ({reason})" if reason else ", ".join(numbers)
+        for reason, numbers in reasons.items()
+    ]
+    return shortened(f"not used: {'; '.join(parts)}", SMALL, TEXT_WIDTH) if parts else ""
+
+
+def _panel_legend(figure: Figure, analysis: Analysis, top: float) -> None:
+    handles = panel_handles(analysis.target)
+    _legend(figure, handles, top - LINE, len(handles))
+
+
+def _panels(figure: Figure, top: float) -> list[Axes]:
+    """Twelve axes in the clinical columns, and what their scales are."""
+    columns = len(LEADS) // ROWS
+    width = (PAGE_WIDTH - LEFT - RIGHT - (columns - 1) * PANEL_GAP) / columns
+    for_lead = [divmod(lead, ROWS) for lead in range(len(LEADS))]
+    panels = [
+        _axes(
+            figure, LEFT + column * (width + PANEL_GAP), top + row * (PANEL_HEIGHT + PANEL_GAP),
+            width, PANEL_HEIGHT,
+        )
+        for column, row in for_lead
+    ]  # fmt: skip
+    _write(figure, LEFT - 1.5, top - 1.0, "mV", size=8, ha="right")
+    _write(
+        figure, PAGE_WIDTH / 2, PAGE_HEIGHT - 3.5, "time from the R peak (ms)", size=8, ha="center"
+    )
+    return panels
+
+
+def _axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
+    """Axes at a place in mm from the upper left corner of the page."""
+    bottom = PAGE_HEIGHT - top - height
+    return figure.add_axes(
+        (left / PAGE_WIDTH, bottom / PAGE_HEIGHT, width / PAGE_WIDTH, height / PAGE_HEIGHT)
+    )
+
+
+def _write(figure: Figure, left: float, base: float, text: str, **style: Any) -> None:
+    """Text at a place in mm from the upper left corner of the page; a $ is a $."""
+    chosen: dict[str, Any] = {"size": SMALL, "color": BLACK, "parse_math": False} | style
+    figure.text(left / PAGE_WIDTH, 1 - base / PAGE_HEIGHT, text, **chosen)
+
+
+def _legend(figure: Figure, handles: Sequence[tuple[Any, str]], top: float, columns: int) -> None:
+    """Legend from the left, its first line `top` mm below the upper edge of the page."""
+    legend = figure.legend(
+        [handle for handle, _ in handles],
+        [text for _, text in handles],
+        loc="upper left", bbox_to_anchor=(TEXT_LEFT / PAGE_WIDTH, 1 - top / PAGE_HEIGHT),
+        ncols=columns, frameon=False, fontsize=SMALL, borderpad=0, borderaxespad=0,
+        handlelength=1.6, handletextpad=0.6, columnspacing=2.0, labelspacing=0.38,
+    )  # fmt: skip
+    for text in legend.get_texts():
+        text.set_parse_math(False)

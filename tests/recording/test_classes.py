@@ -1,0 +1,79 @@
+"""Beats of made-up rhythms, sorted by shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.leads import measured_rows
+from fascicle.recording.choices import Choices
+from fascicle.recording.classes import sort_by_shape
+from fascicle.recording.resampling import resample
+from fascicle.recording.rhythms import made_up_recording
+from fascicle.recording.sorted_beats import cleaned, sort_beats
+
+
+def made_up(rhythm, seed, noise_db=None, **more):
+    recording, truth = made_up_recording(
+        np.random.default_rng(seed), rhythm=rhythm, noise_db=noise_db, **more
+    )
+    signal = resample(recording.signal, recording.sampling_rate)[measured_rows(recording.recorded)]
+    return recording, truth, signal
+
+
+@pytest.mark.parametrize("noise_db", [None, 25.0, 15.0, 8.0])
+@pytest.mark.parametrize("rhythm", ["sinus", "fibrillation", "bigeminy", "ectopics", "blocked"])
+def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
+    """Given the true R peaks, every class holds one kind, and every kind is one class."""
+    for seed in range(4):
+        _, truth, signal = made_up(rhythm, seed, noise_db)
+        classes, _ = sort_by_shape(signal, np.round(1000 * truth.r_times).astype(np.int64))
+        kinds = np.array(truth.kinds)
+        assert len(set(classes)) == len(set(kinds))
+        for kind in set(kinds):
+            assert len(set(classes[kinds == kind])) == 1
+
+
+def test_marks_that_are_off_are_put_right():
+    _, truth, signal = made_up("sinus", 5, 20.0)
+    peaks = np.round(1000 * truth.r_times).astype(np.int64)
+    off = peaks + np.random.default_rng(1).integers(-30, 31, len(peaks))
+    _, aligned = sort_by_shape(signal, off)
+    difference = aligned - peaks
+    assert np.abs(difference - np.median(difference)).max() <= 3
+
+
+def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
+    for seed in range(4):
+        recording, truth, _ = made_up("bigeminy", seed, 20.0, heart_rate=70.0)
+        found = sort_beats(*cleaned(recording, Choices()))
+        kinds = dict(zip(truth.kinds, truth.offsets - truth.onsets, strict=True))
+        narrow = min(kinds, key=kinds.__getitem__)
+        assert set(found.labels) == {"A", "B"}
+        counts = [len(found.of_class(label)) for label in "AB"]
+        if counts[0] == counts[1]:
+            nearest = [np.abs(truth.r_times - p / 1000).argmin() for p in found.peaks]
+            first = found.of_class("A")[0]
+            assert truth.kinds[nearest[first]] == narrow
+
+
+def test_ectopic_beats_are_described():
+    recording, truth, _ = made_up("ectopics", 2, 25.0, seconds=20.0)
+    assert "ectopic" in truth.kinds
+    found = sort_beats(*cleaned(recording, Choices()))
+    assert found.describe("A") == ""
+    assert "early" in found.describe("B")
+    assert len(found.of_class("B")) == list(truth.kinds).count("ectopic")
+
+
+def test_paced_beats_are_described():
+    recording, _, _ = made_up("paced", 3, 25.0)
+    found = sort_beats(*cleaned(recording, Choices()))
+    assert found.describe("A").startswith("paced")
+
+
+def test_pure_noise_makes_classes_that_end():
+    noise = 0.1 * np.random.default_rng(0).normal(size=(8, 5000))
+    classes, aligned = sort_by_shape(noise, np.arange(400, 4800, 500))
+    assert set(classes) == set(range(classes.max() + 1))
+    assert np.abs(aligned - np.arange(400, 4800, 500)).max() <= 60

@@ -1,0 +1,94 @@
+"""Corrections of a recording: the true leads come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fascicle.errors import InputError
+from fascicle.leads import ELECTRODES, LEADS, lead_matrix
+from fascicle.recording.corrections import invert, share_gain, swap
+from fascicle.recording.limb_leads import derive_limb_leads
+from fascicle.recording.recording import Recording
+
+
+@pytest.fixture
+def potentials():
+    return np.random.default_rng(4).normal(size=(9, 1000))
+
+
+def recorded(signal, only=None, **more):
+    """A recording of all leads, or of some with the other limb leads computed."""
+    if only is None:
+        return Recording(signal, 500.0, "file", **more)
+    signal = signal.copy()
+    signal[[k for k, lead in enumerate(LEADS) if lead not in only]] = np.nan
+    signal, derived = derive_limb_leads(signal, only)
+    return Recording(signal, 500.0, "file", derived=derived, **more)
+
+
+@pytest.mark.parametrize(("first", "second"), [("RA", "LA"), ("LL", "RA"), ("LA", "LL")])
+@pytest.mark.parametrize("only", [None, ("I", "aVF", "V1", "V2"), ("II", "III", "V4")])
+def test_exchanged_limb_electrodes(potentials, first, second, only):
+    exchanged = potentials.copy()
+    a, b = ELECTRODES.index(first), ELECTRODES.index(second)
+    exchanged[[a, b]] = exchanged[[b, a]]
+    wrong = recorded(lead_matrix() @ exchanged, only)
+    right = swap(wrong, first, second)
+    there = right.recorded
+    assert right.signal[there] == pytest.approx((lead_matrix() @ potentials)[there], abs=1e-12)
+    assert (there == wrong.recorded).all()
+    assert len(right.derived) == len(wrong.derived)
+    assert right.provenance["swapped"] == f"{first}-{second}"
+
+
+def test_exchanged_chest_electrodes(potentials):
+    exchanged = potentials[[0, 1, 2, 4, 3, 5, 6, 7, 8]]
+    right = swap(recorded(lead_matrix() @ exchanged), "V1", "V2")
+    assert right.signal == pytest.approx(lead_matrix() @ potentials, abs=1e-12)
+
+
+def test_inverted_lead_also_mends_those_computed_from_it(potentials):
+    true = lead_matrix() @ potentials
+    only = ("I", "II", *LEADS[6:])
+    wrong_ii = true.copy()
+    wrong_ii[1] *= -1
+    wrong = recorded(wrong_ii, only)
+    assert np.abs(wrong.signal[2] - true[2]).max() > 1
+    assert invert(wrong, "II").signal == pytest.approx(true, abs=1e-12)
+
+
+def test_corrections_follow_one_another(potentials):
+    true = lead_matrix() @ potentials
+    wrong = true.copy()
+    wrong[6:8] = -true[[7, 6]]
+    mended = swap(invert(invert(recorded(wrong), "V1"), "V2"), "V1", "V2")
+    assert mended.signal == pytest.approx(true, abs=1e-12)
+    assert mended.provenance == {"inverted": "V1, V2", "swapped": "V1-V2"}
+
+
+def test_shared_gain_brings_back_the_digits(potentials):
+    true = lead_matrix() @ potentials
+    gains = np.linspace(700, 2900, 12)
+    stated = recorded(1000 * true / gains[:, None], digits_per_millivolt=gains)
+    assert share_gain(stated, 1000).signal == pytest.approx(true, abs=1e-12)
+    assert share_gain(stated, 500).signal == pytest.approx(2 * true, abs=1e-12)
+
+
+def test_impossible_corrections_are_refused(potentials):
+    recording = recorded(lead_matrix() @ potentials, ("I", "II", "V1"))
+    for change, words in (
+        (lambda r: invert(r, "III"), "III cannot be inverted"),
+        (lambda r: swap(r, "RA", "V1"), "cannot swap RA-V1"),
+        (lambda r: swap(r, "V1", "V2"), "cannot swap V1-V2"),
+        (lambda r: swap(r, "RA", "RA"), "cannot swap RA-RA"),
+        (lambda r: share_gain(r, 1000), "does not state the gain"),
+        (
+            lambda r: share_gain(replace(r, digits_per_millivolt=np.full(12, np.nan)), 1000),
+            "does not state the gain",
+        ),
+    ):
+        with pytest.raises(InputError, match=rf"^file: .*{words}"):
+            change(recording)

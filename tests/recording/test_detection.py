@@ -1,0 +1,121 @@
+"""R peaks where leads are bad or absent, at the ends, and in short pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.leads import LEADS
+from fascicle.recording.detection import complete_leads, magnitude, r_peaks
+from fascicle.recording.rhythms import made_up_recording
+
+RATE = 500.0
+
+
+def sinus(seed=0, **options):
+    recording, truth = made_up_recording(np.random.default_rng(seed), noise_db=20.0, **options)
+    return recording.signal, truth
+
+
+def assert_all_found(signal, truth, rate=RATE, tolerance=0.02):
+    peaks = r_peaks(signal, rate) / rate
+    assert peaks == pytest.approx(truth.r_times, abs=tolerance)
+
+
+@pytest.mark.parametrize("rate", [250.0, 360.0, 500.0, 977.0, 1000.0, 2000.0])
+def test_at_every_sampling_rate(rate):
+    signal, truth = sinus(rate=rate)
+    assert_all_found(signal, truth, rate)
+
+
+def noise(n, rng):
+    return 5 * rng.standard_normal(n)
+
+
+def jumps(n, rng):
+    jump = np.zeros(n)
+    jump[rng.integers(0, n, 12)] = rng.choice([-5, 5], 12)
+    return np.cumsum(jump)
+
+
+def rails(n, rng):
+    return np.where(np.sin(2 * np.pi * rng.uniform(0.5, 3) * np.arange(n) / RATE) > 0, 5.0, -5.0)
+
+
+def bursts(n, rng):
+    spikes = np.zeros(n)
+    spikes[rng.integers(0, n, 15)] = 8.0
+    return spikes
+
+
+@pytest.mark.parametrize("fault", [noise, jumps, rails, bursts])
+@pytest.mark.parametrize("lead", ["II", "V3"])
+def test_one_bad_lead_neither_makes_nor_hides_beats(fault, lead):
+    signal, truth = sinus(seed=3)
+    signal[LEADS.index(lead)] += fault(signal.shape[1], np.random.default_rng(5))
+    assert_all_found(signal, truth)
+
+
+@pytest.mark.parametrize(
+    "absent", [["I", "II"], ["V1", "V2", "V3", "V4", "V5", "V6"], list(LEADS[:6]), list(LEADS[1:])]
+)
+def test_absent_leads(absent):
+    signal, truth = sinus(seed=4)
+    signal[[LEADS.index(lead) for lead in absent]] = np.nan
+    assert_all_found(signal, truth, tolerance=0.05)
+
+
+def test_flat_lead_is_as_good_as_absent():
+    signal, truth = sinus(seed=4)
+    signal[7] = 0.3
+    assert_all_found(signal, truth)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.05, 0.15])
+def test_beats_next_to_the_ends(gap):
+    for seed in range(8):
+        signal, truth = sinus(seed=seed)
+        first = int(max(truth.onsets[0] - gap, 0) * RATE)
+        stop = int((truth.offsets[-1] + gap) * RATE) + 1
+        peaks = (first + r_peaks(signal[:, first:stop], RATE)) / RATE
+        assert peaks == pytest.approx(truth.r_times, abs=0.02)
+
+
+@pytest.mark.parametrize("heart_rate", [50, 90, 150])
+@pytest.mark.parametrize("group", [(0, 1, 2), (3, 4, 5), (6, 7, 8), (9, 10, 11)])
+def test_pieces_of_paper_recordings(heart_rate, group):
+    signal, truth = sinus(seed=heart_rate, seconds=2.5, heart_rate=heart_rate, respiration=0.05)
+    piece = np.full_like(signal, np.nan)
+    piece[list(group)] = signal[list(group)]
+    assert len(truth.r_times) >= 1
+    assert_all_found(piece, truth, tolerance=0.06)
+
+
+def test_pauses_do_not_lower_the_threshold():
+    signal, truth = sinus(seed=2, rhythm="pauses", seconds=30.0)
+    assert np.diff(truth.r_times).max() > 3
+    assert_all_found(signal, truth)
+
+
+def test_low_voltage():
+    signal, truth = sinus(seed=1, height=0.3, respiration=0.05)
+    assert_all_found(signal, truth)
+
+
+def test_peaks_do_not_depend_on_the_unit():
+    signal, _ = sinus()
+    assert np.array_equal(r_peaks(signal, RATE), r_peaks(1e-3 * signal, RATE))
+
+
+def test_flat_recording_has_no_beats():
+    assert len(r_peaks(np.zeros((12, 1000)), RATE)) == 0
+
+
+def test_magnitude_uses_the_leads_that_are_there():
+    signal = np.full((12, 3), np.nan)
+    signal[[0, 1, 2, 6]] = [[3.0] * 3, [4.0] * 3, [100.0] * 3, [5.0] * 3]
+    assert magnitude(signal) == pytest.approx(np.sqrt(50 / 3))
+    signal[0, 1] = np.nan
+    assert complete_leads(signal) == [1, 2, 6]
+    with pytest.raises(ValueError, match="no lead is complete"):
+        complete_leads(np.full((12, 3), np.nan))

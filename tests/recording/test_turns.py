@@ -1,0 +1,87 @@
+"""Recordings whose leads take turns, made of recordings whose leads are all there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fascicle.errors import InputError
+from fascicle.leads import LEADS
+from fascicle.recording.making import analyse, make_target
+from fascicle.recording.recording import Recording
+from fascicle.recording.rhythms import made_up_recording
+from fascicle.recording.turns import turns
+
+GROUPS = (("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6"))
+
+
+def on_paper(recording, rhythm_strip=None):
+    """The recording as on paper: each group for a quarter of the time, perhaps one all along."""
+    n = recording.signal.shape[1]
+    signal = np.full_like(recording.signal, np.nan)
+    for k, group in enumerate(GROUPS):
+        part = slice(k * n // 4, (k + 1) * n // 4)
+        for lead in group:
+            signal[LEADS.index(lead), part] = recording.signal[LEADS.index(lead), part]
+    if rhythm_strip is not None:
+        row = LEADS.index(rhythm_strip)
+        signal[row] = recording.signal[row]
+    return replace(recording, signal=signal)
+
+
+def whole(seed, **more):
+    return made_up_recording(
+        np.random.default_rng(seed), heart_rate=80.0, respiration=0.02, noise_db=30.0, **more
+    )[0]
+
+
+@pytest.mark.parametrize("strip", [None, "II"])
+def test_stretches_are_found(strip):
+    paper = on_paper(whole(0), strip)
+    parts = turns(paper)
+    assert [part.start for part in parts] == [0, 1250, 2500, 3750]
+    for part, group in zip(parts, GROUPS, strict=True):
+        there = {lead for lead, r in zip(LEADS, part.recording.recorded, strict=True) if r}
+        assert there == set(group) | ({strip} - {None})
+        assert part.recording.signal.shape == (12, 1250)
+
+
+@pytest.mark.parametrize(("strip", "tolerance"), [(None, 15), ("II", 4)])
+def test_the_mean_is_that_of_all_leads_at_once(strip, tolerance):
+    for seed in range(4):
+        recording = whole(seed)
+        target = make_target(recording)
+        paper = make_target(on_paper(recording, strip))
+        assert paper.used.all()
+        assert len(paper.beats) >= 2
+        for lead in range(12):
+            template = target.mean[lead, target.qrs_samples]
+            start = int(np.flatnonzero(paper.time == target.time[target.qrs_samples.start])[0])
+            tries = range(max(start - 40, 0), start + 41)
+            misfit = [
+                np.sum((paper.mean[lead, s : s + len(template)] - template) ** 2) for s in tries
+            ]
+            best = list(tries)[int(np.argmin(misfit))] - start
+            assert abs(best) <= tolerance + 3, (seed, LEADS[lead])
+            assert min(misfit) < 0.1 * np.sum(template**2) + 0.02
+        assert paper.qrs_duration == pytest.approx(target.qrs_duration, abs=25)
+        assert "in turns" in paper.provenance["warnings"]
+
+
+def test_beats_are_numbered_through():
+    analysis = analyse(on_paper(whole(1)))
+    assert [beat.number for beat in analysis.beats] == list(range(1, len(analysis.beats) + 1))
+    times = [beat.time for beat in analysis.beats]
+    assert times == sorted(times)
+    assert times[-1] > 7.5
+    assert analysis.signal.shape == (12, 10000)
+    assert np.isfinite(analysis.signal[LEADS.index("V4")]).sum() == 2500
+
+
+def test_a_gap_in_one_lead_is_no_turn():
+    signal = whole(2).signal.copy()
+    signal[7, 4000:] = np.nan
+    with pytest.raises(InputError, match="lead V2 lacks 1000 samples"):
+        Recording(signal, 500.0, "file")

@@ -1,0 +1,135 @@
+"""Beats against manual and machine marks, and against what made-up recordings consist of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.io.recordings import read_recording
+from fascicle.leads import LEADS
+from fascicle.recording.detection import r_peaks
+from fascicle.recording.rhythms import RHYTHMS, made_up_recording
+from fascicle.recording.spikes import find_spikes, remove_spikes
+
+SAME_BEAT = 0.2  # s; marks of several leads closer than this belong to one beat
+RATES = (35, 60, 90, 130, 180)  # beats per minute
+
+
+def found_in(path):
+    recording = read_recording(path)
+    assert len(find_spikes(recording.signal, recording.sampling_rate)) == 0
+    return r_peaks(recording.signal, recording.sampling_rate) / recording.sampling_rate
+
+
+def marked_peaks(stem):
+    """R peaks (s) marked in the twelve leads, an array for each beat; first and last mark."""
+    import wfdb
+
+    peaks, every = [], []
+    for lead in LEADS:
+        marks = wfdb.rdann(str(stem), lead.lower())
+        times = marks.sample / marks.fs
+        every.extend(times)
+        peaks.extend(time for time, kind in zip(times, marks.symbol, strict=True) if kind == "N")
+    peaks = np.sort(peaks)
+    beats = np.split(peaks, np.flatnonzero(np.diff(peaks) > SAME_BEAT) + 1)
+    return beats, min(every), max(every)
+
+
+@pytest.mark.parametrize(("record", "count"), [("24", 7), ("23", 8), ("119", 8)])
+def test_every_manual_beat_and_no_other(data_folder, record, count):
+    folder = data_folder / "ecg" / "ludb"
+    beats, first, last = marked_peaks(folder / record)
+    assert len(beats) == count
+    found = found_in(folder / f"{record}_common.hea")
+    inside = found[(found >= first) & (found <= last)]
+    assert len(inside) == count
+    # The leads' peaks lie up to 0.13 s apart; the one found is that of some lead.
+    for peak, beat in zip(inside, beats, strict=True):
+        assert np.abs(beat - peak).min() <= 0.02
+        assert abs(np.median(beat) - peak) <= 0.03
+
+
+def test_every_beat_that_the_machine_marked(data_folder):
+    import pydicom
+
+    path = data_folder / "ecg" / "dicom" / "waveform_ecg.dcm"
+    fiducial = [
+        int(mark.ReferencedSamplePositions) / 1000
+        for mark in pydicom.dcmread(path).WaveformAnnotationSequence
+        if mark.AnnotationGroupNumber >= 100  # groups below are of the median beat
+        and mark.ConceptNameCodeSequence[0].CodeMeaning == "Fiducial Point"
+    ]
+    assert len(fiducial) == 10
+    assert found_in(path) == pytest.approx(fiducial, abs=0.02)
+
+
+def test_every_beat_that_the_annotated_ecg_lists(data_folder):
+    path = data_folder / "ecg" / "aecg" / "Example_aECG.xml"
+    found = found_in(path)
+    assert len(found) == path.read_text().count('code="MDC_ECG_BEAT"') == 12
+    assert np.diff(found).min() > 0.75
+    assert np.diff(found).max() < 0.95
+
+
+def test_long_recording_of_an_infarction_has_no_gap_and_no_double_beat(data_folder):
+    found = found_in(data_folder / "ecg" / "ptb-s0010" / "s0010_re.hea")
+    assert len(found) == 52
+    assert np.diff(found).min() > 0.68
+    assert np.diff(found).max() < 0.80
+
+
+def outcome(found, truth):
+    """Beats found, beats missed, and marks that are no beat."""
+    free = np.ones(len(found), dtype=bool)
+    for onset, offset in zip(truth.onsets, truth.offsets, strict=True):
+        here = np.flatnonzero(free & (found >= onset - 0.02) & (found <= offset + 0.02))
+        free[here[:1]] = False
+    return np.array([(~free).sum(), len(truth.onsets) - (~free).sum(), free.sum()])
+
+
+def made_up_outcome(rhythm, noise_db, seeds, **options):
+    total = np.zeros(3)
+    for seed in seeds:
+        for heart_rate in RATES:
+            recording, truth = made_up_recording(
+                np.random.default_rng([seed, heart_rate]),
+                rhythm=rhythm,
+                heart_rate=heart_rate,
+                noise_db=noise_db,
+                **options,
+            )
+            signal = recording.signal
+            if rhythm == "paced":
+                signal = remove_spikes(signal, find_spikes(signal, recording.sampling_rate))
+            peaks = r_peaks(signal, recording.sampling_rate) / recording.sampling_rate
+            total += outcome(peaks, truth)
+    return total
+
+
+@pytest.mark.parametrize("noise", [("white",), ("muscle", "mains", "motion", "wander")])
+def test_beats_in_noise_of_15_db(noise):
+    by_rhythm = {
+        rhythm: made_up_outcome(rhythm, 15.0, range(100, 104), noise=noise) for rhythm in RHYTHMS
+    }
+    found, missed, false = sum(by_rhythm.values())
+    assert found + missed > 2000
+    assert found / (found + missed) >= 0.99
+    assert found / (found + false) >= 0.99
+    for rhythm, (found, missed, false) in by_rhythm.items():
+        assert found / (found + missed) >= 0.97, rhythm
+        assert found / (found + false) >= 0.97, rhythm
+
+
+def test_beats_in_noise_of_5_db():
+    found, missed, false = sum(made_up_outcome(rhythm, 5.0, range(2)) for rhythm in RHYTHMS)
+    assert found / (found + missed) >= 0.98
+    assert found / (found + false) >= 0.96
+
+
+def test_beats_among_t_waves_as_tall_as_the_qrs():
+    found, missed, false = sum(
+        made_up_outcome(rhythm, 15.0, range(2), tall_t=3.0) for rhythm in RHYTHMS
+    )
+    assert found / (found + missed) >= 0.98
+    assert found / (found + false) >= 0.98
