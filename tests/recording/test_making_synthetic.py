@@ -199,13 +199,12 @@ def test_noise_without_beats_is_refused():
         make_target(Recording(noise, 500.0, "noise"))
 
 
-def test_unequal_gains_are_reported_and_equal_ones_are_not():
+def test_unequal_gains_are_refused_and_equal_ones_are_not():
     signal, _ = ecg()
     assert "warnings" not in make_target(Recording(signal, 500.0, "equal")).provenance
     signal[0] *= 1.5
-    warning = make_target(Recording(signal, 500.0, "unequal")).provenance["warnings"]
-    assert "I + III differs from II by" in warning
-    assert "gain" in warning
+    with pytest.raises(InputError, match=r"lead I is 1.50 times .*--leads II,III,aVR"):
+        make_target(Recording(signal, 500.0, "unequal"))
 
 
 def test_leads_are_not_mixed_up():

@@ -8,6 +8,7 @@ import pytest
 from fascicle.io.recordings import read_recording
 from fascicle.leads import LEADS
 from fascicle.recording.detection import r_peaks
+from fascicle.recording.making import analyse
 from fascicle.recording.rhythms import RHYTHMS, made_up_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 
@@ -48,6 +49,17 @@ def test_every_manual_beat_and_no_other(data_folder, record, count):
     for peak, beat in zip(inside, beats, strict=True):
         assert np.abs(beat - peak).min() <= 0.02
         assert abs(np.median(beat) - peak) <= 0.03
+
+
+@pytest.mark.parametrize("record", ["24", "23", "119"])
+def test_r_peaks_of_the_analysis(data_folder, record):
+    """Within 20 ms of the median over the leads of the annotators' R peaks."""
+    folder = data_folder / "ecg" / "ludb"
+    beats, _, _ = marked_peaks(folder / record)
+    analysis = analyse(read_recording(folder / f"{record}_common.hea"))
+    found = np.array([beat.time for beat in analysis.beats])
+    for marks in beats:
+        assert np.abs(found - np.median(marks)).min() <= 0.0201
 
 
 def test_every_beat_that_the_machine_marked(data_folder):

@@ -59,7 +59,7 @@ def relative(times, peaks):
     return float(np.median(near))
 
 
-# Reached: 24 (left bundle branch block) +8, +5 ms; 23 (right) +4, 0 ms; 119 (normal) -1, +2 ms.
+# Reached: 24 (left bundle branch block) +9, +5 ms; 23 (right) +6, 0 ms; 119 (normal) 0, +2 ms.
 @pytest.mark.parametrize("record", ["24", "23", "119"])
 def test_manual_marks(data_folder, record):
     folder = data_folder / "ecg" / "ludb"
@@ -108,7 +108,7 @@ def made_up_errors(noise_db, count=24):
 def test_made_up_recordings(noise_db):
     off, foreseen = made_up_errors(noise_db)
     bias, spread = off.mean(axis=0), off.std(axis=0)
-    assert (np.abs(bias) < 9).all()
-    assert (spread < 7).all()
+    assert (np.abs(bias) < 8).all()
+    assert (spread < 6.5).all()
     assert (np.mean(np.abs(off) < 15, axis=0) >= 0.95).all()
     assert (np.mean(np.abs(off) <= 2 * foreseen, axis=0) >= 0.9).all()

@@ -170,10 +170,10 @@ def print_target(target: Target) -> None:
 
 
 def _figure(value: float) -> str:
-    """Three digits, or a dash for what the file does not tell."""
+    """Four digits at most, or a dash for what the file does not tell."""
     if math.isnan(value):
         return "-"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return f"{value:.4f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.0f}"
 
 
 def _line(what: str, text: str) -> None:

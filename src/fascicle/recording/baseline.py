@@ -9,6 +9,7 @@ from fascicle.recording.window import spatial_velocity
 
 KNOT = 20  # samples; one period of 50 Hz mains, so that hum averages out
 EARLIEST = 60  # samples before the QRS; further back is the P wave
+LATEST = 5  # samples before the QRS; nearer, its first slope is smoothed in
 FARTHEST = 2500  # samples; between isoelectric points farther apart, drift is no straight line
 
 
@@ -25,7 +26,7 @@ def quiet_start(mean: NDArray[np.float64], onset: int, step: float) -> int:
         Sampling step (ms).
     """
     earliest = max(onset - EARLIEST, 0)
-    velocity = spatial_velocity(mean, step)[earliest : max(onset, earliest + KNOT)]
+    velocity = spatial_velocity(mean, step)[earliest : max(onset - LATEST, earliest + KNOT)]
     speed = np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid")
     return int(earliest + np.argmin(speed))
 

@@ -99,11 +99,12 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
         _cut(recording, part, group, why, choices, label)
         for part, group, why in zip(parts, groups, reasons, strict=True)
     ]
-    target = whole_target(recording, combine(cuts), groups, choices, label, findings)
+    judged = _judged(beats, [reason for why in reasons for reason in why])
+    target = whole_target(recording, combine(cuts), judged, choices, label, findings)
     return Analysis(
         recording=recording,
         signal=_strip(recording, parts),
-        beats=_judged(beats, [reason for why in reasons for reason in why]),
+        beats=judged,
         classes=_classes(groups),
         spikes=_spikes(parts, groups, recording.sampling_rate),
         findings=findings,

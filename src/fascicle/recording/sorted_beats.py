@@ -55,13 +55,6 @@ class SortedBeats:
         return np.concatenate([[np.nan], SAMPLING_STEP * np.diff(self.peaks)])
 
     @property
-    def heart_rate(self) -> float:
-        """Beats per minute, of all classes; NaN for a single beat."""
-        if len(self.peaks) < 2:
-            return float("nan")
-        return float(60000.0 / np.nanmean(self.intervals))
-
-    @property
     def height(self) -> float:
         """Largest deflection, peak to peak, of the typical beat of class A in any lead (mV)."""
         beats = cut(self.signal, self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.errors import InputError
+from fascicle.recording.analysis import Beat
 from fascicle.recording.beats import CutBeats
 from fascicle.recording.choices import Choices, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import Recording
-from fascicle.recording.sorted_beats import SortedBeats
 from fascicle.recording.target import SAMPLING_STEP, Target
 from fascicle.recording.window import qrs_window, window_uncertainty
 
@@ -25,7 +26,7 @@ FEW_ALIKE = 0.7  # share of the beats that should be alike
 def whole_target(
     recording: Recording,
     cut: CutBeats,
-    groups: Sequence[SortedBeats],
+    beats: Sequence[Beat],
     choices: Choices,
     label: str,
     findings: Sequence[Finding],
@@ -37,9 +38,9 @@ def whole_target(
     recording : Recording
         Where they are from.
     cut : CutBeats
-        The beats.
-    groups : sequence of SortedBeats
-        All beats of each group of leads that were recorded together.
+        Those that are used.
+    beats : sequence of Beat
+        All beats of the recording.
     choices : Choices
         Decisions of the user.
     label : str
@@ -63,16 +64,22 @@ def whole_target(
         time=cut.time,
         qrs_onset=onset,
         qrs_offset=offset,
-        heart_rate=float(np.mean([group.heart_rate for group in groups])),
-        provenance=_provenance(recording, groups, len(cut.beats), label, choices),
+        heart_rate=_heart_rate(beats),
+        provenance=_provenance(recording, beats, len(cut.beats), label, choices),
         onset_sd=onset_sd if choices.onset is None else 0.0,
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
     )
-    warnings = _warnings(recording, target, groups, label, findings)
+    warnings = _warnings(recording, target, beats, label, findings)
     if not warnings:
         return target
     return replace(target, provenance=target.provenance | {"warnings": "; ".join(warnings)})
+
+
+def _heart_rate(beats: Sequence[Beat]) -> float:
+    """Beats per minute, of all classes; NaN where there is one beat only."""
+    intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
+    return 60000.0 / float(np.mean(intervals)) if intervals else math.nan
 
 
 def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
@@ -107,7 +114,7 @@ def _window(
 
 def _provenance(
     recording: Recording,
-    groups: Sequence[SortedBeats],
+    beats: Sequence[Beat],
     n_used: int,
     label: str,
     choices: Choices,
@@ -117,8 +124,9 @@ def _provenance(
         "source": recording.source,
         "sampling_rate_hz": f"{recording.sampling_rate:g}",
         "recording_duration_s": f"{recording.duration:.3f}",
-        "beats_found": str(sum(len(group.peaks) for group in groups)),
+        "beats_found": str(len(beats)),
         "beats_used": str(n_used),
+        "beat_numbers": ", ".join(str(beat.number) for beat in beats if beat.used),
         "beat_class": label,
         "qrs_onset_from": "detected" if choices.onset is None else "given",
         "qrs_offset_from": "detected" if choices.offset is None else "given",
@@ -133,7 +141,7 @@ def _provenance(
 def _warnings(
     recording: Recording,
     target: Target,
-    groups: Sequence[SortedBeats],
+    beats: Sequence[Beat],
     label: str,
     findings: Sequence[Finding],
 ) -> list[str]:
@@ -144,10 +152,11 @@ def _warnings(
             "leads were recorded in turns: beats of different groups are put together, aligned to "
             "within 5 to 15 ms unless they share a lead"
         )
-    found = sum(len(group.peaks) for group in groups)
-    alike = sum(len(group.of_class(label)) for group in groups)
-    if alike < FEW_ALIKE * found:
-        warnings.append(f"only {alike} of {found} beats are of class {label}; look at the rhythm")
+    alike = sum(beat.label == label for beat in beats)
+    if alike < FEW_ALIKE * len(beats):
+        warnings.append(
+            f"only {alike} of {len(beats)} beats are of class {label}; look at the rhythm"
+        )
     spread = float(np.nanmean(magnitude(target.standard_deviation[:, target.qrs_samples])))
     height = float(magnitude(target.qrs).max())
     if spread > NOISY * height:

@@ -32,9 +32,10 @@ REST = 30.0  # ms; of this length is the stillest stretch near the QRS
 STANDS_OUT = 1.8  # times the mean speed in it is more than noise
 ESCALATION = 1.1  # by which a level rises that is too low for noise
 TREND_AFTER = 5.0  # ms from the end of the QRS; nearer, its own slope is smoothed in
-# How much later the found offset is than the last activation in simulated ECGs without noise, and
-# how much further out an end lies for each ms of smoothing beyond `SMOOTHING` (ms).
-OFFSET_EXCESS = 2.0
+# How much further out than the first and last activation the ends are found in simulated ECGs
+# without noise (ms): half of the 2 ms at the onset, which experts mark earlier. Then, how much more
+# it is for each ms of smoothing beyond `SMOOTHING`.
+ONSET_EXCESS, OFFSET_EXCESS = 1.0, 2.0
 SPREAD_PER_SMOOTHING = 1.75
 # Error of the method where there is no noise (ms), bias included: 95 % within two of it on the
 # simulated ECGs of `benchmarks/qrs_window.py`.
@@ -135,7 +136,7 @@ def qrs_window(signal: Array, step: float, not_before: int = 0) -> tuple[int, in
     offset = _still_from(motion, last, OFFSET, step)
     smeared = SPREAD_PER_SMOOTHING * (motion.smoothing - SMOOTHING)
     if onset > 0:
-        onset = min(onset + round(smeared / step), first)
+        onset = min(onset + round((smeared + ONSET_EXCESS) / step), first)
     if offset < end:
         offset = max(offset - round((smeared + OFFSET_EXCESS) / step), last)
     return not_before + onset, not_before + offset
@@ -177,8 +178,16 @@ def _core(speed: Array, step: float) -> tuple[int, int]:
         groups = np.split(fast, np.flatnonzero(np.diff(fast) > CORE_GAP / step) + 1)
         group = next(group for group in groups if group[0] <= peak <= group[-1])
         if (group[-1] - group[0]) * step <= LONGEST_CORE:
-            return int(group[0]), int(group[-1])
+            return _narrowed(int(group[0]), peak, int(group[-1]), len(speed) - 1, step)
         level *= ESCALATION
+
+
+def _narrowed(first: int, peak: int, last: int, end: int, step: float) -> tuple[int, int]:
+    """Ends of the core as far inside as smoothing has moved them out, but at the array's ends."""
+    spread = round(CORE_SMOOTHING / step)
+    return min(first + spread, peak) if first else 0, max(
+        last - spread, peak
+    ) if last < end else end
 
 
 def _still_from(motion: Motion, core: int, search: _Search, step: float) -> int:
@@ -188,24 +197,27 @@ def _still_from(motion: Motion, core: int, search: _Search, step: float) -> int:
     """
     speed = motion.speed(search.turning)
     level = search.level * _highest(speed, step)
-    end = core + _still_after(speed[core:], level, search.reach, step)
+    end = core + _still_after(speed, core, level, search.reach, step)
     start = end + round(TREND_AFTER / step)
     beyond = motion.slope[:, start : start + round(search.trend / step)]
     if not beyond.shape[1]:
         return end
     relative = motion.speed(search.turning, beyond.mean(axis=1, keepdims=True))
-    return core + _still_after(relative[core:], level, search.reach, step)
+    return core + _still_after(relative, core, level, search.reach, step)
 
 
-def _still_after(outward: Array, level: float, reach: float, step: float) -> int:
-    """Count the samples, going outward from the core, until the leads are still.
+def _still_after(speed: Array, core: int, level: float, reach: float, step: float) -> int:
+    """Count the samples after the core until the leads are still.
 
     Beyond the end of the array everything is still. When nothing is below the level within `reach`,
     the level rises.
     """
     quiet, furthest = max(round(QUIET / step), 1), round(reach / step)
+    outward = speed[core:]
     end = len(outward) - 1
-    level = max(level, STANDS_OUT * _stillest(outward[:furthest], step))
+    # Right before the end of the array there may be no rest.
+    near = outward[:furthest] if end * step > 2 * REST else speed
+    level = max(level, STANDS_OUT * _stillest(near, step))
     outward = np.append(outward, np.zeros(quiet))[: furthest + quiet]
     fastest = np.lib.stride_tricks.sliding_window_view(outward, quiet).max(axis=1)
     while True:
