@@ -106,7 +106,7 @@ def test_paths_that_are_no_files(tmp_path):
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
     refused(tmp_path / "loop.csv", "no such file")
     os.mkfifo(tmp_path / "pipe.csv")
-    refused(tmp_path / "pipe.csv", "no such file")
+    refused(tmp_path / "pipe.csv", "is not an ordinary file")
 
 
 def test_same_recording_from_two_formats(data_folder, tmp_path):

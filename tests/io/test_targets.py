@@ -47,7 +47,8 @@ def test_file_explains_itself(target, tmp_path):
     assert units == {
         "beats": "mV", "mean": "mV", "standard_deviation": "mV",
         "residual_covariance_leads": "1", "residual_covariance_time": "1",
-        "time": "ms", "qrs_time": "ms", "beat": "1", "in_qrs": "1", "lead": None,
+        "time": "ms", "qrs_time": "ms", "qrs_time_2": "ms", "beat": "1", "in_qrs": "1",
+        "lead": None, "lead_2": None,
     }  # fmt: skip
     assert dataset["mean"].sel(lead="V2", time=7.0).item() == target.mean[7, 87]
     assert dataset["standard_deviation"].values == pytest.approx(target.standard_deviation)

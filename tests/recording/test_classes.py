@@ -10,7 +10,7 @@ from fascicle.recording.choices import Choices
 from fascicle.recording.classes import sort_by_shape
 from fascicle.recording.resampling import resample
 from fascicle.recording.rhythms import made_up_recording
-from fascicle.recording.sorted_beats import cleaned, sort_beats
+from fascicle.recording.sorted_beats import prepared, sort_beats, without_spikes
 
 
 def made_up(rhythm, seed, noise_db=None, **more):
@@ -19,6 +19,11 @@ def made_up(rhythm, seed, noise_db=None, **more):
     )
     signal = resample(recording.signal, recording.sampling_rate)[measured_rows(recording.recorded)]
     return recording, truth, signal
+
+
+def found_beats(recording):
+    clean, spikes = without_spikes(recording)
+    return sort_beats(prepared(clean, Choices()), 1000 * spikes // int(recording.sampling_rate))
 
 
 @pytest.mark.parametrize("noise_db", [None, 25.0, 15.0, 8.0])
@@ -46,7 +51,7 @@ def test_marks_that_are_off_are_put_right():
 def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
     for seed in range(4):
         recording, truth, _ = made_up("bigeminy", seed, 20.0, heart_rate=70.0)
-        found = sort_beats(*cleaned(recording, Choices()))
+        found = found_beats(recording)
         kinds = dict(zip(truth.kinds, truth.offsets - truth.onsets, strict=True))
         narrow = min(kinds, key=kinds.__getitem__)
         assert set(found.labels) == {"A", "B"}
@@ -60,7 +65,7 @@ def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
 def test_ectopic_beats_are_described():
     recording, truth, _ = made_up("ectopics", 2, 25.0, seconds=20.0)
     assert "ectopic" in truth.kinds
-    found = sort_beats(*cleaned(recording, Choices()))
+    found = found_beats(recording)
     assert found.describe("A") == ""
     assert "early" in found.describe("B")
     assert len(found.of_class("B")) == list(truth.kinds).count("ectopic")
@@ -68,7 +73,7 @@ def test_ectopic_beats_are_described():
 
 def test_paced_beats_are_described():
     recording, _, _ = made_up("paced", 3, 25.0)
-    found = sort_beats(*cleaned(recording, Choices()))
+    found = found_beats(recording)
     assert found.describe("A").startswith("paced")
 
 

@@ -40,7 +40,23 @@ def test_many_beats_give_the_known_covariance():
     assert found.shrinkage_time < 0.05
 
 
-@pytest.mark.parametrize("beats", [2, 3, 8])
+def test_two_beats_tell_nothing_of_correlations():
+    target, *_ = known(np.random.default_rng(3), 2)
+    found = residual_covariance(target)
+    assert (found.shrinkage_leads, found.shrinkage_time) == (1, 1)
+    assert np.array_equal(found.time, np.eye(81))
+    assert np.array_equal(found.leads, np.eye(12))
+
+
+def test_beats_without_spread():
+    target, *_ = known(np.random.default_rng(3), 4)
+    same = Target(np.tile(target.mean, (4, 1, 1)), TIME, -30.0, 50.0, 60.0)
+    found = residual_covariance(same)
+    assert np.array_equal(found.time, np.eye(81))
+    assert np.abs(found.full).max() < 1e-12
+
+
+@pytest.mark.parametrize("beats", [3, 5, 8])
 def test_few_beats_are_shrunk_and_stay_positive(beats):
     rng = np.random.default_rng(beats)
     target, *_ = known(rng, beats)

@@ -7,7 +7,7 @@ import pytest
 
 from fascicle.errors import InputError
 from fascicle.leads import LEADS, lead_matrix
-from fascicle.recording.making import make_target
+from fascicle.recording.making import analyse, make_target
 from fascicle.recording.recording import Recording
 
 ONSET, OFFSET = -45.0, 55.0  # ms from the nominal R
@@ -213,3 +213,50 @@ def test_leads_are_not_mixed_up():
     i, ii, iii, avr = (target.mean[LEADS.index(lead)] for lead in ("I", "II", "III", "aVR"))
     assert i + iii == pytest.approx(ii, abs=0.02)
     assert avr == pytest.approx(-(i + ii) / 2, abs=0.02)
+
+
+def one_lead_moves(signal):
+    alone = np.zeros_like(signal)
+    alone[6] = signal[6]
+    return alone
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (np.zeros_like, "no signal in leads I to V6"),
+        (lambda s: np.ones((12, 500)), "no signal in leads I to V6"),
+        (one_lead_moves, "no signal in leads I, II"),
+        (lambda s: np.pad(s, ((0, 0), (0, 15_000))), "no signal in any lead for up to 30"),
+        (lambda s: np.tile([[0.0, 1.0]], (12, 2500)), "file.csv: .*(QRS|the same)"),
+        (lambda s: s[:, 20:220], "--noise"),
+    ],
+)
+def test_dead_recordings_are_refused(change, words):
+    with pytest.raises(InputError, match=words):
+        make_target(Recording(change(ecg()[0]), 500.0, "file.csv"))
+
+
+def test_beats_of_another_class_are_what_they_are():
+    signal, times = ecg(ectopic=(2, 5, 8))
+    recording = Recording(signal, 500.0, "ectopic")
+    ectopic = make_target(recording, beat_class="B")
+    named = make_target(recording, beats=(3, 6, 9))
+    assert np.array_equal(named.beats, ectopic.beats)
+    assert named.provenance["beat_class"] == "B"
+    assert named.provenance["beat_numbers"] == "3, 6, 9"
+    mixed = make_target(recording, -60, 60, beats=(2, 3))
+    assert mixed.provenance["beat_class"] == "A, B"
+    with pytest.raises(InputError, match="not both"):
+        make_target(recording, beats=(2, 3), beat_class="A")
+    assert len(times) == 12
+
+
+@pytest.mark.parametrize("rate", [499.93, 1000.3])
+def test_odd_rates_do_not_drift(rate):
+    """Beats a minute on lie where they were recorded."""
+    signal, times = ecg(rate=rate, seconds=60.0, jitter=0.0)
+    beats = analyse(Recording(signal, rate, "made up")).beats
+    interval = np.diff([beat.time for beat in beats])
+    assert (beats[-1].time - beats[0].time) == pytest.approx((len(interval)) * 0.85, abs=0.0015)
+    assert len(times) == len(beats)

@@ -85,3 +85,31 @@ def test_a_gap_in_one_lead_is_no_turn():
     signal[7, 4000:] = np.nan
     with pytest.raises(InputError, match="lead V2 lacks 1000 samples"):
         Recording(signal, 500.0, "file")
+
+
+def test_groups_digitised_with_ragged_edges_stay_groups():
+    paper = on_paper(whole(3))
+    signal = paper.signal.copy()
+    rng = np.random.default_rng(0)
+    for row in range(12):
+        first, stop = paper.spans[row]
+        signal[row, first : first + rng.integers(0, 9)] = np.nan
+        signal[row, stop - rng.integers(1, 9) : stop] = np.nan
+    parts = turns(replace(paper, signal=signal))
+    assert len(parts) == 4
+    assert [int(part.recording.recorded.sum()) for part in parts] == [3, 3, 3, 3]
+
+
+def test_beats_of_several_shapes_are_not_matched_by_chance():
+    recording, _ = made_up_recording(
+        np.random.default_rng(5), rhythm="bigeminy", heart_rate=70.0, seconds=16.0, noise_db=30.0
+    )
+    with pytest.raises(InputError, match="in turns and the beats are of several shapes"):
+        make_target(on_paper(recording))
+
+
+def test_surplus_beats_of_a_group_are_told():
+    analysis = analyse(on_paper(whole(1)))
+    used = sum(beat.used for beat in analysis.beats)
+    assert used == 4 * len(analysis.target.beats)
+    assert analysis.target.onset_sd > 10  # the doubt of the alignment is in it

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -315,6 +316,8 @@ def _print_pacing(pacing: Pacing) -> None:
 
 def main() -> None:
     """Run the command line; a wrong input ends in one line and exit status 2."""
+    # as Ctrl-C does, so that temporary files are removed
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         app()
     except InputError as error:

@@ -15,10 +15,12 @@ from fascicle.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
+    from fascicle.recording.quality.finding import Finding
     from fascicle.recording.recording import Recording
     from fascicle.recording.target import Target
 
 _RANGE = re.compile(r"(\d+)(?:-(\d+))?")
+_MOST_BEATS = 100_000  # of the longest recording, by far
 _WIDTH = 15  # of the first column
 
 
@@ -62,8 +64,9 @@ def target(
         ),
     ] = False,
     digits_per_mv: Annotated[
-        float, typer.Option(min=1.0, help="That gain: the file's numbers per mV.")
-    ] = 1000.0,
+        float | None,
+        typer.Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
+    ] = None,
     noise: Annotated[
         float | None, typer.Option(help="Standard deviation of a single beat (mV).")
     ] = None,
@@ -97,18 +100,21 @@ def target(
     from fascicle.io.targets import write_target
     from fascicle.progress import TerminalProgress
     from fascicle.recording.choices import Choices
+    from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT
     from fascicle.recording.making import analyse
     from fascicle.report.figures import save
     from fascicle.report.recording import recording_figure
 
-    picture = out.with_suffix(".png")
-    if picture == out:
-        raise InputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
+    picture = _picture_beside(out, recording)
+    if digits_per_mv is not None and not shared_gain:
+        raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
     choices = Choices(
         onset, offset, beat_class, None if beats is None else _numbers(beats),
         tuple(n for text in exclude_beat or () for n in _numbers(text)), noise, lowpass, notch,
     )  # fmt: skip
-    gain = digits_per_mv if shared_gain else None
+    gain = None
+    if shared_gain:
+        gain = digits_per_mv if digits_per_mv is not None else DIGITS_PER_MILLIVOLT
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
         read = _read(recording, leads, sampling_rate, unit)
@@ -116,8 +122,8 @@ def target(
         analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
         progress("recording", 2, 3, "picture")
         figure = recording_figure(analysis)
-        write_target(analysis.target, out)
         save(figure, picture)
+        write_target(analysis.target, out)
         progress("recording", 3, 3, "")
     print_analysis(analysis)
     print(f"{'target':<{_WIDTH}}{out}")
@@ -134,13 +140,16 @@ def print_analysis(analysis: Analysis) -> None:
     )
     if recording.derived:
         _line("computed leads", ", ".join(recording.derived))
+    for what in ("shared_gain", "inverted", "swapped"):
+        if what in recording.provenance:
+            _line(what.replace("_", " "), recording.provenance[what])
     if recording.ignored:
         _line("ignored", ", ".join(recording.ignored))
-    print(f"{'checks':<{_WIDTH}}{'':<34}{'found':>8}{'limit':>8}")
+    print(f"{'checks':<{_WIDTH}}{'':<34}{'found':>8}{'limit':>10}")
     for finding in analysis.findings:
         print(
             f"{'':<{_WIDTH}}{finding.check:<34}{_figure(finding.value):>8}"
-            f"{_figure(finding.limit):>8} {finding.unit:<3} {finding.severity.value}"
+            f"{_limit(finding):>10} {finding.unit:<3} {finding.severity.value}"
         )
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
@@ -165,19 +174,47 @@ def print_target(target: Target) -> None:
     )
     spread = np.nanmean(target.standard_deviation[:, target.qrs_samples])
     _line("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
-    if "warnings" in target.provenance:
-        print(f"warning: {target.provenance['warnings']}", file=sys.stderr)
+    for warning in target.provenance.get("warnings", "").splitlines():
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 def _figure(value: float) -> str:
     """Four digits at most, or a dash for what the file does not tell."""
     if math.isnan(value):
         return "-"
+    if abs(value) >= 1e6:
+        return f"{value:.1e}"
     return f"{value:.4f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.0f}"
+
+
+def _limit(finding: Finding) -> str:
+    """The limit, and on which side of it all is fine."""
+    if math.isnan(finding.limit):
+        return "-"
+    below, fine = finding.value <= finding.limit, finding.severity.value == "ok"
+    unknown = math.isnan(finding.value)
+    return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(finding.limit)
 
 
 def _line(what: str, text: str) -> None:
     print(f"{what:<{_WIDTH}}{text}")
+
+
+def _picture_beside(out: Path, recording: Path) -> Path:
+    """Name of the page; both it and the target must be fit to be written."""
+    if not out.name:
+        raise InputError(f"{out}: is no file name; give a target's, such as target.nc")
+    picture = out.with_suffix(".png")
+    if picture == out:
+        raise InputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
+    for path in (out, picture):
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; give the name of a file, such as target.nc")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not an ordinary file; give another name to write to")
+        if path.exists() and recording.exists() and path.samefile(recording):
+            raise InputError(f"{path}: is the recording itself; give another name to write to")
+    return picture
 
 
 def _read(
@@ -239,5 +276,8 @@ def _numbers(text: str) -> tuple[int, ...]:
         match = _RANGE.fullmatch(part.strip())
         if match is None:
             raise InputError(f"beats '{text}': give numbers such as 3 or 1-4,7")
-        numbers += range(int(match[1]), int(match[2] or match[1]) + 1)
+        first, last = int(match[1]), int(match[2] or match[1])
+        if not first <= last <= _MOST_BEATS:
+            raise InputError(f"beats '{text}': {first} to {last} is no range of beats")
+        numbers += range(first, last + 1)
     return tuple(numbers)

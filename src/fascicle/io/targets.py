@@ -99,6 +99,12 @@ def _to_dataset(target: Target) -> xr.Dataset:
         "lead": ("lead", np.array(LEADS, dtype=object), {"long_name": "electrocardiogram lead"}),
         "time": ("time", target.time, {"units": "ms", "long_name": "time from the R peak"}),
         "in_qrs": ("time", inside, {"units": "1", "long_name": "1 within the QRS, 0 outside"}),
+        "lead_2": ("lead_2", np.array(LEADS, dtype=object), {"long_name": "the other lead"}),
+        "qrs_time_2": (
+            "qrs_time_2",
+            target.time[target.qrs_samples],
+            {"units": "ms", "long_name": "the other time, from the R peak"},
+        ),
         "qrs_time": (
             "qrs_time",
             target.time[target.qrs_samples],
@@ -191,7 +197,9 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
     }
     if target.noise is not None:
         attributes["stated_noise_mV"] = float(target.noise)
-    return attributes | {_PREFIX + key: str(text) for key, text in target.provenance.items()}
+    # a path may hold bytes that are no text
+    texts = {key: str(text).encode("utf-8", "replace") for key, text in target.provenance.items()}
+    return attributes | {_PREFIX + key: text.decode() for key, text in texts.items()}
 
 
 def _check_format(dataset: xr.Dataset) -> str | None:

@@ -30,11 +30,14 @@ class CutBeats:
         Sample of the R peak in each.
     not_before : int
         Sample at which the QRS may begin: after the pacing spike that fired the beats; 0 if none.
+    doubt : float
+        Standard deviation (ms) with which groups of leads are aligned that were recorded in turns.
     """
 
     beats: NDArray[np.float64]
     before: int
     not_before: int
+    doubt: float = 0.0
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -76,7 +79,8 @@ def reasons_against(
     for k, one in enumerate(found.labels):
         number = first_number + k
         if not whole[k]:
-            reasons.append("cut off by the end of the recording")
+            end = "start" if found.peaks[k] < found.signal.shape[1] / 2 else "end"
+            reasons.append(f"cut off by the {end} of the recording")
         elif number in choices.exclude:
             reasons.append("excluded")
         elif choices.beats is not None:

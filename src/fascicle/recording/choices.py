@@ -56,7 +56,9 @@ class Choices:
                     f"QRS window: {name} is {value} ms; give a number of ms from the R peak"
                 )
         if self.onset is not None and self.offset is not None:
-            check_window(self.onset, self.offset, "given")
+            check_window(self.onset, self.offset, "--onset and --offset")
+        if self.beats is not None and self.beat_class is not None:
+            raise InputError("--beats names beats of whatever class; give it or --class, not both")
         _check_within("noise", self.noise, (1e-4, LARGEST_NOISE), "mV")
         _check_within("low-pass", self.lowpass, LOWPASS_RANGE, "Hz")
         if self.notch is not None and self.notch not in MAINS:

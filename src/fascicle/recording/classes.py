@@ -21,7 +21,7 @@ def sort_by_shape(
 
     The beat that most others resemble founds the first class; every beat that differs from their
     median by less than a fifth of its energy, beyond what noise explains, belongs to it. The
-    rest is sorted in the same way.
+    rest is sorted in the same way, until no two are alike.
 
     Parameters
     ----------
@@ -45,6 +45,10 @@ def sort_by_shape(
         members, shift = _class_of_most(wide[left], noise)
         classes[left[members]] = classes.max() + 1
         shifts[left[members]] = shift[members]
+        if len(members) == 1:  # no two are alike
+            rest = np.setdiff1d(left, left[members])
+            classes[rest] = classes.max() + 1 + np.arange(len(rest))
+            break
     return classes, np.asarray(peaks + shifts)
 
 

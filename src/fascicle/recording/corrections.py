@@ -38,6 +38,11 @@ def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
             f"{recording.source}: the file does not state the gain of each lead, so they cannot "
             "share one; leave out --shared-gain"
         )
+    if np.ptp(gains[rows]) == 0:
+        raise InputError(
+            f"{recording.source}: all its leads have one gain already ({gains[rows[0]]:g} per mV); "
+            "leave out --shared-gain"
+        )
     signal = recording.signal * (gains / digits_per_millivolt)[:, None]
     shared = np.full(len(LEADS), digits_per_millivolt)
     changed = replace(recording, digits_per_millivolt=shared)

@@ -75,12 +75,13 @@ def residual_covariance(target: Target) -> ResidualCovariance:
 def _correlation(scores: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Shrunk correlation (p, p) of scores (n_beats, p, q), and the weight of none in it."""
     each = scores @ scores.transpose(0, 2, 1) / scores.shape[2]
-    raw = each.mean(axis=0)
+    n, raw = len(each), each.mean(axis=0)
     identity = np.eye(len(raw)) * np.trace(raw) / len(raw)
-    doubt = ((each - raw) ** 2).sum() / len(each) ** 2
     structure = ((raw - identity) ** 2).sum()
-    least = 1 / (len(each) * scores.shape[2])  # of so many products at most is each number a mean
-    weight = float(np.clip(doubt / structure, least, 1.0)) if structure > 0 else 1.0
+    if n < 3 or not structure > 0:  # about their own mean, two beats differ by the same
+        return np.eye(len(raw)), 1.0
+    # n(n - 2), not n(n - 1): the residuals are about the mean of the same beats
+    weight = float(min(((each - raw) ** 2).sum() / (n * (n - 2)) / structure, 1.0))
     shrunk = (1 - weight) * raw + weight * identity
     root = np.sqrt(np.maximum(np.diag(shrunk), np.finfo(float).tiny))
     return shrunk / np.outer(root, root), weight

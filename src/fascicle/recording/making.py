@@ -13,14 +13,15 @@ from fascicle.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat, BeatClass
 from fascicle.recording.beats import CutBeats, cut_beats, reasons_against
 from fascicle.recording.choices import Choices
-from fascicle.recording.quality.check import check_recording
+from fascicle.recording.quality.check import check_leads, check_recording
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import TARGET_RATE, resample
-from fascicle.recording.sorted_beats import SortedBeats, cleaned, sort_beats
+from fascicle.recording.sorted_beats import SortedBeats, prepared, sort_beats, without_spikes
 from fascicle.recording.target import Target
 from fascicle.recording.turns import Turn, combine, turns
-from fascicle.recording.whole_target import whole_target
+from fascicle.recording.whole_target import FEW_ALIKE, whole_target
+from fascicle.recording.window import NoQrsError
 
 LARGEST_QRS, SMALLEST_QRS = 20.0, 0.05  # mV peak to peak; outside, the unit is wrong
 
@@ -82,25 +83,32 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
         When a check refuses the recording, it has too few beats, or a choice is impossible.
     """
     choices = choices if choices is not None else Choices()
+    basic = check_leads(recording)
+    _refuse(basic, recording)
     parts = turns(recording)
-    groups = [sort_beats(*cleaned(part.recording, choices)) for part in parts]
-    _check_found(recording.source, parts, groups)
-    beats = _number(parts, groups, recording.sampling_rate)
-    findings = check_recording(recording, _native(beats, recording.sampling_rate))
-    _refuse(findings, recording.source)
-    _check_choices(recording.source, groups, choices)
-    label = choices.beat_class if choices.beat_class is not None else "A"
-    firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
-    reasons = [
-        reasons_against(group, choices, label, first)
-        for group, first in zip(groups, firsts, strict=False)
-    ]
-    cuts = [
-        _cut(recording, part, group, why, choices, label)
-        for part, group, why in zip(parts, groups, reasons, strict=True)
-    ]
-    judged = _judged(beats, [reason for why in reasons for reason in why])
-    target = whole_target(recording, combine(cuts), judged, choices, label, findings)
+    try:
+        clean, groups = _sorted(parts, choices)
+        _check_found(recording.source, parts, groups)
+        beats = _number(parts, groups, recording.sampling_rate)
+        checked = clean[0] if len(clean) == 1 else recording
+        findings = basic + check_recording(checked, _native(beats, recording.sampling_rate))
+        _refuse(findings, recording)
+        _check_numbers(recording.source, len(beats), choices)
+        label = _label(beats, choices)
+        _check_classes(recording.source, groups, choices, label)
+        reasons = _reasons(groups, choices, label)
+        judged = _judged(beats, [reason for why in reasons for reason in why])
+        _check_named(recording.source, judged, choices)
+        cuts = [
+            _cut(recording, part, group, why, choices, label)
+            for part, group, why in zip(parts, groups, reasons, strict=True)
+        ]
+        target = whole_target(recording, combine(cuts), judged, choices, label, findings)
+    except NoQrsError as error:
+        raise InputError(
+            f"{recording.source}: {error}; leave bad leads out by --leads, or give a cleaner "
+            "recording"
+        ) from error
     return Analysis(
         recording=recording,
         signal=_strip(recording, parts),
@@ -111,6 +119,33 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
         target=target,
         chosen=label,
     )
+
+
+def _sorted(parts: Sequence[Turn], choices: Choices) -> tuple[list[Recording], list[SortedBeats]]:
+    """Each part without its pacing spikes, and its beats."""
+    clean, groups = [], []
+    for part in parts:
+        recording, spikes = without_spikes(part.recording)
+        per_sample = TARGET_RATE / recording.sampling_rate
+        spikes = np.round(spikes * per_sample).astype(np.int64)
+        clean.append(recording)
+        groups.append(sort_beats(prepared(recording, choices), spikes))
+    return clean, groups
+
+
+def _reasons(groups: Sequence[SortedBeats], choices: Choices, label: str) -> list[list[str]]:
+    """Why each beat of each group is not used; groups recorded in turns use equally many."""
+    firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
+    reasons = [
+        reasons_against(group, choices, label, first)
+        for group, first in zip(groups, firsts, strict=False)
+    ]
+    fewest = min(why.count("") for why in reasons)
+    for why in reasons:
+        used = [k for k, reason in enumerate(why) if not reason]
+        for k in used[fewest:] if fewest else ():
+            why[k] = "the other groups of leads have no more beats"
+    return reasons
 
 
 def _number(
@@ -138,11 +173,21 @@ def _judged(beats: Sequence[Beat], reasons: Sequence[str]) -> tuple[Beat, ...]:
     )
 
 
-def _refuse(findings: Sequence[Finding], source: str) -> None:
+def _refuse(findings: Sequence[Finding], recording: Recording) -> None:
     """Raise the first finding that forbids a target."""
     for finding in findings:
         if finding.severity is Severity.FATAL:
-            raise InputError(f"{source}: {finding.message}")
+            raise InputError(f"{recording.source}: {finding.message}{_reminder(recording)}")
+
+
+def _reminder(recording: Recording) -> str:
+    """What the user has changed in the recording, which may be the fault."""
+    done = [
+        f"{name} {recording.provenance[name]}"
+        for name in ("inverted", "swapped")
+        if name in recording.provenance
+    ]
+    return f" (after your options: {', '.join(done)}; they may be the fault)" if done else ""
 
 
 def _check_found(source: str, parts: Sequence[Turn], groups: Sequence[SortedBeats]) -> None:
@@ -159,7 +204,7 @@ def _check_found(source: str, parts: Sequence[Turn], groups: Sequence[SortedBeat
             f"{source}: the largest lead spans {height:.3g} mV in one beat, expected "
             f"{SMALLEST_QRS:g} to {LARGEST_QRS:g} mV; correct the unit or the gain of the file"
         )
-    clearest = max(group.signal_to_noise for group in groups)
+    clearest = min(group.signal_to_noise for group in groups)
     if clearest < LEAST_SIGNAL:
         raise InputError(
             f"{source}: no heart beats stand out of the noise (ratio of energies {clearest:.2f}); "
@@ -167,21 +212,47 @@ def _check_found(source: str, parts: Sequence[Turn], groups: Sequence[SortedBeat
         )
 
 
-def _check_choices(source: str, groups: Sequence[SortedBeats], choices: Choices) -> None:
-    """Refuse beats and classes that are not there."""
-    count = sum(len(group.peaks) for group in groups)
+def _check_named(source: str, beats: Sequence[Beat], choices: Choices) -> None:
+    """Refuse to leave out beats that the user has named."""
+    for beat in beats:
+        if beat.number in (choices.beats or ()) and "cut off" in beat.reason:
+            raise InputError(f"{source}: beat {beat.number} is {beat.reason}; name others")
+
+
+def _check_numbers(source: str, count: int, choices: Choices) -> None:
+    """Refuse beats that are not there."""
     wrong = [k for k in (*(choices.beats or ()), *choices.exclude) if not 1 <= k <= count]
     if wrong:
         raise InputError(
             f"{source}: there is no beat {wrong[0]}; {count} beats were found, numbered from 1"
         )
+
+
+def _check_classes(
+    source: str, groups: Sequence[SortedBeats], choices: Choices, label: str
+) -> None:
+    """Refuse a class that is not there, and classes that groups of leads may not share."""
     for group in groups:
+        mixed = len(group.of_class(label)) < FEW_ALIKE * len(group.peaks)
+        if len(groups) > 1 and mixed and choices.beats is None:
+            raise InputError(
+                f"{source}: leads were recorded in turns and the beats are of several shapes, "
+                "which cannot be matched; name those of one shape in every group by --beats"
+            )
         known = sorted(set(group.labels))
         if choices.beat_class is not None and choices.beat_class not in known:
             raise InputError(
                 f"{source}: there is no class {choices.beat_class}; the beats are of class "
                 f"{', '.join(known)}"
             )
+
+
+def _label(beats: Sequence[Beat], choices: Choices) -> str:
+    """Class of the target: the one that was chosen, or that of most of the beats that were."""
+    if choices.beats is not None:
+        labels = [beat.label for beat in beats if beat.number in choices.beats]
+        return max(sorted(set(labels), key=_by_name), key=labels.count)
+    return choices.beat_class if choices.beat_class is not None else "A"
 
 
 def _cut(

@@ -15,7 +15,7 @@ from fascicle.leads import LEADS
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
 HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
 SHORTEST = 0.4  # s; less does not hold a beat
-LONGEST = 1800.0  # s; bounds the memory that a recording takes
+LONGEST, MOST_SAMPLES = 1800.0, 5_000_000  # s and of each lead; they bound the memory it takes
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,8 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
     if not math.isfinite(sampling_rate) or not LOWEST_RATE <= sampling_rate <= HIGHEST_RATE:
         raise InputError(
             f"{source}: sampling rate is {sampling_rate:g} Hz; at least {LOWEST_RATE:g} Hz is "
-            "needed to see the QRS, export the recording at its full rate"
+            f"needed to see the QRS, and {HIGHEST_RATE:g} Hz is the most; correct it, or export "
+            "the recording at its full rate"
         )
     seconds = samples / sampling_rate
     if seconds < SHORTEST:
@@ -133,6 +134,11 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
         raise InputError(
             f"{source}: recording is {seconds:.0f} s long; cut it to {LONGEST:.0f} s or less, "
             "10 s are enough"
+        )
+    if samples > MOST_SAMPLES:
+        raise InputError(
+            f"{source}: {samples} samples of each lead; cut the recording to {MOST_SAMPLES} or "
+            "less, 10 s are enough"
         )
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from fascicle.recording.target import SAMPLING_STEP
 
 TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
-LARGEST_DENOMINATOR = 1000
+SIMPLE, FINEST = 1000, 20_000  # largest denominators of the ratio of the two rates
+LARGEST_DRIFT = 0.5  # ms by which the last sample may be off, before the finer ratio is taken
 FILTER_ORDER = 2  # run forward and backward: 4 in effect, without a shift in time
 NOTCH_QUALITY = 30.0  # of the notch filter: 50 Hz +- 0.8 Hz
 
@@ -23,13 +24,14 @@ def resample(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.fl
     signal : (n_leads, n) array
         Potential (mV); leads that are NaN throughout stay so.
     sampling_rate : float
-        Samples per second (Hz); ratios to 1000 Hz are taken to the nearest fraction with a
-        denominator of at most 1000, which shifts the last sample of 10 s by less than 0.1 ms at the
-        rates of common recorders.
+        Samples per second (Hz).
     """
     from scipy.signal import resample_poly
 
-    ratio = Fraction(TARGET_RATE / sampling_rate).limit_denominator(LARGEST_DENOMINATOR)
+    exact = Fraction(TARGET_RATE / sampling_rate)
+    ratio = exact.limit_denominator(SIMPLE)
+    if abs(ratio - exact) * signal.shape[1] * SAMPLING_STEP > LARGEST_DRIFT:
+        ratio = exact.limit_denominator(FINEST)
     if ratio == 1:
         return signal.copy()
     up, down = ratio.numerator, ratio.denominator
@@ -37,7 +39,10 @@ def resample(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.fl
 
 
 def lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
-    """Butterworth low-pass at `cutoff` Hz of a signal every `SAMPLING_STEP`, without delay."""
+    """Butterworth low-pass of a signal every `SAMPLING_STEP`, without delay.
+
+    It runs forward and backward, so that amplitudes are halved at `cutoff` Hz.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     sections = butter(FILTER_ORDER, cutoff, fs=TARGET_RATE, output="sos")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from string import ascii_uppercase
 
 import numpy as np
@@ -89,7 +89,8 @@ class SortedBeats:
             words.append("paced")
         if label != "A":
             usual = np.nanmedian(self.intervals)
-            if np.nanmedian(self.intervals[members]) < EARLY * usual:
+            known = self.intervals[members]
+            if np.isfinite(known).any() and np.nanmedian(known) < EARLY * usual:
                 words.append("early")
             if self._width(members) > max(WIDE, self._width(self.of_class("A")) + WIDER):
                 words.append("wide")
@@ -136,20 +137,23 @@ def sort_beats(signal: NDArray[np.float64], spikes: NDArray[np.int64]) -> Sorted
     return SortedBeats(signal, peaks, _labels(signal, peaks, classes), spikes)
 
 
-def cleaned(
-    recording: Recording, choices: Choices
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Signal (12, n) every `SAMPLING_STEP` without pacing spikes, filtered; and the spikes."""
+def without_spikes(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
+    """Recording without its pacing spikes; their first and last samples + 1, (k, 2)."""
     found = find_spikes(recording.signal, recording.sampling_rate)
-    without = remove_spikes(recording.signal, found)
-    signal = resample(without, recording.sampling_rate)
+    if not len(found):
+        return recording, found
+    return replace(recording, signal=remove_spikes(recording.signal, found)), found
+
+
+def prepared(recording: Recording, choices: Choices) -> NDArray[np.float64]:
+    """Signal (12, n) of a recording every `SAMPLING_STEP`, filtered if so chosen."""
+    signal = resample(recording.signal, recording.sampling_rate)
     there = recording.recorded
     if choices.lowpass is not None:
         signal[there] = lowpass(signal[there], choices.lowpass)
     if choices.notch is not None:
         signal[there] = notch(signal[there], choices.notch)
-    spikes = np.round(found * (TARGET_RATE / recording.sampling_rate)).astype(np.int64)
-    return signal, spikes
+    return signal
 
 
 def _find_peaks(signal: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -78,7 +78,6 @@ def repeated(target: Target, rng: np.random.Generator, count: int = REPETITIONS)
         raise ValueError("a target without a stated noise has beats of its own")
     noise = _smooth_noise(rng, (count, *target.beats.shape[1:]), target.noise)
     noise -= noise.mean(axis=0)
-    noise *= np.sqrt(count / (count - 1))
     return replace(target, beats=target.beats + noise, noise=None)
 
 

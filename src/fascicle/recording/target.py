@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,17 +44,17 @@ class Target:
     offset_sd: float = 0.0
     noise: float | None = None
 
-    @property
+    @cached_property
     def used(self) -> NDArray[np.bool_]:
         """Which of the twelve leads are there, shape (12,)."""
         return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
 
-    @property
+    @cached_property
     def mean(self) -> NDArray[np.float64]:
         """Mean beat (mV), shape (12, n_time)."""
         return np.asarray(self.beats.mean(axis=0))
 
-    @property
+    @cached_property
     def standard_deviation(self) -> NDArray[np.float64]:
         """Beat-to-beat standard deviation (mV), shape (12, n_time)."""
         if self.noise is not None:

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.recording.alignment import LARGEST_SHIFT, levelled
 from fascicle.recording.beats import CutBeats
 from fascicle.recording.detection import magnitude
 from fascicle.recording.recording import Recording
+
+SAME_TIME = 0.9  # share of a stretch that another covers, if it is of the same group or longer
+ALIGNMENT_SD = 10.0  # ms; of groups without a common lead, see `combine`
 
 
 @dataclass(frozen=True)
@@ -34,18 +38,23 @@ def turns(recording: Recording) -> list[Turn]:
 
     A lead that runs through all of them, such as a rhythm strip, is in each.
     """
-    spans = [tuple(span) for span in recording.spans[recording.recorded].tolist()]
     if recording.simultaneous:
         return [Turn(0, recording)]
-    inner = sorted(
-        one for one in set(spans) if not any(_inside(other, one) for other in set(spans) - {one})
-    )
-    return [_turn(recording, first, stop) for first, stop in inner]
+    spans = sorted({(first, stop) for first, stop in recording.spans[recording.recorded].tolist()})
+    found: list[tuple[int, int]] = []
+    for span in sorted(spans, key=lambda one: one[1] - one[0]):  # those that hold others come last
+        same = [k for k, one in enumerate(found) if _shared(one, span) >= SAME_TIME]
+        if not same:
+            found.append(span)
+        elif span[1] - span[0] < (found[same[0]][1] - found[same[0]][0]) / SAME_TIME:
+            one = found[same[0]]  # leads of one group, whose ends were digitised unevenly
+            found[same[0]] = (max(one[0], span[0]), min(one[1], span[1]))
+    return [_turn(recording, first, stop) for first, stop in sorted(found)]
 
 
-def _inside(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether one stretch lies within another."""
-    return other[0] <= one[0] and one[1] <= other[1]
+def _shared(one: tuple[int, int], other: tuple[int, int]) -> float:
+    """Share of the first stretch that the second covers."""
+    return (min(one[1], other[1]) - max(one[0], other[0])) / (one[1] - one[0])
 
 
 def _turn(recording: Recording, first: int, stop: int) -> Turn:
@@ -59,9 +68,9 @@ def combine(cuts: Sequence[CutBeats]) -> CutBeats:
     """Put beats of leads that were recorded in turns together, the first with the first.
 
     Beats of different groups are aligned by the leads that they share, or else by the root mean
-    square of their mean beats: on six recordings cut up in this way, that was right to within 5 ms
-    in 15 of 18 groups, and to within 16 ms in all. There are as many beats as the group with the
-    fewest has.
+    square of their mean beats: in made-up recordings cut up in this way, half of the groups were
+    right to within 2 ms, one in ten was off by more than 12 ms, and the worst by 50 ms. There are
+    as many beats as the group with the fewest has.
 
     Parameters
     ----------
@@ -87,13 +96,19 @@ def combine(cuts: Sequence[CutBeats]) -> CutBeats:
         for cut, shift in zip(cuts, shifts, strict=True)
         if cut.not_before
     ]
-    return CutBeats(together, before, max(spikes, default=0))
+    alone = any(not (_there(first) & _there(cut)).any() for cut in cuts)
+    return CutBeats(together, before, max(spikes, default=0), ALIGNMENT_SD if alone else 0.0)
+
+
+def _there(cut: CutBeats) -> NDArray[np.bool_]:
+    """Which leads a group has, shape (12,)."""
+    return np.asarray(np.isfinite(cut.beats[0]).all(axis=1))
 
 
 def _shift(first: CutBeats, other: CutBeats) -> int:
     """Samples by which the second group's beats lie later about R than the first's."""
     a, b = first.beats.mean(axis=0), other.beats.mean(axis=0)
-    shared = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    shared = _there(first) & _there(other)
     x, y = (a[shared], b[shared]) if shared.any() else (magnitude(a)[None], magnitude(b)[None])
     reach = min(first.before, other.before)
     length = min(x.shape[1] - first.before, y.shape[1] - other.before) + reach

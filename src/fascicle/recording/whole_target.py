@@ -19,6 +19,8 @@ from fascicle.recording.recording import Recording
 from fascicle.recording.target import SAMPLING_STEP, Target
 from fascicle.recording.window import qrs_window, window_uncertainty
 
+LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
+LARGEST_DOUBT = 40.0  # ms
 NOISY = 0.2  # beat-to-beat spread over QRS height
 FEW_ALIKE = 0.7  # share of the beats that should be alike
 
@@ -51,29 +53,29 @@ def whole_target(
     Raises
     ------
     InputError
-        When a single beat has no stated noise, or the window is impossible.
+        When a single beat has no stated noise, or the window is impossible or cannot be found.
     """
     _check_noise(len(cut.beats), label, choices, recording.source)
     mean = cut.beats.mean(axis=0)
     onset, offset = _window(mean, cut, choices, recording.source)
-    onset_sd, offset_sd = window_uncertainty(
-        cut.beats, SAMPLING_STEP, cut.not_before, noise=choices.noise
-    )
+    ends = window_uncertainty(cut.beats, SAMPLING_STEP, cut.not_before, noise=choices.noise)
+    onset_sd, offset_sd = (math.hypot(sd, cut.doubt) for sd in ends)
+    _check_doubt(onset_sd, offset_sd, choices, recording.source)
     target = Target(
         beats=cut.beats,
         time=cut.time,
         qrs_onset=onset,
         qrs_offset=offset,
         heart_rate=_heart_rate(beats),
-        provenance=_provenance(recording, beats, len(cut.beats), label, choices),
+        provenance=_provenance(recording, beats, len(cut.beats), choices),
         onset_sd=onset_sd if choices.onset is None else 0.0,
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
     )
-    warnings = _warnings(recording, target, beats, label, findings)
+    warnings = _warnings(recording, target, beats, label, choices, findings)
     if not warnings:
         return target
-    return replace(target, provenance=target.provenance | {"warnings": "; ".join(warnings)})
+    return replace(target, provenance=target.provenance | {"warnings": "\n".join(warnings)})
 
 
 def _heart_rate(beats: Sequence[Beat]) -> float:
@@ -95,6 +97,18 @@ def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
         )
 
 
+def _check_doubt(onset_sd: float, offset_sd: float, choices: Choices, source: str) -> None:
+    """Refuse ends that may be anywhere, unless the user has given them."""
+    for name, sd, given in (
+        ("onset", onset_sd, choices.onset), ("offset", offset_sd, choices.offset)
+    ):  # fmt: skip
+        if sd > LARGEST_DOUBT and given is None:
+            raise InputError(
+                f"{source}: QRS {name} found to within {sd:.0f} ms only (at most "
+                f"{LARGEST_DOUBT:.0f}); give it by --{name}, or a cleaner recording"
+            )
+
+
 def _window(
     mean: NDArray[np.float64], cut: CutBeats, choices: Choices, source: str
 ) -> tuple[float, float]:
@@ -104,6 +118,11 @@ def _window(
     start = float(time[first]) if choices.onset is None else float(choices.onset)
     end = float(time[last]) if choices.offset is None else float(choices.offset)
     check_window(start, end, source)
+    if not start < 0 < end and None in (choices.onset, choices.offset):
+        raise InputError(
+            f"{source}: QRS window {start:g} to {end:g} ms does not hold the R peak (0 ms); give "
+            "--onset and --offset about it, or a cleaner recording"
+        )
     if start < time[0] or end > time[-1]:
         raise InputError(
             f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
@@ -116,7 +135,6 @@ def _provenance(
     recording: Recording,
     beats: Sequence[Beat],
     n_used: int,
-    label: str,
     choices: Choices,
 ) -> dict[str, str]:
     """Text about everything that decided the target."""
@@ -127,7 +145,7 @@ def _provenance(
         "beats_found": str(len(beats)),
         "beats_used": str(n_used),
         "beat_numbers": ", ".join(str(beat.number) for beat in beats if beat.used),
-        "beat_class": label,
+        "beat_class": ", ".join(sorted({beat.label for beat in beats if beat.used})),
         "qrs_onset_from": "detected" if choices.onset is None else "given",
         "qrs_offset_from": "detected" if choices.offset is None else "given",
     }
@@ -143,17 +161,27 @@ def _warnings(
     target: Target,
     beats: Sequence[Beat],
     label: str,
+    choices: Choices,
     findings: Sequence[Finding],
 ) -> list[str]:
     """Collect what the user should know."""
     warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
     if not recording.simultaneous:
         warnings.append(
-            "leads were recorded in turns: beats of different groups are put together, aligned to "
-            "within 5 to 15 ms unless they share a lead"
+            "leads were recorded in turns: beats of different groups are put together, and aligned "
+            "to within some 10 ms unless they share a lead"
         )
+    notes = recording.provenance
+    if notes.get("checksums", "").startswith("differ"):
+        warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
+    if "remarks" in notes:
+        warnings.append(notes["remarks"])
+    if not LOWEST_RATE <= target.heart_rate <= HIGHEST_RATE:
+        warnings.append(f"{target.heart_rate:.0f} beats per minute; is the sampling rate right?")
+    if len(target.beats) == 2:
+        warnings.append("two beats tell little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)
-    if alike < FEW_ALIKE * len(beats):
+    if alike < FEW_ALIKE * len(beats) and choices.beats is None:
         warnings.append(
             f"only {alike} of {len(beats)} beats are of class {label}; look at the rhythm"
         )

@@ -44,6 +44,10 @@ REPEATS = 50  # of the search, in mean beats that noise has changed
 NOISE_CORRELATION = 2.0  # ms; of stated noise
 
 
+class NoQrsError(ValueError):
+    """The signal holds no QRS: no lead moves, or one alone of many."""
+
+
 @dataclass(frozen=True)
 class _Search:
     """How an end of the QRS is looked for.
@@ -171,7 +175,7 @@ def _core(speed: Array, step: float) -> tuple[int, int]:
     """
     highest = _highest(speed, step)
     if not highest > 0:
-        raise ValueError("no QRS: the leads do not move, or one of many alone")
+        raise NoQrsError("no QRS: the leads do not move, or one of many alone")
     peak, level = int(np.argmax(speed)), CORE * highest
     while True:
         fast = np.flatnonzero(speed >= min(level, speed[peak]))
@@ -273,7 +277,9 @@ def window_uncertainty(
         means = beats.mean(axis=0) + _noise(rng, beats.shape[1:], step) * noise / n_beats**0.5
         inflation = 1.0
     windows = np.array([qrs_window(mean, step, not_before) for mean in means])
-    by_noise = step**2 * inflation * windows.var(axis=0, ddof=1)
+    # 68 % of a normal distribution; a few means in which another wave stands out do not count
+    low, high = np.quantile(windows, [0.16, 0.84], axis=0)
+    by_noise = step**2 * inflation * ((high - low) / 2) ** 2
     onset, offset = np.sqrt(by_noise + np.square([ONSET_ERROR, OFFSET_ERROR]))
     return float(onset), float(offset)
 

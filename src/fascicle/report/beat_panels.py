@@ -138,7 +138,7 @@ def _draw_lead(
 def _set_ticks(axes: Axes, lead: int) -> None:
     """Ticks at whole boxes of ECG paper, named at the left and below alone."""
     start, stop = axes.get_xlim()
-    step = SMALL_BOX * math.ceil((stop - start) / (6 * SMALL_BOX))
+    step = SMALL_BOX * math.ceil((stop - start) / (5 * SMALL_BOX))
     axes.xaxis.set_major_locator(MultipleLocator(step))
     axes.xaxis.set_minor_locator(MultipleLocator(SMALL_BOX))
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))

@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 
 from fascicle.leads import LEADS
 from fascicle.recording.analysis import Analysis, BeatClass
-from fascicle.recording.quality.finding import Severity
 from fascicle.report.beat_panels import ROWS, draw_beats, panel_handles
 from fascicle.report.ecg_paper import PACE, PAPER_GAIN, PAPER_PACE, SHOWN, draw_strip, strip_start
 from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, new_figure
@@ -95,7 +94,6 @@ def _measures_text(analysis: Analysis) -> str:
     target = analysis.target
     spread = math.hypot(target.onset_sd, target.offset_sd)
     uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
-    used = sum(beat.used for beat in analysis.beats)
     onset, offset = (
         f"{end:.0f}".replace("-", "\N{MINUS SIGN}") for end in (target.qrs_onset, target.qrs_offset)
     )
@@ -104,19 +102,20 @@ def _measures_text(analysis: Analysis) -> str:
         [
             f"{target.heart_rate:.0f} beats/min" if known else "heart rate unknown",
             f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R",
-            f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}",
+            _beats_text(analysis),
         ]
     )
 
 
+def _beats_text(analysis: Analysis) -> str:
+    used, count = sum(beat.used for beat in analysis.beats), len(analysis.target.beats)
+    text = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
+    return text if used == count else f"{text}, put together to {count}"
+
+
 def _warning_lines(analysis: Analysis) -> list[str]:
     """What the checks found, in as many lines as fit."""
-    prefix = f"{analysis.recording.source}: "
-    messages = [
-        (found.message or found.check).removeprefix(prefix)
-        for found in analysis.findings
-        if found.severity is not Severity.FINE
-    ]
+    messages = analysis.target.provenance.get("warnings", "").splitlines()
     if not messages:
         return ["no warnings"]
     lines: list[str] = []

@@ -80,7 +80,14 @@ def read_recording(
     path = _existing_file(Path(path))
     given = Given(sampling_rate, unit)
     recording = assemble(_reader(path)(path, given), str(path), given, leads)
-    return replace(recording, provenance=recording.provenance | {"source_sha256": _sha256(path)})
+    notes = {"source_sha256": _sha256(path)}
+    if leads is not None:
+        notes["choice_leads"] = ", ".join(leads)
+    if sampling_rate is not None:
+        notes["choice_sampling_rate_hz"] = f"{sampling_rate:g}"
+    if unit is not None:
+        notes["choice_unit"] = unit
+    return replace(recording, provenance=recording.provenance | notes)
 
 
 def _existing_file(path: Path) -> Path:
@@ -92,6 +99,8 @@ def _existing_file(path: Path) -> Path:
         return header
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give one recording file")
+    if path.exists():
+        raise InputError(f"{path}: is not an ordinary file; give one recording file")
     raise InputError(f"{path}: no such file; check the name of the recording")
 
 

@@ -89,6 +89,8 @@ def read_levels(path: Path, given: Given, kind: str) -> Contents:
     with file:
         check_heaps(path)
         with damage(path, kind, _PARSE_ERRORS):
+            if str(file.attrs.get("format", "")) == "fascicle target":
+                raise InputError(f"{path}: is a target already; give the recording it is made of")
             levels = list(_levels(file, "", None, _Reading(path, kind)))
         return contents_of(levels, path, given, kind)
 

@@ -25,8 +25,6 @@ from fascicle.io.recordings.wfdb_files import (
 from fascicle.io.recordings.wfdb_header import FLAC_FORMATS, Header, SignalLine, read_header
 from fascicle.recording.recording import check_extent
 
-_DEFAULT_RATE = 250.0  # Hz, of headers that do not say it: header(5), WFDB applications guide
-
 
 @dataclass(frozen=True)
 class _Signal:
@@ -76,11 +74,8 @@ def read_wfdb(path: Path, given: Given) -> Contents:
         # fsspec, which wfdb opens files with, takes what is joined by :: for addresses
         raise InputError(f"{source}: rename it so that the name ends in .hea and has no '::'")
     header = read_header(path, source)
-    rate = header.rate if header.rate is not None else given.sampling_rate
-    notes = {}
-    if rate is None:
-        rate = _DEFAULT_RATE
-        notes["sampling_rate"] = f"not in the header, {_DEFAULT_RATE:g} Hz by the WFDB standard"
+    # by the standard a header without a rate means 250 Hz, but most such headers lost theirs
+    rate = header.rate if header.rate is not None else agreed_rate(path, None, given)
     parts = _segments(path, header, rate) if header.segments else [_single(path, header, source)]
     check_lengths(parts, rate, source)
     for part in parts:
@@ -89,7 +84,7 @@ def read_wfdb(path: Path, given: Given) -> Contents:
     leads_per_frame = max((s.per_frame for s in signals if lead_name(s.name)), default=1)
     check_extent(frames * leads_per_frame, rate * leads_per_frame, source)
     rate = agreed_rate(path, rate * leads_per_frame, given)
-    notes |= _checksum_note(signals) | hash_note(path, header, parts)
+    notes = _checksum_note(signals) | hash_note(path, header, parts)
     return Contents([_channel(s) for s in signals], rate, "WFDB", notes=notes)
 
 

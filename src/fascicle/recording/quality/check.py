@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.recording.quality.activity import Activity, activity, beats, together
+from fascicle.recording.quality.activity import activity
 from fascicle.recording.quality.clipping import check_clipping
 from fascicle.recording.quality.duplicates import check_duplicates
 from fascicle.recording.quality.electrodes import check_limb_electrodes
@@ -23,16 +23,26 @@ from fascicle.recording.quality.wander import check_wander
 from fascicle.recording.recording import Recording
 
 
-def check_recording(recording: Recording, peaks: NDArray[np.int64] | None) -> tuple[Finding, ...]:
-    """Everything that the numbers of a recording say against it.
+def check_leads(recording: Recording) -> tuple[Finding, ...]:
+    """What is wrong with leads whatever is in them: no signal, or another lead's.
+
+    Parameters
+    ----------
+    recording : Recording
+        Twelve leads.
+    """
+    return (*check_flatness(recording), *check_duplicates(recording))
+
+
+def check_recording(recording: Recording, peaks: NDArray[np.int64]) -> tuple[Finding, ...]:
+    """Everything that the numbers of a recording with a signal in each lead say against it.
 
     Parameters
     ----------
     recording : Recording
         Twelve leads; any of them may be absent, and they may be recorded in turns.
-    peaks : (n_beats,) array or None
-        R peaks (samples of ``recording.signal``); None when they are not known, and then found
-        roughly.
+    peaks : (n_beats,) array
+        R peaks (samples of ``recording.signal``).
 
     Returns
     -------
@@ -41,12 +51,8 @@ def check_recording(recording: Recording, peaks: NDArray[np.int64] | None) -> tu
         the recording does not allow; its message says so.
     """
     moving = activity(recording)
-    if peaks is None:
-        peaks = _rough_peaks(recording, moving)
     typical = typical_beat(recording, peaks)
     return (
-        *check_flatness(recording),
-        *check_duplicates(recording),
         *check_synchrony(recording, moving),
         *check_identities(recording),
         *check_limb_electrodes(recording, typical),
@@ -58,9 +64,3 @@ def check_recording(recording: Recording, peaks: NDArray[np.int64] | None) -> tu
         *check_extent_in_time(recording),
         *check_filters(recording),
     )
-
-
-def _rough_peaks(recording: Recording, moving: Activity) -> NDArray[np.int64]:
-    """Middles of the QRS, by the activity of all leads."""
-    found, _ = beats(together(moving.speed), moving.rate)
-    return np.asarray(np.round(found * recording.sampling_rate / moving.rate), dtype=np.int64)

@@ -46,8 +46,10 @@ def check_duplicates(recording: Recording) -> list[Finding]:
                 f"{rest}"
             )
     if not copies:
-        return [Finding("most alike leads", largest, "", COPY, Severity.FINE)]
-    return [Finding("most alike leads", largest, "", COPY, Severity.FATAL, m) for m in copies]
+        return [Finding("likest leads of one size", largest, "", COPY, Severity.FINE)]
+    return [
+        Finding("likest leads of one size", largest, "", COPY, Severity.FATAL, m) for m in copies
+    ]
 
 
 def _standardised(recording: Recording) -> dict[str, tuple[NDArray[np.float64], float]]:

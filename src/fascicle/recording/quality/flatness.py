@@ -55,6 +55,8 @@ def _check_still(recording: Recording, leads: dict[str, NDArray[np.float64]]) ->
                 "recording to the part with signal"
             )
     severity = Severity.WARNING if long else Severity.FINE
+    if len(long) == len(leads) > 0:
+        severity = Severity.FATAL
     return Finding("longest constant stretch", longest, "s", LONGEST_STILL, severity, message)
 
 

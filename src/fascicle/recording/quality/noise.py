@@ -31,7 +31,7 @@ def check_noise(recording: Recording) -> list[Finding]:
     lost = [lead for lead, figure in noise.items() if figure > LOST]
     largest = 1e3 * max(noise.values())
     severity, message = Severity.FINE, ""
-    if lost:
+    if lost and len(lost) < len(noise):
         severity = Severity.FATAL
         message = (
             f"noise drowns {listed(lost)} (SD up to {largest:.0f} uV): electrode off? Go on "

@@ -74,7 +74,7 @@ def check_synchrony(recording: Recording, moving: Activity) -> list[Finding]:
             "file? Give leads of one recording"
         )
     severity = Severity.FATAL if message else Severity.FINE
-    name = "limb against chest leads"
+    name = "limb against chest, jitter"
     return [*findings, Finding(name, jitter, "ms", LARGEST_JITTER, severity, message)]
 
 
