@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import hdf5, matlab_elements, read_recording
-from fascicle.io.recordings.named_arrays import LARGEST
 from fascicle.leads import LEADS, lead_matrix
 from fascicle.recording.recording import Recording
 
@@ -303,15 +302,6 @@ class TestHdf5Refused:
                 data = file.create_dataset(name, shape, "i1", chunks=(1,) * len(shape))
                 data[(0,) * len(shape)] = 1
         refused(path, "s long; cut it")
-
-    def test_more_values_than_fit(self, tmp_path):
-        path = tmp_path / "a.h5"
-        length = LARGEST // 12 + 1
-        with h5py.File(path, "w") as file:
-            file.attrs.update({"fs": 50000, "units": "mV", "leads": list(LEADS)})
-            data = file.create_dataset("ecg", (12, length), "i1", chunks=(1, 1000))
-            data[0, 0] = 1
-        refused(path, f"{12 * length} samples in all")
 
     def test_huge_blocks(self, tmp_path, signal, monkeypatch):
         monkeypatch.setattr(hdf5, "LARGEST", 2000)

@@ -330,7 +330,9 @@ def test_claimed_lengths_take_no_memory(tmp_path):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 10 * 2**20  # the samples would take 86 MB
-    refused(change(path, f"{RATE} {1800 * RATE}", "100000 15000000"), "15000000 samples of each lead")
+    refused(
+        change(path, f"{RATE} {1800 * RATE}", "100000 15000000"), "15000000 samples of each lead"
+    )
 
 
 class TestSegments:

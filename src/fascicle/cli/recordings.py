@@ -191,7 +191,7 @@ def _limit(finding: Finding) -> str:
     """The limit, and on which side of it all is fine."""
     if math.isnan(finding.limit):
         return "-"
-    below, fine = finding.value <= finding.limit, finding.severity.value == "ok"
+    below, fine = finding.value < finding.limit, finding.severity.value == "ok"
     unknown = math.isnan(finding.value)
     return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(finding.limit)
 

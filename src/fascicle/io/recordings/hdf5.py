@@ -14,7 +14,7 @@ from fascicle.errors import InputError
 from fascicle.io.recordings.contents import Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.hdf5_heaps import check_heaps, longest_text
-from fascicle.io.recordings.named_arrays import LARGEST, Array, Level, contents_of
+from fascicle.io.recordings.named_arrays import Array, Level, contents_of
 from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark
 from fascicle.io.recordings.stated import damage, printable
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _LONGEST_TEXT = 2**20  # bytes
 _DEEPEST = 3  # groups within groups
+LARGEST = 2**26  # values of one block of a dataset, which is read whole
 _MOST_ENTRIES = 1000  # datasets and groups that are looked at
 # Filters that come with HDF5 and h5py; others are libraries that would be loaded from somewhere
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}

@@ -6,7 +6,6 @@ must be stated under one of the names below, once, or by the user.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +28,6 @@ from fascicle.io.recordings.remarks import (
 from fascicle.io.recordings.stated import agreed_rate
 from fascicle.recording.recording import check_extent
 
-LARGEST = 2**26  # values of all leads together: twelve leads over 30 minutes at 3 kHz
 _FEWEST = 2  # names that must be leads, so that a stray variable `i` makes no recording
 
 
@@ -222,12 +220,6 @@ def _check_sizes(leads: Sequence[_Signal], rate: float, path: Path) -> None:
     """Refuse leads that are too short, too long or too many, before they are read."""
     for signal in leads:
         check_extent(signal.length, rate, str(path))
-    values = sum({id(signal.array): math.prod(signal.array.shape) for signal in leads}.values())
-    if values > LARGEST:
-        raise InputError(
-            f"{path}: leads of {values} samples in all; cut the recording to at most {LARGEST}, "
-            "10 s are enough"
-        )
 
 
 def _unit(level: Level, signal: _Signal, path: Path) -> str | None:
