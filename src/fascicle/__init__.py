@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from fascicle.io.recordings import read_recording
     from fascicle.io.targets import read_target
     from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-    from fascicle.recording.making import make_target
+    from fascicle.recording.choices import Choices
+    from fascicle.recording.making import analyse, make_target
     from fascicle.tree.grow import GrowthRules
     from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
 
@@ -33,6 +34,7 @@ __version__ = version("fascicle")
 
 # Loaded when first used: the package imports in milliseconds, its numerics do not.
 _HOMES = {
+    "Choices": "fascicle.recording.choices",
     "Conduction": "fascicle.geometry.conduction",
     "EXAMPLE_PARAMETERS": "fascicle.parameters",
     "ForwardModel": "fascicle.forward",
@@ -47,6 +49,7 @@ _HOMES = {
     "Scenario": "fascicle.eikonal.scenario",
     "Slowing": "fascicle.eikonal.scenario",
     "Stimulus": "fascicle.eikonal.scenario",
+    "analyse": "fascicle.recording.making",
     "fit": "fascicle.fitting",
     "load_heart": "fascicle.io.hearts",
     "load_study": "fascicle.fitting",
@@ -58,6 +61,7 @@ _HOMES = {
 __all__ = [
     "EXAMPLE_PARAMETERS",
     "NETWORK_SPACE",
+    "Choices",
     "Conduction",
     "ForwardModel",
     "GrowthRules",
@@ -70,6 +74,7 @@ __all__ = [
     "Simulation",
     "Slowing",
     "Stimulus",
+    "analyse",
     "fit",
     "load_heart",
     "load_study",

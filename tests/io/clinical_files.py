@@ -12,10 +12,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pytest
 
-from fascicle.errors import InputError
-from fascicle.io.recordings import read_recording
 from fascicle.leads import INDEPENDENT_LEADS
 
 # EN 1064, 5.6.3: identification of leads
@@ -209,17 +206,6 @@ def saved(folder, content):
     path = folder / ("a.xml" if isinstance(content, str) else "a.scp")
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
-
-
-def refused(path, *words, **options):
-    with pytest.raises(InputError) as info:
-        read_recording(path, **options)
-    message = str(info.value)
-    assert message.startswith(f"{path}: ")
-    assert len(message.splitlines()) == 1
-    for word in words:
-        assert word in message, message
-    return message
 
 
 def replaced(text, old, new, count=1):

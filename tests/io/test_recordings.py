@@ -10,20 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from pydicom.data import get_testdata_file
+from refusals import refused
 
-from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
 from fascicle.leads import LEADS
-
-
-def refused(path, *words):
-    with pytest.raises(InputError) as info:
-        read_recording(path)
-    message = str(info.value)
-    assert message.startswith(f"{path}: ")
-    assert message.isprintable()
-    for word in words:
-        assert word in message, message
 
 
 @pytest.fixture

@@ -9,11 +9,10 @@ import scipy.io
 import scipy.sparse
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from refusals import outcome, refused
 
-from fascicle.errors import InputError
 from fascicle.io.recordings import hdf5, matlab_elements, read_recording
 from fascicle.leads import LEADS, lead_matrix
-from fascicle.recording.recording import Recording
 
 RATE, N = 500, 1000
 
@@ -68,16 +67,6 @@ def save_matlab_73(path, signal, names=LEADS, kind=b"cell"):
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(124) + b"\0\2IM"
     path.write_bytes(header + path.read_bytes()[128:])
     return path
-
-
-def refused(path, *words, **options):
-    with pytest.raises(InputError) as info:
-        read_recording(path, **options)
-    message = str(info.value)
-    assert message.startswith(f"{path}: ")
-    assert message.isprintable()
-    for word in words:
-        assert word in message, message
 
 
 class TestHdf5:
@@ -458,22 +447,6 @@ class TestMatlab:
         path = save_matlab(tmp_path / "a.mat", by_lead(signal), do_compression=True)
         path.write_bytes(path.read_bytes()[:-100])
         refused(path, "damaged MATLAB")
-
-
-def outcome(path, content):
-    """Read some bytes as a recording; anything but one line of refusal or finite leads fails."""
-    path.write_bytes(content)
-    recording, message = None, ""
-    try:
-        recording = read_recording(path)
-    except InputError as error:
-        message = str(error)
-    assert message.isprintable()
-    if recording is None:
-        return None
-    assert isinstance(recording, Recording)
-    assert np.isfinite(recording.signal).all()
-    return recording
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ import xml.etree.ElementTree as ET
 import clinical_files as files
 import numpy as np
 import pytest
-from clinical_files import refused, replaced, saved
+from clinical_files import replaced, saved
+from refusals import refused
 
 from fascicle.io.recordings import read_recording
 from fascicle.leads import INDEPENDENT_LEADS, LEADS

@@ -8,9 +8,10 @@ import struct
 import clinical_files as files
 import numpy as np
 import pytest
-from clinical_files import refused, replaced, saved
+from clinical_files import replaced, saved
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import clinical_xml, read_recording, scp

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from refusals import outcome, refused
 
-from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
 from fascicle.leads import LEADS, lead_matrix
-from fascicle.recording.recording import Filters, Recording
+from fascicle.recording.recording import Filters
 
 RATE, N = 500, 1000
 RANGE = 5000.0  # uV; 16 bits resolve 0.15 uV of it
@@ -55,16 +55,6 @@ def patch(path, offset, text, length=8):
 def field(offset, number, count, length=8):
     """Offset of a field of one signal in the header."""
     return BLOCK + offset * count + length * number
-
-
-def refused(path, *words, **options):
-    with pytest.raises(InputError) as info:
-        read_recording(path, **options)
-    message = str(info.value)
-    assert message.startswith(f"{path}: ")
-    assert message.isprintable()
-    for word in words:
-        assert word in message, message
 
 
 class TestRead:
@@ -260,22 +250,6 @@ class TestRefused:
         for number in range(12):
             patch(path, field(LABEL, number, 12, 16), f"x\n{number}", 16)
         refused(path, r"x\n0")
-
-
-def outcome(path, content):
-    """Read some bytes as a recording; anything but one line of refusal or finite leads fails."""
-    path.write_bytes(content)
-    recording, message = None, ""
-    try:
-        recording = read_recording(path)
-    except InputError as error:
-        message = str(error)
-    assert message.isprintable()
-    if recording is None:
-        return None
-    assert isinstance(recording, Recording)
-    assert np.isfinite(recording.signal).all()
-    return recording
 
 
 fuzz = settings(

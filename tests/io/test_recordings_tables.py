@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from refusals import refused
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
@@ -55,17 +56,6 @@ def write(path, text, encoding="utf-8"):
 
 def text_of(frame, **options):
     return frame.to_csv(index=False, **options)
-
-
-def refused(path, *words, **given):
-    with pytest.raises(InputError) as info:
-        read_recording(path, **given)
-    message = str(info.value)
-    assert message.startswith(f"{path}: ")
-    assert len(message.splitlines()) == 1
-    for word in words:
-        assert word in message, message
-    return message
 
 
 class TestUnits:
