@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
 from fascicle.recording.recording import Recording
+
+
+def fuzzing(examples, *more):
+    """Settings of a test that damages files: bounded, the same in every run, with `tmp_path`.
+
+    `more` are health checks of Hypothesis that the test must do without, too.
+    """
+    return settings(
+        max_examples=examples, deadline=None, derandomize=True,
+        suppress_health_check=[HealthCheck.function_scoped_fixture, *more],
+    )  # fmt: skip
 
 
 def refused(path, *words, **options):

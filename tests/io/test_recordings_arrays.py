@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
-from refusals import outcome, refused
+from refusals import fuzzing, outcome, refused
 
 from fascicle.io.recordings import hdf5, matlab_elements, read_recording
 from fascicle.leads import LEADS, lead_matrix
@@ -468,10 +468,7 @@ def whole_files(tmp_path_factory):
     return [(path.name, path.read_bytes()) for path in paths]
 
 
-fuzz = settings(
-    max_examples=120, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+fuzz = fuzzing(120)
 flips = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=8)
 
 

@@ -9,9 +9,9 @@ import clinical_files as files
 import numpy as np
 import pytest
 from clinical_files import replaced, saved
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from refusals import refused
+from refusals import fuzzing, refused
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import clinical_xml, read_recording, scp
@@ -190,10 +190,7 @@ def sound_or_refused(path, content):
         assert not np.isinf(recording.signal).any()
 
 
-_LONG = settings(
-    max_examples=120, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+_LONG = fuzzing(120)
 
 
 class TestFuzz:

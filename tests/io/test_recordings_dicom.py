@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pydicom
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pydicom.data import get_testdata_file
 from pydicom.dataset import Dataset, FileMetaDataset
@@ -24,7 +24,7 @@ from pydicom.uid import (
     TwelveLeadECGWaveformStorage,
     generate_uid,
 )
-from refusals import outcome, refused
+from refusals import fuzzing, outcome, refused
 
 from fascicle.io.recordings import read_recording
 from fascicle.leads import LEADS, lead_matrix
@@ -434,12 +434,7 @@ def written(syntax):
         return write(Path(folder), *groups, syntax=syntax).read_bytes()
 
 
-FUZZ = settings(
-    max_examples=80,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+FUZZ = fuzzing(80)
 VALUES = [
     "", "0", "-1", "1e300", "nan", "inf", "0.5", "1e-300", "abc", "1\\2", "2:1", "mV", "MDC",
     "Lead II", "\n", "é", "SB", "US", "4294967295",

@@ -7,9 +7,9 @@ import warnings
 import edfio
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
-from refusals import outcome, refused
+from refusals import fuzzing, outcome, refused
 
 from fascicle.io.recordings import read_recording
 from fascicle.leads import LEADS, lead_matrix
@@ -252,10 +252,7 @@ class TestRefused:
         refused(path, r"x\n0")
 
 
-fuzz = settings(
-    max_examples=150, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+fuzz = fuzzing(150)
 flips = st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), max_size=12)
 
 

@@ -7,10 +7,10 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from refusals import refused
+from refusals import fuzzing, refused
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
@@ -18,12 +18,7 @@ from fascicle.leads import LEADS, lead_matrix
 
 RATE, N = 500, 2000
 IN_MV = [f"{lead}_mV" for lead in LEADS]
-fuzz = settings(
-    max_examples=30,
-    derandomize=True,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+fuzz = fuzzing(30, HealthCheck.too_slow)
 
 
 def waves(n=N, rate=RATE):

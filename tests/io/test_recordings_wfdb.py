@@ -12,9 +12,9 @@ import tracemalloc
 import numpy as np
 import pytest
 import wfdb
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
-from refusals import outcome, refused
+from refusals import fuzzing, outcome, refused
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import read_recording
@@ -471,12 +471,7 @@ def edited(header, data, edits):
     return header, data
 
 
-@settings(
-    max_examples=150,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@fuzzing(150)
 @given(kind=st.sampled_from(["16", "212", "8", "310", "24"]), edits=EDITS)
 @example(kind="16", edits=[("token", 2, "-500")])
 @example(kind="8", edits=[("token", 8, "9" * 12)])  # initial value

@@ -157,10 +157,10 @@ def print_analysis(analysis: Analysis) -> None:
     for beat in analysis.beats:
         if not beat.used and not beat.reason.startswith("class "):
             _line(f"beat {beat.number}", f"at {beat.time:.2f} s, class {beat.label}: {beat.reason}")
-    print_target(analysis.target)
+    _print_target(analysis.target)
 
 
-def print_target(target: Target) -> None:
+def _print_target(target: Target) -> None:
     """Print the figures of a target; its warnings go to the standard error."""
     import numpy as np
 

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import CHANNELS, deposit, respond
-from fascicle.leads import LEADS, lead_matrix
+from fascicle.leads import INDEPENDENT_LEADS, LEADS, lead_matrix
 
 STEP = 1.0  # sampling of the ECG (ms)
 # A bin's response rings on by this many bins after U has come to rest, to below 1e-7 of its height
 RINGING = 12
-INDEPENDENT = ("I", "II", "V1", "V2", "V3", "V4", "V5", "V6")
 
 
 def first_sample(activation: NDArray[np.float64]) -> float:
@@ -100,8 +99,8 @@ class Electrocardiograph:
 
 
 def leads_from_independent() -> NDArray[np.float64]:
-    """Matrix (12, 8) that completes the leads `INDEPENDENT` to the twelve."""
-    i, ii, *chest = np.eye(len(INDEPENDENT))
+    """Matrix (12, 8) that completes the leads `INDEPENDENT_LEADS` to the twelve."""
+    i, ii, *chest = np.eye(len(INDEPENDENT_LEADS))
     return np.array([i, ii, ii - i, -(i + ii) / 2, i - ii / 2, ii - i / 2, *chest])
 
 
@@ -195,7 +194,7 @@ def build_electrocardiograph(
     action_potential : ActionPotential
         The template U.
     """
-    independent = lead_matrix()[[LEADS.index(lead) for lead in INDEPENDENT]]
+    independent = lead_matrix()[[LEADS.index(lead) for lead in INDEPENDENT_LEADS]]
     of_leads = np.tensordot(independent, gradients, axes=1)
     weights = channel_weights(barycentric, volumes, intracellular, of_leads)
     conducting = weights.any(axis=(1, 2))

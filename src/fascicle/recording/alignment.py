@@ -18,8 +18,8 @@ def cut(
 
     Beyond its ends the signal stays as it is there.
     """
-    padded = np.pad(signal, ((0, 0), (before, after)), mode="edge")
-    return np.stack([padded[:, peak : peak + before + after + 1] for peak in peaks])
+    within = np.clip(peaks[:, None] + np.arange(-before, after + 1), 0, signal.shape[1] - 1)
+    return np.stack([signal[:, samples] for samples in within])
 
 
 def complete(

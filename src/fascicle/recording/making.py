@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
@@ -168,7 +169,7 @@ def _native(beats: Sequence[Beat], sampling_rate: float) -> NDArray[np.int64]:
 def _judged(beats: Sequence[Beat], reasons: Sequence[str]) -> tuple[Beat, ...]:
     """Beats with whether they are used, and why not."""
     return tuple(
-        Beat(beat.number, beat.time, beat.label, beat.interval, not reason, reason)
+        replace(beat, used=not reason, reason=reason)
         for beat, reason in zip(beats, reasons, strict=True)
     )
 

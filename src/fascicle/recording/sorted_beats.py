@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from string import ascii_uppercase
 
@@ -24,6 +23,7 @@ SHORTEST_RHYTHM = 1.5  # s; less is one beat, as recorders print it
 CUT = 40.0  # ms; of a QRS that is nearer to an end of the recording, half is missing
 EARLY = 0.85  # of the usual interval; a beat that comes sooner is premature
 SMALLEST_R = 0.1  # of a lead's largest deflection
+TYPICAL = 2 * HALF_WIDTH  # samples each side of R of the beat in which a class's QRS is found
 WIDE, WIDER = 120.0, 20.0  # ms; a QRS that long, and that much longer than the commonest
 SPIKE_REACH = 200.0  # ms before R in which a spike is taken to have fired the beat
 
@@ -63,20 +63,11 @@ class SortedBeats:
     @property
     def signal_to_noise(self) -> float:
         """Energy of the typical beat of class A over that of the noise between beats."""
-        rows = measured_rows(self._there)
-        typical = np.median(
-            levelled(
-                cut(self.signal[rows], self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)
-            ),
-            axis=0,
-        )
-        noise = max(noise_energy(self.signal[rows]), np.finfo(float).tiny)
+        measured = self.signal[_rows(self.signal)]
+        beats = cut(measured, self.peaks[self.of_class("A")], HALF_WIDTH, HALF_WIDTH)
+        typical = np.median(levelled(beats), axis=0)
+        noise = max(noise_energy(measured), np.finfo(float).tiny)
         return float((typical**2).sum() / noise)
-
-    @property
-    def _there(self) -> NDArray[np.bool_]:
-        """Which leads are there, shape (12,)."""
-        return np.asarray(np.isfinite(self.signal).all(axis=1))
 
     def of_class(self, label: str) -> NDArray[np.int64]:
         """Which beats have a label, increasing."""
@@ -92,7 +83,7 @@ class SortedBeats:
             known = self.intervals[members]
             if np.isfinite(known).any() and np.nanmedian(known) < EARLY * usual:
                 words.append("early")
-            if self._width(members) > max(WIDE, self._width(self.of_class("A")) + WIDER):
+            if self._width(label) > max(WIDE, self._width("A") + WIDER):
                 words.append("wide")
         return ", ".join(words)
 
@@ -103,9 +94,9 @@ class SortedBeats:
         near = self.spikes[(self.spikes[:, 1] <= peak) & (self.spikes[:, 0] > peak - reach)]
         return int(near[-1, 1]) if len(near) else None
 
-    def _width(self, members: NDArray[np.int64]) -> float:
-        """Rough QRS duration of the typical one of some beats (ms)."""
-        return _rough_width(self.signal, self.peaks[members])
+    def _width(self, label: str) -> float:
+        """Rough QRS duration of a class (ms)."""
+        return _rough_width(self.signal, self.peaks[self.of_class(label)])
 
 
 def sort_beats(signal: NDArray[np.float64], spikes: NDArray[np.int64]) -> SortedBeats:
@@ -126,15 +117,18 @@ def sort_beats(signal: NDArray[np.float64], spikes: NDArray[np.int64]) -> Sorted
     peaks = _find_peaks(signal)
     if not len(peaks):
         return SortedBeats(signal, peaks, (), spikes)
-    there: NDArray[np.bool_] = np.asarray(np.isfinite(signal).all(axis=1))
-    rows = measured_rows(there)
-    classes, peaks = sort_by_shape(signal[rows], peaks)
+    classes, peaks = sort_by_shape(signal[_rows(signal)], peaks)
     for number in range(classes.max() + 1):
         peaks[classes == number] += _to_r_peak(signal, peaks[classes == number])
     peaks = np.clip(peaks, 0, signal.shape[1] - 1)
     order = np.argsort(peaks, kind="stable")
     peaks, classes = peaks[order], classes[order]
     return SortedBeats(signal, peaks, _labels(signal, peaks, classes), spikes)
+
+
+def _rows(signal: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rows of the leads that are there and no combination of one another."""
+    return measured_rows(np.asarray(np.isfinite(signal).all(axis=1), dtype=np.bool_))
 
 
 def without_spikes(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
@@ -170,14 +164,12 @@ def _to_r_peak(signal: NDArray[np.float64], peaks: NDArray[np.int64]) -> int:
     It is the median over the leads of each one's R wave, its largest upward deflection, or of its
     largest deflection where it has no R wave.
     """
-    reach = 2 * HALF_WIDTH
-    typical = np.median(cut(signal, peaks, reach, reach), axis=0)
-    onset, offset = qrs_window(typical, SAMPLING_STEP)
+    typical, onset, offset = _typical_window(signal, peaks)
     qrs = typical[np.isfinite(typical).all(axis=1), onset : offset + 1]
     qrs = qrs - np.linspace(qrs[:, 0], qrs[:, -1], qrs.shape[1], axis=1)
     has_r = qrs.max(axis=1) >= SMALLEST_R * np.abs(qrs).max(axis=1)
     tops = np.where(has_r, qrs.argmax(axis=1), qrs.argmin(axis=1))
-    return int(np.median(tops)) + onset - reach
+    return int(np.median(tops)) + onset - TYPICAL
 
 
 def _labels(
@@ -196,8 +188,15 @@ def _name(place: int) -> str:
     return ascii_uppercase[letter] + (str(again + 1) if again else "")
 
 
-def _rough_width(signal: NDArray[np.float64], peaks: Sequence[int] | NDArray[np.int64]) -> float:
+def _rough_width(signal: NDArray[np.float64], peaks: NDArray[np.int64]) -> float:
     """QRS duration (ms) of the median of aligned beats."""
-    typical = np.median(cut(signal, np.asarray(peaks), 2 * HALF_WIDTH, 2 * HALF_WIDTH), axis=0)
-    onset, offset = qrs_window(typical, SAMPLING_STEP)
+    _, onset, offset = _typical_window(signal, peaks)
     return (offset - onset) * SAMPLING_STEP
+
+
+def _typical_window(
+    signal: NDArray[np.float64], peaks: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], int, int]:
+    """Median of aligned beats, `TYPICAL` samples each side of R, and the ends of its QRS."""
+    typical = np.median(cut(signal, peaks, TYPICAL, TYPICAL), axis=0)
+    return typical, *qrs_window(typical, SAMPLING_STEP)
