@@ -7,6 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+import pytetwild
+from scipy.spatial.transform import Rotation
 from shapes import LV_WALL, RV_WALL, biventricular_surface, exact_volume
 
 from fascicle.anatomy.borders import cleaned_labels, labels_from_points
@@ -161,6 +163,36 @@ def test_a_surface_that_cuts_itself_is_meshed_through(tmp_path, monkeypatch):
             for x in (before, after)
         ]
         assert area[1] == pytest.approx(area[0], rel=0.05)
+
+
+def test_a_filling_whose_boundary_touches_itself_is_made_again(monkeypatch):
+    corners = np.array([[0.0, 0, 0], [0, 0, 9], [9, 0, 0], [9, 1, 0], [-9, 0, 0], [-9, 1, 0]])
+    touching = corners, np.array([[0, 1, 2, 3], [0, 1, 4, 5]])
+    made = []
+
+    def first_touching(*given, **options):
+        made.append(touching if len(made) < tries else tetrahedralize(*given, **options))
+        return made[-1]
+
+    tetrahedralize = pytetwild.tetrahedralize
+    monkeypatch.setattr(pytetwild, "tetrahedralize", first_touching)
+    tries = 1
+    prepared_surface(spiked(ventricles()))
+    assert len(made) >= 2
+    tries = 100
+    with pytest.raises(
+        InputError, match=r"repair failed: 1 edges belong to more than two .*there$"
+    ):
+        prepared_surface(spiked(ventricles()))
+
+
+def test_triangles_in_one_plane_do_not_cut_for_rounding():
+    rng = np.random.default_rng(3)
+    flat = np.array([[0.0, 0, 0], [9, 0, 0], [9, 3, 0], [-4, 1, 0], [-4, -2, 0]])
+    for _ in range(200):
+        turn = Rotation.random(rng=rng).as_matrix()
+        vertices = flat @ turn.T + rng.normal(scale=50, size=3)
+        assert self_intersections(vertices, np.array([[0, 1, 2], [0, 3, 4]])).size == 0
 
 
 def test_a_closed_shape_does_not_cut_itself_and_two_crossed_triangles_do():

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 CHUNK = 1 << 13  # triangles looked at a time, which bounds the memory
-ROUNDING = 1e-9  # relative, of the volumes that an edge and the sides of a triangle span
+# Relative, of the volumes that an edge and the sides of a triangle span, and of the distance of its
+# ends from the triangle's plane.
+ROUNDING = 1e-9
 # The two triangles of an edge that make an angle below this lie on one another.
 FOLDED = np.cos(np.radians(1.0))
 
@@ -18,8 +20,8 @@ def self_intersections(
     """Pairs of triangles that cut through or lie folded on one another.
 
     Two triangles cut through one another where an edge of one passes through the other. Touching
-    in a vertex or an edge is no cut; nor are two triangles without a common edge that lie in
-    exactly one plane.
+    in a vertex or an edge is no cut; nor are two triangles without a common edge that lie in one
+    plane, as near as rounding lets one tell.
 
     Parameters
     ----------
@@ -90,8 +92,14 @@ def _pierces(
         return np.asarray(np.einsum("ij,ij->i", u, np.cross(v, w)))
 
     normal = np.cross(b - a, c - a)
-    across = np.einsum("ij,ij->i", p - a, normal) * np.einsum("ij,ij->i", q - a, normal) < 0
+    above = [np.einsum("ij,ij->i", end - a, normal) for end in (p, q)]
     along = q - p
+    in_plane = (
+        ROUNDING
+        * np.linalg.norm(normal, axis=1)
+        * np.max([np.linalg.norm(x, axis=1) for x in (p - a, along, b - a, c - a)], axis=0)
+    )
+    across = (np.sign(above[0]) != np.sign(above[1])) & (np.abs(above) > in_plane).all(axis=0)
     turns = np.stack(
         [side(along, a - p, b - p), side(along, b - p, c - p), side(along, c - p, a - p)]
     )

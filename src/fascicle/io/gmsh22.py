@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.meshes import GROUP, LINE, TETRAHEDRON, TRIANGLE, Mesh
 
 HEADER = re.compile(rb"\$MeshFormat\s+2(?:\.\d+)?\s+([01])\s+8\s*\n")
@@ -105,7 +105,7 @@ def read_gmsh22(path: Path, content: bytes) -> Mesh:
     try:
         return _parsed(path, content)
     except (ValueError, IndexError, OverflowError, MemoryError) as error:
-        found = "".join(c if c.isprintable() else "?" for c in str(error)[:160])
+        found = printable(str(error)[:160])
         raise InputError(
             f"{path}: truncated or damaged ({found}); export or copy it again"
         ) from None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.geometry.surface import Label
 from fascicle.io.meshes import GROUP
 
@@ -211,4 +211,4 @@ def _free(names: Names) -> list[Label]:
 
 def _shown(name: str) -> str:
     """Name, fit for a message of one line."""
-    return "".join(c if c.isprintable() else "?" for c in name[:LONGEST_NAME])
+    return printable(name[:LONGEST_NAME])

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.atomic import write_text
 
 VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
@@ -413,7 +413,7 @@ def _read_ply(path: Path) -> Any:
 
 def _one_line(error: object) -> str:
     text = " ".join(str(error).split())[:160] or type(error).__name__
-    return "".join(character if character.isprintable() else "?" for character in text)
+    return printable(text)
 
 
 def write_grid(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.meshes import LINE, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, Mesh, check_file
 
 MICROMETRES = 1000.0  # per mm
@@ -110,10 +110,9 @@ def _read_elements(
             others[OTHER_ELEMENTS[code]] = len(rows)
             continue
         if code not in ELEMENTS:
-            shown = "".join(c if c.isprintable() else "?" for c in code)
             raise InputError(
-                f"{path}: line {rows[0] + 2} is of an unknown element type '{shown}'; the types "
-                f"are {', '.join((*ELEMENTS, *OTHER_ELEMENTS))}"
+                f"{path}: line {rows[0] + 2} is of an unknown element type '{printable(code)}'; "
+                f"the types are {', '.join((*ELEMENTS, *OTHER_ELEMENTS))}"
             )
         kind, corners = ELEMENTS[code]
         table = _table(path, [lines[row].lstrip()[2:] for row in rows], (corners, corners + 1))
@@ -291,4 +290,4 @@ def _check_range(path: Path, nodes: NDArray[np.int64], points: int) -> None:
 
 def _shown(text: str) -> str:
     """Start of a line, fit for a message of one line."""
-    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split())[:60])
+    return printable(" ".join(text.split())[:60])

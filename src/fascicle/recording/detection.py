@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.leads import INDEPENDENT_LEADS, LEADS, LIMB_LEADS
+from fascicle.recording.resampling import block_means
 
 INDEPENDENT = tuple(LEADS.index(lead) for lead in INDEPENDENT_LEADS)
 BASELINE_WIDTH = 0.2  # s; standard deviation of the Gaussian that is taken as baseline
@@ -97,7 +98,7 @@ def r_peaks(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int
     """
     factor = max(round(sampling_rate / WORKING_RATE), 1)
     rate = sampling_rate / factor
-    leads = _thinned(signal, complete_leads(signal), factor)
+    leads = np.stack([block_means(signal[row], factor) for row in complete_leads(signal)])
     slopes = _usual_slopes(leads, rate)
     moving = slopes.any(axis=1)
     if not moving.any():
@@ -107,12 +108,6 @@ def r_peaks(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int
     level = remove_baseline(leads[moving][weights >= DISAGREEING * weights.max()], rate)
     peaks = _tops(np.sqrt(np.mean(level**2, axis=0)), marks, rate)
     return np.asarray(peaks * factor + factor // 2, dtype=np.int64)
-
-
-def _thinned(signal: NDArray[np.float64], rows: list[int], factor: int) -> NDArray[np.float64]:
-    """Means of `factor` successive samples of some leads."""
-    n = signal.shape[1] // factor
-    return np.stack([signal[row, : n * factor].reshape(n, factor).mean(axis=1) for row in rows])
 
 
 def _usual_slopes(leads: NDArray[np.float64], rate: float) -> NDArray[np.float64]:

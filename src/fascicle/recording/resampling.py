@@ -38,6 +38,12 @@ def resample(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.fl
     return np.asarray(resample_poly(signal, up, down, axis=-1, padtype="line"))
 
 
+def block_means(signal: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+    """Means of each `factor` successive samples, (..., n) to (..., n // factor)."""
+    whole = signal.shape[-1] // factor * factor
+    return np.asarray(signal[..., :whole].reshape(*signal.shape[:-1], -1, factor).mean(axis=-1))
+
+
 def lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
     """Butterworth low-pass of a signal every `SAMPLING_STEP`, without delay.
 

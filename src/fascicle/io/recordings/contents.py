@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import lead_name, millivolts
-from fascicle.io.recordings.stated import printable, same_unit
+from fascicle.io.recordings.stated import same_unit
 from fascicle.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.recording.limb_leads import derive_limb_leads
 from fascicle.recording.recording import Filters, Recording, check_extent

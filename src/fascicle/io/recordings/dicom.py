@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings import LARGEST_FILE
 from fascicle.io.recordings.contents import Channel, Contents
 from fascicle.io.recordings.dicom_groups import Group, group_filters, group_of, read_channels
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import first_line
-from fascicle.io.recordings.stated import agreed_rate, printable
+from fascicle.io.recordings.stated import agreed_rate
 from fascicle.leads import CHEST_LEADS, limb_leads_from
 from fascicle.recording.recording import LONGEST, check_extent
 

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings.contents import Channel
 from fascicle.io.recordings.names import lead_name, lead_of_code, millivolts
-from fascicle.io.recordings.stated import printable
 from fascicle.recording.recording import Filters
 
 _LONGEST_TEXT = 64  # characters, of DICOM's long strings (LO)

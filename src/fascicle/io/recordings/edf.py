@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings.contents import Channel, Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import lead_name, millivolts
-from fascicle.io.recordings.stated import agreed_rate, damage, printable
+from fascicle.io.recordings.stated import agreed_rate, damage
 from fascicle.recording.recording import Filters, check_extent
 
 if TYPE_CHECKING:

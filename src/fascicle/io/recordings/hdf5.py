@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings.contents import Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.hdf5_heaps import check_heaps, longest_text
 from fascicle.io.recordings.named_arrays import Array, Level, contents_of
 from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark
-from fascicle.io.recordings.stated import damage, printable
+from fascicle.io.recordings.stated import damage
 
 if TYPE_CHECKING:
     import h5py

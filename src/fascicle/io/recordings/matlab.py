@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.errors import printable
 from fascicle.io.recordings.contents import Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.hdf5 import read_levels
 from fascicle.io.recordings.matlab_elements import checked_elements
 from fascicle.io.recordings.named_arrays import Array, Level, contents_of
 from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark
-from fascicle.io.recordings.stated import damage, printable
+from fascicle.io.recordings.stated import damage
 
 _DEEPEST = 3  # structures within structures
 _HDF5 = b"\x89HDF\r\n\x1a\n"

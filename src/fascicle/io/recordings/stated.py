@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import first_line, millivolts
 
@@ -35,11 +35,6 @@ def same_unit(one: str, other: str) -> bool:
     if millivolts(one) is None or millivolts(other) is None:
         return one == other
     return millivolts(one) == millivolts(other)
-
-
-def printable(text: str) -> str:
-    """Return a text of a file with line breaks and the like written out, fit for a message."""
-    return text if text.isprintable() else ascii(text)[1:-1]
 
 
 @contextmanager

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from fascicle.errors import InputError
-from fascicle.io.recordings.stated import printable
+from fascicle.errors import InputError, printable
 
 # Bytes that a sample takes in each signal format (signal(5) of the WFDB applications guide)
 BYTES_PER_SAMPLE = {

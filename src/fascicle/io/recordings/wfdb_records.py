@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
+from fascicle.errors import InputError, printable
 from fascicle.io.recordings.contents import Channel, Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import first_line, lead_name, millivolts
-from fascicle.io.recordings.stated import agreed_rate, printable
+from fascicle.io.recordings.stated import agreed_rate
 from fascicle.io.recordings.wfdb_files import (
     Part,
     check_files,

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fascicle.leads import LEADS
 from fascicle.recording.recording import Recording
+from fascicle.recording.resampling import block_means
 
 COARSE_RATE = 250.0  # Hz; enough to see the QRS
 BASELINE_WIDTH = 0.5  # s; moving average, applied twice, that is taken as baseline
@@ -41,9 +42,7 @@ def coarse(signal: NDArray[np.float64], rate: float) -> tuple[NDArray[np.float64
         Their rate (Hz).
     """
     factor = max(int(rate / COARSE_RATE), 1)
-    whole = signal.shape[-1] // factor * factor
-    blocks = signal[..., :whole].reshape(*signal.shape[:-1], -1, factor)
-    return np.asarray(blocks.mean(axis=-1)), rate / factor
+    return block_means(signal, factor), rate / factor
 
 
 def steady(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
