@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.forward import Simulation
-from fascicle.leads import lead_matrix
-from fascicle.recording.detection import INDEPENDENT
+from fascicle.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.recording.resampling import resample
 from fascicle.recording.rhythms import made_up_recording
 from fascicle.recording.window import qrs_window, spatial_velocity, window_uncertainty
@@ -115,12 +114,12 @@ def noise(rng: np.random.Generator, count: int) -> Array:
     shape = (np.ones_like(frequency), muscle, pink)[rng.integers(3)]
     spectrum = np.fft.rfft(rng.standard_normal((count, 9, LENGTH))) * shape
     leads = lead_matrix() @ np.fft.irfft(spectrum, LENGTH)
-    return np.asarray(leads / leads[:, list(INDEPENDENT)].std())
+    return np.asarray(leads / leads[:, INDEPENDENT_ROWS].std())
 
 
 def simulated(rng: np.random.Generator, qrs: Simulation, ratio: float, count: int) -> Case:
     beat, duration = whole_beat(rng, qrs)
-    inside = beat[list(INDEPENDENT), BEFORE : BEFORE + round(duration)]
+    inside = beat[INDEPENDENT_ROWS, BEFORE : BEFORE + round(duration)]
     level = np.sqrt(np.mean(inside**2)) * 10 ** (-ratio / 20)
     sizes = 1 + 0.03 * rng.standard_normal((count, 1, 1))
     moved = [np.roll(beat, rng.integers(-1, 2), axis=1) for _ in range(count)]

@@ -12,6 +12,7 @@ LEADS: tuple[str, ...] = (
 )  # fmt: skip
 LIMB_LEADS, CHEST_LEADS = LEADS[:6], LEADS[6:]
 INDEPENDENT_LEADS: tuple[str, ...] = ("I", "II", *CHEST_LEADS)
+INDEPENDENT_ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
 ELECTRODES: tuple[str, ...] = ("RA", "LA", "LL", "V1", "V2", "V3", "V4", "V5", "V6")
 
 

@@ -14,7 +14,7 @@ from fascicle.recording.target import Target
 from fascicle.report.beat_panels import MOST_DRAWN
 from fascicle.report.ecg_paper import strip_start
 from fascicle.report.figures import BLUE, RESOLUTION, save
-from fascicle.report.fitted_text import printable, shortened, width, wrapped
+from fascicle.report.fitted_text import drawable, shortened, width, wrapped
 from fascicle.report.recording import class_colours, recording_figure
 
 HEIGHTS = np.array([0.6, 0.9, 0.3, -0.75, 0.15, 0.6, -1.2, -1.8, -1.5, 0.5, 1.4, 1.2])  # mV
@@ -459,4 +459,4 @@ def test_text_is_shortened_in_the_middle_and_wrapped_between_words():
     assert " ".join(lines).split() == ["one", "two", "three"] * 30
     assert max(width(line, 7.0) for line in lines) <= 50.0
     assert min(width(line, 7.0) for line in lines[:-1]) > 40.0
-    assert printable("a\x00b\u200bc\r\nd\u5fc3é") == "a?b?c d?é"
+    assert drawable("a\x00b\u200bc\r\nd\u5fc3é") == "a?b?c d?é"

@@ -238,6 +238,7 @@ def _meshed_through(surface: LabelledSurface, cuts: NDArray[np.int64]) -> Labell
 
 
 def _boundary_of_filling(surface: LabelledSurface) -> LabelledSurface:
+    """Fill it once, and refuse a boundary that is no better; the caller says of which surface."""
     import pytetwild
 
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):

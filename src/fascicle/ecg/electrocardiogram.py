@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fascicle.ecg.action_potential import ActionPotential
 from fascicle.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import CHANNELS, deposit, respond
-from fascicle.leads import INDEPENDENT_LEADS, LEADS, lead_matrix
+from fascicle.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, lead_matrix
 
 STEP = 1.0  # sampling of the ECG (ms)
 # A bin's response rings on by this many bins after U has come to rest, to below 1e-7 of its height
@@ -194,7 +194,7 @@ def build_electrocardiograph(
     action_potential : ActionPotential
         The template U.
     """
-    independent = lead_matrix()[[LEADS.index(lead) for lead in INDEPENDENT_LEADS]]
+    independent = lead_matrix()[INDEPENDENT_ROWS]
     of_leads = np.tensordot(independent, gradients, axes=1)
     weights = channel_weights(barycentric, volumes, intracellular, of_leads)
     conducting = weights.any(axis=(1, 2))

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 from fascicle.errors import InputError
+from fascicle.recording.resampling import MAINS
 
 SHORTEST_WINDOW = 20.0  # ms
 LOWPASS_RANGE = (40.0, 450.0)  # Hz; lower ones smear the QRS, higher ones do nothing
-MAINS = (50.0, 60.0)  # Hz
 LARGEST_NOISE = 1.0  # mV
 
 

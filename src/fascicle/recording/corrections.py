@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +32,7 @@ def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
     InputError
         When the file states no gains.
     """
-    gains, kept = recording.digits_per_millivolt, _kept(recording)
+    gains, kept = recording.digits_per_millivolt, recording.measured_leads
     rows = [LEADS.index(lead) for lead in kept]
     if gains is None or not np.isfinite(gains[rows]).all():
         raise InputError(
@@ -51,7 +52,7 @@ def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
 
 def invert(recording: Recording, lead: str) -> Recording:
     """Turn a recorded lead upside down."""
-    kept = _kept(recording)
+    kept = recording.measured_leads
     if lead not in kept:
         raise InputError(
             f"{recording.source}: lead {lead} cannot be inverted, it was not recorded (recorded: "
@@ -76,15 +77,15 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     names = f"{first}-{second}"
     if {first, second} <= set(LIMB_ELECTRODES) and first != second:
         signal, kept = _limb_electrodes_swapped(recording, first, second)
-    elif {first, second} <= set(_kept(recording)) and first != second:
+    elif {first, second} <= set(recording.measured_leads) and first != second:
         order = list(range(len(LEADS)))
         a, b = LEADS.index(first), LEADS.index(second)
         order[a], order[b] = b, a
-        signal, kept = recording.signal[order], _kept(recording)
+        signal, kept = recording.signal[order], recording.measured_leads
     else:
         raise InputError(
             f"{recording.source}: cannot swap {names}; give two of the electrodes RA, LA, LL, or "
-            f"two recorded leads ({', '.join(_kept(recording))})"
+            f"two recorded leads ({', '.join(recording.measured_leads)})"
         )
     gainless = replace(recording, digits_per_millivolt=None)  # theirs were exchanged, too
     return _changed(gainless, signal, kept, "swapped", names)
@@ -92,13 +93,13 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
 
 def _limb_electrodes_swapped(
     recording: Recording, first: str, second: str
-) -> tuple[NDArray[np.float64], list[str]]:
+) -> tuple[NDArray[np.float64], Sequence[str]]:
     """Signal with each limb lead taken from the one that was recorded in its place."""
     limb = lead_matrix()[: len(LIMB_LEADS)]
     order = list(range(len(ELECTRODES)))
     a, b = ELECTRODES.index(first), ELECTRODES.index(second)
     order[a], order[b] = b, a
-    recorded, signal = _kept(recording), recording.signal.copy()
+    recorded, signal = recording.measured_leads, recording.signal.copy()
     kept = [lead for lead in recorded if lead not in LIMB_LEADS]
     for row, exchanged in enumerate(limb[:, order]):
         product = limb @ exchanged / np.linalg.norm(limb, axis=1) / np.linalg.norm(exchanged)
@@ -109,14 +110,8 @@ def _limb_electrodes_swapped(
     return signal, kept
 
 
-def _kept(recording: Recording) -> list[str]:
-    """Name the leads that were recorded, not computed."""
-    there = [lead for lead, is_there in zip(LEADS, recording.recorded, strict=True) if is_there]
-    return [lead for lead in there if lead not in recording.derived]
-
-
 def _changed(
-    recording: Recording, signal: NDArray[np.float64], kept: list[str], what: str, how: str
+    recording: Recording, signal: NDArray[np.float64], kept: Sequence[str], what: str, how: str
 ) -> Recording:
     """Recording with a new signal, its computed leads computed anew, and a note."""
     signal, derived = derive_limb_leads(signal, kept)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import INDEPENDENT_LEADS, LEADS, LIMB_LEADS
+from fascicle.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
 from fascicle.recording.resampling import block_means
 
-INDEPENDENT = tuple(LEADS.index(lead) for lead in INDEPENDENT_LEADS)
 BASELINE_WIDTH = 0.2  # s; standard deviation of the Gaussian that is taken as baseline
 
 WORKING_RATE = 250.0  # Hz; enough for a band that ends at 15 Hz
@@ -18,9 +17,8 @@ LARGEST_SLOPE = 2.0  # of the lead's usual QRS; what is steeper counts no more
 TRIMMED = 0.25  # share of the leads, the most excited at each instant, that are left out
 MERGING = 0.035  # s; standard deviation of the Gaussian that makes one hump of one QRS
 REFRACTORY = 0.24  # s; no two beats follow each other faster
-THRESHOLD = (
-    0.2  # of the way from the level between beats to that of beats; slow ectopic beats need it low
-)
+# Of the way from the level between beats to that of beats; slow ectopic beats need it low.
+THRESHOLD = 0.2
 ROUNDS = 5  # in which the threshold settles
 DISAGREEING = 0.5  # of the best lead's agreement with the others; below it a lead is not used
 REACH = 0.1  # s; from the steepest part of a QRS to its R peak
@@ -54,7 +52,7 @@ def complete_leads(signal: NDArray[np.float64]) -> list[int]:
     if not there:
         raise ValueError("no lead is complete; cut the signal to where leads were recorded")
     if {0, 1} <= set(there) or not set(there) & set(range(len(LIMB_LEADS))):
-        return [row for row in there if row in INDEPENDENT]
+        return [row for row in there if row in INDEPENDENT_ROWS]
     return there
 
 

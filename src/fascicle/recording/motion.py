@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.recording.resampling import MAINS
+
 Array = NDArray[np.float64]
 
 FEW_LEADS = 4  # with fewer no lead is left out
-MAINS = (50.0, 60.0)  # Hz
 SLOWER_THAN_HUM = 8.0  # ms; standard deviation of the Gaussian that takes hum away
 HUM_SHARE = 0.5  # of the fast part of a lead at rest, above which it is hum
 HUM_PERIODS = 4  # at rest, to recognise hum by

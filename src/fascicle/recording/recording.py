@@ -15,6 +15,7 @@ from fascicle.leads import LEADS
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
 HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
 SHORTEST = 0.4  # s; less does not hold a beat
+_OVERLAP = 0.1  # s by which leads recorded in turns may overlap
 LONGEST, MOST_SAMPLES = 1800.0, 5_000_000  # s and of each lead; they bound the memory it takes
 
 
@@ -92,6 +93,12 @@ class Recording:
         return np.asarray(np.isfinite(self.signal).any(axis=1))
 
     @cached_property
+    def measured_leads(self) -> tuple[str, ...]:
+        """Names of the leads that were recorded, not computed from others."""
+        there = zip(LEADS, self.recorded, strict=True)
+        return tuple(lead for lead, found in there if found and lead not in self.derived)
+
+    @cached_property
     def spans(self) -> NDArray[np.int64]:
         """First sample of each lead and the one after its last, shape (12, 2); zeros if absent."""
         finite = np.isfinite(self.signal)
@@ -162,6 +169,3 @@ def _check_gaps(
                 f"{source}: lead {LEADS[lead]} covers only {(end - begin) / rate:.2f} s; at least "
                 f"{SHORTEST:g} s of each lead are needed"
             )
-
-
-_OVERLAP = 0.1  # s by which leads recorded in turns may overlap

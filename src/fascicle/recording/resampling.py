@@ -12,6 +12,7 @@ from fascicle.recording.target import SAMPLING_STEP
 TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
 SIMPLE, FINEST = 1000, 20_000  # largest denominators of the ratio of the two rates
 LARGEST_DRIFT = 0.5  # ms by which the last sample may be off, before the finer ratio is taken
+MAINS = (50.0, 60.0)  # Hz
 FILTER_ORDER = 2  # run forward and backward: 4 in effect, without a shift in time
 NOTCH_QUALITY = 30.0  # of the notch filter: 50 Hz +- 0.8 Hz
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import ELECTRODES, INDEPENDENT_LEADS, LEADS, lead_matrix
+from fascicle.leads import ELECTRODES, INDEPENDENT_ROWS, lead_matrix
 from fascicle.recording.artefacts import NOISES, SIGHT, f_waves, pulses, samples
 from fascicle.recording.recording import Recording
 from fascicle.recording.schedules import MARGIN, RHYTHMS
@@ -167,7 +167,7 @@ def made_up_recording(
 
 def _independent() -> Array:
     """Matrix (8, 9) from electrodes to the independent leads."""
-    return lead_matrix()[[LEADS.index(lead) for lead in INDEPENDENT_LEADS]]
+    return lead_matrix()[INDEPENDENT_ROWS]
 
 
 def _power(potentials: Array) -> float:

@@ -189,9 +189,10 @@ def _core(speed: Array, step: float) -> tuple[int, int]:
 def _narrowed(first: int, peak: int, last: int, end: int, step: float) -> tuple[int, int]:
     """Ends of the core as far inside as smoothing has moved them out, but at the array's ends."""
     spread = round(CORE_SMOOTHING / step)
-    return min(first + spread, peak) if first else 0, max(
-        last - spread, peak
-    ) if last < end else end
+    return (
+        min(first + spread, peak) if first else 0,
+        max(last - spread, peak) if last < end else end,
+    )
 
 
 def _still_from(motion: Motion, core: int, search: _Search, step: float) -> int:

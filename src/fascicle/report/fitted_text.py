@@ -13,7 +13,7 @@ INCH = 25.4  # mm
 MISSING, DOTS = "?", "…"
 
 
-def printable(text: str) -> str:
+def drawable(text: str) -> str:
     """Text on one line, with a question mark for what the figure's font cannot draw."""
     glyphs = _glyphs()
     return " ".join("".join(_drawn(character, glyphs) for character in text).split())
@@ -32,7 +32,7 @@ def width(text: str, size: float, weight: str = "normal") -> float:
 
 def shortened(text: str, size: float, room: float, weight: str = "normal") -> str:
     """Text that is at most `room` mm wide at `size` points, the middle left out if need be."""
-    text = printable(text)
+    text = drawable(text)
     if width(text, size, weight) <= room:
         return text
     fewest, most = 0, len(text)
@@ -46,7 +46,7 @@ def shortened(text: str, size: float, room: float, weight: str = "normal") -> st
 def wrapped(text: str, size: float, room: float) -> list[str]:
     """Lines that are at most `room` mm wide at `size` points, broken between words."""
     lines: list[str] = []
-    for word in printable(text).split():
+    for word in drawable(text).split():
         longer = f"{lines[-1]} {word}" if lines else word
         if lines and width(longer, size) <= room:
             lines[-1] = longer

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import import_module
@@ -11,6 +10,7 @@ from pathlib import Path
 from fascicle.errors import InputError
 from fascicle.io.recordings.contents import Contents, assemble
 from fascicle.io.recordings.given import Given
+from fascicle.io.recordings.hashes import sha256_of
 from fascicle.recording.recording import Recording
 
 LARGEST_FILE = 512 * 2**20  # bytes; ten times what a recording of the longest length takes
@@ -19,8 +19,8 @@ LARGEST_FILE = 512 * 2**20  # bytes; ten times what a recording of the longest l
 _READERS = {
     "WFDB": ("wfdb_records", "read_wfdb"),
     "DICOM": ("dicom", "read_dicom"),
-    "XML": ("clinical", "read_clinical"),
-    "SCP-ECG": ("clinical", "read_clinical"),
+    "XML": ("clinical", "read_xml"),
+    "SCP-ECG": ("clinical", "read_scp"),
     "EDF": ("edf", "read_edf"),
     "HDF5": ("hdf5", "read_hdf5"),
     "MAT": ("matlab", "read_matlab"),
@@ -80,7 +80,7 @@ def read_recording(
     path = _existing_file(Path(path))
     given = Given(sampling_rate, unit)
     recording = assemble(_reader(path)(path, given), str(path), given, leads)
-    notes = {"source_sha256": _sha256(path)}
+    notes = {"source_sha256": sha256_of([path])}
     if leads is not None:
         notes["choice_leads"] = ", ".join(leads)
     if sampling_rate is not None:
@@ -114,7 +114,7 @@ def _reader(path: Path) -> Callable[[Path, Given], Contents]:
             if size
             else f"{path}: the file is empty; download or export it again"
         )
-    found = _kind_of_content(path)
+    found = kind_of_content(path)
     kind = _KINDS.get(suffix)
     if kind is None and suffix not in _ADVICE:
         kind = found
@@ -129,7 +129,7 @@ def _reader(path: Path) -> Callable[[Path, Given], Contents]:
     return reader
 
 
-def _kind_of_content(path: Path) -> str | None:
+def kind_of_content(path: Path) -> str | None:
     """Tell the kind of file from marks that are unmistakable; None where there is none."""
     with path.open("rb") as file:
         start = file.read(512)
@@ -146,11 +146,3 @@ def _kind_of_content(path: Path) -> str | None:
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<?xml", b"<")):
         return "XML"
     return None
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(2**20):
-            digest.update(block)
-    return digest.hexdigest()

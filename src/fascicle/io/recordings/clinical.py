@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,10 @@ import numpy as np
 
 from fascicle.errors import InputError
 from fascicle.io.recordings import clinical_xml
-from fascicle.io.recordings.contents import Channel, Contents
+from fascicle.io.recordings.contents import Channel, Contents, gain_of
 from fascicle.io.recordings.given import Given
-from fascicle.io.recordings.names import first_line, lead_name, millivolts
-from fascicle.io.recordings.scp import MICROSECONDS, check_scp, is_scp, scp_remarks
+from fascicle.io.recordings.names import first_line, lead_name
+from fascicle.io.recordings.scp import MICROSECONDS, check_scp, scp_remarks
 from fascicle.io.recordings.stated import agreed_rate
 from fascicle.recording.recording import Filters
 
@@ -26,8 +25,8 @@ _PARSE_ERRORS = (ValueError, ArithmeticError, RecursionError)
 LONGEST_REASON = 160  # characters of a library's message
 
 
-def read_clinical(path: Path, given: Given) -> Contents:
-    """Read an HL7 aECG, GE MUSE XML or SCP-ECG file.
+def read_xml(path: Path, given: Given) -> Contents:
+    """Read an HL7 aECG or GE MUSE XML file.
 
     Every value is ``scale * digit + origin`` with the scale and the unit that the file states.
     A file without a scale is refused whatever the user says its unit is.
@@ -35,15 +34,14 @@ def read_clinical(path: Path, given: Given) -> Contents:
     Parameters
     ----------
     path : Path
-        The file; its content decides which of the three it is.
+        The file; its root element decides which of the two it is.
     given : Given
-        Unused; its unit serves later, where a file states a scale without a unit.
+        What the user says; its unit serves later, where a file states a scale without a unit.
 
     Returns
     -------
     Contents
-        Leads with the unit as the file spells it. Leads that start later than others (SCP-ECG) are
-        NaN before.
+        Leads with the unit as the file spells it.
 
     Raises
     ------
@@ -52,10 +50,8 @@ def read_clinical(path: Path, given: Given) -> Contents:
 
     References
     ----------
-    ANSI/HL7 V3 ECG R1-2004; restecg.dtd of GE Healthcare; EN 1064:2005+A1:2007 (ISO 11073-91064).
+    ANSI/HL7 V3 ECG R1-2004; restecg.dtd of GE Healthcare.
     """
-    if is_scp(path):
-        return _read_scp(path, given)
     root = clinical_xml.open_xml(path)
     if root.tag == "AnnotatedECG":
         return _read_aecg(path, root, given)
@@ -88,7 +84,30 @@ def _read_muse(path: Path, root: Any, given: Given) -> Contents:
     return _contents(path, record, rate, "GE MUSE XML", remarks)
 
 
-def _read_scp(path: Path, given: Given) -> Contents:
+def read_scp(path: Path, given: Given) -> Contents:
+    """Read an SCP-ECG file, as `read_xml` does; leads that start later than others are NaN before.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    given : Given
+        What the user says.
+
+    Returns
+    -------
+    Contents
+        Leads with the unit of the format.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged, compressed in a way that is not read, or states no scale.
+
+    References
+    ----------
+    EN 1064:2005+A1:2007 (ISO 11073-91064).
+    """
     from ecgdatakit.parsing.parsers.scp_ecg import SCPECGParser
 
     check_scp(path)
@@ -176,9 +195,7 @@ def _channel(path: Path, lead: Any) -> Channel:
             f"sample {wrong[0]}); export the recording again"
         )
     unit = lead.resolution_unit or lead.adc_resolution_unit or None
-    size = None if unit is None else millivolts(unit)
-    gain = None if size is None else 1 / (lead.resolution * size)
-    return Channel(name, values, unit, digits_per_millivolt=gain)
+    return Channel(name, values, unit, digits_per_millivolt=gain_of(lead.resolution, unit))
 
 
 def _own_name(label: str) -> str:
@@ -196,9 +213,7 @@ def _placed(channels: Sequence[Channel], starts: Sequence[int]) -> list[Channel]
     n = max(starts[k] + len(channels[k].values) for k in leads) - first
     placed = list(channels)
     for k in leads:
-        values = np.full(n, np.nan)
-        values[starts[k] - first :][: len(channels[k].values)] = channels[k].values
-        placed[k] = replace(channels[k], values=values)
+        placed[k] = channels[k].placed(starts[k] - first, n)
     return placed
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,12 @@ class Channel:
     lead: str | None = None
     digits_per_millivolt: float | None = None
 
+    def placed(self, start: int, length: int) -> Channel:
+        """The same on a time axis of `length` samples, from `start` on; NaN where it has none."""
+        values = np.full(length, np.nan)
+        values[start : start + len(self.values)] = self.values
+        return replace(self, values=values)
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -51,6 +57,20 @@ class Contents:
     format: str
     filters: Filters = field(default_factory=Filters)
     notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def strictest(
+    highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
+) -> Filters:
+    """Filters (Hz) of leads that may differ in them: the narrowest band; 0 Hz is no filter."""
+    high, low, mains = ([f for f in found if f > 0] for found in (highpass, lowpass, notch))
+    return Filters(max(high, default=None), min(low, default=None), min(mains, default=None))
+
+
+def gain_of(step: float, unit: str | None) -> float | None:
+    """Digits per mV where one digit is `step` of a unit; None where the unit is unknown."""
+    scale = None if unit is None else millivolts(unit)
+    return None if scale is None else 1 / abs(step * scale)
 
 
 def assemble(

@@ -6,7 +6,6 @@ import struct
 import warnings
 import zlib
 from collections.abc import Sequence
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from fascicle.errors import InputError, printable
 from fascicle.io.recordings import LARGEST_FILE
-from fascicle.io.recordings.contents import Channel, Contents
+from fascicle.io.recordings.contents import Contents
 from fascicle.io.recordings.dicom_groups import Group, group_filters, group_of, read_channels
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import first_line
@@ -69,7 +68,7 @@ def read_dicom(path: Path, given: Given) -> Contents:
     channels = []
     for start, group in zip(starts, chosen, strict=True):
         found = read_channels(group, rate, str(path))
-        channels += [_placed(channel, start, length) for channel in found]
+        channels += [channel.placed(start, length) for channel in found]
     notes = {"multiplex_group": ", ".join(str(group.number) for group in chosen)}
     labels = [group.label for group in chosen if group.label]
     notes |= {"multiplex_group_label": ", ".join(labels)} if labels else {}
@@ -178,10 +177,3 @@ def _starts(groups: Sequence[Group], rate: float, path: Path) -> list[int]:
             "the same time"
         )
     return [int(start) for start in np.round((offsets - offsets.min()) * rate)]
-
-
-def _placed(channel: Channel, start: int, length: int) -> Channel:
-    """Put a channel on the common time; NaN where it has no samples."""
-    values = np.full(length, np.nan)
-    values[start : start + len(channel.values)] = channel.values
-    return replace(channel, values=values)

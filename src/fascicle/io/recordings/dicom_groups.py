@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.errors import InputError, printable
-from fascicle.io.recordings.contents import Channel
-from fascicle.io.recordings.names import lead_name, lead_of_code, millivolts
+from fascicle.io.recordings.contents import Channel, gain_of, strictest
+from fascicle.io.recordings.names import lead_name, lead_of_code
 from fascicle.recording.recording import Filters
 
 _LONGEST_TEXT = 64  # characters, of DICOM's long strings (LO)
@@ -122,9 +122,7 @@ def read_channels(group: Group, rate: float, source: str) -> list[Channel]:
         values = samples[:, k] * sensitivity + _default(channel, "ChannelBaseline", 0.0, source)
         values[samples[:, k] == padding] = np.nan
         unit = _unit(channel)
-        scale = None if unit is None else millivolts(unit)
-        gain = None if scale is None else 1 / abs(sensitivity * scale)
-        channels.append(Channel(name, values, unit, lead, gain))
+        channels.append(Channel(name, values, unit, lead, gain_of(sensitivity, unit)))
     return channels
 
 
@@ -151,14 +149,13 @@ def group_filters(groups: Sequence[Group], source: str) -> Filters:
     ]
 
     def stated(keyword: str) -> list[float]:
-        values = [_default(channel, keyword, 0.0, source) for channel in leads]
-        return [value for value in values if value > 0]
+        return [_default(channel, keyword, 0.0, source) for channel in leads]
 
-    return Filters(
+    return strictest(
         # the low frequency is where the pass band begins: that of the high-pass filter
-        highpass=max(stated("FilterLowFrequency"), default=None),
-        lowpass=min(stated("FilterHighFrequency"), default=None),
-        notch=min(stated("NotchFilterFrequency"), default=None),
+        highpass=stated("FilterLowFrequency"),
+        lowpass=stated("FilterHighFrequency"),
+        notch=stated("NotchFilterFrequency"),
     )
 
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fascicle.errors import InputError, printable
-from fascicle.io.recordings.contents import Channel, Contents
+from fascicle.io.recordings.contents import Channel, Contents, gain_of, strictest
 from fascicle.io.recordings.given import Given
-from fascicle.io.recordings.names import lead_name, millivolts
+from fascicle.io.recordings.names import lead_name
 from fascicle.io.recordings.stated import agreed_rate, damage
 from fascicle.recording.recording import Filters, check_extent
 
@@ -168,14 +168,8 @@ def _channel(path: Path, signal: EdfSignal, lead: str, given: Given) -> Channel:
             f"physical {physical.min:g} to {physical.max:g}); export it with its physical range"
         )
     stated = printable(signal.physical_dimension.strip()) or None
-    scale = millivolts(stated or given.unit or "")
-    return Channel(
-        printable(signal.label),
-        signal.data,
-        stated,
-        lead,
-        digits_per_millivolt=None if scale is None else 1 / abs(step * scale),
-    )
+    gain = gain_of(step, stated or given.unit)
+    return Channel(printable(signal.label), signal.data, stated, lead, gain)
 
 
 def _filters(leads: Sequence[EdfSignal]) -> Filters:
@@ -183,10 +177,5 @@ def _filters(leads: Sequence[EdfSignal]) -> Filters:
     found: dict[str, list[float]] = {"HP": [], "LP": [], "N": []}
     for signal in leads:
         for kind, hertz in _FILTER.findall(signal.prefiltering):
-            if float(hertz.replace(",", ".")) > 0:  # 0 Hz is no filter
-                found[kind.upper()].append(float(hertz.replace(",", ".")))
-    return Filters(
-        highpass=max(found["HP"], default=None),
-        lowpass=min(found["LP"], default=None),
-        notch=min(found["N"], default=None),
-    )
+            found[kind.upper()].append(float(hertz.replace(",", ".")))
+    return strictest(found["HP"], found["LP"], found["N"])

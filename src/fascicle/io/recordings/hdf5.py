@@ -15,8 +15,8 @@ from fascicle.io.recordings.contents import Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.hdf5_heaps import check_heaps, longest_text
 from fascicle.io.recordings.named_arrays import Array, Level, contents_of
-from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark
-from fascicle.io.recordings.stated import damage
+from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark, one_number
+from fascicle.io.recordings.stated import DAMAGED, damage
 
 if TYPE_CHECKING:
     import h5py
@@ -28,33 +28,11 @@ _MOST_ENTRIES = 1000  # datasets and groups that are looked at
 # Filters that come with HDF5 and h5py; others are libraries that would be loaded from somewhere
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 _MATLAB_NUMBERS = (
-    "",
-    "double",
-    "single",
-    "int8",
-    "int16",
-    "int32",
-    "int64",
-    "uint8",
-    "uint16",
-    "uint32",
+    "", "double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32",
     "uint64",
-)
+)  # fmt: skip
 _MATLAB_TEXTS = ("char", "cell")
-# What h5py raises on damaged files
-_PARSE_ERRORS = (
-    ValueError,
-    OSError,
-    EOFError,
-    KeyError,
-    IndexError,
-    TypeError,
-    AttributeError,
-    RuntimeError,
-    NotImplementedError,
-    OverflowError,
-    MemoryError,
-)
+_PARSE_ERRORS = (*DAMAGED, RuntimeError)  # of h5py
 
 
 def read_hdf5(path: Path, given: Given) -> Contents:
@@ -245,8 +223,7 @@ def _sort(
             for word in words
         )
     elif dtype.kind in "iuf":
-        different = np.unique(np.asarray(content, dtype=np.float64))
-        numbers[name] = float(different[0]) if different.size == 1 else math.nan
+        numbers[name] = one_number(content)
 
 
 def _array(item: h5py.Dataset, reading: _Reading) -> Array:

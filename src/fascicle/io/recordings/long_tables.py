@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fascicle.errors import InputError
 from fascicle.io.recordings.contents import Channel, Contents
 from fascicle.io.recordings.given import Given
-from fascicle.io.recordings.table_cells import numbers, read_columns
+from fascicle.io.recordings.table_cells import FIRST_ROWS, numbers, read_columns
 from fascicle.io.recordings.table_columns import (
     Column,
     Strip,
@@ -41,7 +41,6 @@ _VALUE_COLUMN = (
     "mv",
     "uv",
 )
-_FIRST_ROWS = 1000  # enough to see a lead and to know its rate before all rows are read
 _SAME_SAMPLE = 0.5  # of a step, by which a lead may run ahead of the others from end to end
 
 
@@ -102,7 +101,7 @@ def read_long(table: TextTable, columns: LongColumns, given: Given) -> Contents:
     """
     unit = unit_of(table, columns.value, given)
     places = [columns.lead.place, columns.time.place, columns.value.place]
-    first = read_columns(table, places, _FIRST_ROWS, repeated=places[:1])
+    first = read_columns(table, places, FIRST_ROWS, repeated=places[:1])
     rate = _agreed(table, _stretches(table, columns, first, given), given)
     share = table.rows // (len(LEADS) + 1)  # a rhythm strip repeats a lead
     if share > LONGEST * rate:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,30 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.errors import printable
+from fascicle.io.recordings import kind_of_content
 from fascicle.io.recordings.contents import Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.hdf5 import read_levels
 from fascicle.io.recordings.matlab_elements import checked_elements
 from fascicle.io.recordings.named_arrays import Array, Level, contents_of
-from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark
-from fascicle.io.recordings.stated import damage
+from fascicle.io.recordings.remarks import MOST_WORDS, Remarks, is_remark, one_number
+from fascicle.io.recordings.stated import DAMAGED, damage
 
 _DEEPEST = 3  # structures within structures
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-# What scipy raises on damaged files
-_PARSE_ERRORS = (
-    ValueError,
-    OSError,
-    EOFError,
-    KeyError,
-    IndexError,
-    TypeError,
-    AttributeError,
-    NotImplementedError,
-    OverflowError,
-    MemoryError,
-    UserWarning,
-)
+_PARSE_ERRORS = (*DAMAGED, UserWarning)  # of scipy
 
 
 def read_matlab(path: Path, given: Given) -> Contents:
@@ -60,11 +46,10 @@ def read_matlab(path: Path, given: Given) -> Contents:
         When leads, rate or unit are missing, contradictory or ambiguous, or when the file holds
         objects or functions.
     """
-    with path.open("rb") as file:
-        start = file.read(128)
-    if start.startswith(_HDF5) or (start.startswith(b"MATLAB") and b"HDF5" in start):
+    if kind_of_content(path) == "HDF5":
         return read_levels(path, given, "MATLAB 7.3")
-    old = 0 in start[:4]  # MATLAB 4, which has no header
+    with path.open("rb") as file:
+        old = 0 in file.read(4)  # MATLAB 4, which has no header
     levels = list(_levels("", _variables(path, old), None))
     return contents_of(levels, path, given, "MATLAB 4" if old else "MATLAB 5")
 
@@ -102,8 +87,7 @@ def _levels(where: str, variables: Mapping[str, Any], above: Level | None) -> It
         elif value.dtype.kind not in "iuf":
             unusable[name] = "holds no real numbers; save it as double"
         elif small:
-            different = np.unique(value.astype(np.float64))
-            numbers[name] = float(different[0]) if different.size == 1 else math.nan
+            numbers[name] = one_number(value)
         else:
             arrays[name] = _array(value)
     level = Level(where or "the variables", arrays, Remarks(texts, numbers), unusable, above)

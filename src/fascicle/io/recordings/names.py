@@ -96,7 +96,12 @@ def millivolts(unit: str) -> float | None:
     Understands nV, uV (with u or either code point of the Greek letter), mV, V and the words
     (``microvolts``), in any case: a megavolt is no unit of an ECG.
     """
-    return _MILLIVOLTS.get(unit.strip().lower().replace("µ", "u").replace("μ", "u"))
+    return _MILLIVOLTS.get(plain_unit(unit))
+
+
+def plain_unit(unit: str) -> str:
+    """Return a unit in lower case, with u for either code point of the Greek letter."""
+    return unit.strip().lower().replace("µ", "u").replace("μ", "u")
 
 
 def first_line(error: BaseException) -> str:

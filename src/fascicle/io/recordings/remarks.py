@@ -7,6 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fascicle.errors import InputError
 from fascicle.io.recordings.stated import same_unit
@@ -48,6 +51,12 @@ def is_remark(name: str) -> bool:
     """Tell whether a small array, text or attribute of this name says something about signals."""
     key = _key(name)
     return _hertz(name) is not None or key in _UNITS | _NAMES | _FACTORS | _OFFSETS | _FILLS
+
+
+def one_number(values: Any) -> float:
+    """Return the number that a small array is, as `Remarks` keep it; NaN for several."""
+    different = np.unique(np.asarray(values, dtype=np.float64))
+    return float(different[0]) if different.size == 1 else math.nan
 
 
 def name_lists(said: Sequence[Remarks]) -> list[tuple[str, ...]]:

@@ -15,12 +15,6 @@ _PREAMBLE, _HEADER = 6, 16  # bytes before section 0, and before the content of 
 _POINTER, _LEAD = struct.Struct("<HII"), struct.Struct("<IIB")
 
 
-def is_scp(path: Path) -> bool:
-    """Whether a file is SCP-ECG, by its name or by the mark in its first section."""
-    with path.open("rb") as file:
-        return path.suffix.lower() == ".scp" or file.read(22)[16:] == b"SCPECG"
-
-
 def check_scp(path: Path) -> None:
     """Refuse a file that is truncated, holds more than one record, or states absurd lengths.
 

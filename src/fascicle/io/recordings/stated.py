@@ -11,6 +11,11 @@ from fascicle.errors import InputError, printable
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.names import first_line, millivolts
 
+# What libraries that trust their files raise on damaged ones
+DAMAGED = (
+    ValueError, OSError, EOFError, KeyError, IndexError, TypeError, AttributeError,
+    NotImplementedError, OverflowError, MemoryError,
+)  # fmt: skip
 _ROUNDING = 1e-6  # by which two spellings of one sampling rate may differ
 
 

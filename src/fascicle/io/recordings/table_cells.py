@@ -17,6 +17,7 @@ from fascicle.io.recordings.table_text import BLANKS, TextTable, shown
 if TYPE_CHECKING:
     import pandas as pd
 
+FIRST_ROWS = 1000  # enough to see a lead and to know its rate before all rows are read
 # \d alone would also match digits of other scripts
 _NUMBER = re.compile(r"[+-]?(?=[.,]?[0-9])[0-9]*(?:(?P<mark>[.,])[0-9]*)?(?:[eE][+-]?[0-9]+)?")
 
@@ -96,15 +97,22 @@ def numbers(table: TextTable, column: int, cells: pd.Series) -> NDArray[np.float
         values = np.array([_number(str(cell), table.decimal) for cell in cells], dtype=np.float64)
     else:
         values = cells.to_numpy(dtype=np.float64)
-    wrong = np.flatnonzero(~np.isfinite(values) & cells.notna().to_numpy())
-    if wrong.size:
-        row = table.first_row + 1 + int(cells.index[wrong[0]])
-        raise InputError(
-            f"{table.path}: column {shown(table.names[column])} holds "
-            f"{shown(str(cells.iloc[wrong[0]]))} in row {row}; "
-            "every sample must be a finite number, all with the same decimal mark"
-        )
+    wrong = ~np.isfinite(values) & cells.notna().to_numpy()
+    expected = "every sample must be a finite number, all with the same decimal mark"
+    refuse_cells(table, table.names[column], cells, wrong, expected)
     return np.asarray(values)
+
+
+def refuse_cells(
+    table: TextTable, column: str, cells: pd.Series, wrong: NDArray[np.bool_], expected: str
+) -> None:
+    """Name the first of a column's wrong cells, (n,), if there is one, and what is expected."""
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise InputError(
+            f"{table.path}: column {shown(column)} holds {shown(str(cells.iloc[first]))} in row "
+            f"{table.first_row + 1 + int(cells.index[first])}; {expected}"
+        )
 
 
 def _number(cell: str, decimal: str) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from fascicle.errors import InputError
 from fascicle.io.recordings.contents import Channel
 from fascicle.io.recordings.given import Given
-from fascicle.io.recordings.names import lead_name, millivolts
+from fascicle.io.recordings.names import lead_name, millivolts, plain_unit
 from fascicle.io.recordings.table_text import TextTable, shown
 from fascicle.leads import LEADS
 
@@ -32,8 +32,6 @@ _LONGEST_NAME = 100  # characters; bounds what matching takes
 _RENAMED = re.compile(r"(?P<name>.+)\.\d+")  # how pandas renames a column that is there twice
 _UNIT_REMARK = re.compile(r"#+\s*units?\s*[:=]\s*(?P<unit>[^\s,;]+)", re.IGNORECASE)
 _OWN_HEADER = ("time_ms", *LEADS)  # what this package writes, in mV
-
-
 _PER_SECOND = (
     dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
     | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
@@ -65,7 +63,7 @@ class Strip:
 
 def per_second(unit: str) -> float | None:
     """Return how many such units are a second, or None when the unit is unknown."""
-    return _PER_SECOND.get(unit.strip().lower().replace("µ", "u").replace("μ", "u"))
+    return _PER_SECOND.get(plain_unit(unit))
 
 
 def columns_of(table: TextTable) -> list[Column]:

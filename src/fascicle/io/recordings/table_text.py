@@ -24,7 +24,7 @@ BLANKS = " "  # stands for runs of blanks as the separator
 _CONTROL = re.compile("[\x00-\x08\x0e-\x1f\x7f]")
 _NUMBER = re.compile(r"[+-]?[.,]?\d.*", re.DOTALL)
 _SEPARATOR_LINE = re.compile(r'"?sep=(?P<separator>[;,\t|])"?', re.IGNORECASE)  # written by Excel
-_SHOWN = 30  # characters of a cell in a message
+_SHOWN, _SHOWN_COLUMNS = 30, 4  # characters of a cell, and columns, in a message
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,12 @@ class TextTable:
     first_row: int
     rows: int
     remarks_between: bool
+
+    @property
+    def columns_shown(self) -> str:
+        """The first columns' names, for messages."""
+        first = ", ".join(shown(name) for name in self.names[:_SHOWN_COLUMNS])
+        return first + " ..." * (len(self.names) > _SHOWN_COLUMNS)
 
 
 def shown(text: str) -> str:

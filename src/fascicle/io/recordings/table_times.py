@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fascicle.errors import InputError
 from fascicle.io.recordings.given import Given
-from fascicle.io.recordings.table_cells import numbers
+from fascicle.io.recordings.table_cells import numbers, refuse_cells
 from fascicle.io.recordings.table_columns import Column, per_second, split_unit
 from fascicle.io.recordings.table_text import TextTable, shown
 
@@ -124,14 +124,10 @@ def times(
 def _clock(table: TextTable, column: TimeColumn, cells: pd.Series) -> NDArray[np.float64]:
     """Seconds of times of a clock; a missing cell is NaN."""
     parts = cells.astype(str).str.extract(_CLOCK)
-    wrong = np.flatnonzero(parts["s"].isna().to_numpy() & cells.notna().to_numpy())
-    if wrong.size:
-        row = table.first_row + 1 + int(cells.index[wrong[0]])
-        raise InputError(
-            f"{table.path}: column {shown(column.name)} holds "
-            f"{shown(str(cells.iloc[wrong[0]]))} in row {row}; times must be "
-            "numbers, or all be written hh:mm:ss.mmm"
-        )
+    wrong = parts["s"].isna().to_numpy() & cells.notna().to_numpy()
+    refuse_cells(
+        table, column.name, cells, wrong, "times must be numbers, or all be written hh:mm:ss.mmm"
+    )
     hours = parts["h"].fillna("0").astype(float).to_numpy()
     minutes = parts["m"].astype(float).to_numpy()
     seconds = parts["s"].str.replace(",", ".").astype(float).to_numpy()
@@ -246,9 +242,8 @@ def agreed_rate(table: TextTable, stated: Sequence[tuple[str, float]], given: Gi
         rates = [("--sampling-rate", given.sampling_rate), *rates]
     if not rates:
         raise InputError(
-            f"{table.path}: no time column among {', '.join(shown(n) for n in table.names[:4])}"
-            f"{' ...' * (len(table.names) > 4)}; add one named time_ms or time_s, or give the rate "
-            "in Hz by --sampling-rate"
+            f"{table.path}: no time column among {table.columns_shown}; add one named time_ms or "
+            "time_s, or give the rate in Hz by --sampling-rate"
         )
     who, rate = rates[0]
     for other_who, other in rates[1:]:

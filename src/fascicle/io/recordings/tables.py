@@ -12,7 +12,7 @@ from fascicle.errors import InputError
 from fascicle.io.recordings.contents import Channel, Contents
 from fascicle.io.recordings.given import Given
 from fascicle.io.recordings.long_tables import long_columns, read_long
-from fascicle.io.recordings.table_cells import numbers, read_columns
+from fascicle.io.recordings.table_cells import FIRST_ROWS, numbers, read_columns
 from fascicle.io.recordings.table_columns import (
     Column,
     Strip,
@@ -33,8 +33,6 @@ from fascicle.recording.recording import check_extent
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_FIRST_ROWS = 1000  # enough to know the rate before all rows are read
 
 
 def read_table(path: Path, given: Given) -> Contents:
@@ -73,8 +71,8 @@ def read_table(path: Path, given: Given) -> Contents:
     leads = [column for column in columns if column.lead is not None]
     if not leads:
         raise InputError(
-            f"{path}: no lead among the columns {', '.join(shown(n) for n in table.names[:4])}"
-            f"{' ...' * (len(table.names) > 4)}; name them I, II, V1 to V6 with their unit (I_mV)"
+            f"{path}: no lead among the columns {table.columns_shown}; name them I, II, V1 to V6 "
+            "with their unit (I_mV)"
         )
     units = {column.place: unit_of(table, column, given) for column in leads}
     clocks = time_columns(columns)
@@ -103,7 +101,7 @@ def _samples(
     # sample numbers tell about gaps where no times do
     clocks = clocks if clocks else counters if given.sampling_rate is not None else ()
     places = [column.place for column in leads] + [clock.place for clock in clocks]
-    first = read_columns(table, places, rows=_FIRST_ROWS)
+    first = read_columns(table, places, rows=FIRST_ROWS)
     check_extent(table.rows, _rate(table, clocks, first, given), str(table.path))
     frame = read_columns(table, places)
     if clocks:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from fascicle.errors import InputError
+from fascicle.io.recordings.hashes import sha256_of
 from fascicle.io.recordings.wfdb_header import BYTES_PER_SAMPLE, FLAC_FORMATS, Header
 from fascicle.recording.recording import check_extent
 
@@ -146,9 +146,5 @@ def hash_note(path: Path, header: Header, parts: Sequence[Part]) -> dict[str, st
     names = {name for part in parts for name in part.header.files}
     if header.segments:
         names |= {part.path.name for part in parts if part.header.signals}
-    digest = hashlib.sha256()
-    for name in sorted(names):
-        with path.with_name(name).open("rb") as file:
-            while block := file.read(2**20):
-                digest.update(block)
-    return {"signal_files": ", ".join(sorted(names)), "signal_sha256": digest.hexdigest()}
+    files = [path.with_name(name) for name in sorted(names)]
+    return {"signal_files": ", ".join(sorted(names)), "signal_sha256": sha256_of(files)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.finding import Finding, warning_if
 from fascicle.recording.quality.resolution import step_of
 from fascicle.recording.quality.stretches import measured
 from fascicle.recording.quality.wording import listed
@@ -36,8 +36,7 @@ def check_clipping(recording: Recording) -> list[Finding]:
             f"peaks of {listed(cut)} are cut off ({largest:.2%} of the samples at the rails): the "
             "amplifier's or the file's range was too small; leave out what is cut in the QRS"
         )
-    severity = Severity.WARNING if cut else Severity.FINE
-    return [Finding("samples at the rails", largest, "", LARGEST_SHARE, severity, message)]
+    return [warning_if(message, "samples at the rails", largest, "", LARGEST_SHARE)]
 
 
 def _share_at_rails(values: NDArray[np.float64], long: float) -> float:

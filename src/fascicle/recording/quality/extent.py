@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.finding import Finding, warning_if
 from fascicle.recording.recording import Recording
 
 RECOMMENDED_RATE = 500.0  # Hz; AHA/ACC/HRS, Circulation 115:1306 (2007)
@@ -30,10 +30,6 @@ def check_extent_in_time(recording: Recording) -> list[Finding]:
     if duration < SHORT:
         short = f"{duration:.1f} s hold few beats, so their spread is uncertain; give 10 s"
     return [
-        Finding("sampling rate", rate, "Hz", RECOMMENDED_RATE, _severity(slow), slow),
-        Finding("duration", duration, "s", SHORT, _severity(short), short),
+        warning_if(slow, "sampling rate", rate, "Hz", RECOMMENDED_RATE),
+        warning_if(short, "duration", duration, "s", SHORT),
     ]
-
-
-def _severity(message: str) -> Severity:
-    return Severity.WARNING if message else Severity.FINE

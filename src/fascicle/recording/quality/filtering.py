@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.finding import Finding, Severity, warning_if
 from fascicle.recording.recording import Recording
 
 LOWEST_LOWPASS = 150.0  # Hz; adults: AHA/ACC/HRS, Circulation 115:1306 (2007)
@@ -42,17 +42,12 @@ def check_filters(recording: Recording) -> list[Finding]:
     if filters.notch is not None:
         notch = f"note: the recorder's mains filter at {filters.notch:g} Hz was on"
     return [
-        _finding("recorder's low-pass", filters.lowpass, LOWEST_LOWPASS, low),
-        _finding("recorder's high-pass", filters.highpass, HIGHEST_HIGHPASS, high),
+        warning_if(low, "recorder's low-pass", _or_nan(filters.lowpass), "Hz", LOWEST_LOWPASS),
+        warning_if(high, "recorder's high-pass", _or_nan(filters.highpass), "Hz", HIGHEST_HIGHPASS),
         Finding(
             "recorder's mains filter", _or_nan(filters.notch), "Hz", np.nan, Severity.FINE, notch
         ),
     ]
-
-
-def _finding(check: str, value: float | None, limit: float, message: str) -> Finding:
-    severity = Severity.WARNING if message else Severity.FINE
-    return Finding(check, _or_nan(value), "Hz", limit, severity, message)
 
 
 def _or_nan(value: float | None) -> float:

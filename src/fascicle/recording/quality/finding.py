@@ -40,3 +40,9 @@ class Finding:
     limit: float
     severity: Severity
     message: str = ""
+
+
+def warning_if(message: str, check: str, value: float, unit: str, limit: float) -> Finding:
+    """Outcome of a check: a warning where there is a message, fine where it is empty."""
+    severity = Severity.WARNING if message else Severity.FINE
+    return Finding(check, value, unit, limit, severity, message)

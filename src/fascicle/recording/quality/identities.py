@@ -71,11 +71,7 @@ def check_identities(recording: Recording) -> list[Finding]:
 def _together(recording: Recording) -> list[_Together]:
     """Find the sets of at least three limb leads with a stretch of time in common."""
     spans = recording.spans
-    rows = [
-        row
-        for row, lead in enumerate(LIMB_LEADS)
-        if spans[row, 1] > 0 and lead not in recording.derived
-    ]
+    rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
     found: dict[tuple[int, ...], _Together] = {}
     for start, stop in {(int(spans[row, 0]), int(spans[row, 1])) for row in rows}:
         covering = tuple(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.finding import Finding, warning_if
 from fascicle.recording.quality.stretches import measured
 from fascicle.recording.quality.wording import listed
 from fascicle.recording.recording import Recording
+from fascicle.recording.resampling import MAINS
 
-FREQUENCIES = (50.0, 60.0)  # Hz
 HARMONICS = (1, 2, 3)
 LARGEST_HUM = 0.025  # mV; amplitude, a quarter of a millimetre on paper
 SEGMENT = 4.0  # s
@@ -30,18 +30,18 @@ def check_mains(recording: Recording) -> list[Finding]:
     hum = {
         (lead, mains): _amplitude(values, recording.sampling_rate, mains)
         for lead, values in measured(recording).items()
-        for mains in FREQUENCIES
+        for mains in MAINS
     }
     worst = max(hum, key=lambda key: hum[key])
     largest = hum[worst]
-    if largest <= LARGEST_HUM:
-        return [Finding("mains hum", 1e3 * largest, "uV", 1e3 * LARGEST_HUM, Severity.FINE)]
     humming = [lead for (lead, f), size in hum.items() if f == worst[1] and size > LARGEST_HUM]
-    message = (
-        f"hum at {worst[1]:g} Hz in {listed(humming)} (up to {1e3 * largest:.0f} uV); switch the "
-        "recorder's mains filter on, or record again away from the mains"
-    )
-    return [Finding("mains hum", 1e3 * largest, "uV", 1e3 * LARGEST_HUM, Severity.WARNING, message)]
+    message = ""
+    if humming:
+        message = (
+            f"hum at {worst[1]:g} Hz in {listed(humming)} (up to {1e3 * largest:.0f} uV); switch "
+            "the recorder's mains filter on, or record again away from the mains"
+        )
+    return [warning_if(message, "mains hum", 1e3 * largest, "uV", 1e3 * LARGEST_HUM)]
 
 
 def _amplitude(values: NDArray[np.float64], rate: float, mains: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.finding import Finding, warning_if
 from fascicle.recording.quality.stretches import measured
 from fascicle.recording.quality.wording import listed
 from fascicle.recording.recording import Recording
@@ -32,8 +32,7 @@ def check_resolution(recording: Recording) -> list[Finding]:
             f"steps of up to {largest:.0f} uV between the values of {listed(rough)}; export "
             "the recording with all its digits"
         )
-    severity = Severity.WARNING if rough else Severity.FINE
-    return [Finding("amplitude step", largest, "uV", 1e3 * LARGEST_STEP, severity, message)]
+    return [warning_if(message, "amplitude step", largest, "uV", 1e3 * LARGEST_STEP)]
 
 
 def step_of(values: NDArray[np.float64]) -> float:

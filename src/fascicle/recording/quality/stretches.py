@@ -18,9 +18,8 @@ def measured(recording: Recording) -> dict[str, NDArray[np.float64]]:
     """Samples (mV) of each lead over its own time; computed leads are left out."""
     spans = recording.spans
     return {
-        lead: recording.signal[row, spans[row, 0] : spans[row, 1]]
-        for row, lead in enumerate(LEADS)
-        if spans[row, 1] > 0 and lead not in recording.derived
+        lead: recording.signal[LEADS.index(lead), slice(*spans[LEADS.index(lead)])]
+        for lead in recording.measured_leads
     }
 
 

@@ -13,6 +13,7 @@ from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.quality.wording import leave_out, listed
 from fascicle.recording.recording import Recording
 
+_CHECK = "agreement of the leads' beats"
 LEAST_CONTRAST = 4.0  # activity of a beat over the usual, below which a lead does not tell
 FEWEST_BEATS = 3
 FEWEST_FOR_STEP = 6  # beats, of which three could not be equally far apart by chance
@@ -76,9 +77,6 @@ def check_synchrony(recording: Recording, moving: Activity) -> list[Finding]:
     severity = Severity.FATAL if message else Severity.FINE
     name = "limb against chest, jitter"
     return [*findings, Finding(name, jitter, "ms", LARGEST_JITTER, severity, message)]
-
-
-_CHECK = "agreement of the leads' beats"
 
 
 def _telling(moving: Activity) -> dict[int, NDArray[np.int64]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.finding import Finding, warning_if
 from fascicle.recording.quality.stretches import coarse, measured
 from fascicle.recording.quality.wording import listed
 from fascicle.recording.recording import Recording
@@ -33,8 +33,7 @@ def check_wander(recording: Recording) -> list[Finding]:
             f"the baseline of {listed(wandering)} wanders (up to {largest:.2f} mV peak to peak); "
             "look at the beats, or record again at rest"
         )
-    severity = Severity.WARNING if wandering else Severity.FINE
-    return [Finding("baseline wander", largest, "mV", LARGEST_WANDER, severity, message)]
+    return [warning_if(message, "baseline wander", largest, "mV", LARGEST_WANDER)]
 
 
 def _slow_range(values: NDArray[np.float64], rate: float) -> float:

@@ -21,6 +21,5 @@ def listed(leads: Collection[str]) -> str:
 
 def leave_out(recording: Recording, leads: Collection[str]) -> str:
     """Option that uses every recorded lead but these."""
-    there = [lead for lead, found in zip(LEADS, recording.recorded, strict=True) if found]
-    kept = [lead for lead in there if lead not in leads and lead not in recording.derived]
+    kept = [lead for lead in recording.measured_leads if lead not in leads]
     return f"--leads {','.join(kept)}"
