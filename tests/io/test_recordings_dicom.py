@@ -164,6 +164,13 @@ def test_sensitivity_correction_baseline_and_gain(tmp_path):
     assert recording.digits_per_millivolt[6:8] == pytest.approx([40, 400])
 
 
+def test_a_sensitivity_without_an_inverse_has_no_gain(tmp_path):
+    item = change_leads(group(digits()), ChannelSensitivity="1e-322")
+    recording = read_recording(write(tmp_path, item))
+    assert np.isnan(recording.digits_per_millivolt).all()
+    assert np.abs(recording.signal).max() < 1e-300
+
+
 @pytest.mark.parametrize(("unit", "factor"), [("nV", 1e-6), ("uV", 1e-3), ("mV", 1), ("V", 1e3)])
 def test_units(tmp_path, unit, factor):
     item = change_leads(

@@ -68,9 +68,12 @@ def strictest(
 
 
 def gain_of(step: float, unit: str | None) -> float | None:
-    """Digits per mV where one digit is `step` of a unit; None where the unit is unknown."""
-    scale = None if unit is None else millivolts(unit)
-    return None if scale is None else 1 / abs(step * scale)
+    """Digits per mV where one digit is `step` of a unit; None where the unit is unknown.
+
+    Nor has a step a gain that is too small for its inverse to be a number.
+    """
+    size = abs(step * (millivolts(unit) or 0.0)) if unit is not None else 0.0
+    return 1 / size if size > np.finfo(float).tiny else None
 
 
 def assemble(
