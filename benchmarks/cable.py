@@ -6,8 +6,8 @@ Two tables. The first changes one setting of `simulate_cable` at a time and prin
 maximum upstroke and U change against the defaults, the baseline. The second puts templates into
 the packaged heart with the example parameters and compares each QRS with that of the same template
 until 350 ms, and prints the largest lead some ms after the last activation, where the ST segment
-should be flat. The figures in the docstrings of `fascicle.cable` are from here. Run from the root
-of the repository.
+should be flat. The figures in the docstrings of `fascicle.forward.cable` are from here. Run from
+the root of the repository.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fascicle.cable.cell import CELLS
-from fascicle.cable.measures import max_upstroke
-from fascicle.cable.propagation import simulate_cable
-from fascicle.cable.template import DEFAULT_CELL, CableTemplate, make_template, template_of
-from fascicle.ecg.action_potential import ActionPotential, Upstroke
-from fascicle.forward import ForwardModel, Simulation
-from fascicle.io.hearts import load_heart
-from fascicle.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.cable.cell import CELLS
+from fascicle.forward.cable.measures import max_upstroke
+from fascicle.forward.cable.propagation import simulate_cable
+from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, make_template, template_of
+from fascicle.forward.ecg.action_potential import ActionPotential, Upstroke
+from fascicle.forward.model import ForwardModel, Simulation
+from fascicle.heart.folder import load_heart
 
 CHANGES: dict[str, dict[str, float]] = {
     "defaults": {},

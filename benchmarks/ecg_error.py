@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from fascicle.cable.stored import default_template
-from fascicle.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
-from fascicle.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
-from fascicle.eikonal.tissue import EDGES, barycentric_gradients
-from fascicle.geometry.conduction import Conduction
-from fascicle.geometry.heart import Heart, signed_volumes
+from fascicle.forward.cable.stored import default_template
+from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
+from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
+from fascicle.forward.eikonal.myocardium import EDGES, barycentric_gradients
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import signed_volumes
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -168,7 +169,7 @@ def _between(interpolate: Callable[[Array, Array, Array], Array], fine: Array) -
 
 def activated(heart: Heart, parameters: dict[str, float]) -> ActivatedMesh:
     """The heart as the forward model activates it."""
-    from fascicle.forward import ForwardModel, InvalidTree
+    from fascicle.forward.model import ForwardModel, InvalidTree
 
     simulation = ForwardModel(heart).simulate(parameters)
     if isinstance(simulation, InvalidTree):

@@ -32,12 +32,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fascicle.eikonal.activation import attach, solve, solve_from_vertices
-from fascicle.eikonal.tissue import Tissue, build_tissue
-from fascicle.geometry.conduction import MM2_PER_CM2, Conduction
-from fascicle.geometry.endocardium import Endocardium
-from fascicle.geometry.heart import Heart, signed_volumes
-from fascicle.tree.purkinje import PurkinjeTree
+from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
+from fascicle.forward.eikonal.myocardium import Tissue, build_tissue
+from fascicle.heart.conduction import MM2_PER_CM2, Conduction
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import signed_volumes
+from fascicle.purkinje.tree import PurkinjeTree
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -233,8 +234,8 @@ def coupling_errors(cell: float) -> tuple[str, Array]:
 def heart_errors(folder: Path) -> Iterator[tuple[str, Array]]:
     """The crtdemo heart against itself refined once and twice."""
     from benchmarks.forward import PARAMETERS, _heart, _named_parameters, build_case
-    from fascicle.forward import ForwardModel
-    from fascicle.tree.purkinje import InvalidTree
+    from fascicle.forward.model import ForwardModel
+    from fascicle.purkinje.tree import InvalidTree
 
     case = build_case(folder)
     model = ForwardModel(_heart(case))

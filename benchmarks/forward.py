@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from fascicle.geometry.heart import Heart
+    from fascicle.heart.heart import Heart
 
 Array = npt.NDArray[np.float64]
 Case = dict[str, npt.NDArray[Any]]
@@ -145,8 +145,8 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         CPU time over wall time while measuring (well below 1: a busy machine, measure again).
     """
     from benchmarks.eikonal_residual import eikonal_residual
-    from fascicle.eikonal.activation import attach, solve, solve_from_vertices
-    from fascicle.forward import ForwardModel, InvalidTree
+    from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
+    from fascicle.forward.model import ForwardModel, InvalidTree
 
     model = ForwardModel(_heart(case))
     parameters = _named_parameters(case)
@@ -207,8 +207,8 @@ def _median_seconds(stage: Callable[[], object], repeats: int) -> float:
 
 def _heart(case: Case) -> Heart:
     """Hold the case's arrays as fascicle holds a heart."""
-    from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
-    from fascicle.geometry.heart import Heart
+    from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
+    from fascicle.heart.heart import Heart
 
     endocardia = []
     for side in ("lv", "rv"):

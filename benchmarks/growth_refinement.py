@@ -30,11 +30,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from fascicle.geometry.endocardium import Endocardium
-from fascicle.harmonic.chart import Chart, build_chart
-from fascicle.parameters import NETWORK_SPACE
-from fascicle.tree.grow import GrowthRules, Seed, find_seed, grow_from_parameters
-from fascicle.tree.purkinje import InvalidTree
+from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.heart.endocardium import Endocardium
+from fascicle.purkinje.chart import Chart, build_chart
+from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters
+from fascicle.purkinje.tree import InvalidTree
 
 Array = npt.NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import diags
 from scipy.sparse.linalg import cg
 
-from fascicle.geometry.conduction import Conduction
+from fascicle.heart.conduction import Conduction
 from fascicle.torso.lead_fields import (
     TOLERANCE,
     assemble_stiffness,

@@ -41,11 +41,11 @@ import numpy.typing as npt
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
-from fascicle.eikonal.activation import attach, solve
-from fascicle.eikonal.tissue import build_tissue
-from fascicle.geometry.conduction import MM2_PER_CM2, Conduction
-from fascicle.geometry.endocardium import Endocardium
-from fascicle.geometry.heart import Heart
+from fascicle.forward.eikonal.activation import attach, solve
+from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.heart.conduction import MM2_PER_CM2, Conduction
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.heart import Heart
 
 Array = npt.NDArray[np.float64]
 

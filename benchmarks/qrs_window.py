@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
-from fascicle.forward import Simulation
-from fascicle.leads import INDEPENDENT_ROWS, lead_matrix
+from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
+from fascicle.forward.model import Simulation
 from fascicle.recording.resampling import resample
 from fascicle.recording.rhythms import made_up_recording
 from fascicle.recording.window import qrs_window, spatial_velocity, window_uncertainty

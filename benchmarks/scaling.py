@@ -33,8 +33,8 @@ from benchmarks.eikonal_error import refined as in_eight
 from benchmarks.forward import _heart, _named_parameters, build_case, pin_to_one_core
 
 if TYPE_CHECKING:
-    from fascicle.forward import ForwardModel
-    from fascicle.geometry.heart import Heart
+    from fascicle.forward.model import ForwardModel
+    from fascicle.heart.heart import Heart
 
 WANTED = 300_000  # vertices
 LARGER = 650_000  # with --million
@@ -93,9 +93,9 @@ def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
 
 def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
     """Time and memory of the forward run on a prepared heart; for a process of its own."""
-    from fascicle.cable.stored import default_template
-    from fascicle.forward import ForwardModel
-    from fascicle.preparation import load_with_heart
+    from fascicle.forward.cable.stored import default_template
+    from fascicle.forward.model import ForwardModel
+    from fascicle.forward.preparation import load_with_heart
 
     heart, prepared = load_with_heart(path, default_template())
     model = ForwardModel(heart, prepared=prepared)
@@ -126,8 +126,8 @@ def _seconds(work: Callable[[], object]) -> float:
 
 def sizes(heart: Heart, parameters: dict[str, float], million: bool) -> None:
     """Print a row a mesh."""
-    from fascicle.forward import ForwardModel
-    from fascicle.preparation import save
+    from fascicle.forward.model import ForwardModel
+    from fascicle.forward.preparation import save
 
     print(
         f"{'vertices':>10}{'tetrahedra':>12}{'prepare, s':>12}{'forward, s':>12}"
@@ -194,7 +194,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         return
     if arguments.data is None:
         parser.error("--data is needed: the folder with crtdemo_mesh_oriented.vtk")
-    from fascicle.forward import ForwardModel
+    from fascicle.forward.model import ForwardModel
 
     case = build_case(arguments.data)
     heart, named = _heart(case), _named_parameters(case)

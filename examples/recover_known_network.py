@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 import fascicle
-from fascicle.fitting import FittedStudy, fit
-from fascicle.io.parameters import read_parameters
-from fascicle.progress import TerminalProgress
+from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.core.parameter_files import read_parameters
 from fascicle.recording.synthetic import synthetic_target
 from fascicle.report.figures import save
 from fascicle.report.pairs import pair_figure
 from fascicle.report.study import write_figures
+from fascicle.study.fit import FittedStudy, fit
 
 # Well inside the ranges; the left tree fires 30 ms late, a partial left bundle branch block.
 TRUTH = {

@@ -13,9 +13,9 @@ import numpy as np
 import pyvista as pv
 from scipy.spatial import Delaunay, cKDTree
 
-from fascicle.anatomy.closed import prepared_surface
-from fascicle.anatomy.meshing import mesh_surface
-from fascicle.geometry.surface import Label, LabelledMesh, LabelledSurface
+from fascicle.build.meshing import mesh_surface
+from fascicle.build.repair import prepared_surface
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.torso.surfaces import Surface
 
 EPI, BASE = Label.EPICARDIUM, Label.BASE

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from fascicle.eikonal.activation import attach, solve, solve_from_vertices
-from fascicle.eikonal.tissue import Tissue, build_tissue
-from fascicle.geometry.conduction import Conduction
-from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity
-from fascicle.geometry.heart import Heart, signed_volumes
+from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
+from fascicle.forward.eikonal.myocardium import Tissue, build_tissue
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
+from fascicle.heart.heart import Heart
 from fascicle.kernels.ray import ray_time
-from fascicle.tree.purkinje import PurkinjeTree
+from fascicle.mesh.measures import signed_volumes
+from fascicle.purkinje.tree import PurkinjeTree
 
 # Kuhn's six tetrahedra of a cube, corners numbered x + 2y + 4z
 KUHN = np.array(

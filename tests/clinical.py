@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fascicle.forward import Simulation
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
+from fascicle.forward.model import Simulation
 
 # Bundles and fascicles short enough for a patient's heart (crtdemo); EXAMPLE_PARAMETERS are not
 SHORT_BUNDLES = {

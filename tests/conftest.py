@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from fascicle.forward import ForwardModel
-    from fascicle.geometry.heart import Heart
+    from fascicle.forward.model import ForwardModel
+    from fascicle.heart.heart import Heart
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_DATA = REPOSITORY.parent / "shared" / "data"
@@ -37,7 +37,7 @@ def data_folder() -> Path:
 @pytest.fixture(scope="session")
 def default_heart() -> Heart:
     """The packaged heart."""
-    from fascicle.io.hearts import load_heart
+    from fascicle.heart.folder import load_heart
 
     return load_heart("default")
 
@@ -45,7 +45,7 @@ def default_heart() -> Heart:
 @pytest.fixture(scope="session")
 def default_model(default_heart: Heart) -> ForwardModel:
     """Forward model of the packaged heart."""
-    from fascicle.forward import ForwardModel
+    from fascicle.forward.model import ForwardModel
 
     return ForwardModel(default_heart)
 
@@ -53,8 +53,8 @@ def default_model(default_heart: Heart) -> ForwardModel:
 @pytest.fixture(scope="session")
 def crtdemo(data_folder: Path) -> Heart:
     """A patient's heart, imported as `fascicle heart import` does, with the published seeds."""
-    from fascicle.io.hearts import assemble_heart
-    from fascicle.io.meshes import read_mesh
+    from fascicle.heart.folder import assemble_heart
+    from fascicle.mesh.formats.read import read_mesh
 
     folder = data_folder / "hearts" / "crtdemo"
     return assemble_heart(
@@ -73,6 +73,6 @@ def crtdemo(data_folder: Path) -> Heart:
 @pytest.fixture(scope="session")
 def crtdemo_model(crtdemo: Heart) -> ForwardModel:
     """Forward model of the patient's heart."""
-    from fascicle.forward import ForwardModel
+    from fascicle.forward.model import ForwardModel
 
     return ForwardModel(crtdemo)

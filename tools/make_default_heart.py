@@ -20,7 +20,7 @@ Volumes and mass : Petersen et al. 2017, J Cardiovasc Magn Reson 19:18 (UK Bioba
     taken at the upper end of its range.
 Wall thickness : Lang et al. 2015, J Am Soc Echocardiogr 28:1-39 (LV 6-10 mm, LV internal diameter
     38-58 mm, RV free wall below 5 mm). The thinning towards the apex is common knowledge.
-Pose : `fascicle.torso.placing`, standard.
+Pose : `fascicle.torso.heart_pose`, standard.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.anatomy.build import Body, heart_of, in_body
-from fascicle.anatomy.meshing import mesh_surface
-from fascicle.anatomy.segmentation import Segmentation, SegmentationLabels
-from fascicle.anatomy.segmentation_surface import surface_from_segmentation
-from fascicle.anatomy.source import Anatomy
-from fascicle.geometry.heart import Heart
-from fascicle.geometry.seeds import ChosenSeed
-from fascicle.geometry.torso import LeadFields
-from fascicle.io.hearts import write_heart
-from fascicle.torso.placing import standard_axes
+from fascicle.build.meshing import mesh_surface
+from fascicle.build.pipeline import Body, heart_of, in_body
+from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
+from fascicle.build.segmentation.surface import surface_from_segmentation
+from fascicle.build.source import Anatomy
+from fascicle.heart.folder import write_heart
+from fascicle.heart.heart import Heart
+from fascicle.heart.seeds import ChosenSeed
+from fascicle.heart.torso import LeadFields
+from fascicle.torso.heart_pose import standard_axes
 
 Floats = NDArray[np.float64]
 

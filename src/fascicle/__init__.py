@@ -15,47 +15,47 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fascicle.eikonal.scenario import Scenario, Slowing, Stimulus
-    from fascicle.errors import InputError
-    from fascicle.fitting import fit, load_study
-    from fascicle.forward import ForwardModel, Simulation
-    from fascicle.geometry.conduction import Conduction, Region
-    from fascicle.geometry.heart import Heart
-    from fascicle.io.hearts import load_heart
-    from fascicle.io.recordings import read_recording
-    from fascicle.io.targets import read_target
-    from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+    from fascicle.core.errors import InputError
+    from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+    from fascicle.forward.model import ForwardModel, Simulation
+    from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+    from fascicle.heart.conduction import Conduction, Region
+    from fascicle.heart.folder import load_heart
+    from fascicle.heart.heart import Heart
+    from fascicle.purkinje.growth import GrowthRules
+    from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
     from fascicle.recording.choices import Choices
-    from fascicle.recording.making import analyse, make_target
-    from fascicle.tree.grow import GrowthRules
-    from fascicle.tree.purkinje import InvalidTree, PurkinjeTree
+    from fascicle.recording.pipeline import analyse, make_target
+    from fascicle.recording.readers.read import read_recording
+    from fascicle.recording.target_files import read_target
+    from fascicle.study.fit import fit, load_study
 
 __version__ = version("fascicle")
 
 # Loaded when first used: the package imports in milliseconds, its numerics do not.
 _HOMES = {
     "Choices": "fascicle.recording.choices",
-    "Conduction": "fascicle.geometry.conduction",
-    "EXAMPLE_PARAMETERS": "fascicle.parameters",
-    "ForwardModel": "fascicle.forward",
-    "GrowthRules": "fascicle.tree.grow",
-    "Heart": "fascicle.geometry.heart",
-    "InputError": "fascicle.errors",
-    "InvalidTree": "fascicle.tree.purkinje",
-    "NETWORK_SPACE": "fascicle.parameters",
-    "PurkinjeTree": "fascicle.tree.purkinje",
-    "Simulation": "fascicle.forward",
-    "Region": "fascicle.geometry.conduction",
-    "Scenario": "fascicle.eikonal.scenario",
-    "Slowing": "fascicle.eikonal.scenario",
-    "Stimulus": "fascicle.eikonal.scenario",
-    "analyse": "fascicle.recording.making",
-    "fit": "fascicle.fitting",
-    "load_heart": "fascicle.io.hearts",
-    "load_study": "fascicle.fitting",
-    "make_target": "fascicle.recording.making",
-    "read_recording": "fascicle.io.recordings",
-    "read_target": "fascicle.io.targets",
+    "Conduction": "fascicle.heart.conduction",
+    "EXAMPLE_PARAMETERS": "fascicle.core.parameters",
+    "ForwardModel": "fascicle.forward.model",
+    "GrowthRules": "fascicle.purkinje.growth",
+    "Heart": "fascicle.heart.heart",
+    "InputError": "fascicle.core.errors",
+    "InvalidTree": "fascicle.purkinje.tree",
+    "NETWORK_SPACE": "fascicle.core.parameters",
+    "PurkinjeTree": "fascicle.purkinje.tree",
+    "Simulation": "fascicle.forward.model",
+    "Region": "fascicle.heart.conduction",
+    "Scenario": "fascicle.forward.scenario",
+    "Slowing": "fascicle.forward.scenario",
+    "Stimulus": "fascicle.forward.scenario",
+    "analyse": "fascicle.recording.pipeline",
+    "fit": "fascicle.study.fit",
+    "load_heart": "fascicle.heart.folder",
+    "load_study": "fascicle.study.fit",
+    "make_target": "fascicle.recording.pipeline",
+    "read_recording": "fascicle.recording.readers.read",
+    "read_target": "fascicle.recording.target_files",
 }
 
 __all__ = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fascicle.leads import ELECTRODES
+from fascicle.core.leads import ELECTRODES
 
 WIDTH, CELLS = 60.0, 8  # mm; cubes along each side of the tissue
 CUBE = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1), (1, 1, 1)]
@@ -153,7 +153,7 @@ def run(monkeypatch, capfd):
     from fascicle.cli import main
 
     # a slow machine takes more than a second to prepare a heart, and then says so
-    monkeypatch.setattr("fascicle.eikonal.near_field.PATIENCE", 600.0)
+    monkeypatch.setattr("fascicle.forward.eikonal.ray_travel_times.PATIENCE", 600.0)
 
     def call(*arguments):
         monkeypatch.setattr("sys.argv", ["fascicle", *map(str, arguments)])
@@ -216,8 +216,8 @@ def import_refused(materials, outside, refused):
 @pytest.fixture(scope="session")
 def small_heart(tmp_path_factory):
     """Folder of the small heart."""
-    from fascicle.io.hearts import assemble_heart, write_heart
-    from fascicle.io.meshes import read_mesh
+    from fascicle.heart.folder import assemble_heart, write_heart
+    from fascicle.mesh.formats.read import read_mesh
 
     materials = Materials(tmp_path_factory.mktemp("materials"))
     files = materials.files
@@ -254,6 +254,6 @@ def parameters(tmp_path):
 @pytest.fixture(scope="session", autouse=True)
 def compiled():
     """Compile the kernels before a program says on its standard error that it does."""
-    from fascicle.compilation import Compilation
+    from fascicle.forward.compile_kernels import Compilation
 
     Compilation(lambda *_: None).run()

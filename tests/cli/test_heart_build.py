@@ -24,12 +24,12 @@ from anatomies import (
 )
 
 import fascicle
-from fascicle.anatomy.check import cavity_volume
-from fascicle.anatomy.meshing import mesh_surface
-from fascicle.geometry.endocardium import boundary_loops
-from fascicle.geometry.heart import digest_of
-from fascicle.geometry.surface import LabelledMesh
-from fascicle.io.scenarios import read_scenario
+from fascicle.build.check import cavity_volume
+from fascicle.build.meshing import mesh_surface
+from fascicle.forward.scenario_files import read_scenario
+from fascicle.heart.heart import digest_of
+from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.mesh.topology import boundary_loops
 
 BLOOD_AND_SCAR = "lv=1,rv=2,myocardium=3,scar=4"
 SURFACE_KINDS = {
@@ -75,7 +75,7 @@ def meshed_once(monkeypatch):
             MESHED[key] = mesh_surface(surface, edge_length, told)
         return replace(MESHED[key], name=surface.name)
 
-    monkeypatch.setattr("fascicle.anatomy.source.mesh_surface", mesh)
+    monkeypatch.setattr("fascicle.build.source.mesh_surface", mesh)
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_the_same_surface_gives_the_same_mesh_in_another_run(build, tmp_path):
 @pytest.mark.parametrize("name", ["heart.nii.gz", "heart.nrrd"])
 def test_segmentations_with_scar(build, tmp_path, monkeypatch, name):
     # cubes of 3 mm instead of 1: walls of 11 mm need no more, and it is several times as fast
-    monkeypatch.setattr("fascicle.anatomy.segmentation_surface.EDGE", 3.0)
+    monkeypatch.setattr("fascicle.build.segmentation.surface.EDGE", 3.0)
     write = anatomies.write_nifti if "nii" in name else anatomies.write_nrrd
     heart, ended = build(write(tmp_path / name), "--labels", BLOOD_AND_SCAR, edge_length=7.5)
     assert_ventricles(heart)
@@ -288,7 +288,7 @@ def test_stopped_while_writing_it_leaves_what_was_there(build, run, mesh_file, t
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.io.hearts.write_electrodes", stop)
+        patch.setattr("fascicle.heart.folder.write_electrodes", stop)
         ended = run(*arguments, "--out", outside / "heart")
     assert ended.status not in (0, 2)
     assert "heart written" not in ended.out
@@ -296,16 +296,16 @@ def test_stopped_while_writing_it_leaves_what_was_there(build, run, mesh_file, t
     build(mesh_file, out=outside / "heart")
     before = tree_of(outside)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fascicle.io.hearts.write_electrodes", stop)
+        patch.setattr("fascicle.heart.folder.write_electrodes", stop)
         assert run(*arguments, "--out", outside / "heart").status not in (0, 2)
     assert tree_of(outside) == before
 
 
 KILLED = """
 import os, signal, sys
-import fascicle.io.hearts
+import fascicle.heart.folder
 from fascicle.cli import main
-fascicle.io.hearts.write_electrodes = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+fascicle.heart.folder.write_electrodes = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 main()
 """
 

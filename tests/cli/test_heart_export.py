@@ -9,10 +9,11 @@ import pytest
 import pyvista as pv
 from anatomies import LV, RV
 
-from fascicle.anatomy.build import Body, build_heart
-from fascicle.anatomy.source import Source
-from fascicle.io.hearts import load_heart, write_heart
-from fascicle.io.meshes import TETRAHEDRON, read_mesh
+from fascicle.build.pipeline import Body, build_heart
+from fascicle.build.source import Source
+from fascicle.heart.folder import load_heart, write_heart
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.read import read_mesh
 
 
 @pytest.fixture(scope="module")

@@ -203,7 +203,7 @@ class TestFibres:
         import_refused(file, "need one array", "fibre", "fiber", "; keep one", fibres=file)
 
     def test_cells_go_before_points_of_the_same_name(self, materials, outside, run):
-        from fascicle.io.hearts import load_heart
+        from fascicle.heart.folder import load_heart
 
         mesh = grid(materials.points, materials.tetrahedra, fibre=materials.fibres)
         mesh.cell_data["fibre"] = np.tile([0.0, 1.0, 0.0], (3072, 1))

@@ -9,8 +9,8 @@ import pytest
 from clinical import SHORT_BUNDLES
 from scipy.spatial import cKDTree
 
-from fascicle.geometry.endocardium import boundary_loops
-from fascicle.io.hearts import load_heart
+from fascicle.heart.folder import load_heart
+from fascicle.mesh.topology import boundary_loops
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fascicle.io.hearts import load_heart
+from fascicle.heart.folder import load_heart
 
 
 def grid(materials, **data):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fascicle.io.hearts import load_heart
-from fascicle.leads import LEADS
-from fascicle.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.heart.folder import load_heart
 
 FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "sites.csv", "summary.json"]
 

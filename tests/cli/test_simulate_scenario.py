@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import pyvista as pv
 
-from fascicle.io.hearts import load_heart
+from fascicle.heart.folder import load_heart
 
 FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "sites.csv", "summary.json"]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pydicom.data import get_testdata_file
 
-from fascicle.io.targets import read_target
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.rhythms import made_up_recording
+from fascicle.recording.target_files import read_target
 
 RATE, SECONDS = 500, 8
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from builders import box, solve_without_trees
 
-from fascicle.eikonal.tissue import build_tissue
-from fascicle.geometry.conduction import Conduction
-from fascicle.geometry.heart import signed_volumes
+from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.heart.conduction import Conduction
+from fascicle.mesh.measures import signed_volumes
 
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "ecg_error.py"
 ELECTRODES = np.array(

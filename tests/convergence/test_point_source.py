@@ -27,8 +27,8 @@ from builders import (
     vertex_at,
 )
 
-from fascicle.eikonal.tissue import build_tissue
-from fascicle.geometry.conduction import Conduction
+from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.heart.conduction import Conduction
 
 SIZE = 40.0  # mm
 SPEEDS = (0.6, 0.25)  # mm/ms along and across the fibre

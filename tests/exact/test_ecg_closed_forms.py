@@ -17,11 +17,11 @@ from builders import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.ecg.action_potential import Upstroke
-from fascicle.ecg.electrocardiogram import Electrocardiograph, channel_weights
-from fascicle.ecg.lead_field import unbounded, unbounded_gradients
-from fascicle.eikonal.tissue import barycentric_gradients
-from fascicle.geometry.heart import signed_volumes
+from fascicle.forward.ecg.action_potential import Upstroke
+from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
+from fascicle.forward.ecg.lead_field import unbounded, unbounded_gradients
+from fascicle.forward.eikonal.myocardium import barycentric_gradients
+from fascicle.mesh.measures import signed_volumes
 
 RISE = 20.0 - -85.2  # mV
 TORSO = 2.0  # mS/cm

@@ -17,12 +17,13 @@ from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.eikonal.activation import solve_from_vertices
-from fascicle.eikonal.tissue import EDGES, Tissue, _reach, build_tissue
-from fascicle.geometry.endocardium import Endocardium
-from fascicle.geometry.heart import Heart, signed_volumes
+from fascicle.forward.eikonal.activation import solve_from_vertices
+from fascicle.forward.eikonal.myocardium import EDGES, Tissue, _reach, build_tissue
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.heart import Heart
 from fascicle.kernels.coupled import STEEP
 from fascicle.kernels.local_solver import from_new_corner
+from fascicle.mesh.measures import signed_volumes
 
 TOLERANCE = 1e-9  # ms
 OTHERS = [[c for c in range(4) if c != s] for s in range(4)]  # than each corner

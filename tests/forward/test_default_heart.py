@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from clinical import assert_left_bundle_branch_block, assert_normal
 
-from fascicle.errors import InputError
-from fascicle.forward import Simulation
-from fascicle.leads import LEADS
-from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-from fascicle.tree.purkinje import InvalidTree
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.forward.model import Simulation
+from fascicle.purkinje.tree import InvalidTree
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import fascicle.forward
-from fascicle.eikonal.scenario import Scenario, Slowing, Stimulus
-from fascicle.errors import InputError
-from fascicle.forward import REMEMBERED, ForwardModel
-from fascicle.geometry.conduction import Conduction, Region
-from fascicle.parameters import EXAMPLE_PARAMETERS
-from fascicle.tree.purkinje import InvalidTree
+import fascicle.forward.model
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.model import REMEMBERED, ForwardModel
+from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.heart.conduction import Conduction, Region
+from fascicle.purkinje.tree import InvalidTree
 
 SMALL_TASK = 20_000  # bytes
 SEVERAL = [
@@ -106,7 +106,7 @@ def test_settings_of_the_model_go_along(default_heart):
     model = ForwardModel(
         default_heart,
         Conduction(alpha=0.07, regions=(Region(0.0, centre=place, radius=12.0),)),
-        fascicle.forward.GrowthRules(generations=12),
+        fascicle.forward.model.GrowthRules(generations=12),
     )
     alone = [model.simulate(p) for p in SEVERAL[:2]]
     assert alone[0].unreached.any()
@@ -136,13 +136,13 @@ class TestRememberedTrees:
     @pytest.fixture
     def grown(self, monkeypatch):
         """Sides of the trees that are grown from now on."""
-        sides, grow = [], fascicle.forward.grow_from_parameters
+        sides, grow = [], fascicle.forward.model.grow_from_parameters
 
         def spy(side, *args):
             sides.append(side)
             return grow(side, *args)
 
-        monkeypatch.setattr(fascicle.forward, "grow_from_parameters", spy)
+        monkeypatch.setattr(fascicle.forward.model, "grow_from_parameters", spy)
         return sides
 
     @pytest.fixture

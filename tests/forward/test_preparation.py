@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle import compilation, preparation
-from fascicle.compilation import STEPS, Compilation
-from fascicle.ecg.action_potential import Upstroke
-from fascicle.errors import InputError
-from fascicle.forward import ForwardModel
-from fascicle.geometry.conduction import Conduction, Region
-from fascicle.io.atomic import DISPOSABLE
-from fascicle.io.hearts import load_heart, write_heart
-from fascicle.parameters import EXAMPLE_PARAMETERS
-from fascicle.preparation import KEPT, prepare
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward import compile_kernels, preparation
+from fascicle.forward.compile_kernels import STEPS, Compilation
+from fascicle.forward.ecg.action_potential import Upstroke
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.preparation import KEPT, prepare
+from fascicle.heart.conduction import Conduction, Region
+from fascicle.heart.folder import load_heart, write_heart
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def built(monkeypatch):
 @pytest.fixture
 def heart(tmp_path):
     """Four tetrahedra, as if read from a folder."""
-    return replace(compilation._smallest_heart(), folder=tmp_path)
+    return replace(compile_kernels._smallest_heart(), folder=tmp_path)
 
 
 def kept(heart):
@@ -227,7 +227,7 @@ class TestCompilation:
 
     def test_tells_how_far_it_is_where_it_takes_long(self, monkeypatch):
         monkeypatch.setattr(compilation, "PATIENCE", 0.0)
-        told, steps = [], compilation._steps
+        told, steps = [], compile_kernels._steps
 
         def slow_steps():
             import time

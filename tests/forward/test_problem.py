@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-from fascicle.problem import Problem
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.recording.target import Target
+from fascicle.study.problem import Problem
 
 NOISE = 0.02  # mV
 

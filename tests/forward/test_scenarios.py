@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from builders import activate, box, conduction_for, heart_vertices, vertex_at
 
-from fascicle.ecg.electrocardiogram import build_electrocardiograph
-from fascicle.ecg.lead_field import nodal_gradients
-from fascicle.eikonal.scenario import Scenario, Slowing, Stimulus
-from fascicle.eikonal.tissue import barycentric_gradients, build_tissue
-from fascicle.errors import InputError
-from fascicle.forward import ForwardModel
-from fascicle.geometry.conduction import Conduction, Region
-from fascicle.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
+from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.eikonal.myocardium import barycentric_gradients, build_tissue
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.heart.conduction import Conduction, Region
 
 CV = EXAMPLE_PARAMETERS["cv"]
 BOTH = ("lv", "rv")
@@ -335,7 +335,7 @@ class TestScar:
         assert np.isfinite(simulation.total_activation_time)
 
     def test_reported_volume_lies_inside_the_scar(self, simulation, default_heart, scar):
-        from fascicle.io.simulations import unreached_volume
+        from fascicle.forward.simulation_files import unreached_volume
 
         volume = unreached_volume(default_heart, simulation)
         whole = default_heart.volumes[scar].sum() / 1000

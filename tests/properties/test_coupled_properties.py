@@ -8,8 +8,8 @@ from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.eikonal.activation import attach
-from fascicle.tree.purkinje import PurkinjeTree
+from fascicle.forward.eikonal.activation import attach
+from fascicle.purkinje.tree import PurkinjeTree
 
 SIZE = (30.0, 20.0, 6.0)  # mm
 TISSUE = box_tissue(SIZE, (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.io.recordings import read_recording
-from fascicle.leads import LEADS, lead_matrix
+from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
 RATE = 500.0  # Hz

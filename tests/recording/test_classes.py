@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.leads import measured_rows
+from fascicle.core.leads import measured_rows
 from fascicle.recording.choices import Choices
 from fascicle.recording.classes import sort_by_shape
 from fascicle.recording.resampling import resample

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.leads import ELECTRODES, LEADS, lead_matrix
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
 from fascicle.recording.corrections import invert, share_gain, swap
 from fascicle.recording.limb_leads import derive_limb_leads
 from fascicle.recording.recording import Recording

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.detection import complete_leads, magnitude, r_peaks
 from fascicle.recording.rhythms import made_up_recording
 

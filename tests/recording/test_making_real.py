@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.io.recordings import read_recording
-from fascicle.recording.making import make_target
+from fascicle.core.errors import InputError
+from fascicle.recording.pipeline import make_target
+from fascicle.recording.readers.read import read_recording
 
 
 def test_bundle_branch_blocks_are_wide_and_the_normal_is_not(data_folder):

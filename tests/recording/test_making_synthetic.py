@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.leads import LEADS, lead_matrix
-from fascicle.recording.making import analyse, make_target
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.recording import Recording
 
 ONSET, OFFSET = -45.0, 55.0  # ms from the nominal R

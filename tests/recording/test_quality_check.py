@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from quality_recordings import beating, fatal, real, warned
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.quality.check import check_leads, check_recording
 

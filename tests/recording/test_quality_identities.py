@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from quality_recordings import beating, fatal, row, warned, with_lead
 
-from fascicle.io.recordings import read_recording
-from fascicle.leads import LIMB_LEADS
+from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.quality.finding import Severity
 from fascicle.recording.quality.identities import check_identities
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from quality_recordings import REAL, beating, fatal, real, row, warned, with_lead
 from scipy.signal import resample_poly
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.quality.activity import activity
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.quality.synchrony import check_synchrony

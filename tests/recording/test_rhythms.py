@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.leads import INDEPENDENT_LEADS, LEADS
+from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
 from fascicle.recording.rhythms import NOISES, RHYTHMS, made_up_recording
 
 ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.leads import LEADS
-from fascicle.recording.making import analyse, make_target
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.recording.lead_groups import turns
+from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.recording import Recording
 from fascicle.recording.rhythms import made_up_recording
-from fascicle.recording.turns import turns
 
 GROUPS = (("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6"))
 

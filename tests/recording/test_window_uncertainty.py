@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.leads import lead_matrix
+from fascicle.core.leads import lead_matrix
 from fascicle.recording.window import (
     OFFSET_ERROR,
     ONSET_ERROR,

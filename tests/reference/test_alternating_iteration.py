@@ -24,8 +24,8 @@ from clinical import SHORT_BUNDLES
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from fascicle.eikonal.activation import attach
-from fascicle.tree.purkinje import PurkinjeTree
+from fascicle.forward.eikonal.activation import attach
+from fascicle.purkinje.tree import PurkinjeTree
 
 HALVINGS = 50
 ROUNDS = 30
@@ -103,8 +103,9 @@ class Alternation:
 class Straight(Alternation):
     """Sites offer vertices and other sites the straight way; then updates on the mesh.
 
-    Stimuli do everywhere, junctions as far as `fascicle.eikonal.near_field` says: to the corners of
-    their elements and what is in reach, and to sites in elements all of whose corners they come to.
+    Stimuli do everywhere, junctions as far as `fascicle.forward.eikonal.ray_travel_times` says: to
+    the corners of their elements and what is in reach, and to sites in elements all of whose
+    corners they come to.
     """
 
     def __init__(self, tissue, trees, points):

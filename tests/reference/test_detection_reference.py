@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.io.recordings import read_recording
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.detection import r_peaks
-from fascicle.recording.making import analyse
+from fascicle.recording.pipeline import analyse
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.rhythms import RHYTHMS, made_up_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 

@@ -7,7 +7,7 @@ import pytest
 from clinical import assert_left_bundle_branch_block, assert_normal
 
 import fascicle
-from fascicle.geometry.endocardium import boundary_loops
+from fascicle.mesh.topology import boundary_loops
 
 VOLUME = 144.8  # ml, of the myocardium; data's SOURCE.txt
 

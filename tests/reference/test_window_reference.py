@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fascicle
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.resampling import resample
 from fascicle.recording.rhythms import made_up_recording

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 from fascicle.report.convergence import convergence_figure, running_best, stage_runs
 
 LOSSES = [np.nan, 0.8, 0.3, 0.5, np.nan, 0.1, 0.2]

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.leads import LEADS
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
 from fascicle.report.ecg import EcgEnsemble, before_after_figure, ecg_figure, match_figure
 
 TIME = np.arange(-40.0, 81.0)

@@ -6,9 +6,11 @@ import matplotlib
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.geometry.endocardium import Endocardium, oriented_into_cavity, triangle_normals
-from fascicle.geometry.heart import Heart, outward_triangles, signed_volumes
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
+from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.mesh.measures import signed_volumes, triangle_normals
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.report.hearts import VIEWS, ActivationRow, activation_figure
 from fascicle.report.rendering import (
     AMBIENT,
@@ -17,7 +19,6 @@ from fascicle.report.rendering import (
     heart_views,
     smooth_normals,
 )
-from fascicle.tree.purkinje import PurkinjeTree
 
 CELL = 5.0  # mm
 CELLS = (8, 4, 6)  # x from right to left of the patient, y from front to back, z upwards

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from fascicle.errors import InputError
-from fascicle.geometry.heart import boundary_triangles, signed_volumes
-from fascicle.geometry.surface import Label, LabelledSurface
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.topology import boundary_triangles
 from fascicle.report.labels import COLOURS, VIEWS, label_areas, labels_figure
 
 CELLS = (8, 4, 6)  # cells of 10 mm; x from right to left of the patient, y to the back, z upwards

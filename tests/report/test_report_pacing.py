@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 from fascicle.report.pacing import Durations, pacing_figure
 
 BEFORE = Durations(np.array([150.0, 160.0, 155.0]), np.array([140.0, 150.0, 146.0]))

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from fascicle.errors import InputError
-from fascicle.parameters import NETWORK_SPACE, Parameter, ParameterSpace
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace
 from fascicle.report.pairs import pair_figure, short_name
 
 SPACE = ParameterSpace(

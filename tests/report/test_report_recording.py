@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import same_color, to_hex
 from matplotlib.text import Text
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat, BeatClass
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fascicle.bo import step as bo_step
-from fascicle.errors import InputError
-from fascicle.evaluation import Evaluation
-from fascicle.parameters import Parameter, ParameterSpace
-from fascicle.posterior.distance import ErrorDensity, total_variation
-from fascicle.study import Study, StudyConfig
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.inference.abc.distance import ErrorDensity, total_variation
+from fascicle.inference.evaluation import Evaluation
+from fascicle.inference.optimisation import step as bo_step
+from fascicle.study.settings import StudyConfig
+from fascicle.study.study import Study
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
 NOISE = np.linspace(-1, 1, 6) ** 3
@@ -315,8 +316,7 @@ def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
 
 
 def test_importing_the_study_loads_no_torch():
-    code = (
-        "import sys, fascicle.study; print([m for m in ('torch', 'sklearn') if m in sys.modules])"
-    )
+    heavy = "('torch', 'sklearn')"
+    code = f"import sys, fascicle.study.study; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

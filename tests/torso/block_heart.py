@@ -5,8 +5,9 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from fascicle.geometry.heart import boundary_triangles, signed_volumes
-from fascicle.geometry.surface import Label, LabelledMesh
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.surfaces import Surface
 
 CUBE = 8.0  # mm

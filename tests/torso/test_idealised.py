@@ -5,27 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.anatomy.labels import labelled_mesh
-from fascicle.errors import InputError
-from fascicle.geometry.heart import Heart
-from fascicle.geometry.surface import LabelledMesh
-from fascicle.leads import ELECTRODES
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.boundary_labels import labelled_mesh
+from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.torso import idealised
-from fascicle.torso.electrodes import (
+from fascicle.torso.body_size import BodySize
+from fascicle.torso.electrode_sites import (
     check_not_mirrored,
     check_on_skin,
     distances_to_skin,
     electrode_warnings,
 )
-from fascicle.torso.idealised import (
-    Build,
-    TorsoSurfaces,
-    frame_around,
-    idealised_torso,
-    trunk,
-)
-from fascicle.torso.surfaces import Surface, signed_distance
-from fascicle.torso.within import check_within, crossing
+from fascicle.torso.enclosure import check_within, crossing
+from fascicle.torso.idealised import frame_around, idealised_torso, trunk
+from fascicle.torso.surfaces import Surface, TorsoSurfaces, signed_distance
 
 MIRRORS = [np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) for axis in range(3)]
 
@@ -51,8 +46,8 @@ def at_level(surface: Surface, z: float) -> np.ndarray:
     return points[np.argsort(np.arctan2(points[:, 1], points[:, 0]))]
 
 
-@pytest.mark.parametrize("build", [Build(), Build(1.85, 95), Build(1.60, 50, 80)])
-def test_girth_is_that_asked_for(build: Build) -> None:
+@pytest.mark.parametrize("build", [BodySize(), BodySize(1.85, 95), BodySize(1.60, 50, 80)])
+def test_girth_is_that_asked_for(build: BodySize) -> None:
     outline = at_level(trunk(build), 0.0)
     girth = np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).sum()
     assert girth / 10 == pytest.approx(build.girth, rel=0.015)
@@ -61,8 +56,8 @@ def test_girth_is_that_asked_for(build: Build) -> None:
 
 def test_girth_follows_height_and_weight() -> None:
     """Means of Heinz et al. 2003: men 101.0 cm, women 86.1 cm."""
-    assert Build(1.777, 78.1).girth == pytest.approx(101.0, rel=0.05)
-    assert Build(1.649, 60.6).girth == pytest.approx(86.1, rel=0.05)
+    assert BodySize(1.777, 78.1).girth == pytest.approx(101.0, rel=0.05)
+    assert BodySize(1.649, 60.6).girth == pytest.approx(86.1, rel=0.05)
 
 
 def test_measures_of_the_standard_adult(body: TorsoSurfaces) -> None:
@@ -86,7 +81,7 @@ def test_surfaces_fit_into_one_another(mesh: LabelledMesh, body: TorsoSurfaces) 
 
 
 def test_lungs_lie_to_the_left_and_right(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
-    frame = frame_around(mesh, Build())
+    frame = frame_around(mesh, BodySize())
     left, right = (frame.to_body(lung.vertices) for lung in body.lungs)
     assert left[:, 0].min() > 0 > right[:, 0].max()
 
@@ -96,7 +91,9 @@ def test_electrodes_are_on_the_skin_where_they_belong(
 ) -> None:
     assert body.electrodes is not None
     assert np.abs(signed_distance(body.electrodes, body.skin)).max() < 1e-3
-    place = dict(zip(ELECTRODES, frame_around(mesh, Build()).to_body(body.electrodes), strict=True))
+    place = dict(
+        zip(ELECTRODES, frame_around(mesh, BodySize()).to_body(body.electrodes), strict=True)
+    )
     np.testing.assert_allclose(place["V1"] * [-1, 1, 1], place["V2"], atol=1)
     np.testing.assert_allclose(place["RA"] * [-1, 1, 1], place["LA"], atol=2)
     assert place["V1"][2] == pytest.approx(0)
@@ -109,7 +106,7 @@ def test_electrodes_are_on_the_skin_where_they_belong(
 
 def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
     assert body.electrodes is not None
-    v1, to_the_front = ELECTRODES.index("V1"), -frame_around(mesh, Build()).rotation[:, 1]
+    v1, to_the_front = ELECTRODES.index("V1"), -frame_around(mesh, BodySize()).rotation[:, 1]
     moved = body.electrodes.copy()
     moved[v1] += 25 * to_the_front
     expected = np.where(np.arange(9) == v1, 25, 0)  # the chest is nearly flat there
@@ -156,7 +153,7 @@ def test_heart_does_not_move_but_the_torso(mesh: LabelledMesh, body: TorsoSurfac
 )
 def test_refuses_what_is_no_adult(values, message) -> None:
     with pytest.raises(InputError, match=message):
-        Build(*values)
+        BodySize(*values)
 
 
 def test_refuses_a_heart_that_does_not_fit(mesh: LabelledMesh) -> None:
@@ -173,14 +170,14 @@ def test_refuses_a_heart_without_room_for_a_lung(
         idealised_torso(mesh)
 
 
-@pytest.mark.parametrize("build", [Build(1.50, 45), Build(1.60, 120)])
-def test_lungs_of_other_adults(mesh: LabelledMesh, build: Build) -> None:
+@pytest.mark.parametrize("build", [BodySize(1.50, 45), BodySize(1.60, 120)])
+def test_lungs_of_other_adults(mesh: LabelledMesh, build: BodySize) -> None:
     other = idealised_torso(mesh, build)
     for lung in other.lungs:
         assert signed_distance(lung.vertices, other.skin).max() < -10
         assert signed_distance(mesh.vertices[np.unique(mesh.triangles)], lung).min() > 3
     # with the cube of the measures, and those are height times girth twice
-    size = build.height * build.girth**2 / (Build().height * Build().girth ** 2)
+    size = build.height * build.girth**2 / (BodySize().height * BodySize().girth ** 2)
     litres = sum(lung.litres for lung in other.lungs)
     assert litres == pytest.approx(3.9 * size, rel=0.15)
 

@@ -10,13 +10,13 @@ from builders import OBLIQUE, box
 from scipy.sparse.linalg import spsolve
 from spheres import ball, boundary_area_vectors, heart_in_torso, isotropic, rim_points
 
-from fascicle.ecg.lead_field import nodal_gradients
-from fascicle.eikonal.tissue import barycentric_gradients
-from fascicle.errors import InputError
-from fascicle.geometry.conduction import Conduction, Region, transversely_isotropic
-from fascicle.geometry.heart import signed_volumes
-from fascicle.geometry.torso import Tissue
-from fascicle.leads import ELECTRODES, lead_matrix
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES, lead_matrix
+from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.eikonal.myocardium import barycentric_gradients
+from fascicle.heart.conduction import Conduction, Region, transversely_isotropic
+from fascicle.heart.torso import Tissue
+from fascicle.mesh.measures import signed_volumes
 from fascicle.torso import lead_fields as module
 from fascicle.torso.lead_fields import (
     assemble_stiffness,

@@ -16,11 +16,11 @@ from spheres import (
     rim_points,
 )
 
-from fascicle.ecg.lead_field import nodal_gradients, unbounded
-from fascicle.eikonal.tissue import barycentric_gradients
-from fascicle.geometry.conduction import Conduction, transversely_isotropic
-from fascicle.geometry.heart import signed_volumes
-from fascicle.geometry.torso import Tissue
+from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded
+from fascicle.forward.eikonal.myocardium import barycentric_gradients
+from fascicle.heart.conduction import Conduction, transversely_isotropic
+from fascicle.heart.torso import Tissue
+from fascicle.mesh.measures import signed_volumes
 from fascicle.torso.lead_fields import (
     assemble_stiffness,
     lead_fields,

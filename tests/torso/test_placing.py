@@ -5,10 +5,10 @@ import pytest
 from block_heart import CUBE, LV, RV, block_heart
 from scipy.spatial.transform import Rotation
 
-from fascicle.errors import InputError
-from fascicle.geometry.heart import Heart
-from fascicle.geometry.surface import Label
-from fascicle.torso.placing import (
+from fascicle.core.errors import InputError
+from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import Label
+from fascicle.torso.heart_pose import (
     AZIMUTH,
     ELEVATION,
     body_frame,

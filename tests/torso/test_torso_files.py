@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
 
-from fascicle.errors import InputError
-from fascicle.geometry.heart import Heart
-from fascicle.geometry.torso import Torso
-from fascicle.io.meshes import TETRAHEDRON, write_grid, write_surface
-from fascicle.io.torsos import MOST_TRIANGLES, read_torso, read_torso_surfaces, write_torso
+from fascicle.core.errors import InputError
+from fascicle.heart.heart import Heart
+from fascicle.heart.torso import Torso
+from fascicle.heart.torso_files import read_torso, write_torso
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.vtk import write_grid, write_surface
+from fascicle.torso.surface_files import MOST_TRIANGLES, read_torso_surfaces
 from fascicle.torso.surfaces import Surface, signed_distance
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung, skin
 
-from fascicle.errors import InputError
-from fascicle.geometry.endocardium import triangle_normals
-from fascicle.geometry.heart import boundary_triangles, signed_volumes
-from fascicle.geometry.surface import Label
-from fascicle.geometry.torso import Tissue
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label
+from fascicle.heart.torso import Tissue
+from fascicle.mesh.measures import signed_volumes, triangle_normals
+from fascicle.mesh.topology import boundary_triangles
+from fascicle.torso.enclosure import check_within, crossing
 from fascicle.torso.mesh import closed_cavity, mesh_torso
 from fascicle.torso.surfaces import Surface
-from fascicle.torso.within import check_within, crossing
 
 
 @pytest.fixture(scope="module")

@@ -16,12 +16,12 @@ from fascicle.cli.arguments import HeartArgument, OutOption
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fascicle.fitting import FittedStudy
-    from fascicle.forward import Simulation
+    from fascicle.forward.model import Simulation
     from fascicle.predict.pacing import Pacing
+    from fascicle.study.fit import FittedStudy
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -99,13 +99,13 @@ def simulate(
     speed = 0.0                    # factor on the speed; 0 blocks
     ```
     """
-    from fascicle.compilation import Compilation
-    from fascicle.forward import ForwardModel
-    from fascicle.geometry.conduction import Conduction
-    from fascicle.io.hearts import load_heart
-    from fascicle.io.scenarios import read_scenario
-    from fascicle.io.simulations import simulate_inputs, write_simulation
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.compile_kernels import Compilation
+    from fascicle.forward.model import ForwardModel
+    from fascicle.forward.scenario_files import read_scenario
+    from fascicle.forward.simulation_files import simulate_inputs, write_simulation
+    from fascicle.heart.conduction import Conduction
+    from fascicle.heart.folder import load_heart
 
     case, regions = read_scenario(scenario) if scenario is not None else (None, ())
     loaded = load_heart(heart)
@@ -159,8 +159,8 @@ def fit(
     Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
     goes on where it stopped.
     """
-    from fascicle.fitting import fit as run_fit
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.study.fit import fit as run_fit
 
     with _resumable(), TerminalProgress() as progress:
         fitted = run_fit(
@@ -180,9 +180,9 @@ def predict(
     ] = 0.0,
 ) -> None:
     """Predict conduction-system pacing with every accepted network."""
-    from fascicle.fitting import load_study
-    from fascicle.predict.write import write_pacing
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.report.prediction import write_pacing
+    from fascicle.study.fit import load_study
 
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
@@ -194,9 +194,9 @@ def predict(
 @app.command()
 def report(study: Annotated[Path, typer.Argument(help="Finished study folder.")]) -> None:
     """Draw the figures of a study into its folder."""
-    from fascicle.fitting import load_study
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.report.study import write_figures
+    from fascicle.study.fit import load_study
 
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
@@ -215,7 +215,7 @@ def template(
 
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.report.figures import check_picture, save
     from fascicle.report.template import template_figure
 
@@ -238,8 +238,8 @@ def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
 ) -> None:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
-    from fascicle.demo import demo_recording, run_demo
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.demo import demo_recording, run_demo
+    from fascicle.cli.terminal_progress import TerminalProgress
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fascicle.cli.arguments import HeartArgument, OutOption
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fascicle.geometry.heart import Heart
-    from fascicle.geometry.seeds import ChosenSeed
-    from fascicle.geometry.surface import LabelledMesh
-    from fascicle.harmonic.chart import Chart
+    from fascicle.heart.heart import Heart
+    from fascicle.heart.labelled_surface import LabelledMesh
+    from fascicle.heart.seeds import ChosenSeed
+    from fascicle.purkinje.chart import Chart
 
 heart_app = typer.Typer(
     no_args_is_help=True,
@@ -133,11 +133,11 @@ def heart_build(
     fascicle heart build --lv-endocardium lv.stl --rv-endocardium rv.stl --epicardium epi.stl
     ```
     """
-    from fascicle.anatomy.build import Body, build_heart
-    from fascicle.anatomy.source import Source
-    from fascicle.fibres.rules import FibreAngles
-    from fascicle.io.hearts import check_heart_folder
-    from fascicle.progress import TerminalProgress
+    from fascicle.build.pipeline import Body, build_heart
+    from fascicle.build.source import Source
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.heart.fibres.rules import FibreAngles
+    from fascicle.heart.folder import check_heart_folder
 
     parts = {
         "lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base,
@@ -191,8 +191,8 @@ def heart_import(
     points may come in another order. Without seeds, sensible ones are found on the septal side of
     the base, pointing to the apex. The volume conductor is unbounded; **heart build** adds a torso.
     """
-    from fascicle.io.hearts import assemble_heart, check_heart_folder
-    from fascicle.io.meshes import read_mesh
+    from fascicle.heart.folder import assemble_heart, check_heart_folder
+    from fascicle.mesh.formats.read import read_mesh
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
     heart = assemble_heart(
@@ -218,7 +218,7 @@ def heart_check(
     ] = None,
 ) -> None:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
-    from fascicle.io.hearts import PICTURE, load_heart
+    from fascicle.heart.folder import PICTURE, load_heart
     from fascicle.report.figures import check_picture
 
     if picture is not None:
@@ -240,8 +240,8 @@ def heart_export(
     ] = "opencarp",
 ) -> None:
     """Write a heart for other software: mesh, fibres, sheets, regions, endocardia, electrodes."""
-    from fascicle.io.export import export_heart
-    from fascicle.io.hearts import load_heart
+    from fascicle.build.export import export_heart
+    from fascicle.heart.folder import load_heart
 
     export_heart(load_heart(heart), out, kind)
     print(f"written to {out}")
@@ -251,7 +251,7 @@ def _write_and_check(
     heart: Heart, folder: Path, sources: Mapping[str, object] | None = None
 ) -> None:
     """Write a heart folder with its picture in it, and print what it holds."""
-    from fascicle.io.hearts import PICTURE, write_heart
+    from fascicle.heart.folder import PICTURE, write_heart
 
     charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
@@ -260,7 +260,7 @@ def _write_and_check(
 
 
 def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
-    from fascicle.io.hearts import LABELS_PICTURE
+    from fascicle.heart.folder import LABELS_PICTURE
     from fascicle.report.figures import save
     from fascicle.report.labels import labels_figure
 
@@ -272,7 +272,7 @@ def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
 
 
 def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> None:
-    from fascicle.anatomy.check import check_heart
+    from fascicle.build.check import check_heart
     from fascicle.report.check import check_figure
     from fascicle.report.figures import save
 
@@ -290,8 +290,8 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> N
 
 def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:
     """Build charts and seeds, which is where an endocardium shows what else is wrong with it."""
-    from fascicle.harmonic.chart import build_chart
-    from fascicle.tree.grow import find_seed
+    from fascicle.purkinje.chart import build_chart
+    from fascicle.purkinje.growth import find_seed
 
     charts = {}
     for endocardium in heart.endocardia:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
@@ -97,11 +97,11 @@ def target(
     fascicle target ecg.csv --out t.nc --unit uV --sampling-rate 500
     ```
     """
-    from fascicle.io.targets import write_target
-    from fascicle.progress import TerminalProgress
+    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.recording.choices import Choices
     from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT
-    from fascicle.recording.making import analyse
+    from fascicle.recording.pipeline import analyse
+    from fascicle.recording.target_files import write_target
     from fascicle.report.figures import save
     from fascicle.report.recording import recording_figure
 
@@ -220,7 +220,7 @@ def _picture_beside(out: Path, recording: Path) -> Path:
 def _read(
     path: Path, leads: str | None, sampling_rate: float | None, unit: str | None
 ) -> Recording:
-    from fascicle.io.recordings import read_recording
+    from fascicle.recording.readers.read import read_recording
 
     wanted = None if leads is None else _leads(leads)
     return read_recording(path, leads=wanted, sampling_rate=sampling_rate, unit=unit)
@@ -247,15 +247,15 @@ def _corrected(
 
 def _place(text: str) -> str:
     """Name of an electrode or a lead as it is written elsewhere."""
-    from fascicle.io.recordings.names import lead_name
+    from fascicle.recording.readers.names import lead_name
 
     return lead_name(text) or text.upper()
 
 
 def _leads(text: str) -> list[str]:
     """Leads of a list such as ``I,II,V1-V6``."""
-    from fascicle.io.recordings.names import lead_name
-    from fascicle.leads import LEADS
+    from fascicle.core.leads import LEADS
+    from fascicle.recording.readers.names import lead_name
 
     leads: list[str] = []
     for part in text.split(","):

@@ -75,7 +75,8 @@ class Table(NamedTuple):
     start, vertex : (r + 1,) and (p,) arrays
         The vertices in each row.
     square : (p, 6) array
-        Squared travel times (ms²) to each, from the points `fascicle.kernels.near.POINTS`.
+        Squared travel times (ms²) to each, from the points
+        `fascicle.kernels.ray_travel_times.POINTS`.
     reach, longest : float
         How far (mm) and how long (ms) ways are.
     """

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.ecg.electrocardiogram import STEP
-from fascicle.forward import ForwardModel, Simulation
-from fascicle.networks import Network
+from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.model import ForwardModel, Simulation
 from fascicle.recording.window import qrs_window
+from fascicle.study.networks import Network
 
 
 @dataclass(frozen=True)

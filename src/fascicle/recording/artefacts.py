@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import ELECTRODES, lead_matrix
+from fascicle.core.leads import ELECTRODES, lead_matrix
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 from fascicle.recording.resampling import MAINS
 
 SHORTEST_WINDOW = 20.0  # ms

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
-from fascicle.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
 from fascicle.recording.limb_leads import derive_limb_leads
 from fascicle.recording.recording import Recording
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
+from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
 from fascicle.recording.resampling import block_means
 
 BASELINE_WIDTH = 0.2  # s; standard deviation of the Gaussian that is taken as baseline

@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import LIMB_LEADS, limb_leads_from
+from fascicle.core.leads import LIMB_LEADS, limb_leads_from
 
 
 def derive_limb_leads(
@@ -18,7 +18,7 @@ def derive_limb_leads(
     Parameters
     ----------
     signal : (12, n) array
-        Potential (mV), leads in the order of `fascicle.leads.LEADS`.
+        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`.
     recorded : collection of str
         Names of the leads to keep as they are.
 

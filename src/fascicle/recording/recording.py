@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
-from fascicle.leads import LEADS
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
 
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
 HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
@@ -35,9 +35,9 @@ class Recording:
     Attributes
     ----------
     signal : (12, n) array
-        Potential (mV), leads in the order of `fascicle.leads.LEADS`. A lead that was not recorded
-        is NaN throughout. Where leads were recorded one group after another, as on paper, each is
-        NaN outside its own stretch.
+        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`. A lead that was not
+        recorded is NaN throughout. Where leads were recorded one group after another, as on paper,
+        each is NaN outside its own stretch.
     sampling_rate : float
         Samples per second (Hz).
     source : str

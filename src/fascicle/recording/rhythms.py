@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import ELECTRODES, INDEPENDENT_ROWS, lead_matrix
+from fascicle.core.leads import ELECTRODES, INDEPENDENT_ROWS, lead_matrix
 from fascicle.recording.artefacts import NOISES, SIGHT, f_waves, pulses, samples
 from fascicle.recording.recording import Recording
 from fascicle.recording.schedules import MARGIN, RHYTHMS

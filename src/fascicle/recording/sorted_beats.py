@@ -8,7 +8,7 @@ from string import ascii_uppercase
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import measured_rows
+from fascicle.core.leads import measured_rows
 from fascicle.recording.alignment import HALF_WIDTH, cut, levelled
 from fascicle.recording.choices import Choices
 from fascicle.recording.classes import noise_energy, sort_by_shape

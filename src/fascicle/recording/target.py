@@ -18,8 +18,8 @@ class Target:
     Attributes
     ----------
     beats : (n_beats, 12, n_time) array
-        Potential (mV), leads in the order of `fascicle.leads.LEADS`, isoelectric level removed.
-        Leads that are not used are NaN in every beat.
+        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`, isoelectric level
+        removed. Leads that are not used are NaN in every beat.
     time : (n_time,) array
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.target import Target
 from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TICK_SIZE, tidy
 
@@ -35,7 +35,7 @@ def draw_beats(panels: Sequence[Axes], target: Target) -> None:
     Parameters
     ----------
     panels : sequence of 12 Axes
-        In the order of `fascicle.leads.LEADS`.
+        In the order of `fascicle.core.leads.LEADS`.
     target : Target
         Its beats are thin lines (at most `MOST_DRAWN` of them), its mean a thick one, on a band of
         one standard deviation each way; the window is shaded, its ends with theirs.

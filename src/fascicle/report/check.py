@@ -9,12 +9,13 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fascicle.anatomy.check import WALLS, HeartCheck
-from fascicle.geometry.endocardium import triangle_normals
-from fascicle.geometry.heart import Heart, boundary_triangles, outward_triangles
-from fascicle.geometry.surface import Label
-from fascicle.geometry.torso import Tissue, Torso
-from fascicle.leads import ELECTRODES
+from fascicle.build.check import WALLS, HeartCheck
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.heart.labelled_surface import Label
+from fascicle.heart.torso import Tissue, Torso
+from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.topology import boundary_triangles
 from fascicle.report.figures import (
     BLACK,
     BLUE,
@@ -45,7 +46,7 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     heart : Heart
         The heart.
     check : HeartCheck
-        What `fascicle.anatomy.check.check_heart` found.
+        What `fascicle.build.check.check_heart` found.
 
     Returns
     -------

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.errors import InputError
+from fascicle.core.errors import InputError
 from fascicle.report.figures import (
     BLACK,
     BLUE,

@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.errors import InputError
-from fascicle.leads import LEADS
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
 from fascicle.report.figures import (
     BLACK,
     BLUE,
@@ -45,7 +45,8 @@ class EcgEnsemble:
     time : (t,) array
         Time (ms).
     leads : (n, 12, t) array
-        Potential (mV), leads in the order of `fascicle.leads.LEADS`; NaN where an ECG has ended.
+        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`; NaN where an ECG has
+        ended.
     colour : str
         Colour of line and band.
     """
@@ -156,7 +157,7 @@ def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) ->
     Returns
     -------
     Figure
-        Axes in the order of `fascicle.leads.LEADS`, all with the same limits (ms, mV).
+        Axes in the order of `fascicle.core.leads.LEADS`, all with the same limits (ms, mV).
     """
     if not ensembles:
         raise InputError("no ECG to draw; give at least one ensemble")

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat
 from fascicle.recording.target import SAMPLING_STEP
 from fascicle.report.figures import BLACK, GREY, TICK_SIZE

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from fascicle.errors import InputError
-from fascicle.io.atomic import atomic_path
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_path
 
 # Okabe & Ito's palette (2008): distinct with every common form of colour blindness.
 BLUE = "#0072B2"

@@ -15,9 +15,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fascicle.errors import InputError
-from fascicle.geometry.endocardium import Endocardium
-from fascicle.geometry.heart import Heart, outward_triangles
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.report.figures import (
     BLACK,
     GREY,
@@ -33,7 +34,6 @@ from fascicle.report.rendering import (
     heart_views,
     smooth_normals,
 )
-from fascicle.tree.purkinje import PurkinjeTree
 
 COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
 ISOCHRONE_STEPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # ms

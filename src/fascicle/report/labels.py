@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
-from fascicle.geometry.endocardium import boundary_loops, triangle_normals
-from fascicle.geometry.surface import NEEDED, Label, LabelledMesh, LabelledSurface
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import NEEDED, Label, LabelledMesh, LabelledSurface
+from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.topology import boundary_loops
 from fascicle.report.figures import (
     BLACK,
     BLUE,

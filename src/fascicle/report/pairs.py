@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.errors import InputError
-from fascicle.parameters import Parameter, ParameterSpace
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, VERMILION, new_figure
 
 PANEL = 0.95  # inch

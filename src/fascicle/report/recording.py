@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, BeatClass
 from fascicle.report.beat_panels import ROWS, draw_beats, panel_handles
 from fascicle.report.ecg_paper import PACE, PAPER_GAIN, PAPER_PACE, SHOWN, draw_strip, strip_start
@@ -49,7 +49,7 @@ def recording_figure(analysis: Analysis) -> Figure:
     -------
     Figure
         A4, upright. The first axes hold the strip, twelve more the leads in the order of
-        `fascicle.leads.LEADS`.
+        `fascicle.core.leads.LEADS`.
     """
     figure = new_figure(PAGE_WIDTH * MM, PAGE_HEIGHT * MM, constrained=False)
     colours = class_colours(analysis)

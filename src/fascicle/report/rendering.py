@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.geometry.endocardium import long_axis, triangle_normals
-from fascicle.geometry.heart import Heart
+from fascicle.heart.endocardium import long_axis
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import triangle_normals
 
 Point = tuple[float, float, float]  # x, y (mm on the screen) and time (ms)
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.fitting import FittedStudy
-from fascicle.forward import Simulation
-from fascicle.networks import Network, simulate_best
+from fascicle.forward.model import Simulation
 from fascicle.report.convergence import convergence_figure
 from fascicle.report.ecg import match_figure
 from fascicle.report.figures import save
 from fascicle.report.hearts import ActivationRow, activation_figure
 from fascicle.report.pairs import pair_figure
+from fascicle.study.fit import FittedStudy
+from fascicle.study.networks import Network, simulate_best
 
 
 def activation_row(label: str, simulation: Simulation) -> ActivationRow:

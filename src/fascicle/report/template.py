@@ -8,10 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fascicle.cable.cell import CELLS
-from fascicle.cable.measures import duration, max_upstroke, overshoot, resting_potential
-from fascicle.cable.stored import default_template, stored_template
-from fascicle.cable.template import CableTemplate
+from fascicle.core.progress import Progress
+from fascicle.forward.cable.cell import CELLS
+from fascicle.forward.cable.measures import duration, max_upstroke, overshoot, resting_potential
+from fascicle.forward.cable.stored import default_template, stored_template
+from fascicle.forward.cable.template import CableTemplate
 from fascicle.report.figures import (
     BLACK,
     BLUE,
@@ -23,7 +24,6 @@ from fascicle.report.figures import (
     new_figure,
     tidy,
 )
-from fascicle.study import Progress
 
 COLOURS = {"endocardial": BLUE, "midmyocardial": GREY, "epicardial": VERMILION}
 SHOWN_BEFORE = 20.0  # ms before the upstroke

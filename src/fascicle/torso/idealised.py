@@ -1,6 +1,6 @@
 """An adult trunk with lungs and electrodes, from height, weight and girth, around a given heart.
 
-Skin and lungs are level sets of smooth functions in the body frame of `fascicle.torso.placing`.
+Skin and lungs are level sets of smooth functions in the body frame of `fascicle.torso.heart_pose`.
 Lengths along the body are fractions of its height; those across follow the girth of the chest.
 
 Sources
@@ -24,8 +24,6 @@ Lungs : Hall et al. 2021, Eur Respir J 57:2000289 (2.5 l of gas in that woman an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 
 import igl
 import numpy as np
@@ -33,24 +31,18 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import ConvexHull
 
-from fascicle.errors import InputError
-from fascicle.geometry.heart import signed_volumes
-from fascicle.geometry.surface import Label, LabelledMesh
-from fascicle.torso.electrodes import standard_electrodes
-from fascicle.torso.placing import BodyFrame, Pose, body_frame, opening
-from fascicle.torso.surfaces import Surface, remeshed, signed_distance
-from fascicle.torso.within import check_within
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.measures import signed_volumes
+from fascicle.torso.body_size import SQUARENESS, BodySize
+from fascicle.torso.electrode_sites import standard_electrodes
+from fascicle.torso.enclosure import check_within
+from fascicle.torso.heart_pose import BodyFrame, Pose, body_frame, opening
+from fascicle.torso.surfaces import Surface, TorsoSurfaces, remeshed, signed_distance
 
 Floats = NDArray[np.float64]
 
-HEIGHT, WEIGHT = 1.70, 66.5  # m, kg
-GIRTH = 14.7  # cm: girth of the chest divided by the square root of (kg by m)
-HEIGHTS, WEIGHTS, GIRTHS = (1.2, 2.3), (25.0, 250.0), (50.0, 180.0)  # m, kg, cm: of adults
 
-DEPTH_TO_WIDTH = 0.70
-SQUARENESS = 2.4  # exponent of the superellipse that is the outline; 2 is an ellipse
-
-V1_LEVEL = 0.735  # of the height
 # Level (of the height), then half-width and half-depth of the outline (of those at V1's level)
 SECTIONS = np.array(
     [
@@ -99,90 +91,8 @@ LEAST_LEVEL = 0.05  # of that spacing
 SKIN_EDGE, LUNG_EDGE = 11.0, 9.0  # mm, of the triangles
 
 
-@dataclass(frozen=True)
-class TorsoSurfaces:
-    """The body around a heart, in the heart's coordinates.
-
-    Attributes
-    ----------
-    skin : Surface
-        Closed surface of the trunk (mm).
-    lungs : tuple of Surface
-        Closed surfaces within it (mm): left, right.
-    electrodes : (9, 3) array, optional
-        Positions on the skin, in the order of `fascicle.leads.ELECTRODES` (mm); those of a torso
-        of the user's own are not known.
-    """
-
-    skin: Surface
-    lungs: tuple[Surface, ...]
-    electrodes: Floats | None = None
-
-
-@dataclass(frozen=True)
-class Build:
-    """What an adult trunk is scaled by.
-
-    Attributes
-    ----------
-    height : float
-        Standing height (m).
-    weight : float
-        Body weight (kg).
-    chest : float, optional
-        Girth of the chest at the level of the nipples (cm); from height and weight if not given.
-
-    Raises
-    ------
-    InputError
-        If a value is not one of an adult.
-    """
-
-    height: float = HEIGHT
-    weight: float = WEIGHT
-    chest: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value, (low, high), unit in (
-            ("height", self.height, HEIGHTS, "m"),
-            ("weight", self.weight, WEIGHTS, "kg"),
-            ("chest girth", self.girth, GIRTHS, "cm"),
-        ):
-            if not low <= value <= high:
-                raise InputError(
-                    f"torso: {name} {value:.4g} {unit} is not that of an adult; "
-                    f"give {low:g} to {high:g} {unit}"
-                )
-
-    @property
-    def girth(self) -> float:
-        """Girth of the chest (cm)."""
-        if self.chest is not None:
-            return self.chest
-        return GIRTH * float(np.sqrt(max(self.weight, 0) / max(self.height, 1e-3)))
-
-    @cached_property
-    def half_width(self) -> float:
-        """Of the chest's outline at the level of V1 (mm)."""
-        angle = np.linspace(0, 2 * np.pi, 721)
-        outline = np.stack([np.cos(angle), np.sin(angle)])
-        outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
-        outline[1] *= DEPTH_TO_WIDTH
-        perimeter = np.linalg.norm(np.diff(outline), axis=0).sum()
-        return float(10 * self.girth / perimeter)
-
-    @property
-    def half_depth(self) -> float:
-        """Of the chest's outline at the level of V1 (mm)."""
-        return DEPTH_TO_WIDTH * self.half_width
-
-    def level(self, fraction: float) -> float:
-        """Height z in the body frame (mm) of a fraction of the standing height."""
-        return 1000 * self.height * (fraction - V1_LEVEL)
-
-
 def idealised_torso(
-    mesh: LabelledMesh, build: Build | None = None, pose: Pose = "standard"
+    mesh: LabelledMesh, build: BodySize | None = None, pose: Pose = "standard"
 ) -> TorsoSurfaces:
     """Put an idealised adult torso around a heart, which stays where it is.
 
@@ -190,17 +100,17 @@ def idealised_torso(
     ----------
     mesh : LabelledMesh
         The heart (mm).
-    build : Build, optional
+    build : BodySize, optional
         Height, weight and girth; those of a standard adult if not given.
     pose : {"standard", "ras", "lps"}
-        Where the body's axes come from, see `fascicle.torso.placing.body_frame`.
+        Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
 
     Raises
     ------
     InputError
         If the heart does not fit into that torso, leaves no room for the lungs, or is not closed.
     """
-    build = build if build is not None else Build()
+    build = build if build is not None else BodySize()
     frame = frame_around(mesh, build, pose)
     heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
     skin = trunk(build)
@@ -217,10 +127,10 @@ def idealised_torso(
     return surfaces
 
 
-def frame_around(mesh: LabelledMesh, build: Build, pose: Pose = "standard") -> BodyFrame:
+def frame_around(mesh: LabelledMesh, build: BodySize, pose: Pose = "standard") -> BodyFrame:
     """Where the axes of an idealised body lie around a heart.
 
-    See `idealised_torso` for the parameters, and `fascicle.torso.placing.body_frame`.
+    See `idealised_torso` for the parameters, and `fascicle.torso.heart_pose.body_frame`.
     """
     centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
     centroid = np.average(centres, axis=0, weights=signed_volumes(mesh.vertices, mesh.tetrahedra))
@@ -236,7 +146,7 @@ def _endocardia(mesh: LabelledMesh) -> tuple[Surface, Surface]:
     )
 
 
-def trunk(build: Build) -> Surface:
+def trunk(build: BodySize) -> Surface:
     """Skin of the trunk in the body frame (mm)."""
     lower, upper = build.level(BOTTOM), build.level(TOP)
     widest = 1.2 * build.half_width
@@ -249,7 +159,7 @@ def trunk(build: Build) -> Surface:
     return remeshed(level_set(outside, box, SKIN_GRID), SKIN_EDGE)
 
 
-def _beyond_sections(build: Build, sections: Floats, points: Floats) -> Floats:
+def _beyond_sections(build: BodySize, sections: Floats, points: Floats) -> Floats:
     """About the distance (mm) of points to a stack of superellipses, negative inside."""
     level = np.array([build.level(fraction) for fraction in sections[:, 0]])
     half = PchipInterpolator(level, sections[:, 1:] * (build.half_width, build.half_depth))
@@ -312,7 +222,7 @@ def _kept_clear(heart: Floats, base: Floats) -> Surface:
     return Surface(points[used], np.ascontiguousarray(triangles, dtype=np.int64))
 
 
-def _lungs(name: str, build: Build, clear: Surface) -> tuple[Surface, Surface]:
+def _lungs(name: str, build: BodySize, clear: Surface) -> tuple[Surface, Surface]:
     """Left and right lung in the body frame (mm)."""
     lungs = []
     for side, which in ((1, "left"), (-1, "right")):
@@ -326,7 +236,7 @@ def _lungs(name: str, build: Build, clear: Surface) -> tuple[Surface, Surface]:
     return lungs[0], lungs[1]
 
 
-def _lung(build: Build, clear: Surface, side: int) -> Surface | None:
+def _lung(build: BodySize, clear: Surface, side: int) -> Surface | None:
     """One lung: within the ribs, beside the mediastinum and the heart, above the diaphragm."""
     half_width, half_depth = build.half_width, build.half_depth
     metre = 1000 * build.height

@@ -24,11 +24,12 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
 
-from fascicle.errors import InputError
-from fascicle.geometry.conduction import Conduction
-from fascicle.geometry.heart import Heart, boundary_triangles
-from fascicle.geometry.torso import Tissue, Torso
-from fascicle.torso.electrodes import check_distances
+from fascicle.core.errors import InputError
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.heart import Heart
+from fascicle.heart.torso import Tissue, Torso
+from fascicle.mesh.topology import boundary_triangles
+from fascicle.torso.electrode_sites import check_distances
 
 MM_PER_CM = 10.0
 # Residual relative to the current; ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
@@ -85,8 +86,8 @@ def lead_fields(
     -------
     (9, n) array
         Z at the heart's vertices (mV/µA, that is kΩ), electrodes in the order of
-        `fascicle.leads.ELECTRODES`. The nine sum to zero at every vertex: each is for unit current
-        that leaves through all nine alike, which no lead notices.
+        `fascicle.core.leads.ELECTRODES`. The nine sum to zero at every vertex: each is for unit
+        current that leaves through all nine alike, which no lead notices.
 
     Raises
     ------

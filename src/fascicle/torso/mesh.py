@@ -8,12 +8,12 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.errors import InputError
-from fascicle.geometry.endocardium import boundary_loops
-from fascicle.geometry.heart import signed_volumes
-from fascicle.geometry.meshers import NOTHING, Filling, Sheet, filled
-from fascicle.geometry.surface import Label, LabelledMesh
-from fascicle.geometry.torso import Tissue, Torso
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.torso import Tissue, Torso
+from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.meshing import NOTHING, Filling, Sheet, filled
+from fascicle.mesh.topology import boundary_loops
 from fascicle.torso.surfaces import Surface
 
 BODY, FIRST_LUNG = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
@@ -50,7 +50,7 @@ def mesh_torso(
     skin : Surface
         Closed surface around it (mm).
     lungs : sequence of Surface
-        Closed surfaces between the two (mm); see `fascicle.torso.within.check_within`.
+        Closed surfaces between the two (mm); see `fascicle.torso.enclosure.check_within`.
     told : callable, optional
         Told how many of how many steps are done.
 

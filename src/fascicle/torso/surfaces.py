@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.geometry.meshers import remeshed_triangles
+from fascicle.mesh.meshing import remeshed_triangles
 
 MM3_PER_LITRE = 1e6
 REMESHING_ERROR = 0.25  # largest distance between old and new surface, of the new edge length
@@ -53,3 +54,23 @@ def remeshed(surface: Surface, edge: float) -> Surface:
         *surface, alike, hsiz=edge, hausd=REMESHING_ERROR * edge, angle=0
     )
     return Surface(vertices, triangles)
+
+
+@dataclass(frozen=True)
+class TorsoSurfaces:
+    """The body around a heart, in the heart's coordinates.
+
+    Attributes
+    ----------
+    skin : Surface
+        Closed surface of the trunk (mm).
+    lungs : tuple of Surface
+        Closed surfaces within it (mm): left, right.
+    electrodes : (9, 3) array, optional
+        Positions on the skin (mm), in the order of `fascicle.core.leads.ELECTRODES`; those of a
+        torso of the user's own are not known.
+    """
+
+    skin: Surface
+    lungs: tuple[Surface, ...]
+    electrodes: NDArray[np.float64] | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.quality.stretches import coarse, measured, steady
 from fascicle.recording.recording import Recording
 

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import LIMB_LEADS
+from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.quality.flatness import FLAT
 from fascicle.recording.quality.stretches import coarse, measured

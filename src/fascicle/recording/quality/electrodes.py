@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import ELECTRODES, LEADS, lead_matrix
+from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.quality.typical import BEFORE
 from fascicle.recording.recording import Recording

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import LIMB_LEADS
+from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.quality.finding import Severity
 from fascicle.recording.quality.relations import height, limit_of, misfits, thinned
 from fascicle.recording.quality.wording import leave_out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import LIMB_LEADS, limb_leads_from
+from fascicle.core.leads import LIMB_LEADS, limb_leads_from
 from fascicle.recording.quality.explanation import SAME_GAIN, SHARED_GAIN, digits_fit, explain
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.quality.relations import LARGEST_MISFIT, height, limit_of, misfits

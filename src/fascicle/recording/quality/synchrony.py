@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.leads import LEADS
+from fascicle.core.leads import LEADS
 from fascicle.recording.quality.activity import Activity, beats, together
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.quality.wording import leave_out, listed

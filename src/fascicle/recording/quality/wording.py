@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from fascicle.leads import CHEST_LEADS, LEADS, LIMB_LEADS
+from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
 from fascicle.recording.recording import Recording
 
 

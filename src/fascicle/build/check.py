@@ -1,0 +1,285 @@
+"""What a heart holds, in figures that a person can judge, with warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.build.wall import Walls, wall_thickness
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.boundary_labels import labelled_mesh
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.endocardium import Endocardium, long_axis
+from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.torso import Tissue
+from fascicle.mesh.measures import enclosed_volume, signed_volumes
+from fascicle.mesh.quality import Quality, quality
+from fascicle.purkinje.chart import Chart
+from fascicle.torso.electrode_sites import electrode_warnings
+from fascicle.torso.resolve import is_up_to_date
+
+ML, LITRE = 1e3, 1e6  # mm³
+# Outside these, somebody should look; human adults, healthy or not
+LV_CAVITY, RV_CAVITY = (40.0, 400.0), (40.0, 400.0)  # ml
+MYOCARDIUM = (60.0, 450.0)  # ml
+LV_WALL, RV_WALL = (4.0, 25.0), (1.5, 12.0)  # mm, median
+FLAT = 5.0  # degrees; a dihedral angle below it spoils gradients
+DISTORTED = 12.0  # stretch of a chart in one direction over the other
+TURN = 20.0  # degrees by which the helix angle must rise through the wall to be called reversed
+LAYERS = 5  # in which the helix angle is told, from endocardium to epicardium
+MOST = 20_000  # tetrahedra whose angles are measured
+WALLS = ("LV free wall", "septum", "RV free wall")
+
+
+@dataclass(frozen=True)
+class HelixAngles:
+    """Fibre angles through one wall.
+
+    Attributes
+    ----------
+    depth : (k,) array
+        Of tetrahedra: 0 at the endocardium (in the septum: the left one), 1 at the other side.
+    angle : (k,) array
+        Of their fibres to the circumference, within the wall (degrees, above -90, up to 90).
+    """
+
+    depth: NDArray[np.float64]
+    angle: NDArray[np.float64]
+
+    def in_layers(self) -> NDArray[np.float64]:
+        """Mean axis of the angles in `LAYERS` layers (degrees); NaN where there is no fibre."""
+        layer = np.minimum((self.depth * LAYERS).astype(int), LAYERS - 1)
+        # fibres have no sign: angles are averaged on the doubled circle
+        doubled = np.exp(2j * np.radians(self.angle))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.array([doubled[layer == k].sum() for k in range(LAYERS)])
+            mean = np.where(mean == 0, np.nan, mean)
+        return np.asarray(np.degrees(np.angle(mean)) / 2)
+
+
+@dataclass(frozen=True)
+class HeartCheck:
+    """Figures about a heart.
+
+    Attributes
+    ----------
+    mesh : LabelledMesh
+        The heart with its boundary labelled.
+    rows : tuple of (str, str)
+        What, and its value with the unit.
+    warnings : tuple of str
+        One line each, with what to do.
+    walls : Walls
+        Thickness.
+    quality : Quality
+        Of the tetrahedra.
+    helix : mapping of str to HelixAngles
+        By wall.
+    """
+
+    mesh: LabelledMesh
+    rows: tuple[tuple[str, str], ...]
+    warnings: tuple[str, ...]
+    walls: Walls
+    quality: Quality
+    helix: Mapping[str, HelixAngles]
+
+
+def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
+    """Measure a heart and say what looks wrong.
+
+    Parameters
+    ----------
+    heart : Heart
+        A valid heart.
+    charts : mapping of side to Chart
+        Its charts.
+    """
+    mesh = labelled_mesh(heart)
+    walls = wall_thickness(mesh)
+    shape = quality(heart.vertices, heart.tetrahedra)
+    helix = helix_angles(mesh, heart)
+    rows = [
+        *_tissue_rows(heart, shape),
+        *_wall_rows(walls),
+        *_endocardium_rows(heart, charts),
+        *_helix_rows(helix),
+        *_body_rows(heart),
+    ]
+    warnings = [
+        *_size_warnings(heart, walls, shape, charts),
+        *_fibre_warnings(helix),
+        *_lead_field_warnings(heart),
+        *electrode_warnings(heart),
+    ]
+    return HeartCheck(mesh, tuple(rows), tuple(warnings), walls, shape, helix)
+
+
+def cavity_volume(endocardium: Endocardium) -> float:
+    """Volume of a cavity closed at its opening by a fan (ml)."""
+    return -enclosed_volume(endocardium.vertices, endocardium.triangles) / ML
+
+
+def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
+    """Angles of the fibres through the three walls, by distances alone.
+
+    A tetrahedron belongs to the wall between the two nearest of LV endocardium, RV endocardium and
+    epicardium. Its depth is its share of the way between them; out of the wall is from the nearest
+    point of the one to that of the other, and along it towards the base. No Laplace problem is
+    solved, so this is also a second opinion on rule-based fibres.
+    """
+    some = slice(None, None, 1 + len(heart.tetrahedra) // MOST)
+    centres, fibres = heart.vertices[heart.tetrahedra[some]].mean(axis=1), heart.fibres[some]
+    surfaces = (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
+    distances, nearest = np.full((3, len(centres)), np.inf), np.zeros((3, len(centres), 3))
+    for k, label in enumerate(surfaces):
+        triangles = mesh.having(label)
+        if len(triangles):
+            square, _, point = igl.point_mesh_squared_distance(centres, mesh.vertices, triangles)
+            distances[k], nearest[k] = np.sqrt(np.asarray(square)), point
+    furthest = distances.argmax(axis=0)
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    found = {}
+    for name, inner, outer in zip(WALLS, (0, 0, 2), (1, 2, 1), strict=True):
+        outward = nearest[outer] - nearest[inner]
+        across = distances[inner] + distances[outer]
+        between = (furthest != inner) & (furthest != outer) & outward.any(axis=1)
+        between &= np.isfinite(across)  # a label that is nowhere is infinitely far
+        here = np.flatnonzero(between)  # where the surfaces meet, there is no way out of the wall
+        depth = distances[inner, here] / across[here]
+        found[name] = HelixAngles(depth, _helix(fibres[here], outward[here], base - apex))
+    return found
+
+
+def _helix(
+    fibres: NDArray[np.float64], outward: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Angle of fibres to the circumference (degrees)."""
+    across = outward / np.linalg.norm(outward, axis=1, keepdims=True)
+    along = up - (across @ up)[:, None] * across
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    around = np.cross(along, across)
+    angle = np.arctan2(np.einsum("ij,ij->i", fibres, along), np.einsum("ij,ij->i", fibres, around))
+    return np.asarray(90 - (90 - np.degrees(angle)) % 180)
+
+
+def _tissue_rows(heart: Heart, shape: Quality) -> list[tuple[str, str]]:
+    lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
+    extent = np.ptp(heart.vertices, axis=0)
+    return [
+        ("myocardium", f"{heart.volumes.sum() / ML:.1f} ml; cavities LV {lv:.0f}, RV {rv:.0f} ml"),
+        ("extent", " x ".join(f"{size:.0f}" for size in extent) + " mm"),
+        ("mesh", str(shape)),
+    ]
+
+
+def _wall_rows(walls: Walls) -> list[tuple[str, str]]:
+    rows = []
+    for name, wall in zip(WALLS, (walls.lv, walls.septum, walls.rv), strict=True):
+        if wall.thickness.size:
+            low, high = np.percentile(wall.thickness, [5, 95])
+            rows.append((name, f"{wall.median:.1f} mm thick ({low:.1f} to {high:.1f})"))
+    return rows
+
+
+def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:
+    return [
+        (
+            f"{e.side.upper()} endocardium",
+            f"{len(e.vertices)} points, {e.area / 100:.0f} cm², root {e.root} heading for "
+            f"{e.direction}, chart distortion up to {charts[e.side].distortion.max():.2f}",
+        )
+        for e in heart.endocardia
+    ]
+
+
+def _helix_rows(helix: Mapping[str, HelixAngles]) -> list[tuple[str, str]]:
+    rows = []
+    for name, angles in helix.items():
+        if angles.depth.size:
+            layers = ", ".join("-" if np.isnan(a) else f"{a:.0f}" for a in angles.in_layers())
+            rows.append((f"helix, {name}", f"{layers} degrees, inside to outside"))
+    return rows
+
+
+def _body_rows(heart: Heart) -> list[tuple[str, str]]:
+    distance = np.linalg.norm(
+        heart.electrodes[:, None] - heart.vertices[None, :: max(1, len(heart.vertices) // 2000)],
+        axis=2,
+    ).min(axis=1)
+    near = int(np.argmin(distance))
+    rows = [("electrodes", f"9; nearest to the heart {ELECTRODES[near]}, {distance[near]:.0f} mm")]
+    if heart.torso is None:
+        known = "lead fields given" if heart.lead_fields is not None else "unbounded conductor"
+        return [*rows, ("torso", f"none ({known})")]
+    volumes = signed_volumes(heart.torso.vertices, heart.torso.tetrahedra)
+    parts = ", ".join(
+        f"{tissue.name.lower()} {volumes[heart.torso.tissues == tissue].sum() / LITRE:.2f} l"
+        for tissue in Tissue
+        if (heart.torso.tissues == tissue).any()
+    )
+    return [*rows, ("torso", f"{parts}; {len(heart.torso.vertices)} points")]
+
+
+def _size_warnings(
+    heart: Heart, walls: Walls, shape: Quality, charts: Mapping[str, Chart]
+) -> list[str]:
+    warnings = []
+    lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
+    for what, value, (low, high), unit, remedy in (
+        ("LV cavity", lv, LV_CAVITY, "ml", "check units and endocardium"),
+        ("RV cavity", rv, RV_CAVITY, "ml", "check units and endocardium"),
+        ("myocardium", heart.volumes.sum() / ML, MYOCARDIUM, "ml", "check units and surfaces"),
+        ("LV free wall", walls.lv.median, LV_WALL, "mm", "check the labels of the surfaces"),
+        ("RV free wall", walls.rv.median, RV_WALL, "mm", "check the labels of the surfaces"),
+    ):
+        if np.isfinite(value) and not low <= value <= high:
+            warnings.append(
+                f"{what}: {value:.3g} {unit}; human adults have {low:g} to {high:g}; {remedy}"
+            )
+    if shape.smallest_angle < FLAT:
+        warnings.append(
+            f"mesh: smallest dihedral angle {shape.smallest_angle:.1f} degrees; remesh (times and "
+            "potentials are poor in elements so flat)"
+        )
+    for side, chart in charts.items():
+        worst = float(chart.distortion.max())
+        if worst > DISTORTED:
+            warnings.append(
+                f"{side.upper()} endocardium: the chart stretches {worst:.0f} times more one way "
+                "than the other; branch angles are distorted there: remesh or smooth the surface"
+            )
+    return warnings
+
+
+def _lead_field_warnings(heart: Heart) -> list[str]:
+    """Lead fields of other electrodes or fibres, or of another torso."""
+    known = heart.lead_fields
+    if known is None or is_up_to_date(heart, Conduction()):
+        return []
+    if heart.torso is None:
+        return [
+            f"{heart.name}: its lead fields are not for these electrodes and fibres, and there is "
+            "no torso to compute new ones in: it cannot be simulated; build it again"
+        ]
+    return [f"{heart.name}: its lead fields are out of date; they are solved anew when needed"]
+
+
+def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:
+    """Fibres that turn the wrong way: in human hearts a right-handed helix lines the LV."""
+    angles = helix[WALLS[0]]
+    if not angles.depth.size:
+        return []
+    inside, *_, outside = angles.in_layers()
+    if not inside + TURN < outside:
+        return []
+    return [
+        f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "
+        f"{outside:.0f} outside; in human hearts it falls, from about 60 to -60: check that "
+        "neither heart nor fibres are mirrored"
+    ]

@@ -1,0 +1,1 @@
+"""Which part of an unlabelled surface is which."""

@@ -1,0 +1,1 @@
+"""From separate surfaces to one closed surface."""

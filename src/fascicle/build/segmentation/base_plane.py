@@ -1,0 +1,195 @@
+"""The plane at which a segmented heart is cut: the base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.build.segmentation.image import Bodies
+
+# The LV is open at the base where blood that borders on no tissue covers at least this fraction of
+# its largest cross-section; less is a hole in the label map.
+OPEN = 0.25
+# The opening is flat where this fraction of it lies within half a voxel of a plane.
+FLAT = 0.6
+# The flat opening is the base where a cut along it keeps this fraction of the LV blood that one
+# across the long axis keeps: a mitral valve may be flat as well, but tissue ends below it.
+KEPT = 0.97
+# The ring of tissue is closed where it borders on this fraction of the LV blood's circumference.
+RING = 0.9
+# A map that is closed over the base is cut where the LV still has this fraction of its largest
+# cross-section.
+CLOSED_SECTION = 0.5
+LEVEL = 1.0  # mm, resolution of the search along the axis
+TRIALS, REFITS = 300, 5
+
+
+@dataclass(frozen=True)
+class BasePlane:
+    """A plane across the heart.
+
+    Attributes
+    ----------
+    point : (3,) array
+        A point of it (mm).
+    normal : (3,) array
+        Unit vector from the apex to the base.
+    how : str
+        What it was found by, for a message.
+    """
+
+    point: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    how: str
+
+    def height(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance above the plane (mm), negative in the ventricles."""
+        return np.asarray((points - self.point) @ self.normal)
+
+
+@dataclass(frozen=True)
+class _Faces:
+    """Faces between a voxel of LV blood and one of something else.
+
+    Centres (n, 3), vectors with the face's area as length that leave the blood (n, 3), and whether
+    tissue is on the other side, or nothing at all (neither tissue nor RV blood).
+    """
+
+    centres: NDArray[np.float64]
+    areas: NDArray[np.float64]
+    tissue: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+
+
+def find_base_plane(bodies: Bodies) -> BasePlane:
+    """Find the base: the flat end of the map, or the highest complete ring of tissue.
+
+    Where the LV blood ends in a flat opening that tissue surrounds, the map was cut there.
+    Otherwise the plane is perpendicular to the LV's long axis, the principal axis of its blood, at
+    the level above which tissue does not surround the blood any more; where tissue closes over the
+    base, at the level at which the LV begins to close.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        The segmentation.
+
+    Returns
+    -------
+    BasePlane
+        The normal points to the base.
+    """
+    blood = bodies.positions(bodies.lv)
+    centre = blood.mean(axis=0)
+    faces = _blood_faces(bodies)
+    size = np.linalg.norm(faces.areas, axis=1)
+    axis = np.linalg.eigh(np.cov((blood - centre).T))[1][:, 2]
+    along = (blood - centre) @ axis
+    is_open = float(size[faces.free].sum()) > OPEN * _largest_section(bodies, along, axis)
+    if is_open:
+        towards = float((size * ((faces.centres - centre) @ axis))[faces.free].sum())
+    else:
+        towards = -float((along**3).sum())  # the longer tail is the apex
+    axis = axis if towards > 0 else -axis
+    level, how = _level(bodies, faces, centre, axis)
+    across = BasePlane(centre + level * axis, axis, how)
+    flat = _flat_opening(bodies, faces, centre) if is_open else None
+    if flat is None:
+        return across
+    ring, _ = _level(bodies, faces, centre, flat.normal)
+    kept_flat = int(
+        (np.maximum(flat.height(blood), (blood - centre) @ flat.normal - ring) < 0).sum()
+    )
+    return flat if kept_flat >= KEPT * int((across.height(blood) < 0).sum()) else across
+
+
+def _blood_faces(bodies: Bodies) -> _Faces:
+    axes = bodies.affine[:3, :3]
+    centres, areas, tissue, free = [], [], [], []
+    for k in range(3):
+        across = np.cross(axes[:, (k + 1) % 3], axes[:, (k + 2) % 3])
+        across *= np.sign(across @ axes[:, k])
+        for step in (-1, 1):
+            beside = np.roll(bodies.lv, -step, axis=k)
+            index = np.argwhere(bodies.lv & ~beside)
+            other = index.copy()
+            other[:, k] += step
+            is_tissue, is_rv = (mask[tuple(other.T)] for mask in (bodies.tissue, bodies.rv))
+            centres.append((index + other) / 2 @ axes.T + bodies.affine[:3, 3])
+            areas.append(np.tile(step * across, (len(index), 1)))
+            tissue.append(is_tissue)
+            free.append(~is_tissue & ~is_rv)
+    return _Faces(
+        np.concatenate(centres), np.concatenate(areas), np.concatenate(tissue), np.concatenate(free)
+    )
+
+
+def _largest_section(
+    bodies: Bodies, along: NDArray[np.float64], axis: NDArray[np.float64]
+) -> float:
+    """Largest cross-section of the LV blood (mm²)."""
+    width = max(bodies.thickness(axis), LEVEL)
+    counts = np.bincount(np.floor((along - along.min()) / width).astype(np.int64))
+    return float(counts.max() * abs(np.linalg.det(bodies.affine[:3, :3])) / width)
+
+
+def _flat_opening(bodies: Bodies, faces: _Faces, centre: NDArray[np.float64]) -> BasePlane | None:
+    """The plane that holds most of the opening (by random samples); None if it is not flat."""
+    points, areas = faces.centres[faces.free], faces.areas[faces.free]
+    size = np.linalg.norm(areas, axis=1)
+    rng = np.random.default_rng(0)
+    best, inliers = 0.0, np.zeros(len(points), dtype=bool)
+    for corners in rng.choice(len(points), size=(TRIALS, 3), p=size / size.sum()):
+        a, b, c = points[corners]
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal)
+        if length == 0:
+            continue
+        normal /= length
+        near = np.abs((points - a) @ normal) <= bodies.thickness(normal) / 2
+        # what a slanted step has of its faces counts as it is seen along the normal
+        seen = abs(float((areas[near] @ normal).sum()))
+        if seen > best:
+            best, inliers = seen, near
+    total = float(np.linalg.norm(areas.sum(axis=0)))
+    if best < FLAT * total:
+        return None
+    points, areas = points[inliers], areas[inliers]
+    normal = areas.sum(axis=0)
+    for _ in range(REFITS):
+        weight = np.abs(areas @ normal)  # the sides of gaps in the ring do not count
+        middle = np.average(points, axis=0, weights=weight)
+        _, _, rows = np.linalg.svd(
+            (points - middle) * np.sqrt(weight)[:, None], full_matrices=False
+        )
+        normal = rows[2]
+    normal = normal * np.sign(normal @ (middle - centre))
+    return BasePlane(middle, normal, "the flat end of the label map")
+
+
+def _level(
+    bodies: Bodies, faces: _Faces, centre: NDArray[np.float64], axis: NDArray[np.float64]
+) -> tuple[float, str]:
+    """Height of the plane above the centre of the LV blood (mm), and how it was found."""
+    along = (faces.centres - centre) @ axis
+    # only the part of a face that looks sideways belongs to the ring
+    sideways = np.linalg.norm(faces.areas - np.outer(faces.areas @ axis, axis), axis=1)
+    start = np.floor(along.min() / LEVEL)
+    level = np.floor(along / LEVEL - start).astype(np.int64)
+    whole = np.bincount(level, weights=sideways)
+    ring = np.bincount(level, weights=sideways * ~faces.free)
+    heights = (start + np.arange(len(whole)) + 0.5) * LEVEL
+    used = (whole > 0) & (heights > 0)
+    closed = ring[used] >= RING * whole[used]
+    heights = heights[used]
+    if not closed.all():
+        first = int(np.argmin(closed))
+        below = heights[first - 1] if first else 0.0
+        return float(below + heights[first]) / 2, "the highest complete ring of tissue"
+    blood = (bodies.positions(bodies.lv) - centre) @ axis
+    width = max(bodies.thickness(axis), LEVEL)
+    counts = np.bincount(np.floor((blood - blood.min()) / width).astype(np.int64))
+    last = np.flatnonzero(counts >= CLOSED_SECTION * counts.max())[-1]
+    return float(blood.min() + last * width), "the end of the LV blood, which tissue closes over"

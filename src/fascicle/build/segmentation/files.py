@@ -1,0 +1,217 @@
+"""Label maps in NIfTI and NRRD files."""
+
+from __future__ import annotations
+
+import gzip
+import warnings
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.build.segmentation.image import Segmentation
+from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
+
+NRRD_FORMATS = (".nrrd", ".nhdr")
+LARGEST = 1 << 30  # voxels; four times a CT of the whole thorax at 0.5 mm
+LARGEST_LABEL = 1 << 31
+# What the readers raise for files that are cut short, scrambled, or not what their name says
+DAMAGED = (
+    OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError,
+    MemoryError, AssertionError, StopIteration, zlib.error, gzip.BadGzipFile,
+)  # fmt: skip
+# NIfTI's numbers for the units of length, and NRRD's names, in mm; 0 is unknown, read as mm
+NIFTI_UNITS = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
+NRRD_UNITS = {"mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "": 1.0, "m": 1e3, "cm": 10.0,
+              "um": 1e-3, "μm": 1e-3, "µm": 1e-3}  # fmt: skip
+NIFTI_SPATIAL_UNITS = 0x07  # bits of xyzt_units
+# The right-handed spaces of NRRD, and what each is called here
+SPACES = {
+    "right-anterior-superior": "RAS",
+    "ras": "RAS",
+    "left-posterior-superior": "LPS",
+    "lps": "LPS",
+    "3d-right-handed": "",
+}
+
+
+def read_segmentation(path: Path | str) -> Segmentation:
+    """Read a label map.
+
+    NIfTI positions are RAS+ by definition; NRRD positions in an LPS or LAS space are turned to
+    RAS+. An NRRD file that names no space gives spacings alone, and its own axes are kept, with
+    the first voxel at the origin unless the file says otherwise.
+
+    Parameters
+    ----------
+    path : path
+        A ``.nii``, ``.nii.gz``, ``.nrrd`` or ``.nhdr`` file.
+
+    Returns
+    -------
+    Segmentation
+        Labels, and the affine from voxel index to mm.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another format, damaged, not three-dimensional, without voxel
+        spacing, in other units, or has values that are not whole numbers.
+    """
+    path = Path(path)
+    plain = path.with_suffix("") if path.suffix.lower() == ".gz" else path
+    if path.suffix.lower() == ".gz" and plain.suffix.lower() == ".nii":
+        check_file(path, (".gz",), "segmentation")
+    else:
+        check_file(path, (".nii", *NRRD_FORMATS), "segmentation")
+    read = _read_nrrd if path.suffix.lower() in NRRD_FORMATS else _read_nifti
+    values, affine, space = read(path)
+    return Segmentation(_whole_numbers(path, values), affine, str(path), space)
+
+
+def _damaged(path: Path, error: BaseException) -> InputError:
+    said = " ".join(str(error).split())[:200] or type(error).__name__
+    return InputError(
+        f"{path}: damaged, truncated or mislabelled ({said}); export or copy it again"
+    )
+
+
+def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
+    import nibabel
+    from nibabel.filebasedimages import ImageFileError
+    from nibabel.imageglobals import LoggingOutputSuppressor
+    from nibabel.openers import ImageOpener
+    from nibabel.spatialimages import HeaderDataError
+    from nibabel.wrapstruct import WrapStructError
+
+    damaged = (*DAMAGED, ImageFileError, HeaderDataError, WrapStructError)
+    try:
+        # nibabel mends headers on reading, and says so in the log: a missing spacing becomes 1
+        with LoggingOutputSuppressor():
+            image = nibabel.load(path)
+            with ImageOpener(path) as file:
+                header = type(image.header).from_fileobj(file, check=False)
+        shape = tuple(int(n) for n in image.shape)
+    except damaged as error:
+        raise _damaged(path, error) from None
+    if not isinstance(image, nibabel.Nifti1Image | nibabel.Nifti2Image):
+        raise InputError(f"{path}: not a NIfTI file inside; convert it to NIfTI")
+    _check_shape(path, shape)
+    spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
+    if not (np.isfinite(spacing).all() and (spacing > 0).all()):
+        listed = ", ".join(f"{value:g}" for value in spacing)
+        raise InputError(
+            f"{path}: the voxels have no size (pixdim {listed}); write the spacing, in mm, into "
+            "the file"
+        )
+    if not (int(header["sform_code"]) or int(header["qform_code"])):
+        raise InputError(
+            f"{path}: sform_code and qform_code are 0, so it does not say where the voxels lie; "
+            "export it again with its position and directions"
+        )
+    unit = int(header["xyzt_units"]) & NIFTI_SPATIAL_UNITS
+    if unit not in NIFTI_UNITS:
+        raise InputError(f"{path}: unknown unit of length {unit} (xyzt_units); write it in mm")
+    try:
+        values = np.asanyarray(image.dataobj)
+    except damaged as error:
+        raise _damaged(path, error) from None
+    affine = np.array(image.affine, dtype=np.float64)
+    affine[:3] *= NIFTI_UNITS[unit]
+    return values, affine, "RAS"
+
+
+def _read_nrrd(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
+    import nrrd
+
+    damaged = (*DAMAGED, nrrd.NRRDError)
+    try:
+        header = nrrd.read_header(str(path))
+        shape = tuple(int(n) for n in header["sizes"])
+    except damaged as error:
+        raise _damaged(path, error) from None
+    _check_shape(path, shape)
+    affine = _nrrd_affine(path, header)
+    space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            values, _ = nrrd.read(str(path))
+    except damaged as error:
+        raise _damaged(path, error) from None
+    if values.shape != shape:
+        raise _damaged(path, ValueError(f"{values.shape} values, {shape} in the header"))
+    return values, affine, space
+
+
+def _nrrd_affine(path: Path, header: dict[str, Any]) -> NDArray[np.float64]:
+    """Voxel index to mm, in the file's own space."""
+    space = str(header.get("space", "3D-right-handed")).lower()
+    if space not in SPACES:  # in a left-handed one the heart would be mirrored
+        raise InputError(
+            f"{path}: space '{space}' is unknown or left-handed; export the map in "
+            "left-posterior-superior or right-anterior-superior"
+        )
+    directions, spacings = header.get("space directions"), header.get("spacings")
+    affine = np.eye(4)
+    if directions is not None:
+        directions = np.asarray(directions, dtype=np.float64)
+        if directions.shape != (3, 3):
+            raise InputError(
+                f"{path}: space directions for {directions.shape} axes; give a map in three "
+                "dimensions"
+            )
+        affine[:3, :3] = directions.T
+        origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=np.float64)
+        affine[:3, 3] = origin if origin.shape == (3,) else np.nan
+    elif spacings is not None and len(spacings) == 3:
+        affine[:3, :3] = np.diag(np.asarray(spacings, dtype=np.float64))
+    else:
+        raise InputError(
+            f"{path}: neither space directions nor spacings; write the voxel spacing, in mm, into "
+            "the file"
+        )
+    if not np.isfinite(affine).all():
+        raise InputError(
+            f"{path}: spacing or origin are not finite; write them, in mm, into the file"
+        )
+    units = {
+        str(unit).strip().lower() for unit in header.get("space units", header.get("units", []))
+    }
+    if len(units) > 1 or not units <= NRRD_UNITS.keys():
+        raise InputError(f"{path}: space units {sorted(units)} are not of length; write it in mm")
+    affine[:3] *= NRRD_UNITS[units.pop()] if units else 1.0
+    return affine
+
+
+def _check_shape(path: Path, shape: tuple[int, ...]) -> None:
+    """Refuse what is not a volume, before memory is taken for it."""
+    written = " × ".join(str(n) for n in shape)
+    if len(shape) != 3:
+        raise InputError(
+            f"{path}: {len(shape)} dimensions ({written}); give one label map in three dimensions "
+            "(one frame of a cine, no channels)"
+        )
+    if min(shape) < 2 or int(np.prod(shape, dtype=np.float64)) > LARGEST:
+        raise InputError(
+            f"{path}: {written} voxels; give a label map of the heart (2 voxels or more along each "
+            f"axis, at most {LARGEST} in all)"
+        )
+
+
+def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.int64]:
+    if values.dtype.kind in "iub":
+        return values.astype(np.int64)
+    if values.dtype.kind != "f":
+        raise InputError(f"{path}: voxels of type {values.dtype}; give whole numbers as labels")
+    broken = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= LARGEST_LABEL)
+    if broken.any():
+        raise InputError(
+            f"{path}: {int(broken.sum())} of {values.size} voxels are not whole numbers (first: "
+            f"{values[broken][0]:g}); give the label map, not the image or a probability, and "
+            "resample with nearest neighbours"
+        )
+    return values.astype(np.int64)

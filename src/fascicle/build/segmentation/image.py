@@ -1,0 +1,319 @@
+"""Label maps of the heart: which voxel is blood of which ventricle, muscle or scar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+from fascicle.heart.validate import check_units
+
+MM3_PER_ML = 1000.0
+# Voxel axes that are this far from right angles (cosine) are more than rounding in the file.
+LARGEST_SHEAR = 0.01
+# Pieces smaller than this fraction of the whole are slips of the segmentation.
+ISLAND = 0.01
+SHOWN = 12  # so many labels of a map are named in a message
+NEIGHBOURS = np.ones((3, 3, 3), dtype=bool)
+BACKGROUND = 0
+
+# Told of every choice that changes what was segmented, one line each
+Noted = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """A label map and where it lies.
+
+    Attributes
+    ----------
+    labels : (i, j, k) integer array
+        The label of each voxel; 0 is background.
+    affine : (4, 4) array
+        From voxel indices (of voxel centres) to mm, in the coordinates that the file has.
+    name : str
+        What to call it in messages; usually the file.
+    space : str
+        ``"RAS"`` or ``"LPS"`` if these are the patient's axes, otherwise empty.
+
+    Raises
+    ------
+    InputError
+        If the voxels have no size, or their axes are not at right angles.
+    """
+
+    labels: NDArray[np.int64]
+    affine: NDArray[np.float64]
+    name: str = "segmentation"
+    space: str = ""
+
+    def __post_init__(self) -> None:
+        axes = self.affine[:3, :3]
+        if not np.isfinite(self.affine).all() or (self.spacing <= 0).any():
+            raise InputError(
+                f"{self.name}: the voxels have no size (spacing {_listed(self.spacing)} mm); "
+                "write the voxel spacing, in mm, into the file"
+            )
+        unit = axes / self.spacing
+        shear = float(np.abs(unit.T @ unit - np.eye(3)).max())
+        if shear > LARGEST_SHEAR:
+            raise InputError(
+                f"{self.name}: the voxel axes are not at right angles (cosine {shear:.3f}); "
+                "resample the map onto a rectangular grid"
+            )
+
+    @property
+    def spacing(self) -> NDArray[np.float64]:
+        """Distance of neighbouring voxel centres along each index (mm)."""
+        return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of a voxel (mm³)."""
+        return float(np.prod(self.spacing))
+
+
+@dataclass(frozen=True)
+class SegmentationLabels:
+    """Which number stands for what in a label map.
+
+    A part that was segmented under several numbers (the walls of the two ventricles, for one) is
+    given as a tuple of them. Other conventions: ACDC has 3 for LV blood, 1 for RV blood and 2 for
+    LV myocardium; UK Biobank (Bai et al., J Cardiovasc Magn Reson 20:65, 2018) 1, 3 and 2; MM-WHS
+    (Zhuang and Shen, Med Image Anal 31:77–87, 2016) 500, 600 and 205. None of them has an RV wall.
+
+    Attributes
+    ----------
+    lv, rv : int or tuple of int
+        Blood of the ventricles.
+    myocardium : int or tuple of int
+        Muscle, without the scar.
+    scar : int, tuple of int, or None
+        Scar, a part of the tissue; `None` where none was segmented.
+
+    Raises
+    ------
+    InputError
+        If a number stands for two parts, or is 0.
+    """
+
+    lv: int | tuple[int, ...] = 1
+    rv: int | tuple[int, ...] = 2
+    myocardium: int | tuple[int, ...] = 3
+    scar: int | tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        numbers = [number for _, part in self.parts() for number in part]
+        twice = sorted({number for number in numbers if numbers.count(number) > 1})
+        if twice or BACKGROUND in numbers:
+            wrong = f"label {twice[0]} stands for two parts" if twice else "label 0 is background"
+            raise InputError(
+                f"segmentation labels: {wrong} (lv {self.lv}, rv {self.rv}, myocardium "
+                f"{self.myocardium}, scar {self.scar}); give each part its own numbers"
+            )
+
+    def parts(self) -> list[tuple[str, tuple[int, ...]]]:
+        """Name and numbers of each part."""
+        named = [
+            ("LV blood", self.lv),
+            ("RV blood", self.rv),
+            ("myocardium", self.myocardium),
+            ("scar", self.scar),
+        ]
+        return [
+            (name, part if isinstance(part, tuple) else (part,))
+            for name, part in named
+            if part is not None
+        ]
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The parts of a segmentation as masks on a grid that just holds them.
+
+    Attributes
+    ----------
+    lv, rv, tissue : (i, j, k) boolean arrays
+        Blood of each ventricle, and muscle with scar; no voxel at the edge is in any of them.
+    affine : (4, 4) array
+        From indices into these arrays to mm.
+    name : str
+        What to call the segmentation in messages.
+    """
+
+    lv: NDArray[np.bool_]
+    rv: NDArray[np.bool_]
+    tissue: NDArray[np.bool_]
+    affine: NDArray[np.float64]
+    name: str
+
+    def positions(self, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Centres of the voxels of a mask (mm), shape (n, 3)."""
+        return np.argwhere(mask) @ self.affine[:3, :3].T + self.affine[:3, 3]
+
+    def thickness(self, normal: NDArray[np.float64]) -> float:
+        """Extent of a voxel along a unit vector (mm)."""
+        return float(np.abs(normal @ self.affine[:3, :3]).sum())
+
+
+def segmentation_volumes(
+    segmentation: Segmentation, labels: SegmentationLabels
+) -> dict[str, float]:
+    """Volumes in the whole map, also above the base: voxel count times voxel volume.
+
+    Returns
+    -------
+    dict of str to float
+        ``"lv"``, ``"rv"`` (blood), ``"myocardium"`` (scar included) and ``"scar"`` (ml).
+
+    Raises
+    ------
+    InputError
+        If a label is not in the map.
+    """
+    count = {name: int(mask.sum()) for name, mask in _masks(segmentation, labels).items()}
+    ml = segmentation.voxel_volume / MM3_PER_ML
+    scar = count.get("scar", 0)
+    return {
+        "lv": count["LV blood"] * ml,
+        "rv": count["RV blood"] * ml,
+        "myocardium": (count["myocardium"] + scar) * ml,
+        "scar": scar * ml,
+    }
+
+
+def regions_at(
+    segmentation: Segmentation, labels: SegmentationLabels, points: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Whether points lie in scar: the label of the nearest voxel of muscle or scar.
+
+    At a surface the voxel around a point of the tissue may well be blood or background.
+
+    Parameters
+    ----------
+    segmentation, labels : Segmentation, SegmentationLabels
+        The map.
+    points : (n, 3) array
+        Positions (mm), in the segmentation's frame.
+
+    Returns
+    -------
+    (n,) array
+        1 in scar, 0 elsewhere, and more than a voxel's diagonal from all muscle.
+
+    Raises
+    ------
+    InputError
+        If a label is not in the map.
+    """
+    masks = _masks(segmentation, labels)
+    if "scar" not in masks:
+        return np.zeros(len(points), dtype=np.int64)
+    voxels = np.argwhere(masks["myocardium"] | masks["scar"])
+    affine = segmentation.affine
+    diagonal = float(np.linalg.norm(segmentation.spacing))
+    distance, nearest = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3]).query(
+        points, distance_upper_bound=diagonal
+    )
+    near = np.isfinite(distance)
+    regions = np.zeros(len(points), dtype=np.int64)
+    regions[near] = masks["scar"][tuple(voxels[nearest[near]].T)]
+    return regions
+
+
+def bodies_of(
+    segmentation: Segmentation, labels: SegmentationLabels, noted: Noted | None = None
+) -> Bodies:
+    """Masks of the parts, each in one piece, with islands given to what surrounds them.
+
+    Raises
+    ------
+    InputError
+        If a label is not in the map, the heart has not the size of one, or a part falls into
+        several large pieces.
+    """
+    masks = _masks(segmentation, labels)
+    name = segmentation.name
+    parts = np.zeros(segmentation.labels.shape, dtype=np.int8)
+    kinds = {"LV blood": 1, "RV blood": 2, "myocardium": 3, "scar": 3}
+    for part, mask in masks.items():
+        parts[mask] = kinds[part]
+    parts, affine = _cropped(parts, segmentation.affine)
+    for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
+        _one_piece(parts, kind, part, segmentation, noted)
+    parts, affine = _cropped(parts, affine)
+    check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
+    return Bodies(parts == 1, parts == 2, parts == 3, affine, name)
+
+
+def _cropped(
+    parts: NDArray[np.int8], affine: NDArray[np.float64]
+) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+    """Leave one voxel of background around everything."""
+    box = find_objects((parts > 0).astype(np.int8))[0]
+    affine = affine.copy()
+    affine[:3, 3] += affine[:3, :3] @ [around.start - 1 for around in box]
+    return np.pad(parts[box], 1), affine
+
+
+def _masks(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, NDArray[np.bool_]]:
+    """The mask of each part, by its name; every one of them has voxels."""
+    masks = {}
+    for name, numbers in labels.parts():
+        masks[name] = np.isin(segmentation.labels, numbers)
+        if not masks[name].any():
+            found, counts = np.unique(segmentation.labels, return_counts=True)
+            there = ", ".join(
+                f"{value} ({count} voxels)"
+                for value, count in zip(found[:SHOWN], counts[:SHOWN], strict=True)
+            )
+            more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+            raise InputError(
+                f"{segmentation.name}: {name} (label {_listed(numbers)}) has 0 voxels; the map "
+                f"has labels {there}{more}; say which label is {name}"
+            )
+    return masks
+
+
+def _one_piece(
+    parts: NDArray[np.int8],
+    kind: int,
+    part: str,
+    segmentation: Segmentation,
+    noted: Noted | None,
+) -> None:
+    """Give the islands of a part to what surrounds most of each, in place."""
+    pieces, n = label(parts == kind, structure=NEIGHBOURS)
+    if n == 1:
+        return
+    sizes = np.bincount(pieces.ravel())[1:]
+    largest = int(sizes.argmax())
+    ml = sizes * segmentation.voxel_volume / MM3_PER_ML
+    large = np.flatnonzero(sizes > ISLAND * sizes.sum())
+    if large.size > 1:
+        listed = ", ".join(f"{v:.3g}" for v in sorted(ml[large], reverse=True)[:SHOWN])
+        raise InputError(
+            f"{segmentation.name}: {part} falls into {large.size} unconnected pieces "
+            f"({listed} ml); join them, or keep one"
+        )
+    for piece, box in enumerate(find_objects(pieces)):
+        if piece == largest:
+            continue
+        around = tuple(slice(max(one.start - 1, 0), one.stop + 1) for one in box)
+        here = pieces[around] == piece + 1
+        rim = binary_dilation(here, NEIGHBOURS) & ~here
+        parts[around][here] = np.bincount(parts[around][rim]).argmax()
+    if noted is not None:
+        noted(
+            f"{segmentation.name}: {n - 1} islands of {part} ({ml.sum() - ml[largest]:.2g} ml in "
+            "all) were given to what surrounds them"
+        )
+
+
+def _listed(numbers: NDArray[np.float64] | tuple[int, ...]) -> str:
+    return ", ".join(f"{number:.3g}" if number % 1 else f"{int(number)}" for number in numbers)

@@ -1,1 +1,0 @@
-"""The action potential of a cell in a cable."""

@@ -1,0 +1,1 @@
+"""Leads, units, parameters, errors, files and progress: what every package uses."""

@@ -1,0 +1,22 @@
+"""The one error type that a user is meant to see, and how texts of files stand in it."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Something the user gave cannot be used.
+
+    The message is one line that names the file, the thing, the value found and what to do. The
+    command line prints it and exits with status 2. Anything else that is raised is a bug.
+    """
+
+
+def printable(text: str) -> str:
+    """Return a text of a file with line breaks and the like written out, fit for a message."""
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
+def one_line(error: object) -> str:
+    """What a library says of an error, in one short line."""
+    text = " ".join(str(error).split())[:160] or type(error).__name__
+    return printable(text)

@@ -1,0 +1,143 @@
+"""Files and folders that appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fascicle.core.errors import InputError
+
+DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Give a temporary path, with the same suffix, that takes the place of `path` on success.
+
+    The temporary file lies in the same folder, so the rename is atomic; on any error, and on
+    Ctrl-C, it is removed and what stood at `path` stays.
+    """
+    _make_parent(path)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Path]:
+    """Give a temporary folder that takes the place of `folder` on success.
+
+    A folder that stands there already is replaced only once the new one is complete, and only if
+    the new one has every file that the old one has: what somebody else put there is not lost.
+    Files whose names are `disposable` may go.
+
+    Raises
+    ------
+    InputError
+        If `folder` holds anything that would be lost, or is a file.
+    """
+    check_folder(folder)
+    folder = folder.resolve()  # a link stays a link
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        yield temporary
+        temporary.chmod(0o755)
+        if folder.exists():
+            new = {str(path.relative_to(temporary)) for path in temporary.rglob("*")}
+            check_nothing_lost(folder, new | set(disposable))
+            shutil.rmtree(folder)
+        os.replace(temporary, folder)
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            raise
+        raise InputError(
+            f"{folder}: could not be written ({error.strerror}); free some space or choose another "
+            "place (--out)"
+        ) from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be written, before the work that its content takes.
+
+    Raises
+    ------
+    InputError
+        If it is a file, holds the current folder, or lies where nothing can be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; give the path of a folder (--out)")
+    if folder.resolve() in (Path.cwd(), *Path.cwd().parents):
+        raise InputError(
+            f"{folder}: is the folder you are in, or holds it; give a folder of its own (--out)"
+        )
+    _make_parent(folder.resolve())
+
+
+def _make_parent(path: Path) -> None:
+    """Make the folder that is to hold `path`, or say why that cannot be."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); choose another place (--out)"
+        ) from None
+
+
+def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
+    """Refuse to replace a folder that holds what the new one (these relative paths) does not."""
+    for path in sorted(folder.rglob("*")):
+        relative = path.relative_to(folder)
+        if DISPOSABLE not in relative.parts and str(relative) not in new:
+            raise InputError(
+                f"{folder}: holds '{relative}', which would be lost; give another --out or empty "
+                "the folder"
+            )
+
+
+PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
+
+
+def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
+    """Refuse a path that is missing, a folder, a pickle or of another format, in one line."""
+    formats = tuple(formats)
+    suffix = path.suffix.lower()
+    if suffix in PICKLE_FORMATS and suffix not in formats:
+        raise InputError(
+            f"{path}: {suffix} files can hold a Python pickle, which runs code when opened, and "
+            f"are never read; in a Python you trust, save the {purpose} as {formats[0]} instead"
+        )
+    try:
+        exists = path.exists()
+    except OSError as error:  # a name that is too long, for one
+        raise InputError(f"{path}: {error.strerror} ({purpose}); check the path") from None
+    if not exists:
+        raise InputError(f"{path}: no such file ({purpose}); check the path")
+    if not path.is_file():
+        raise InputError(f"{path}: is not a file ({purpose}); give the file itself")
+    if suffix not in formats:
+        raise InputError(
+            f"{path}: cannot read '{suffix or 'no suffix'}' as {purpose}; "
+            f"use one of {', '.join(formats)}"
+        )

@@ -1,1 +1,0 @@
-"""From activation to the twelve-lead ECG."""

@@ -1,1 +1,0 @@
-"""Activation times of tissue and trees together."""

@@ -1,1 +1,0 @@
-"""Rule-based fibre and sheet directions."""

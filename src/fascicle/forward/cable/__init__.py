@@ -1,0 +1,1 @@
+"""Action potentials of cells in a cable, the template of the ECG."""

@@ -1,0 +1,73 @@
+"""What an action potential is described by: rest, overshoot, upstroke, duration."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from fascicle.core.errors import InputError
+
+NEIGHBOURS = 12  # samples on each side of the steepest that the upstroke is interpolated through
+
+
+def resting_potential(potential: NDArray[np.float64]) -> float:
+    """Potential (mV) that a record starts with, at the end of the diastole before."""
+    return float(potential[0])
+
+
+def overshoot(potential: NDArray[np.float64]) -> float:
+    """Highest potential (mV)."""
+    return float(potential.max())
+
+
+def max_upstroke(time: NDArray[np.float64], potential: NDArray[np.float64]) -> tuple[float, float]:
+    """Maximum of dU/dt (mV/ms, that is V/s) and its time (ms), between samples by a cubic spline.
+
+    Parameters
+    ----------
+    time, potential : (n,) arrays
+        A record (ms, mV).
+    """
+    steepest = int(np.argmax(np.diff(potential) / np.diff(time)))
+    near = slice(max(steepest - NEIGHBOURS, 0), steepest + NEIGHBOURS + 2)
+    spline = CubicSpline(time[near], potential[near])
+    candidates = np.concatenate(
+        [time[near], spline.derivative(2).roots(discontinuity=False, extrapolate=False)]
+    )
+    slopes = spline(candidates, 1)
+    best = int(np.argmax(slopes))
+    return float(slopes[best]), float(candidates[best])
+
+
+def duration(
+    time: NDArray[np.float64], potential: NDArray[np.float64], repolarised: float = 0.9
+) -> float:
+    """Action potential duration (ms), APD90 unless said otherwise.
+
+    From the maximum upstroke until the potential falls through
+    overshoot − `repolarised`·(overshoot − rest).
+
+    Parameters
+    ----------
+    time, potential : (n,) arrays
+        A record of one action potential (ms, mV).
+    repolarised : float
+        Share of the amplitude that is lost at the end.
+
+    Raises
+    ------
+    InputError
+        If the record ends before that.
+    """
+    peak = overshoot(potential)
+    level = peak - repolarised * (peak - resting_potential(potential))
+    last = int(np.flatnonzero(potential >= level)[-1])
+    if last + 1 == len(potential):
+        raise InputError(
+            f"record of {time[-1]:g} ms: ends at {potential[-1]:.1f} mV, before it has fallen to "
+            f"{level:.1f}; record longer"
+        )
+    share = (potential[last] - level) / (potential[last] - potential[last + 1])
+    end = time[last] + share * (time[last + 1] - time[last])
+    return float(end - max_upstroke(time, potential)[1])

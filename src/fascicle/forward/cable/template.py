@@ -1,0 +1,158 @@
+"""The template U of the ECG, taken from a front in a cable."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from fascicle.core.errors import InputError
+from fascicle.forward.cable.measures import max_upstroke
+from fascicle.forward.cable.propagation import CableRun, simulate_cable
+
+DEFAULT_CELL = "endocardial"
+BEFORE = 4.0  # ms before the upstroke; the foot of the front is then below 1e-6 of the rise
+OPENING = 0.5  # ms over which the window lets U′ in
+UNTIL = 60.0  # ms after the upstroke
+FROM = (-5.0, -2.0, 3.0, 15.0, 100.0)  # ms from which a record is kept every so many ms:
+EVERY = (5.0, 0.05, 0.02, 0.05, 0.5, 2.0)
+TAPER = 10.0  # ms over which the window fades U′ out
+
+
+@dataclass(frozen=True, eq=False)
+class CableTemplate:
+    """An action potential of a cable, cut for the QRS; an `ActionPotential`.
+
+    Time 0 is that of the maximum upstroke, by convention the activation time τ of an eikonal front.
+    Until `until` − `TAPER` ms after it the template is the cable's record; then U′ fades out, by a
+    cubic of which neither U nor U′ shows a kink, and U stays. The record goes on to repolarisation
+    (`full`), but an ECG must not: with one template everywhere all cells repolarise in the order in
+    which they fired, which draws a T wave opposite to the QRS, where a heart, in which late cells
+    have short action potentials, draws one along it. What U does in the plateau is slow: the QRS
+    does not feel where it stops (`fascicle.forward.cable.stored.default_template` gives numbers),
+    and the forward model's time grows with it.
+
+    Two templates are equal if their content is.
+
+    Attributes
+    ----------
+    cell : str
+        Type of the cells.
+    times : (n,) array
+        Of the record (ms since the maximum upstroke), increasing.
+    potentials : (n,) array
+        Transmembrane potential at these (mV).
+    speed : float
+        Conduction velocity in the cable (mm/ms).
+    until : float
+        When U stops (ms).
+    """
+
+    cell: str
+    times: NDArray[np.float64]
+    potentials: NDArray[np.float64]
+    speed: float
+    until: float = UNTIL
+
+    def __post_init__(self) -> None:
+        if not TAPER <= self.until <= self.times[-1]:
+            raise InputError(
+                f"template until {self.until:g} ms: give {TAPER:g} ms to the end of the record, "
+                f"{self.times[-1]:g} ms"
+            )
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """See `ActionPotential`."""
+        return -BEFORE, self.until
+
+    def __call__(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """See `ActionPotential`."""
+        return np.asarray(self._window(np.clip(time, *self.span)))
+
+    def full(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The whole record at `time` (ms since the upstroke), with repolarisation (mV).
+
+        Constant before and after it. For plots; see the class for why not for an ECG.
+        """
+        return np.asarray(self._record(np.clip(time, self.times[0], self.times[-1])))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the content."""
+        content = hashlib.sha256(f"{self.cell} {self.speed!r} {self.until!r}".encode())
+        content.update(np.stack([self.times, self.potentials]).tobytes())
+        return content.hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CableTemplate) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return CableTemplate, (self.cell, self.times, self.potentials, self.speed, self.until)
+
+    def __repr__(self) -> str:
+        return f"CableTemplate({self.cell}, until={self.until:g} ms, {self.digest[:12]})"
+
+    @cached_property
+    def _record(self) -> CubicSpline:
+        return CubicSpline(self.times, self.potentials)
+
+    @cached_property
+    def _window(self) -> CubicSpline:
+        """The primitive of the record's U′ times a window, as a spline through its knots."""
+        begin, end = self.span
+        inside = self.times[(self.times > begin) & (self.times < end)]
+        knots = np.concatenate([[begin], inside, [end]])
+        node, weight = np.polynomial.legendre.leggauss(
+            3
+        )  # exact: U′ is quadratic, the window cubic
+        width = np.diff(knots)
+        at = knots[:-1, None] + width[:, None] * (node + 1) / 2
+        opened = _smoothstep((at - begin) / OPENING)
+        window = opened * _smoothstep((end - at) / TAPER)
+        rise = (self._record(at, 1) * window) @ weight * width / 2
+        values = self._record(begin) + np.concatenate([[0.0], np.cumsum(rise)])
+        return CubicSpline(knots, values, bc_type="clamped")
+
+
+def _smoothstep(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """0 below 0, 1 above 1, and the cubic 3x² − 2x³ between."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))
+
+
+def make_template(cell: str = DEFAULT_CELL, until: float = UNTIL) -> CableTemplate:
+    """Simulate a cable and take its template.
+
+    Parameters
+    ----------
+    cell : str
+        ``"endocardial"``, ``"midmyocardial"`` or ``"epicardial"``.
+    until : float
+        When U stops (ms after the maximum upstroke).
+    """
+    return template_of(simulate_cable(cell), cell, until)
+
+
+def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate:
+    """The template in a cable's record."""
+    times = run.time - max_upstroke(run.time, run.potential)[1]
+    kept = _thinned(times)
+    return CableTemplate(cell, kept, CubicSpline(times, run.potential)(kept), run.speed, until)
+
+
+def _thinned(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times at which a record is kept, so that it is small enough to go along with every task."""
+    edges = np.clip([-np.inf, *FROM, np.inf], times[0], times[-1])
+    parts = [
+        np.linspace(begin, end, int(np.ceil((end - begin) / step)), endpoint=False)
+        for begin, end, step in zip(edges[:-1], edges[1:], EVERY, strict=True)
+    ]
+    return np.concatenate([*parts, edges[-1:]])

@@ -1,0 +1,1 @@
+"""Activation times of trees and myocardium, one eikonal problem."""

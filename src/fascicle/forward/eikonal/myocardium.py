@@ -1,0 +1,301 @@
+"""What the sweep needs of the myocardium; computed once per heart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from fascicle.forward.eikonal.ray_travel_times import Around, Told, build_table, grouped
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.heart import Heart
+from fascicle.kernels.arrays import FACES, Mesh, Table
+from fascicle.kernels.ray import ACROSS
+from fascicle.mesh.topology import boundary_triangles
+
+ON_SURFACE = 0.25  # edges of the mesh: what lies on an endocardium is no further from it
+CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
+EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+
+
+@dataclass(frozen=True)
+class Site:
+    """Points of the myocardium: where they lie, in which element.
+
+    Attributes
+    ----------
+    positions : (n, 3) array
+        Positions in the tissue (mm).
+    elements : (n,) array
+        Tetrahedron of each; -1 where it does not conduct.
+    triangles : (n,) array
+        The boundary triangle that is nearest to each.
+    distances : (n,) array
+        How far the points asked for are from these (mm).
+    """
+
+    positions: NDArray[np.float64]
+    elements: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    distances: NDArray[np.float64]
+
+    def joined_with(self, other: Site) -> Site:
+        """These points and, after them, the others."""
+        return Site(
+            np.concatenate([self.positions, other.positions]),
+            np.concatenate([self.elements, other.elements]),
+            np.concatenate([self.triangles, other.triangles]),
+            np.concatenate([self.distances, other.distances]),
+        )
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """The myocardium as the sweep and the ECG want it.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Geometry, metric and adjacency of what conducts, renumbered.
+    table : Table
+        Straight ways from the endocardia.
+    order : (n,) array
+        The heart's vertex that each vertex of `mesh` is.
+    conducts : (m,) bool array
+        Which tetrahedra of `mesh` conduct.
+    surface, owner : (b, 3) and (b,) arrays
+        Boundary triangles of the whole tissue, in the numbers of `mesh`, and the tetrahedron of
+        each.
+    tree : igl.AABB
+        Finds the nearest boundary triangle.
+    remembered : dict
+        The points that were looked for last, and what is around them: a scenario's stimuli are the
+        same for every network.
+    """
+
+    mesh: Mesh
+    table: Table
+    order: NDArray[np.int64]
+    conducts: NDArray[np.bool_]
+    surface: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    tree: igl.AABB
+    remembered: dict[bytes, tuple[Site, Around]] = field(default_factory=dict)
+
+    def on_surface(self, points: NDArray[np.float64]) -> Site:
+        """Nearest points of the tissue's surface to `points` of shape (n, 3) in mm."""
+        square, triangle, nearest = self.tree.squared_distance(
+            self.mesh.vertices, self.surface, np.ascontiguousarray(points)
+        )
+        elements = self.owner[triangle]
+        elements = np.where(self.conducts[elements], elements, -1)
+        return Site(np.asarray(nearest), elements, np.asarray(triangle), np.sqrt(square))
+
+    def inside(self, points: NDArray[np.float64]) -> Site:
+        """The same points where they lie in the tissue, else the nearest of its surface."""
+        site = self.on_surface(points)
+        if not len(points):
+            return site
+        positions, elements, distances = site.positions.copy(), site.elements, site.distances
+        corners, cells = self.mesh.corners.astype(np.int64), igl.AABB()
+        cells.init(self.mesh.vertices, corners)
+        for k, point in enumerate(points):
+            around = np.array(cells.find(self.mesh.vertices, corners, point), dtype=np.int64)
+            if around.size:
+                conducting = around[self.conducts[around]]
+                elements[k] = conducting[0] if conducting.size else -1
+                positions[k], distances[k] = point, 0.0
+        return Site(positions, elements, site.triangles, distances)
+
+
+def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = None) -> Tissue:
+    """Precompute metric, squared travel times, adjacency and straight ways of a heart's tissue.
+
+    Vertices and elements are renumbered along the mesh, so that what is near in space is near in
+    memory; `Tissue.order` leads back.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    conduction : Conduction
+        Conductivities and speeds of its myocardium, and regions where they differ.
+    progress : callable, optional
+        Told how many of how many triangles have their straight ways, if that takes a while.
+    """
+    order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    vertices, renumbered = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
+    place = np.argsort(renumbered.min(axis=1), kind="stable")
+    corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)
+    scale = conduction.scale(heart)[place]
+    conducts = scale > 0
+    cells, solver, least = _elements(
+        vertices, corners, heart.fibres[place], np.where(conducts, scale, 1.0), conduction
+    )
+    across = cells.view(np.int32)
+    across[:, ACROSS : ACROSS + 4] = _face_neighbours(corners, conducts)
+    start, star = _stars(corners, conducts, len(vertices))
+    tetrahedron, corner = star >> 2, star & 3
+    mesh = Mesh(
+        vertices,
+        corners,
+        cells,
+        across,
+        solver,
+        start,
+        np.column_stack([corners[tetrahedron[:, None], FACES[corner]], star]),
+        least[tetrahedron, corner],
+        *_edges(corners[conducts], solver[conducts, 6:], len(vertices)),
+        slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
+    )
+    surface, owner = boundary_triangles(corners)
+    tree = find_on_surface(vertices, surface)
+    endocardia = _triangles_at(heart, vertices, surface, tree)
+    endocardia = endocardia[conducts[owner[endocardia]]]
+    table = build_table(mesh, surface, owner, endocardia, progress)
+    return Tissue(mesh, table, order, conducts, surface, owner, tree)
+
+
+def _elements(
+    vertices: NDArray[np.float64],
+    corners: NDArray[np.int32],
+    fibres: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    conduction: Conduction,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
+    """`Mesh.cells` but for the neighbours, `Mesh.solver`, and `Mesh.least` by corner (m, 4)."""
+    count = len(corners)
+    cells, solver = np.zeros((count, 24)), np.empty((count, 12))
+    least = np.empty((count, 4), np.float32)
+    one, other = np.array(EDGES).T
+    for first in range(0, count, CHUNK):
+        part = slice(first, first + CHUNK)
+        points = vertices[corners[part]]
+        metric = conduction.metric(fibres[part]) / scale[part, None, None]
+        gradients = barycentric_gradients(vertices, corners[part])
+        cells[part, :12] = np.swapaxes(gradients, 1, 2).reshape(-1, 12)
+        cells[part, 12:16] = -np.einsum("mki,mi->mk", gradients, points[:, 0])
+        cells[part, 12] += 1
+        cells[part, 16:22] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        steered = np.einsum("mij,mkj->mki", np.linalg.inv(metric), gradients)
+        solver[part, :6] = np.einsum("mei,mei->me", gradients[:, one], steered[:, other])
+        edges = points[:, other] - points[:, one]
+        solver[part, 6:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
+        least[part] = _rounded_down(_reach(solver[part, 6:]).min(axis=2))
+    return cells, solver, least
+
+
+def _edges(
+    corners: NDArray[np.int32], squares: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """The vertices that share an edge with each, and the least travel times to them."""
+    one, other = np.array(EDGES).T
+    tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
+    head = np.concatenate([corners[:, other], corners[:, one]]).ravel()
+    pair = tail * count + head
+    order = np.argsort(pair, kind="stable")
+    first = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    least = np.minimum.reduceat(np.tile(squares.ravel(), 2)[order], first)
+    edge = order[first]
+    start = np.concatenate([[0], np.cumsum(np.bincount(tail[edge], minlength=count))])
+    return start, head[edge], np.sqrt(least)
+
+
+def _triangles_at(
+    heart: Heart, vertices: NDArray[np.float64], surface: NDArray[np.int64], tree: igl.AABB
+) -> NDArray[np.int64]:
+    """The boundary triangles that the endocardia lie on.
+
+    Those with their centre near an endocardium, and those nearest to its vertices and triangles.
+    """
+    centres = vertices[surface].mean(axis=1)
+    found = []
+    for endocardium in heart.endocardia:
+        square, _, _ = find_on_surface(
+            endocardium.vertices, endocardium.triangles
+        ).squared_distance(endocardium.vertices, endocardium.triangles, centres)
+        found.append(np.flatnonzero(square < (ON_SURFACE * heart.edge_length) ** 2))
+        corners = endocardium.vertices[endocardium.triangles]
+        sides = (corners + np.roll(corners, 1, axis=1)) / 2
+        points = [corners.reshape(-1, 3), sides.reshape(-1, 3), corners.mean(axis=1)]
+        found.append(tree.squared_distance(vertices, surface, np.concatenate(points))[1])
+    return np.unique(np.concatenate(found))
+
+
+def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -> igl.AABB:
+    """Search tree that finds the nearest of a surface's triangles."""
+    tree = igl.AABB()
+    tree.init(vertices, surface)
+    return tree
+
+
+def barycentric_gradients(
+    vertices: NDArray[np.float64], corners: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Gradients of the four barycentric coordinates of each tetrahedron (1/mm), (m, 4, 3)."""
+    edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
+    inner = np.swapaxes(np.linalg.inv(edges), 1, 2)
+    return np.ascontiguousarray(np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1))
+
+
+def _stars(
+    corners: NDArray[np.int32], conducts: NDArray[np.bool_], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """The conducting tetrahedra of each vertex as 4·tetrahedron + corner, and where they start."""
+    flat = np.flatnonzero(np.repeat(conducts, 4))  # flat index = 4·tetrahedron + corner
+    start, order = grouped(corners.ravel()[flat], count)
+    return start, flat[order].astype(np.int32)
+
+
+def _rounded_down(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Single precision, never above the value."""
+    single = values.astype(np.float32)
+    return np.nextafter(single, np.float32(-np.inf))
+
+
+def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least delay (ms) between a corner and another one that is reached through it; (m, 4, 3).
+
+    A front that comes to corner x from direction v, through the face that corner s belongs to,
+    reaches x later than s by the projection of the edge from s to x on v, in the metric. Its least
+    value over the face's cone of directions is on one of its edges, or inside the side that is
+    opposite to s where the projection on that side's plane points away from it.
+    """
+    square = np.zeros((len(squares), 4, 4))
+    for k, (i, j) in enumerate(EDGES):
+        square[:, i, j] = square[:, j, i] = squares[:, k]
+    least = np.empty((len(squares), 4, 3))
+    for s in range(4):
+        for turn, x in enumerate(FACES[s]):
+            j, k = (c for c in FACES[s] if c != x)
+            ss, jj, kk = square[:, s, x], square[:, j, x], square[:, k, x]
+            sj, sk = (ss + jj - square[:, s, j]) / 2, (ss + kk - square[:, s, k]) / 2
+            jk = (jj + kk - square[:, j, k]) / 2
+            on_edges = np.minimum(np.sqrt(ss), np.minimum(sj / np.sqrt(jj), sk / np.sqrt(kk)))
+            det = jj * kk - jk * jk
+            along_j, along_k = (sj * kk - sk * jk) / det, (sk * jj - sj * jk) / det
+            away = (along_j <= 0) & (along_k <= 0)
+            projection = np.sqrt(np.maximum(along_j * sj + along_k * sk, 0))
+            least[:, s, turn] = np.where(away, -projection, on_edges)
+    return least
+
+
+def _links(edges: NDArray[np.int64], count: int) -> sp.csr_array:
+    """Which vertices share an edge, as a symmetric pattern."""
+    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
+    ones = np.ones(len(rows), dtype=np.int8)
+    return sp.coo_array((ones, (rows, columns)), shape=(count, count)).tocsr()
+
+
+def _face_neighbours(corners: NDArray[np.int32], conducts: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Tetrahedron across the face opposite each corner, -1 where none conducts; shape (m, 4)."""
+    faces = np.asarray(igl.tet_tet_adjacency(corners.astype(np.int64))[0])
+    neighbours = faces[:, [2, 3, 1, 0]]  # libigl's faces are 012, 013, 123, 203
+    neighbours[(neighbours >= 0) & ~conducts[neighbours]] = -1
+    return neighbours.astype(np.int32)

@@ -1,0 +1,203 @@
+"""Scenario files: TOML with stimuli, slow or blocked segments, delays, regions, extra trees."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
+from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.heart.conduction import Region
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.purkinje.tree_files import read_tree
+
+FURTHEST_ROOT = 5.0  # mm; a root further from the free ends of its tree is a mistake
+# What lies outside is a slip of units, and would make an ECG of hours
+LATEST = 10_000.0  # ms
+SLOWEST, FASTEST = 0.01, 100.0  # factors on speed; on conductivity their squares
+LONGEST_VALUE = 60  # characters of a wrong value that are shown
+
+
+def _zero_or_between(least: float, most: float) -> Callable[[float], float]:
+    def check(value: float) -> float:
+        if value != 0 and not least <= value <= most:
+            raise ValueError
+        return value
+
+    return check
+
+
+def _delay_or_block(value: float) -> float:
+    if not 0 <= value <= LATEST and value != math.inf:
+        raise ValueError
+    return value
+
+
+Number = Annotated[float, Strict()]
+Point = tuple[Number, Number, Number]
+Time = Annotated[Number, Field(ge=-LATEST, le=LATEST)]
+Radius = Annotated[Number, Field(gt=0)]
+SpeedFactor = Annotated[Number, AfterValidator(_zero_or_between(SLOWEST, FASTEST))]
+ConductivityFactor = Annotated[Number, AfterValidator(_zero_or_between(SLOWEST**2, FASTEST**2))]
+Delay = Annotated[Number, AfterValidator(_delay_or_block)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]  # files are named after it
+
+POINT = "a point [x, y, z] (mm)"
+TIME = f"a number from {-LATEST:g} to {LATEST:g} (ms)"
+DELAY = f"a number from 0 to {LATEST:g} (ms), or inf (block)"
+NEEDED = {
+    "time": TIME,
+    "position": POINT,
+    "centre": POINT,
+    "root": POINT,
+    "radius": "a number above 0 (mm)",
+    "tree": "the name of a tree, in quotes",
+    "part": "'bundle', 'fascicle 1', 'fascicle 2', …",
+    "speed": f"a factor: 0 (block), or {SLOWEST:g} to {FASTEST:g}",
+    "conductivity": f"a factor: 0 (scar), or {SLOWEST**2:g} to {FASTEST**2:g}",
+    "label": "a whole number",
+    "name": "made of letters, digits, '-' and '_'",
+    "file": "a path in quotes",
+    "orthodromic": DELAY,
+    "antidromic": DELAY,
+    "silent": "a list of names of trees, such as ['lv']",
+    "delay": "one table: [delay]",
+}
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Stimulus(_Table):
+    time: Time
+    position: Point
+    tree: str | None = None
+
+
+class _Slowing(_Table):
+    tree: str
+    speed: SpeedFactor
+    part: str | None = None
+    centre: Point | None = None
+    radius: Radius | None = None
+
+
+class _Region(_Table):
+    conductivity: ConductivityFactor
+    label: Annotated[int, Strict()] | None = None
+    centre: Point | None = None
+    radius: Radius | None = None
+
+
+class _Tree(_Table):
+    name: Name
+    file: Path
+    time: Time
+    root: Point
+
+
+class _Delay(_Table):
+    model_config = ConfigDict(allow_inf_nan=True)  # inf blocks
+    orthodromic: Delay = 0.0
+    antidromic: Delay = 0.0
+
+
+class _File(_Table):
+    stimulus: list[_Stimulus] = []
+    slowing: list[_Slowing] = []
+    region: list[_Region] = []
+    tree: list[_Tree] = []
+    silent: list[str] = []
+    delay: _Delay = _Delay()
+
+
+TABLES: dict[str, type[_Table]] = {
+    "stimulus": _Stimulus,
+    "slowing": _Slowing,
+    "region": _Region,
+    "tree": _Tree,
+    "delay": _Delay,
+}
+
+
+def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
+    """Read a scenario, and the regions of the myocardium that conduct otherwise in it.
+
+    Files of trees are looked for beside the scenario.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not TOML, holds an unknown key or a wrong value, or a tree in it
+        cannot be read.
+    """
+    path = Path(path)
+    check_file(path, (".toml",), "scenario")
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a mark
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
+        raise InputError(f"{path}: not valid TOML ({error}); see docs/files.md") from None
+    try:
+        content = _File.model_validate(values)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_complaint(error, values)}; see docs/files.md") from None
+    try:
+        trees = tuple((_read_tree(tree, path.parent), tree.time) for tree in content.tree)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    scenario = Scenario(
+        stimuli=tuple(Stimulus(**dict(s)) for s in content.stimulus),
+        slowings=tuple(Slowing(**dict(s)) for s in content.slowing),
+        silent=tuple(content.silent),
+        orthodromic_delay=content.delay.orthodromic,
+        antidromic_delay=content.delay.antidromic,
+        trees=trees,
+        source=str(path),
+    )
+    regions = (Region(**dict(region), source=str(path)) for region in content.region)
+    return scenario, tuple(regions)
+
+
+def _read_tree(table: _Tree, folder: Path) -> PurkinjeTree:
+    root = np.array(table.root)
+    tree = read_tree(folder / table.file, table.name, root)
+    distance = float(np.linalg.norm(tree.nodes[tree.root] - root))
+    if distance > FURTHEST_ROOT:
+        raise InputError(
+            f"tree '{table.name}': 'root' is {list(table.root)}, {distance:.1f} mm from the "
+            f"nearest free end in {table.file}; give the position of the end that fires (mm)"
+        )
+    return tree
+
+
+def _complaint(error: ValidationError, values: dict[str, Any]) -> str:
+    """Say which table, counted from 1, which key, the value found and what is needed."""
+    errors = error.errors(include_url=False)
+    unknown = [e for e in errors if e["type"] == "extra_forbidden"]  # it explains what is missing
+    first = (unknown + errors)[0]
+    location = first["loc"]
+    *tables, key = (step for step in location if isinstance(step, str))
+    number = next((step for step in location if isinstance(step, int)), None)
+    where, known, found = "", _File.model_fields, values
+    if tables:
+        table = tables[0]
+        where, known, found = f"{table}: ", TABLES[table].model_fields, values[table]
+        if number is not None:
+            where, found = f"{table} {number + 1}: ", values[table][number]
+    if first["type"] == "extra_forbidden":
+        return f"{where}unknown key '{key}'; known: {', '.join(known)}"
+    needed = NEEDED.get(key) if tables or key not in TABLES or key == "delay" else None
+    needed = needed if needed is not None else f"in double brackets: [[{key}]]"
+    if key not in found:
+        return f"{where}'{key}' is missing; it must be {needed}"
+    value = repr(found[key])
+    shown = value if len(value) <= LONGEST_VALUE else value[:LONGEST_VALUE] + " …"
+    return f"{where}'{key}' is {shown}; it must be {needed}"

@@ -1,0 +1,247 @@
+"""The files of one simulation: activation, trees, ECG, summary."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_folder, write_text
+from fascicle.core.parameter_files import read_parameters
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.ecg_files import write_ecg
+from fascicle.forward.model import ForwardModel, Simulation
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.heart import Heart
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.vtk import write_grid
+from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.purkinje.tree_files import read_tree, write_tree
+
+FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
+# What lies outside is a slip of units or sign; the ranges that are searched are narrower.
+PLAUSIBLE = {
+    "angle": (-2 * math.pi, 2 * math.pi, "rad"),
+    "cv": (0.1, 20.0, "m/s"),
+    "root_time": (-1000.0, 1000.0, "ms"),
+}
+
+
+def simulate_inputs(
+    make_model: Callable[[], ForwardModel],
+    params: Path | None = None,
+    lv_tree: Path | None = None,
+    rv_tree: Path | None = None,
+    cv: float | None = None,
+    root_time: float | None = None,
+    scenario: Scenario | None = None,
+) -> tuple[Simulation, dict[str, object]]:
+    """Run the forward model on what the user gave: a parameter file, or two trees.
+
+    `make_model` is called once the parameters are known to be good: a large heart takes a while.
+
+    Returns
+    -------
+    simulation : Simulation
+    inputs : dict
+        What was simulated, for the summary.
+
+    Raises
+    ------
+    InputError
+        If files cannot be used, one tree is missing, or the parameters give no tree.
+    """
+    given = {"cv": cv, "root_time": root_time}
+    overrides = {name: value for name, value in given.items() if value is not None}
+    for name, value in overrides.items():
+        _check_plausible("--" + name.replace("_", "-"), name, value)
+    if lv_tree is None and rv_tree is None:
+        parameters = read_parameters(params) if params is not None else dict(EXAMPLE_PARAMETERS)
+        parameters |= overrides
+        source = str(params) if params is not None else "example parameters"
+        for name, value in parameters.items():
+            _check_plausible(source, name, value)
+        model = make_model()
+        with _naming(scenario):
+            _check_trees(scenario, model)
+            outcome = model.simulate(parameters, scenario)
+        if isinstance(outcome, InvalidTree):
+            raise InputError(f"{source}: {outcome.reason}; shorten it")
+        return outcome, {"parameters": parameters}
+    if params is not None:
+        raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
+    if lv_tree is None or rv_tree is None:
+        raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
+    defaults = {name: EXAMPLE_PARAMETERS[name] for name in given}
+    physics = defaults | overrides
+    trees, model = [], make_model()
+    for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
+        tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
+        _check_at_tissue(str(path), model, tree)
+        _check_side(path, model.heart, tree)
+        trees.append(tree)
+    files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
+    with _naming(scenario):
+        _check_trees(scenario, model)
+        simulation = model.activate(trees, physics["root_time"], physics["cv"], scenario)
+    return simulation, files | physics
+
+
+@contextmanager
+def _naming(scenario: Scenario | None) -> Iterator[None]:
+    """Name the scenario's file where it does not fit; what else is wrong was refused before."""
+    try:
+        yield
+    except InputError as error:
+        if scenario is None or scenario.source is None:
+            raise
+        raise InputError(f"{scenario.source}: {error}") from None
+
+
+def _check_trees(scenario: Scenario | None, model: ForwardModel) -> None:
+    for tree, _ in () if scenario is None else scenario.trees:
+        _check_at_tissue(f"tree '{tree.side}'", model, tree)
+
+
+def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None:
+    distances = model.tissue.on_surface(tree.nodes[tree.junctions]).distances
+    if distances.max() > FURTHEST_JUNCTION:
+        raise InputError(
+            f"{what}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "
+            f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
+            "give the tree in the heart's frame, in mm"
+        )
+
+
+def _check_plausible(source: str, name: str, value: float) -> None:
+    """Refuse values that no heart has, and that would cost hours or gigabytes."""
+    if "_length" in name:
+        plausible, needed = 0 < value < math.inf, "positive (mm)"
+    else:
+        lower, upper, unit = PLAUSIBLE["angle" if "_angle" in name else name]
+        plausible, needed = lower <= value <= upper, f"between {lower:g} and {upper:g} {unit}"
+    if not plausible:
+        raise InputError(f"{source}: parameter '{name}' is {value:g}; it must be {needed}")
+
+
+def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
+    """Refuse a tree that lies on the other ventricle's endocardium."""
+    own, other = (heart.lv, heart.rv) if tree.side == "lv" else (heart.rv, heart.lv)
+    to_own, to_other = (
+        float(np.median(cKDTree(endocardium.vertices).query(tree.nodes)[0]))
+        for endocardium in (own, other)
+    )
+    if to_other < to_own:
+        raise InputError(
+            f"{path}: given as the {tree.side.upper()} tree, but lies {to_own:.1f} mm (median) "
+            f"from the {own.side.upper()} endocardium and {to_other:.1f} mm from the "
+            f"{other.side.upper()} one; swap the two trees"
+        )
+
+
+def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
+    """Say a few numbers about a simulation, as written to `summary.json`."""
+    sides: dict[str, object] = {}
+    for tree, times, antidromic, distance in zip(
+        simulation.trees,
+        simulation.coupled.trees,
+        simulation.coupled.antidromic,
+        simulation.coupled.junction_distances,
+        strict=True,
+    ):
+        fired = np.isfinite(times[tree.junctions])
+        sides[tree.side] = {
+            "nodes": len(tree.nodes),
+            "length_mm": round(float(tree.lengths.sum()), 3),
+            "junctions": len(tree.junctions),
+            "antidromic_junctions": int(antidromic.sum()),
+            "silent_junctions": int((~fired).sum()),
+            "largest_junction_distance_mm": round(float(distance.max(initial=0.0)), 4),
+        }
+    return {
+        "heart": heart.name,
+        "heart_sha256": heart.digest,
+        "inputs": inputs,
+        "qrs_duration_ms": simulation.qrs_duration,
+        "total_activation_time_ms": round(simulation.total_activation_time, 3),
+        "unreached_vertices": int(simulation.unreached.sum()),
+        "unreached_volume_ml": round(unreached_volume(heart, simulation), 4),
+        "trees": sides,
+    }
+
+
+def unreached_volume(heart: Heart, simulation: Simulation) -> float:
+    """Volume of the elements that no front reaches whole, which the ECG leaves out (ml)."""
+    untouched = simulation.unreached[heart.tetrahedra].any(axis=1)
+    return float(heart.volumes[untouched].sum()) / 1000
+
+
+def write_simulation(
+    heart: Heart, simulation: Simulation, folder: Path, inputs: dict[str, object]
+) -> dict[str, Any]:
+    """Write a simulation's folder, whole or not at all; returns the summary."""
+    content = summary(heart, simulation, inputs)
+    with atomic_folder(folder) as temporary:
+        write_activation(temporary / "activation.vtu", heart, simulation)
+        for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
+            write_tree(temporary / f"{tree.side}_tree.vtu", tree, times)
+        write_text(temporary / "sites.csv", sites_table(simulation))
+        write_ecg(temporary / "ecg.csv", simulation.ecg)
+        write_text(temporary / "summary.json", json.dumps(content, indent=2) + "\n")
+    return content
+
+
+def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
+    """Write the activation map (ms) and its origins on the heart's mesh, with the fibres."""
+    points: dict[str, NDArray[Any]] = {
+        "activation": simulation.activation,
+        "origin": simulation.coupled.origin,
+    }
+    write_grid(
+        path,
+        heart.vertices,
+        heart.tetrahedra,
+        TETRAHEDRON,
+        point_data=points,
+        cell_data={"fibre": heart.fibres},
+    )
+
+
+def sites_table(simulation: Simulation) -> str:
+    """Say as CSV what fired what: a row a junction, then a row a stimulus in the myocardium."""
+    lines = ["site,kind,tree,node,x_mm,y_mm,z_mm,time_ms,fired,entered_by"]
+    coupled, site = simulation.coupled, 0
+    for tree, times, antidromic, entered_by in zip(
+        simulation.trees, coupled.trees, coupled.antidromic, coupled.entered_by, strict=True
+    ):
+        for node, backwards, by in zip(tree.junctions, antidromic, entered_by, strict=True):
+            how = "antidromic" if backwards else "orthodromic"
+            lines.append(
+                f"{site},junction,{tree.side},{node},{_position(tree.nodes[node])},"
+                f"{_time(times[node])},{how if np.isfinite(times[node]) else 'never'},"
+                f"{by if backwards else ''}"
+            )
+            site += 1
+    for position, time, captured in zip(
+        coupled.stimuli, coupled.stimulus_times, coupled.captured, strict=True
+    ):
+        how = "captured" if captured else "came too late"
+        lines.append(f"{site},stimulus,,,{_position(position)},{_time(time)},{how},")
+        site += 1
+    return "\n".join(lines) + "\n"
+
+
+def _position(point: NDArray[np.float64]) -> str:
+    return ",".join(f"{x:.4f}" for x in point)
+
+
+def _time(time: float) -> str:
+    return f"{time:.4f}" if np.isfinite(time) else ""

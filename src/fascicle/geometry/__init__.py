@@ -1,1 +1,0 @@
-"""The heart: tissue, endocardia, electrodes, and their validation."""

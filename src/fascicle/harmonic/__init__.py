@@ -1,1 +1,0 @@
-"""Endocardium to unit disk: the chart in which trees grow."""

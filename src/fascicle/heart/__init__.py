@@ -1,0 +1,1 @@
+"""The heart, its parts, and the folder it is kept in."""

@@ -1,0 +1,63 @@
+"""Labels of a heart's boundary, from its endocardia."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.heart.endocardium import long_axis
+from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.topology import boundary_loops
+
+ON_ENDOCARDIUM = 0.35  # mean edges; a triangle whose middle is no further from one lies on it
+SAME_WAY = 0.5  # cosine; it faces the way the endocardium does
+FACING_BASE = 0.5  # cosine; a triangle that faces so much away from the apex may be base
+BELOW_RIM = 0.15  # of the way from base to apex; none further down is
+
+
+def labelled_mesh(heart: Heart) -> LabelledMesh:
+    """Tell base, epicardium and endocardia apart on a heart whose endocardia are known.
+
+    The base is what faces away from the apex, at the level of the endocardia's rims.
+
+    Parameters
+    ----------
+    heart : Heart
+        Its endocardia need not be in register with the mesh.
+    """
+    triangles = outward_triangles(heart)
+    middle = heart.vertices[triangles].mean(axis=1)
+    normals = triangle_normals(heart.vertices, triangles)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    labels = np.full(len(triangles), int(Label.EPICARDIUM))
+    labels[_basal(heart, middle, normals)] = Label.BASE
+    reach = ON_ENDOCARDIUM * heart.edge_length
+    sides = {Label.LV_ENDOCARDIUM: heart.lv, Label.RV_ENDOCARDIUM: heart.rv}
+    for label, endocardium in sides.items():
+        square, face, _ = igl.point_mesh_squared_distance(
+            middle, endocardium.vertices, endocardium.triangles
+        )
+        theirs = triangle_normals(endocardium.vertices, endocardium.triangles)[face]
+        theirs /= np.linalg.norm(theirs, axis=1, keepdims=True)
+        # across a thin wall the other side is near too, but faces away; the base faces sideways
+        same = np.einsum("ij,ij->i", normals, theirs) > SAME_WAY
+        labels[same & (np.asarray(square) < reach**2)] = label
+    return LabelledMesh(
+        heart.vertices, heart.tetrahedra, triangles, labels, heart.regions, heart.name
+    )
+
+
+def _basal(
+    heart: Heart, middle: NDArray[np.float64], normals: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which triangles face away from the apex near the rims of the endocardia."""
+    rims = [e.vertices[boundary_loops(e.triangles)[0]] for e in heart.endocardia]
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    length = float(np.linalg.norm(base - apex))
+    up = (base - apex) / length
+    lowest = min(float(((rim - apex) @ up).min()) for rim in rims)
+    high = (middle - apex) @ up > lowest - BELOW_RIM * length
+    return np.asarray(high & (normals @ up > FACING_BASE))

@@ -1,0 +1,166 @@
+"""Conductivities of the tissues, and the front speeds that follow from the myocardium's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.heart.heart import Heart
+
+# α² G is (cm/ms)²; speeds here are in mm/ms
+MM2_PER_CM2 = 100.0
+
+
+@dataclass(frozen=True)
+class Region:
+    """Part of the myocardium that conducts otherwise; give a label, or a sphere.
+
+    Attributes
+    ----------
+    conductivity : float
+        Factor on all its conductivities, so that speeds change by its root; 0 for scar that does
+        not conduct.
+    label : int, optional
+        The elements with this label in `Heart.regions`.
+    centre : (x, y, z), optional
+        Centre of a sphere (mm).
+    radius : float, optional
+        The elements whose centroid lies within this distance (mm) of it.
+    source : str, optional
+        Where it was read from, for messages.
+    """
+
+    conductivity: float
+    label: int | None = None
+    centre: tuple[float, float, float] | None = None
+    radius: float | None = None
+    source: str | None = field(default=None, repr=False, compare=False)
+
+    def elements(self, heart: Heart) -> NDArray[np.bool_]:
+        """Which tetrahedra belong to it, shape (m,).
+
+        Raises
+        ------
+        InputError
+            If it says nothing or two things about where it is, or holds no element.
+        """
+        given = [value is not None for value in (self.label, self.centre, self.radius)]
+        if given not in ([True, False, False], [False, True, True]):
+            raise InputError(f"{self.name}: give either a label, or a centre and a radius")
+        if not 0 <= self.conductivity < np.inf:
+            raise InputError(
+                f"{self.name}: conductivity {self.conductivity:g} is a factor; give 0 or more"
+            )
+        if self.label is not None:
+            if heart.regions is None:
+                raise InputError(
+                    f"{self.name}: the heart has no labels; import it from a mesh with the cell "
+                    "array 'region', or give a centre and a radius"
+                )
+            inside = heart.regions == self.label
+            known = f"the heart's labels are {', '.join(map(str, np.unique(heart.regions)))}"
+        else:
+            centroids = heart.vertices[heart.tetrahedra].mean(axis=1)
+            distance = np.linalg.norm(centroids - np.asarray(self.centre), axis=1)
+            inside = distance <= self.radius
+            known = f"the nearest is {distance.min():.1f} mm from its centre"
+        if not inside.any():
+            raise InputError(f"{self.name} holds no element; {known}")
+        return np.asarray(inside)
+
+    @property
+    def name(self) -> str:
+        """What to call it in messages."""
+        origin = f"{self.source}: " if self.source is not None else ""
+        where = f"at {self.centre}" if self.label is None else f"{self.label}"
+        return f"{origin}region {where}"
+
+
+@dataclass(frozen=True)
+class Conduction:
+    """Bidomain conductivities along (l) and across (t) the fibre, and the speed constant α.
+
+    Attributes
+    ----------
+    intracellular_l, intracellular_t, extracellular_l, extracellular_t : float
+        Conductivities (mS/cm).
+    alpha : float
+        α (cm·ms⁻¹·(mS/cm)^-½): D = α² Gᵢ(Gᵢ+Gₑ)⁻¹Gₑ; 0.05 to 0.1 in the paper's patients.
+    torso : float
+        Conductivity of the unbounded volume conductor (mS/cm), for hearts without a torso mesh;
+        about that of the torso as a whole, lungs included. A torso mesh has the next three instead.
+    body : float
+        Conductivity of what is neither lung nor blood around the heart (mS/cm); 2.39 is that of the
+        homogeneous torso of Klepfer, Johnson and MacLeod (IEEE Trans. Biomed. Eng. 44, 1997,
+        706-719), the mean over its tissues.
+    lung, blood : float
+        Conductivities (mS/cm); 0.389 and 7.0 are those of inflated lung and of blood at 10 Hz in
+        the parametric model of Gabriel, Lau and Gabriel (Phys. Med. Biol. 41, 1996, 2271-2293).
+    regions : tuple of Region
+        Where the myocardium conducts otherwise; where they overlap the last one counts.
+    """
+
+    intracellular_l: float = 3.0
+    intracellular_t: float = 0.3
+    extracellular_l: float = 3.0
+    extracellular_t: float = 1.2
+    alpha: float = 0.05
+    torso: float = 2.0
+    body: float = 2.39
+    lung: float = 0.389
+    blood: float = 7.0
+    regions: tuple[Region, ...] = ()
+
+    def scale(self, heart: Heart) -> NDArray[np.float64]:
+        """Factor on all conductivities of each tetrahedron, shape (m,); 0 where none conducts."""
+        scale = np.ones(len(heart.tetrahedra))
+        for region in self.regions:
+            scale[region.elements(heart)] = region.conductivity
+        if not (scale > 0).any():
+            raise InputError("no tissue conducts; make the regions of conductivity 0 smaller")
+        return scale
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Front speed along and across the fibre (mm/ms)."""
+        along, across = np.sqrt(self._squared_speeds())
+        return float(along), float(across)
+
+    def _squared_speeds(self) -> tuple[float, float]:
+        """D along and across the fibre (mm²/ms²): scalars suffice, G's share their axes."""
+        pairs = (
+            (self.intracellular_l, self.extracellular_l),
+            (self.intracellular_t, self.extracellular_t),
+        )
+        along, across = (
+            MM2_PER_CM2 * self.alpha**2 * intra * extra / (intra + extra) for intra, extra in pairs
+        )
+        return along, across
+
+    def intracellular(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gᵢ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
+        return transversely_isotropic(fibres, self.intracellular_l, self.intracellular_t)
+
+    def bulk(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gᵢ + Gₑ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
+        return transversely_isotropic(
+            fibres,
+            self.intracellular_l + self.extracellular_l,
+            self.intracellular_t + self.extracellular_t,
+        )
+
+    def metric(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+        """D⁻¹ (ms²/mm²) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
+        along, across = self._squared_speeds()
+        return transversely_isotropic(fibres, 1 / along, 1 / across)
+
+
+def transversely_isotropic(
+    fibres: NDArray[np.float64], along: float, across: float
+) -> NDArray[np.float64]:
+    """Tensor `across`·I + (`along` − `across`)·f⊗f, shape (m, 3, 3)."""
+    dyads = fibres[:, :, None] * fibres[:, None, :]
+    return np.asarray(across * np.eye(3) + (along - across) * dyads)

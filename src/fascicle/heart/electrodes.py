@@ -1,0 +1,109 @@
+"""Electrode positions as CSV (name,x,y,z) or JSON ({"RA": [x, y, z], …}), in mm."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import check_file, write_text
+from fascicle.core.leads import ELECTRODES
+
+
+def read_electrodes(path: Path | str) -> NDArray[np.float64]:
+    """Read the nine electrode positions.
+
+    Returns
+    -------
+    (9, 3) array
+        In the order of `fascicle.core.leads.ELECTRODES` (mm).
+
+    Raises
+    ------
+    InputError
+        If the file is missing, a pickle or unreadable, or an electrode is missing, misnamed or not
+        at a finite position.
+    """
+    path = Path(path)
+    check_file(path, (".csv", ".json"), "electrodes")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; give electrodes as CSV or JSON") from None
+    rows = _rows_of_json(path, text) if path.suffix.lower() == ".json" else _rows_of_csv(path, text)
+    known = {name.upper(): name for name in ELECTRODES}
+    positions: dict[str, list[float]] = {}
+    for name, values in rows:
+        electrode = known.get(name.strip().upper())
+        if electrode is None:
+            raise InputError(
+                f"{path}: unknown electrode {name!r}; the nine are {', '.join(ELECTRODES)}"
+            )
+        if electrode in positions:
+            raise InputError(f"{path}: electrode {electrode} is given twice; keep one")
+        positions[electrode] = _position(path, electrode, values)
+    missing = [name for name in ELECTRODES if name not in positions]
+    if missing:
+        raise InputError(f"{path}: electrodes missing: {', '.join(missing)}; add their positions")
+    return np.array([positions[name] for name in ELECTRODES])
+
+
+def _rows_of_csv(path: Path, text: str) -> list[tuple[str, list[object]]]:
+    # strict, so that a quote that is never closed does not swallow the rest
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True, strict=True)
+    try:
+        return _rows(path, reader)
+    except csv.Error as error:
+        raise InputError(f"{path}: not a readable CSV table ({error}); correct it") from None
+
+
+def _rows(path: Path, reader: csv.DictReader[str]) -> list[tuple[str, list[object]]]:
+    header = [(name or "").strip().lower() for name in reader.fieldnames or []]
+    if not {"name", "x", "y", "z"} <= set(header):
+        raise InputError(
+            f"{path}: the first line is '{','.join(header)[:60]}'; it must be name,x,y,z"
+        )
+    reader.fieldnames = header
+    return [(row["name"] or "", [row["x"], row["y"], row["z"]]) for row in reader]
+
+
+def _rows_of_json(path: Path, text: str) -> list[tuple[str, list[object]]]:
+    try:
+        content = json.loads(text, object_pairs_hook=tuple)  # pairs, to see what is there twice
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON ({error}); correct it") from None
+    if not isinstance(content, tuple) or not all(isinstance(v, list) for _, v in content):
+        raise InputError(
+            f"{path}: the JSON is not one list of three numbers for every electrode; write it "
+            'as {"RA": [x, y, z], ...}'
+        )
+    return list(content)
+
+
+def _position(path: Path, name: str, values: list[object]) -> list[float]:
+    try:
+        position = [float(value) for value in values]  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        position = []
+    if any(isinstance(value, bool) for value in values):
+        position = []
+    if len(position) != 3 or not all(map(math.isfinite, position)):
+        raise InputError(f"{path}: electrode {name} is at {values}; give three finite numbers (mm)")
+    return position
+
+
+def write_electrodes(path: Path, electrodes: NDArray[np.float64]) -> None:
+    """Write electrode positions (9, 3) as CSV or, by the path's suffix, JSON (mm)."""
+    if path.suffix.lower() == ".json":
+        positions = dict(zip(ELECTRODES, np.asarray(electrodes).tolist(), strict=True))
+        write_text(path, json.dumps(positions, indent=1) + "\n")
+        return
+    lines = ["name,x,y,z"]
+    for name, position in zip(ELECTRODES, electrodes, strict=True):
+        lines.append(",".join([name, *(repr(float(x)) for x in position)]))
+    write_text(path, "\n".join(lines) + "\n")

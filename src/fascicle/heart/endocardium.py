@@ -1,0 +1,122 @@
+"""Endocardial surfaces: open at the base, one boundary loop, normals into the cavity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.mesh.measures import enclosed_volume, triangle_normals
+from fascicle.mesh.topology import boundary_loops
+
+
+@dataclass(frozen=True)
+class Endocardium:
+    """The endocardial surface of one ventricle and where its bundle enters.
+
+    Attributes
+    ----------
+    side : str
+        ``"lv"`` or ``"rv"``.
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices, counter-clockwise seen from inside the cavity.
+    root, direction : int
+        Vertex where the bundle starts, and one that it heads for.
+    valves : (m,) array, optional
+        Which triangles span a valve opening within the surface; no tissue lies under them, and
+        trees end at their rim.
+    """
+
+    side: str
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    root: int
+    direction: int
+    valves: NDArray[np.bool_] | None = None
+
+    @property
+    def area(self) -> float:
+        """Surface area (mm²)."""
+        return float(np.linalg.norm(triangle_normals(self.vertices, self.triangles), axis=1).sum())
+
+
+def oriented_into_cavity(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str
+) -> NDArray[np.int64]:
+    """Check that a surface is an endocardium and turn its triangles to face the cavity.
+
+    Parameters
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices, in any orientation.
+    name : str
+        What to call the surface in an error.
+
+    Returns
+    -------
+    (m, 3) array
+        The triangles, counter-clockwise seen from inside the cavity.
+
+    Raises
+    ------
+    InputError
+        If the surface is not one manifold piece with the topology of a disk.
+    """
+    _check_manifold(triangles, name)
+    oriented, pieces = igl.bfs_orient(triangles)
+    if pieces.max() > 0:
+        raise InputError(
+            f"{name}: the surface falls into {pieces.max() + 1} pieces; "
+            "keep the one that is the endocardium"
+        )
+    _check_disk(oriented, name)
+    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
+        oriented = oriented[:, ::-1]
+    return np.ascontiguousarray(oriented, dtype=np.int64)
+
+
+def _check_manifold(triangles: NDArray[np.int64], name: str) -> None:
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(edges, axis=0, return_counts=True)
+    bad = np.flatnonzero(count > 2)
+    if bad.size:
+        a, b = edges[bad[0]]
+        raise InputError(
+            f"{name}: {bad.size} non-manifold edges (first: {a}-{b}, shared by "
+            f"{count[bad[0]]} triangles); repair or remesh the surface"
+        )
+
+
+def _check_disk(triangles: NDArray[np.int64], name: str) -> None:
+    loops = boundary_loops(triangles)
+    if len(loops) != 1:
+        found = "no boundary loop (it is closed)" if not loops else f"{len(loops)} boundary loops"
+        raise InputError(
+            f"{name}: the surface has {found}; it must be open at the base, with exactly one"
+        )
+    edges = np.unique(
+        np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
+    )
+    euler = np.unique(triangles).size - len(edges) + len(triangles)
+    boundary = loops[0]
+    if euler != 1 or np.unique(boundary).size != boundary.size:
+        raise InputError(
+            f"{name}: the surface has handles or a pinched boundary (Euler characteristic "
+            f"{euler}, a disk has 1); repair or remesh it"
+        )
+
+
+def long_axis(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middle of an endocardium's opening, and its apex: the vertex furthest from there (mm)."""
+    base = vertices[boundary_loops(triangles)[0]].mean(axis=0)
+    apex = vertices[np.argmax(np.linalg.norm(vertices - base, axis=1))]
+    return np.asarray(base), np.asarray(apex)

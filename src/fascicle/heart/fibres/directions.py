@@ -1,0 +1,50 @@
+"""Fibre directions: from whatever they are given on to one unit vector per tetrahedron."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+
+# Points of two files are the same when they are this close, as a fraction of the mesh's extent:
+# room for single precision.
+MATCH = 1e-5
+
+
+def match_by_position(
+    name: str,
+    given: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    what: str,
+) -> NDArray[np.int64]:
+    """For every wanted position, the row of `given` at the same place.
+
+    Raises
+    ------
+    InputError
+        If a wanted position has none.
+    """
+    distance, row = cKDTree(given).query(wanted)
+    tolerance = MATCH * float(np.ptp(wanted, axis=0).max())
+    bad = np.flatnonzero(distance > tolerance)
+    if bad.size:
+        raise InputError(
+            f"{name}: no fibre within {tolerance:.2g} mm of {bad.size} of {len(wanted)} {what} of "
+            f"the mesh (largest gap {distance.max():.3g} mm); give fibres on the same mesh"
+        )
+    return np.asarray(row, dtype=np.int64)
+
+
+def average_to_tetrahedra(
+    fibres: NDArray[np.float64], tetrahedra: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Mean axis of each tetrahedron's four vertex fibres, shape (m, 3).
+
+    Fibres have no sign, so the mean is the principal axis of Σ f⊗f.
+    """
+    unit = fibres / np.linalg.norm(fibres, axis=1, keepdims=True)
+    corner = unit[tetrahedra]
+    _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", corner, corner))
+    return np.asarray(axes[:, :, -1])

@@ -1,0 +1,223 @@
+"""Laplace's equation on tetrahedra, with quadratic elements.
+
+A ventricular wall may be one tetrahedron thick. A linear element there has all its corners on the
+boundary, and is blind to the wall's curvature; a quadratic one has nodes inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import cg
+
+from fascicle.mesh.measures import signed_volumes
+
+if TYPE_CHECKING:
+    from pyamg.multilevel import MultilevelSolver
+
+# The edges of a tetrahedron, by corner; each carries a node in its middle
+EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+NODES = 4 + len(EDGES)
+OPPOSITE = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+# Quadrature of degree 2 on a tetrahedron (Hammer and Stroud, 1956), in barycentric coordinates
+_NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
+QUADRATURE = _FAR + (_NEAR - _FAR) * np.eye(4)
+CHUNK = 100_000  # tetrahedra assembled at a time, which bounds the memory
+TOLERANCE = 1e-6  # of the residual, relative: fibres are then converged to some 0.05 degrees
+COARSE_TOLERANCE = 1e-2  # likewise, of the linear functions to start from
+MOST_STEPS = 500  # of conjugate gradients; some 20 are usual
+
+
+@dataclass(frozen=True)
+class QuadraticSpace:
+    """Continuous functions that are quadratic in each tetrahedron.
+
+    Attributes
+    ----------
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        The mesh (mm); every vertex belongs to a tetrahedron. Node i < n is vertex i.
+    edges : (e, 2) array
+        Vertices of each edge, the smaller index first, sorted; node n + j is the middle of edge j.
+    nodes : (m, 10) array
+        Of each tetrahedron: its corners, then the middles of its `EDGES`.
+    """
+
+    vertices: NDArray[np.float64]
+    tetrahedra: NDArray[np.int64]
+    edges: NDArray[np.int64]
+    nodes: NDArray[np.int64]
+
+    @property
+    def size(self) -> int:
+        """How many nodes there are."""
+        return len(self.vertices) + len(self.edges)
+
+    @cached_property
+    def gradients(self) -> NDArray[np.float64]:
+        """Gradients of the barycentric coordinates (1/mm), shape (m, 4, 3)."""
+        x = self.vertices[self.tetrahedra]
+        a, b, c = (x[:, OPPOSITE[:, k]] for k in range(3))
+        height = 3 * signed_volumes(self.vertices, self.tetrahedra)[:, None, None]
+        return np.asarray(-np.cross(b - a, c - a) / 2 / height)
+
+    @cached_property
+    def stiffness(self) -> sparse.csr_matrix:
+        """∫∇φᵢ·∇φⱼ (mm) over the mesh, for the basis functions φ of the nodes."""
+        upper = np.triu_indices(NODES)
+        entries = np.empty((len(self.tetrahedra), len(upper[0])))
+        weights = np.abs(signed_volumes(self.vertices, self.tetrahedra)) / len(QUADRATURE)
+        shapes = [_basis_gradients(point) for point in QUADRATURE]
+        for first in range(0, len(entries), CHUNK):
+            chunk = slice(first, first + CHUNK)
+            full = np.zeros((len(entries[chunk]), NODES, NODES))
+            for shape in shapes:
+                gradients = shape @ self.gradients[chunk]
+                full += gradients @ gradients.transpose(0, 2, 1)
+            entries[chunk] = weights[chunk, None] * full[:, *upper]
+        row, column = (self.nodes[:, k].astype(np.int32).ravel() for k in upper)
+        # half of a symmetric matrix, its diagonal halved so that adding the transpose completes it
+        entries[:, upper[0] == upper[1]] /= 2
+        half = sparse.csr_matrix((entries.ravel(), (row, column)), shape=(self.size, self.size))
+        return (half + half.T).tocsr()
+
+    @cached_property
+    def from_linear(self) -> sparse.csr_matrix:
+        """A function linear in each tetrahedron, by its values at the vertices, in this space."""
+        vertices, edges = len(self.vertices), len(self.edges)
+        middles = sparse.csr_matrix(
+            (np.full(2 * edges, 0.5), self.edges.ravel(), np.arange(0, 2 * edges + 1, 2)),
+            shape=(edges, vertices),
+        )
+        return sparse.vstack([sparse.identity(vertices), middles]).tocsr()
+
+    def on(self, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Nodes of some triangles of the mesh: their corners and the middles of their edges."""
+        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        keys = _keys(np.unique(sides, axis=0), len(self.vertices))
+        middles = np.searchsorted(_keys(self.edges, len(self.vertices)), keys)
+        return np.concatenate([np.unique(triangles), len(self.vertices) + middles])
+
+    def at_centroids(
+        self, values: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A function, by its values at the nodes, in the middle of each tetrahedron.
+
+        Returns
+        -------
+        (m,) and (m, 3) arrays
+            Its value and its gradient (1/mm).
+        """
+        centre = np.full(4, 1 / 4)
+        local = values[self.nodes]
+        slopes = local @ _basis_gradients(centre)
+        return local @ _basis(centre), np.asarray(np.einsum("mi,mix->mx", slopes, self.gradients))
+
+
+def quadratic_space(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> QuadraticSpace:
+    """Number the nodes of a mesh of tetrahedra.
+
+    Parameters
+    ----------
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        The mesh (mm).
+    """
+    count = len(vertices)
+    ends = np.sort(tetrahedra[:, EDGES], axis=2)
+    keys, which = np.unique(_keys(ends, count), return_inverse=True)
+    edges = np.stack([keys // count, keys % count], axis=1)
+    nodes = np.hstack([tetrahedra, count + which.reshape(-1, len(EDGES))])
+    return QuadraticSpace(vertices, tetrahedra, edges, nodes)
+
+
+def solve_laplace(
+    space: QuadraticSpace, fixed: NDArray[np.int64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solve ∇²u = 0, u given at some nodes, no flux through the rest of the boundary.
+
+    Conjugate gradients, preconditioned by multigrid: quadratic functions, then linear ones on the
+    same mesh, then algebraic (smoothed aggregation).
+
+    Parameters
+    ----------
+    space : QuadraticSpace
+        Where to look for u.
+    fixed : (k,) array
+        Nodes where u is given, each once.
+    values : (p, k) array
+        What it is there, for each of p problems.
+
+    Returns
+    -------
+    (p, size) array
+        u at all nodes.
+    """
+    free = np.setdiff1d(np.arange(space.size), fixed)
+    rows = space.stiffness[free]
+    inner, coupling = rows[:, free].tocsr(), rows[:, fixed]
+    fine, coarse = _multigrid(space, inner, free)
+    prolong, preconditioner = fine.levels[0].P, fine.aspreconditioner()
+    solutions = np.empty((len(values), space.size))
+    for solution, given in zip(solutions, values, strict=True):
+        solution[fixed] = given
+        load = -(coupling @ given)
+        linear = coarse.solve(prolong.T @ load, tol=COARSE_TOLERANCE, accel="cg")
+        solution[free], failed = cg(
+            inner,
+            load,
+            x0=prolong @ linear,
+            rtol=TOLERANCE,
+            maxiter=MOST_STEPS,
+            M=preconditioner,
+        )
+        if failed:
+            raise RuntimeError(f"conjugate gradients: not converged after {failed} steps")
+    return solutions
+
+
+def _multigrid(
+    space: QuadraticSpace, inner: sparse.csr_matrix, free: NDArray[np.int64]
+) -> tuple[MultilevelSolver, MultilevelSolver]:
+    """Solvers on the free nodes, symmetric: of all levels, and of those below the quadratic."""
+    from pyamg import smoothed_aggregation_solver
+    from pyamg.multilevel import MultilevelSolver
+    from pyamg.relaxation.smoothing import change_smoothers
+
+    quadratic = MultilevelSolver.Level()
+    quadratic.A = inner
+    quadratic.P = space.from_linear[free][:, free[free < len(space.vertices)]].tocsr()
+    quadratic.R = quadratic.P.T.tocsr()
+    coarse = smoothed_aggregation_solver(
+        (quadratic.R @ inner @ quadratic.P).tocsr(),
+        # bounds the spectrum by row sums; the default draws on NumPy's global random state
+        smooth=("jacobi", {"weighting": "local"}),
+    )
+    fine = MultilevelSolver([quadratic, *coarse.levels], coarse_solver="pinv")
+    forth, back = (("gauss_seidel", {"sweep": way}) for way in ("forward", "backward"))
+    change_smoothers(fine, presmoother=forth, postsmoother=back)
+    return fine, coarse
+
+
+def _basis(point: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The ten basis functions at a point in barycentric coordinates λ: λ(2λ−1), then 4λᵢλⱼ."""
+    i, j = EDGES.T
+    return np.concatenate([point * (2 * point - 1), 4 * point[i] * point[j]])
+
+
+def _basis_gradients(point: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Their derivatives by each barycentric coordinate there, shape (10, 4)."""
+    i, j = EDGES.T
+    derivatives = np.zeros((NODES, 4))
+    derivatives[range(4), range(4)] = 4 * point - 1
+    derivatives[range(4, NODES), i] = 4 * point[j]
+    derivatives[range(4, NODES), j] = 4 * point[i]
+    return derivatives
+
+
+def _keys(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """One number for each edge (..., 2), in the order of the edges."""
+    return np.asarray(edges[..., 0].astype(np.int64) * count + edges[..., 1], dtype=np.int64)

@@ -1,0 +1,122 @@
+"""The heart as the forward model sees it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.torso import LeadFields, Torso
+from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.topology import boundary_triangles
+
+
+@dataclass(frozen=True)
+class Heart:
+    """Ventricular tissue, endocardia and electrodes, in one frame, in mm.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    tetrahedra : (m, 4) array
+        Vertex indices, positively oriented.
+    fibres : (m, 3) array
+        Unit fibre direction of each tetrahedron.
+    lv, rv : Endocardium
+        The two endocardia.
+    electrodes : (9, 3) array
+        Positions (mm), in the order of `fascicle.core.leads.ELECTRODES`.
+    name : str
+        What to call the heart in messages and figures.
+    regions : (m,) array, optional
+        A label for each tetrahedron, for `fascicle.heart.conduction.Region`.
+    sheets : (m, 3) array, optional
+        Unit direction in the sheet, across the fibre, of each tetrahedron. The forward model does
+        not use it; other software does.
+    torso : Torso, optional
+        The body around it; without one the volume conductor is unbounded.
+    lead_fields : LeadFields, optional
+        Those of the electrodes in that body, if they were computed before.
+    folder : Path, optional
+        Where what is computed from it once is kept: mostly, where it was read from.
+    """
+
+    vertices: NDArray[np.float64]
+    tetrahedra: NDArray[np.int64]
+    fibres: NDArray[np.float64]
+    lv: Endocardium
+    rv: Endocardium
+    electrodes: NDArray[np.float64]
+    name: str = "heart"
+    regions: NDArray[np.int64] | None = None
+    sheets: NDArray[np.float64] | None = None
+    torso: Torso | None = None
+    lead_fields: LeadFields | None = None
+    folder: Path | None = None
+
+    @property
+    def endocardia(self) -> Iterator[Endocardium]:
+        """Left, then right."""
+        yield self.lv
+        yield self.rv
+
+    @cached_property
+    def volumes(self) -> NDArray[np.float64]:
+        """Volume of each tetrahedron (mm³), shape (m,)."""
+        return signed_volumes(self.vertices, self.tetrahedra)
+
+    @cached_property
+    def boundary(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Boundary triangles (b, 3) and the tetrahedron each belongs to (b,)."""
+        return boundary_triangles(self.tetrahedra)
+
+    @cached_property
+    def edges(self) -> NDArray[np.int64]:
+        """The vertices at the ends of each edge, shape (e, 2)."""
+        return np.asarray(igl.edges(self.tetrahedra), dtype=np.int64)
+
+    @cached_property
+    def edge_length(self) -> float:
+        """Mean edge length (mm)."""
+        difference = self.vertices[self.edges[:, 0]] - self.vertices[self.edges[:, 1]]
+        return float(np.linalg.norm(difference, axis=1).mean())
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything that the forward model depends on."""
+        arrays: list[NDArray[Any]] = [self.vertices, self.tetrahedra, self.fibres, self.electrodes]
+        for endocardium in self.endocardia:
+            seeds = np.array([endocardium.root, endocardium.direction])
+            arrays += [endocardium.vertices, endocardium.triangles, seeds]
+            if endocardium.valves is not None:
+                arrays.append(endocardium.valves)
+        if self.regions is not None:
+            arrays.append(self.regions)
+        if self.lead_fields is not None:
+            arrays.append(self.lead_fields.values)
+        if self.torso is not None:
+            arrays += [self.torso.vertices, self.torso.tetrahedra, self.torso.tissues]
+        return digest_of(*arrays)
+
+
+def digest_of(*arrays: NDArray[np.generic]) -> str:
+    """SHA-256 of arrays: their shapes and contents, in this order."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def outward_triangles(heart: Heart) -> NDArray[np.int64]:
+    """Boundary triangles (b, 3), counter-clockwise seen from outside the tissue."""
+    return heart.boundary[0]

@@ -1,0 +1,214 @@
+"""Which part of the heart's surface a name or a number means."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError, printable
+from fascicle.heart.labelled_surface import Label
+from fascicle.mesh.formats.mesh_file import GROUP
+
+Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of labels
+
+# Arrays of surfaces and meshes that hold labels, in the order in which they are looked for
+LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
+EXAMPLE = "--labels base=1,epicardium=2,lv=3,rv=4"
+PARTS = "base, epicardium, lv, rv, mitral, aortic, tricuspid, pulmonary"
+# What the surfaces are called in files for other software
+SURFACE_NAMES = {
+    Label.LV_ENDOCARDIUM: "lv_endo",
+    Label.RV_ENDOCARDIUM: "rv_endo",
+    Label.EPICARDIUM: "epi",
+    Label.BASE: "base",
+}
+
+# Words that decide, in the order in which they do: "lv_epi" is epicardium, "rv base" is base.
+DECIDING: dict[Label, tuple[str, ...]] = {
+    Label.MITRAL: ("mitral", "mv"),
+    Label.AORTIC: ("aortic", "aorta", "av", "aov"),
+    Label.TRICUSPID: ("tricuspid", "tv"),
+    Label.PULMONARY: ("pulmonary", "pulmonic", "pv"),
+    Label.EPICARDIUM: ("epi", "epicardium", "epicardial"),
+    Label.BASE: ("base", "basal"),
+    Label.LV_ENDOCARDIUM: ("lv", "left"),
+    Label.RV_ENDOCARDIUM: ("rv", "right"),
+}
+# Words that may stand beside them
+OTHER_WORDS = (
+    "endo", "endocardium", "endocardial", "ventricle", "ventricular", "ventricles", "heart",
+    "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus", "opening",
+    "plane", "septum", "septal", "sept", "free", "cavity", "side", "set", "the", "of",
+)  # fmt: skip
+WORDS = {word for words in DECIDING.values() for word in words} | set(OTHER_WORDS)
+LONGEST_NAME = 60  # characters
+
+
+def label_of(name: str) -> Label | None:
+    """Label that a name means, or None.
+
+    Letter case, digits and separators do not matter, nor whether words are run together: "LV",
+    "lv_endo", "LVendo", "endo-lv" and "Left ventricle" are all the left endocardium. Every word
+    must be a known one, so that "lv_endo_stimulus" is nothing.
+    """
+    if len(name) > LONGEST_NAME:
+        return None
+    words: set[str] = set()
+    for letters in re.findall("[^\\W\\d_]+", name.lower()):
+        found = _words(letters)
+        if found is None:
+            return None
+        words |= found
+    meant = [label for label, deciding in DECIDING.items() if words.intersection(deciding)]
+    both = {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}
+    if not meant or set(meant) == both:
+        return None
+    return meant[0]
+
+
+@cache
+def _words(letters: str) -> frozenset[str] | None:
+    """Known words that a run of letters is made of; None if it is not."""
+    if not letters:
+        return frozenset()
+    for length in range(len(letters), 0, -1):
+        if letters[:length] in WORDS:
+            rest = _words(letters[length:])
+            if rest is not None:
+                return rest | {letters[:length]}
+    return None
+
+
+def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
+    """Labels by their number in the file, as text, from names as in ``{"lv": 3, "rv_endo": 4}``.
+
+    Raises
+    ------
+    InputError
+        If a name means no label, or a number is given to two.
+    """
+    labels: dict[str, Label] = {}
+    for name, number in numbers.items():
+        label = label_of(name)
+        if label is None:
+            raise InputError(f"--labels: unknown '{_shown(name)}'; the parts are {PARTS}")
+        if labels.setdefault(str(number), label) != label:
+            raise InputError(
+                f"--labels: label number {number} is given two meanings; give each number one"
+            )
+    return labels
+
+
+def array_of_labels(arrays: Mapping[str, NDArray[Any]], array: str | None) -> str | None:
+    """Which of these arrays holds labels: the one asked for, or else one of `LABEL_NAMES`."""
+    if array is not None:
+        return array if array in arrays else None
+    lower = {key.lower(): key for key in arrays}
+    return next((lower[name] for name in LABEL_NAMES if name in lower), None)
+
+
+def no_such_array(path: Path, array: str, known: Iterable[str]) -> InputError:
+    """What to say if neither triangles nor points have the array of labels."""
+    listed = ", ".join(sorted(known)) or "none"
+    return InputError(
+        f"{path}: no array '{array}' on triangles or points; there are: {listed}; name one of "
+        "them (--label-array)"
+    )
+
+
+def whole_numbers(source: str, values: NDArray[Any]) -> NDArray[np.int64]:
+    """Values of an array of labels, shape (k,).
+
+    Raises
+    ------
+    InputError
+        If they are not one whole number each.
+    """
+    numbers = np.asarray(values)
+    if (
+        numbers.ndim != 1
+        or not np.issubdtype(numbers.dtype, np.number)
+        or not (np.isfinite(numbers) & (numbers == np.round(numbers))).all()
+    ):
+        raise InputError(
+            f"{source} must hold one whole number each, the label; correct or rename it, or name "
+            "another (--label-array)"
+        )
+    return numbers.astype(np.int64)
+
+
+def labels_of(
+    source: str, numbers: NDArray[np.int64], names: Names, groups: Mapping[int, str]
+) -> NDArray[np.int64]:
+    """Label that each number means: the caller's, that of its group's name, or the `Label` itself.
+
+    Parameters
+    ----------
+    source : str
+        File and array, for an error.
+    numbers : (k,) array
+        What stands in the file.
+    names : mapping of str to Label
+        The caller's own names and numbers; they come first, and a label that they name is meant
+        by no other number.
+    groups : mapping of int to str
+        Names of physical groups by their number.
+
+    Returns
+    -------
+    (k,) array
+        A `Label` each.
+
+    Raises
+    ------
+    InputError
+        If one means no label.
+    """
+    kinds, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    found = [_meaning(source, kind, names, groups.get(kind)) for kind in kinds.tolist()]
+    strange = [
+        f"{kind} ({count} times)"
+        for kind, count, label in zip(kinds, counts, found, strict=True)
+        if label is None
+    ]
+    if strange:
+        given = [f"{name} {label.name.lower()}" for name, label in names.items()]
+        own = [f"{label.value} {label.name.lower()}" for label in _free(names)]
+        raise InputError(
+            f"{source}: unknown labels: {', '.join(strange)}; known are {', '.join(given + own)}; "
+            f"say which number is what, as in {EXAMPLE}"
+        )
+    return np.array(found, dtype=np.int64)[which]
+
+
+def _meaning(source: str, number: int, names: Names, group: str | None) -> Label | None:
+    """Label of one number; None if it is not known."""
+    for own in (group, str(number)):
+        if own is not None and own in names:
+            return names[own]
+    if group is None:
+        return Label(number) if number in _free(names) else None
+    label = label_of(group)
+    if label is None:
+        raise InputError(
+            f"{source}: cannot tell which surface '{_shown(group)}' is; name it epi, base, lv_endo "
+            "or rv_endo (or mitral, aortic, tricuspid, pulmonary), or say what its number is, as "
+            f"in --labels epicardium={number}"
+        )
+    return label
+
+
+def _free(names: Names) -> list[Label]:
+    """Labels that still have their own number."""
+    return [label for label in Label if label not in names.values()]
+
+
+def _shown(name: str) -> str:
+    """Name, fit for a message of one line."""
+    return printable(name[:LONGEST_NAME])

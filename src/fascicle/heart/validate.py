@@ -1,0 +1,154 @@
+"""Checks on a heart: everything that would make the physics silently wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import signed_volumes
+
+# The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a dog's heart
+# and for a dilated one.
+SMALLEST_EXTENT, LARGEST_EXTENT = 35.0, 400.0  # mm
+# A tetrahedron flatter than this fraction of a regular one with its mean edge counts as flat.
+FLATNESS = 1e-9
+SMALLEST_ENDOCARDIUM = 0.2  # of the largest extent of the tissue
+FURTHEST_ENDOCARDIUM = 5.0  # mm, median distance of an endocardium to the tissue
+FURTHEST_ELECTRODE = 1500.0  # mm
+
+
+def check_units(name: str, points: NDArray[np.float64]) -> None:
+    """Refuse a heart whose size says that it is not in mm."""
+    extent = float(np.ptp(points, axis=0).max())
+    if SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        return
+    for unit, factor in (("metres", 1e3), ("centimetres", 10.0), ("micrometres", 1e-3)):
+        if SMALLEST_EXTENT <= extent * factor <= LARGEST_EXTENT:
+            raise InputError(
+                f"{name}: the largest extent is {extent:.3g}, so it seems to be in {unit}; "
+                f"multiply the coordinates by {factor:g} to get mm"
+            )
+    raise InputError(
+        f"{name}: the largest extent is {extent:.3g}; ventricles in mm have "
+        f"{SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g}; check the units"
+    )
+
+
+def check_tetrahedra(
+    name: str, vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
+) -> None:
+    """Refuse flat, inverted or overlapping tetrahedra and tissue in several pieces."""
+    volumes = signed_volumes(vertices, tetrahedra)
+    size = float(np.abs(volumes).mean())
+    for kind, bad in (
+        ("have zero volume", np.flatnonzero(np.abs(volumes) <= FLATNESS * size)),
+        ("are inverted", np.flatnonzero(volumes < -FLATNESS * size)),
+    ):
+        if bad.size:
+            remedy = (
+                "swap two vertices of every one"
+                if bad.size == len(tetrahedra) and kind == "are inverted"
+                else "remove them or remesh"
+            )
+            raise InputError(
+                f"{name}: {bad.size} of {len(tetrahedra)} tetrahedra {kind} "
+                f"(first: {bad[0]}); {remedy}"
+            )
+    _check_no_overlap(name, tetrahedra)
+    rows = np.repeat(tetrahedra[:, 0], 3)
+    columns = tetrahedra[:, 1:].ravel()
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(vertices),) * 2)
+    pieces, label = connected_components(graph, directed=False)
+    if pieces > 1:
+        largest = np.bincount(label).max()
+        raise InputError(
+            f"{name}: the tissue falls into {pieces} unconnected pieces ({len(vertices) - largest} "
+            "vertices outside the largest); keep one piece or join them"
+        )
+
+
+def _check_no_overlap(name: str, tetrahedra: NDArray[np.int64]) -> None:
+    """Refuse tetrahedra that are there twice, or lie within one another: they would count twice."""
+    faces = tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
+    faces = np.sort(faces, axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    crowded = order[2:][same[1:] & same[:-1]]  # the third tetrahedron on one face, and further ones
+    if crowded.size:
+        raise InputError(
+            f"{name}: {np.unique(crowded // 4).size} tetrahedra overlap others (first: "
+            f"{(crowded // 4).min()}); remove what is there twice"
+        )
+
+
+def check_fibres(name: str, fibres: NDArray[np.float64]) -> None:
+    """Refuse fibre directions that are not finite or have no length."""
+    bad = np.flatnonzero(~np.isfinite(fibres).all(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{name}: {bad.size} of {len(fibres)} fibres are not finite (first: {bad[0]}); "
+            "correct them"
+        )
+    bad = np.flatnonzero(np.linalg.norm(fibres, axis=1) < 1e-6)
+    if bad.size:
+        raise InputError(
+            f"{name}: {bad.size} of {len(fibres)} fibres have zero length (first: {bad[0]}); "
+            "give every vertex or element a direction"
+        )
+
+
+def check_endocardium_in_place(
+    name: str, surface: NDArray[np.float64], vertices: NDArray[np.float64]
+) -> None:
+    """Refuse an endocardium that does not lie on the tissue, or is of another size."""
+    extent, whole = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
+    if extent < SMALLEST_ENDOCARDIUM * whole:
+        raise InputError(
+            f"{name}: its largest extent is {extent:.3g} mm, that of the tissue {whole:.3g} mm; "
+            "give both in mm, and the whole endocardium"
+        )
+    distance = float(np.median(cKDTree(vertices).query(surface)[0]))
+    if distance > FURTHEST_ENDOCARDIUM:
+        raise InputError(
+            f"{name}: its vertices lie {distance:.1f} mm (median) from the tissue's; "
+            "give both in the same frame and in mm"
+        )
+
+
+def check_electrodes(name: str, electrodes: NDArray[np.float64], heart: Heart) -> None:
+    """Refuse electrodes inside the tissue, or far from any torso."""
+    import igl
+
+    tree = igl.AABB()
+    tree.init(heart.vertices, heart.tetrahedra)
+    inside = np.asarray(igl.in_element(heart.vertices, heart.tetrahedra, electrodes, tree))
+    distance = np.linalg.norm(electrodes - heart.vertices.mean(axis=0), axis=1)
+    for k, electrode in enumerate(ELECTRODES):
+        if inside[k] >= 0:
+            raise InputError(
+                f"{name}: electrode {electrode} lies inside the tissue; check its position, and "
+                "that electrodes and heart share frame and units (mm)"
+            )
+        if distance[k] > FURTHEST_ELECTRODE:
+            raise InputError(
+                f"{name}: electrode {electrode} is {distance[k]:.0f} mm from the heart; check that "
+                "electrodes and heart share frame and units (mm)"
+            )
+    extent, span = (float(np.ptp(p, axis=0).max()) for p in (heart.vertices, electrodes))
+    if span < extent:
+        raise InputError(
+            f"{name}: the electrodes span {span:.3g} mm, less than the heart ({extent:.0f} mm); "
+            "give positions on the torso, in mm"
+        )
+    radius = float(np.linalg.norm(heart.vertices - heart.vertices.mean(axis=0), axis=1).max())
+    if (distance < radius / 2).all():
+        raise InputError(
+            f"{name}: all electrodes lie within {distance.max():.2g} mm of the heart's centre; "
+            "give their positions in mm, in the heart's frame"
+        )

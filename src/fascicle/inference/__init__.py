@@ -1,0 +1,1 @@
+"""Learning from a callable: surrogate, optimisation, approximate Bayesian computation."""

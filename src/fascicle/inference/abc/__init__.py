@@ -1,0 +1,1 @@
+"""Approximate Bayesian computation: prior, distance, rejection, random walks."""

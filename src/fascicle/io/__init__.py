@@ -1,1 +1,0 @@
-"""Every file format, in and out."""

@@ -1,0 +1,1 @@
+"""What holds for any mesh: topology, volumes, quality, intersections, meshing."""

@@ -1,0 +1,75 @@
+"""Meshes in VTK, VTU, VTP, OBJ, STL, PLY, Gmsh and openCARP files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+
+OPENCARP_FORMATS = (".pts", ".elem")  # either stands for both, and for the `.lon`
+
+
+# VTK's numbers for the cells that are used here, and meshio's names for the same
+LINE, POLY_LINE, TRIANGLE, TETRAHEDRON = 3, 4, 5, 10
+VTK_IGNORED = (0, 1, 2)  # empty cells and lone vertices
+GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Points and cells of a file, whatever its format.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    points : (n, 3) array
+        Positions, as they stand in the file.
+    cells : dict of VTK cell number to (m, k) array
+        Point indices of the cells of each kind.
+    point_data : dict of name to array
+        Arrays with one row a point.
+    cell_data : dict of VTK cell number to dict of name to array
+        Arrays with one row a cell of that kind.
+    others : dict of name to int
+        How many cells of kinds that are not used here the file holds as well.
+    has_polylines : bool
+        Whether a line of the file has become several, which then share its cell data.
+    groups : dict of name to (dimension, number)
+        Physical groups of a Gmsh file; the cells' numbers are in the cell array `GROUP`.
+    """
+
+    path: Path
+    points: NDArray[np.float64]
+    cells: dict[int, NDArray[np.int64]]
+    point_data: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    cell_data: dict[int, dict[str, NDArray[np.float64]]] = field(default_factory=dict)
+    others: dict[str, int] = field(default_factory=dict)
+    has_polylines: bool = False
+    groups: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def require(self, kind: int, name: str) -> NDArray[np.int64]:
+        """Cells of one kind.
+
+        Raises
+        ------
+        InputError
+            If the file holds none, or a part of the mesh in other cells, which would be missing.
+        """
+        cells = self.cells.get(kind)
+        others = ", ".join(f"{count} {other}" for other, count in self.others.items())
+        if cells is None or not len(cells):
+            found = f"{len(self.points)} points, other cells: {others or 'none'}"
+            raise InputError(
+                f"{self.path}: no {name} in this file ({found}); give a mesh that has {name}"
+            )
+        if self.others and kind != LINE:
+            raise InputError(
+                f"{self.path}: besides {len(cells)} {name} there are other cells ({others}); "
+                f"make the whole mesh of {name}"
+            )
+        return cells

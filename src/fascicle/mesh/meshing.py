@@ -1,0 +1,186 @@
+"""Triangles by Mmg and tetrahedra by Netgen: from arrays to arrays, quietly."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from tempfile import TemporaryFile
+from typing import IO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.mesh.measures import signed_volumes
+
+NOTHING = 0  # Netgen's number of a space that it leaves empty
+VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
+PRINTED = (1, 2)  # standard output and standard error
+FAILURE = re.compile(r"failed with error: (?:Stop meshing since )?(.+)")  # as Netgen prints it
+
+
+class Sheet(NamedTuple):
+    """A closed surface between two domains.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices, counter-clockwise seen from outside.
+    inner, outer : int
+        Numbers of the domains inside and outside, 1 and up without gaps, or `NOTHING`.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    inner: int
+    outer: int
+
+    @property
+    def filled(self) -> float:
+        """What it adds to the volume of all domains (mm³)."""
+        corners = (self.vertices - self.vertices.mean(axis=0))[self.triangles]
+        enclosed = float(np.linalg.det(corners).sum() / 6)
+        return enclosed * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
+
+
+class Filling(NamedTuple):
+    """Tetrahedra between sheets.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm); those of the sheets come first, in their order.
+    tetrahedra : (m, 4) array
+        Vertex indices, positively oriented.
+    domains : (m,) array
+        The domain that each lies in.
+    """
+
+    vertices: NDArray[np.float64]
+    tetrahedra: NDArray[np.int64]
+    domains: NDArray[np.int64]
+
+
+def filled(sheets: Sequence[Sheet], what: str, remedy: str, **parameters: float) -> Filling:
+    """Fill the domains between closed surfaces by Netgen, which changes none of them.
+
+    Parameters
+    ----------
+    sheets : sequence of Sheet
+        The surfaces; they touch neither themselves nor one another.
+    what, remedy : str
+        What to call the space between them in an error, and what to do then.
+    **parameters
+        Netgen's: ``maxh``, the longest edge (mm), and others.
+
+    Raises
+    ------
+    InputError
+        If the domains cannot be filled, or not all of them.
+
+    Notes
+    -----
+    Schöberl 1997, Comput Vis Sci 1:41-52. Where Netgen cannot fill a domain it says so on standard
+    error, leaves it out and goes on; it prints every crossing it finds, whatever it is told.
+    """
+    from netgen import meshing as netgen
+
+    netgen.SetMessageImportance(0)
+    mesh = netgen.Mesh()
+    mesh.dim = 3
+    count = 0
+    for face, sheet in enumerate(sheets, start=1):
+        mesh.AddPoints(as_float64(sheet.vertices))
+        index = mesh.Add(
+            netgen.FaceDescriptor(bc=face, domin=sheet.inner, domout=sheet.outer, surfnr=face)
+        )
+        mesh.AddElements(dim=2, index=index, data=as_int32(sheet.triangles + count), base=0)
+        count += len(sheet.vertices)
+    with _kept_quiet() as printed:
+        try:
+            mesh.GenerateVolumeMesh(netgen.MeshingParameters(**parameters))
+        except netgen.NgException as error:
+            printed.write(f"failed with error: {error}\n".encode())
+        printed.seek(0)
+        failure = FAILURE.search(printed.read().decode(errors="replace"))
+    elements = mesh.Elements3D().NumPy()
+    corners = elements["nodes"] if len(elements) else np.empty((0, 4))
+    tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen's are wound the other way
+    vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
+    volume = float(signed_volumes(vertices, tetrahedra).sum())
+    missing = 1 - volume / sum(sheet.filled for sheet in sheets)
+    if abs(missing) > VOLUME_TOLERANCE:
+        why = f" ({failure[1].strip()})" if failure else ""
+        raise InputError(
+            f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
+        )
+    return Filling(vertices, tetrahedra, elements["index"].astype(np.int64))
+
+
+@contextmanager
+def _kept_quiet() -> Iterator[IO[bytes]]:
+    """Send what compiled code prints into a file."""
+    with TemporaryFile() as printed:
+        streams = [(stream, os.dup(stream)) for stream in PRINTED]
+        try:
+            for stream in PRINTED:
+                os.dup2(printed.fileno(), stream)
+            yield printed
+        finally:
+            for stream, before in streams:
+                os.dup2(before, stream)
+                os.close(before)
+
+
+def remeshed_triangles(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    labels: NDArray[np.int64],
+    **options: float,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Triangulate a labelled surface anew by Mmg, which keeps the borders between labels.
+
+    Parameters
+    ----------
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        The surface (mm).
+    labels : (m,) array
+        A label for each triangle.
+    **options
+        Mmg's: ``hsiz``, ``hmin``, ``hmax`` and ``hausd`` (mm), ``angle`` (1: keep sharp edges).
+
+    Returns
+    -------
+    tuple
+        The new vertices, triangles and labels.
+
+    Notes
+    -----
+    Dapogny, Dobrzynski and Frey 2014, J Comput Phys 262:358-378.
+    """
+    import mmgpy
+
+    # made with its triangles, then given them once more: only the second way takes their labels
+    mesh = mmgpy.MmgMeshS(as_float64(vertices), as_int32(triangles))
+    mesh.set_triangles(as_int32(triangles), as_int32(labels))
+    mesh.remesh(**options, verbose=-1)
+    new, new_labels = mesh.get_triangles_with_refs()
+    return (
+        np.array(mesh.get_vertices(), dtype=float),
+        np.array(new, dtype=np.int64),
+        np.array(new_labels, dtype=np.int64),
+    )
+
+
+def as_int32(array: NDArray[np.int64]) -> NDArray[np.int32]:
+    """As the meshers must have it: of another type or in another order Mmg reads it wrongly."""
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def as_float64(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As the meshers must have it."""
+    return np.ascontiguousarray(array, dtype=np.float64)

@@ -1,1 +1,0 @@
-"""Approximate Bayesian computation informed by the surrogate."""

@@ -1,0 +1,1 @@
+"""Purkinje trees: the chart they grow in, growth, the tree, its files."""

@@ -1,0 +1,135 @@
+"""Harmonic map of an endocardium to the unit disk, with the metric that makes lengths exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import spsolve
+
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import Endocardium
+from fascicle.mesh.topology import boundary_loops
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A bijective map between an endocardium and the unit disk, linear on each triangle.
+
+    The disk is seen from inside the cavity: counter-clockwise there is counter-clockwise on the
+    endocardium for an observer in the blood.
+
+    Attributes
+    ----------
+    points : (n, 2) array
+        Position of each vertex in the disk.
+    vertices : (n, 3) array
+        Position of each vertex on the endocardium (mm).
+    triangles : (m, 3) array
+        Vertex indices, counter-clockwise in the disk.
+    neighbours : (m, 3) array
+        Triangle across the edge opposite to each corner; -1 at the base and at valve openings.
+    metric : (m, 3) array
+        G₁₁, G₁₂, G₂₂ of G = JᵀJ with J = ∂x/∂u (mm²): a step Δu has length √(ΔuᵀGΔu).
+    """
+
+    points: NDArray[np.float64]
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    neighbours: NDArray[np.int64]
+    metric: NDArray[np.float64]
+
+    @property
+    def distortion(self) -> NDArray[np.float64]:
+        """Ratio of the largest to the smallest stretch of each triangle, 1 where conformal."""
+        g11, g12, g22 = self.metric.T
+        mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)
+        return np.asarray(np.sqrt((mean + half) / (mean - half)))
+
+
+def build_chart(endocardium: Endocardium) -> Chart:
+    """Map an endocardium to the unit disk.
+
+    Harmonic map with the boundary placed by arc length (Remacle et al. 2010). Obtuse triangles can
+    make it fold; then the mean-value weights of Floater (2003), which are positive and so give a
+    bijection by Tutte's theorem, take the place of the cotangents.
+
+    Raises
+    ------
+    InputError
+        If even that map folds, which a valid surface cannot do except through degenerate triangles.
+    """
+    vertices, triangles = endocardium.vertices, endocardium.triangles
+    loop = boundary_loops(triangles)[0]
+    circle = _circle_by_arc_length(vertices[loop])
+    points = np.asarray(igl.harmonic(vertices, triangles, loop, circle, 1))
+    if (signed_areas(points, triangles) <= 0).any():
+        points = _mean_value_map(vertices, triangles, loop, circle)
+    folded = np.flatnonzero(signed_areas(points, triangles) <= 0)
+    if folded.size:
+        raise InputError(
+            f"{endocardium.side.upper()} endocardium: {folded.size} triangles fold when mapped to "
+            f"the disk (first: {folded[0]}); remove degenerate triangles or remesh the surface"
+        )
+    neighbours = np.asarray(igl.triangle_triangle_adjacency(triangles)[0], dtype=np.int64)
+    # libigl numbers edges from their first corner; the walk wants the corner opposite to them
+    neighbours = np.ascontiguousarray(neighbours[:, [1, 2, 0]])
+    if endocardium.valves is not None:
+        neighbours[endocardium.valves[neighbours]] = -1  # where a tree would leave the tissue
+    return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
+
+
+def signed_areas(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Signed area of every triangle in the disk; positive means not folded."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    ab, ac = b - a, c - a
+    return np.asarray((ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]) / 2)
+
+
+def _circle_by_arc_length(loop: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points on the unit circle, counter-clockwise, spaced as the loop's vertices are."""
+    steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
+    angle = 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / steps.sum()
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _mean_value_map(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    loop: NDArray[np.int64],
+    circle: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Each inner vertex at the mean-value-weighted average of its neighbours (Floater 2003)."""
+    n = len(vertices)
+    weights = sp.csr_matrix((n, n))
+    for k in range(3):
+        i, j, l = (triangles[:, (k + s) % 3] for s in range(3))  # noqa: E741
+        to_j, to_l = vertices[j] - vertices[i], vertices[l] - vertices[i]
+        length_j, length_l = np.linalg.norm(to_j, axis=1), np.linalg.norm(to_l, axis=1)
+        cosine = np.einsum("ij,ij->i", to_j, to_l) / (length_j * length_l)
+        half_tangent = np.sqrt((1 - cosine) / (1 + cosine))  # tan(α/2)
+        for column, length in ((j, length_j), (l, length_l)):
+            weights += sp.csr_matrix((half_tangent / length, (i, column)), shape=(n, n))
+    inner = np.setdiff1d(np.arange(n), loop)
+    points = np.zeros((n, 2))
+    points[loop] = circle
+    total = sp.diags(np.asarray(weights.sum(axis=1)).ravel())
+    matrix = (total - weights).tocsr()[inner]
+    points[inner] = spsolve(matrix[:, inner].tocsc(), -matrix[:, loop] @ circle)
+    return points
+
+
+def _metric(
+    points: NDArray[np.float64], vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """G = JᵀJ of every triangle, as (G₁₁, G₁₂, G₂₂)."""
+    flat = np.stack([points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2)], axis=-1)
+    curved = np.stack(
+        [vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2)], axis=-1
+    )
+    jacobian = curved @ np.linalg.inv(flat)
+    metric = np.swapaxes(jacobian, 1, 2) @ jacobian
+    return np.ascontiguousarray(metric[:, [0, 0, 1], [0, 1, 1]])

@@ -1,0 +1,169 @@
+"""From chart and parameters to a Purkinje tree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import Endocardium
+from fascicle.kernels import growth
+from fascicle.purkinje.chart import Chart
+from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+
+
+@dataclass(frozen=True)
+class GrowthRules:
+    """What the paper holds fixed while the bundles and fascicles vary.
+
+    Attributes
+    ----------
+    branch_length : float
+        Length of a branch (mm).
+    segments : int
+        Segments a branch is laid in.
+    repulsion : float
+        Weight w of the direction away from the nearest foreign node.
+    branch_angle : float
+        Angle between a branch and its parent (rad).
+    generations : int
+        How often the ends branch.
+    clearance : float
+        A branch stops nearer than this many segments to a foreign node.
+    """
+
+    branch_length: float = 8.0
+    segments: int = 8
+    repulsion: float = 0.1
+    branch_angle: float = 0.15
+    generations: int = 20
+    clearance: float = 0.9
+
+
+@dataclass(frozen=True)
+class Seed:
+    """Where a bundle starts in the disk, and its unit heading there."""
+
+    point: NDArray[np.float64]
+    triangle: int
+    heading: NDArray[np.float64]
+
+
+def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
+    """Start of the bundle: the root vertex, in the triangle that the heading points into.
+
+    Raises
+    ------
+    InputError
+        If root and direction are one vertex, or the heading points out of the endocardium.
+    """
+    side = endocardium.side.upper()
+    point = chart.points[endocardium.root]
+    offset = chart.points[endocardium.direction] - point
+    if not offset.any():
+        raise InputError(
+            f"{side} seeds: root and direction are the same vertex ({endocardium.root}); "
+            "give two different ones"
+        )
+    heading = offset / np.linalg.norm(offset)
+    for triangle in np.flatnonzero((chart.triangles == endocardium.root).any(axis=1)):
+        corner = int(np.flatnonzero(chart.triangles[triangle] == endocardium.root)[0])
+        first, second = (
+            chart.points[chart.triangles[triangle, (corner + k) % 3]] - point for k in (1, 2)
+        )
+        # the heading lies between the two edges that leave the root, counter-clockwise
+        if _cross(first, heading) >= 0 and _cross(heading, second) >= 0:
+            return Seed(point, int(triangle), heading)
+    raise InputError(
+        f"{side} seeds: from root {endocardium.root} the direction vertex "
+        f"{endocardium.direction} lies outside the endocardium; choose one towards the apex"
+    )
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(a[0] * b[1] - a[1] * b[0])
+
+
+def grow_tree(
+    side: str,
+    chart: Chart,
+    seed: Seed,
+    bundle_length: float,
+    fascicle_lengths: Sequence[float],
+    fascicle_angles: Sequence[float],
+    rules: GrowthRules,
+) -> PurkinjeTree | InvalidTree:
+    """Grow a tree: bundle, fascicles from its end, then generations of branches.
+
+    Each segment obeys d ← normalise(d + w∇d_CP(x)), x ← x + (l_b/N_s)·d (equation 1 of the
+    paper), with unit vectors and distances of the endocardium's own metric.
+
+    Parameters
+    ----------
+    side : str
+        ``"lv"`` or ``"rv"``.
+    chart : Chart
+        The endocardium's map to the disk.
+    seed : Seed
+        Start and heading of the bundle.
+    bundle_length : float
+        Length of the bundle (mm).
+    fascicle_lengths, fascicle_angles : sequences of the same length
+        Length (mm) of each fascicle and its angle to the bundle (rad, counter-clockwise in the
+        disk seen from inside the cavity).
+    rules : GrowthRules
+        What is held fixed.
+
+    Returns
+    -------
+    PurkinjeTree or InvalidTree
+        `InvalidTree` where the bundle or a fascicle would leave the endocardium.
+    """
+    status, missing, grown = growth.grow(
+        seed.point[0], seed.point[1], seed.triangle, seed.heading[0], seed.heading[1],
+        float(bundle_length), np.asarray(fascicle_lengths, float),
+        np.asarray(fascicle_angles, float), rules.branch_length, rules.segments,
+        rules.repulsion, rules.branch_angle, rules.generations, rules.clearance,
+        (chart.points, chart.triangles, chart.neighbours, chart.metric),
+    )  # fmt: skip
+    nodes = growth.lift(grown, chart.points, chart.vertices, chart.triangles)
+    if status == growth.GROWN:
+        return PurkinjeTree(
+            side,
+            nodes,
+            grown["parent"].astype(np.int64),
+            grown["length"].copy(),
+            grown["branch"].astype(np.int64),
+        )
+    wanted = bundle_length if status == 0 else fascicle_lengths[status - 1]
+    stretch = "bundle" if status == 0 else f"fascicle {status}"
+    where = ", ".join(f"{x:.1f}" for x in nodes[-1])
+    return InvalidTree(
+        side,
+        f"{side.upper()} {stretch} leaves the endocardium after {wanted - missing:.1f} of "
+        f"{wanted:.1f} mm, at ({where}) mm on the base",
+    )
+
+
+def grow_from_parameters(
+    side: str,
+    chart: Chart,
+    seed: Seed,
+    parameters: Mapping[str, float],
+    rules: GrowthRules,
+) -> PurkinjeTree | InvalidTree:
+    """Grow one side's tree from named parameters, with as many fascicles as they name."""
+    prefix = f"{side}_fascicle_length_"
+    numbers = sorted(int(n.removeprefix(prefix)) for n in parameters if n.startswith(prefix))
+    return grow_tree(
+        side,
+        chart,
+        seed,
+        parameters[f"{side}_initial_length"],
+        [parameters[f"{side}_fascicle_length_{k}"] for k in numbers],
+        [parameters[f"{side}_fascicle_angle_{k}"] for k in numbers],
+        rules,
+    )

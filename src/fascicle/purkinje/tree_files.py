@@ -1,0 +1,120 @@
+"""Purkinje trees as lines in VTU or VTP files, or in openCARP's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
+from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, Mesh
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.formats.vtk import write_grid
+from fascicle.purkinje.opencarp_trees import read_opencarp_tree
+from fascicle.purkinje.tree import PurkinjeTree
+
+TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
+SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
+
+
+def write_tree(path: Path, tree: PurkinjeTree, activation: NDArray[np.float64]) -> None:
+    """Write a tree as VTU lines with its activation (ms) and segment lengths (mm)."""
+    child = np.flatnonzero(tree.parents >= 0)
+    write_grid(
+        path,
+        tree.nodes,
+        np.column_stack([tree.parents[child], child]),
+        LINE,
+        point_data={"activation": activation},
+        cell_data={"length": tree.lengths[child]},
+    )
+
+
+def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> PurkinjeTree:
+    """Read a tree of lines.
+
+    Segments take their length from a cell array ``length`` (mm) if there is one, as in trees that
+    were written here, else from their ends.
+
+    Parameters
+    ----------
+    path : path
+        VTU, VTP or VTK file of lines or polylines (mm), or openCARP's `.pts` or `.elem` by the
+        convention of `fascicle.build.opencarp`.
+    side : str
+        ``"lv"`` or ``"rv"``.
+    near : (3,) array
+        The root is the free end of the tree nearest to this point (mm).
+
+    Raises
+    ------
+    InputError
+        If the file is not one connected tree without loops.
+    """
+    path = Path(path)
+    purpose = f"{side.upper()} tree"
+    check_file(path, TREE_FORMATS, purpose)
+    is_opencarp = path.suffix.lower() in OPENCARP_FORMATS
+    mesh = read_opencarp_tree(path, purpose) if is_opencarp else read_mesh(path, purpose)
+    segments, lengths = _segments(mesh)
+    used, compact = np.unique(segments, return_inverse=True)
+    nodes, merged = _merged(mesh.points[used])
+    segments = merged[compact].reshape(-1, 2)
+    real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline is no segment
+    segments, lengths = segments[real], lengths[real]
+    if not len(segments):
+        raise InputError(f"{path}: every line has length zero; give a tree with branches, in mm")
+    count = len(nodes)
+    graph = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), (count, count))
+    graph = (graph + graph.T).tocsr()
+    pieces, _ = connected_components(graph, directed=False)
+    if pieces > 1:
+        raise InputError(f"{path}: the lines fall into {pieces} unconnected pieces; give one tree")
+    if len(segments) != count - 1:
+        raise InputError(
+            f"{path}: {len(segments)} segments between {count} nodes make a loop or repeat "
+            "themselves; a tree has one segment fewer than nodes"
+        )
+    ends = np.flatnonzero(np.bincount(segments.ravel(), minlength=count) == 1)
+    root = int(ends[np.argmin(np.linalg.norm(nodes[ends] - near, axis=1))])
+    _, parents = breadth_first_order(graph, root, directed=False)
+    parents = np.where(np.arange(count) == root, -1, parents).astype(np.int64)
+    is_first = parents[segments[:, 1]] == segments[:, 0]
+    child = np.where(is_first, segments[:, 1], segments[:, 0])
+    to_parent = np.zeros(count)
+    to_parent[child] = lengths
+    return PurkinjeTree(side, nodes, parents, to_parent)
+
+
+def _merged(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points with those in one place made one, and the new number of each."""
+    pairs = cKDTree(points).query_pairs(SAME_POINT, output_type="ndarray")
+    ones = np.ones(len(pairs))
+    same = coo_array((ones, (pairs[:, 0], pairs[:, 1])), (len(points), len(points)))
+    _, number = connected_components(same, directed=False)
+    _, first = np.unique(number, return_index=True)
+    return points[first], np.asarray(number, dtype=np.int64)
+
+
+def _segments(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    segments = mesh.require(LINE, "lines")
+    ends = mesh.points[segments]
+    chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    given = mesh.cell_data.get(LINE, {}).get("length")
+    if given is None:
+        return segments, chords
+    lengths = np.asarray(given, dtype=float)
+    if lengths.ndim != 1 or mesh.has_polylines:
+        return segments, chords  # not one length for each segment
+    bad = np.flatnonzero(~np.isfinite(lengths) | (lengths < chords * (1 - 1e-4)))
+    if bad.size:
+        raise InputError(
+            f"{mesh.path}: segment {bad[0]} has length {lengths[bad[0]]:.3g} mm but its ends are "
+            f"{chords[bad[0]]:.3g} mm apart; correct or remove the array 'length'"
+        )
+    return segments, lengths

@@ -1,0 +1,1 @@
+"""ECG recordings from the files that clinics and archives have: a file a format."""

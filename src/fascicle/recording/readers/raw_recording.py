@@ -1,0 +1,208 @@
+"""What a reader finds in a file, and how a recording is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError, printable
+from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
+from fascicle.recording.limb_leads import derive_limb_leads
+from fascicle.recording.readers.declared import same_unit
+from fascicle.recording.readers.names import lead_name, millivolts
+from fascicle.recording.readers.read_options import Given
+from fascicle.recording.recording import Filters, Recording, check_extent
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal of a file.
+
+    Attributes
+    ----------
+    name : str
+        As it is spelt in the file.
+    values : (n,) array
+        Samples, in `unit`; NaN where there is none.
+    unit : str, optional
+        As it is spelt in the file; None where the file does not say.
+    lead : str, optional
+        Standard name of the lead where a code of the file says it; otherwise `name` decides.
+    digits_per_millivolt : float, optional
+        Gain of the digits in the file.
+    """
+
+    name: str
+    values: NDArray[np.float64]
+    unit: str | None
+    lead: str | None = None
+    digits_per_millivolt: float | None = None
+
+    def placed(self, start: int, length: int) -> Channel:
+        """The same on a time axis of `length` samples, from `start` on; NaN where it has none."""
+        values = np.full(length, np.nan)
+        values[start : start + len(self.values)] = self.values
+        return replace(self, values=values)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Everything a reader found: channels, their rate (Hz), the format, the recorder's filters."""
+
+    channels: Sequence[Channel]
+    sampling_rate: float
+    format: str
+    filters: Filters = field(default_factory=Filters)
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def strictest(
+    highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
+) -> Filters:
+    """Filters (Hz) of leads that may differ in them: the narrowest band; 0 Hz is no filter."""
+    high, low, mains = ([f for f in found if f > 0] for found in (highpass, lowpass, notch))
+    return Filters(max(high, default=None), min(low, default=None), min(mains, default=None))
+
+
+def gain_of(step: float, unit: str | None) -> float | None:
+    """Digits per mV where one digit is `step` of a unit; None where the unit is unknown.
+
+    Nor has a step a gain that is too small for its inverse to be a number.
+    """
+    size = abs(step * (millivolts(unit) or 0.0)) if unit is not None else 0.0
+    return 1 / size if size > np.finfo(float).tiny else None
+
+
+def assemble(
+    contents: Contents, source: str, given: Given, wanted: Sequence[str] | None = None
+) -> Recording:
+    """Make a recording of the channels that are leads; missing limb leads follow from two.
+
+    Parameters
+    ----------
+    contents : Contents
+        What the file holds.
+    source : str
+        What messages begin with.
+    given : Given
+        Its unit serves where a channel has none.
+    wanted : sequence of str, optional
+        Standard names of the leads to use; by default all that are there, and then all eight
+        independent ones must be.
+
+    Raises
+    ------
+    InputError
+        When leads are missing or twice there, a unit is unknown, or the samples cannot be used.
+    """
+    leads, ignored = _by_lead(contents, source, wanted)
+    _check_complete(list(leads), source, wanted)
+    signal, gains = _in_millivolts(leads, source, given)
+    check_extent(signal.shape[1], contents.sampling_rate, source)
+    signal, derived = derive_limb_leads(signal, leads)
+    _check_derived(signal, derived, source)
+    return Recording(
+        signal=signal,
+        sampling_rate=contents.sampling_rate,
+        source=source,
+        provenance={"format": contents.format} | dict(contents.notes),
+        filters=contents.filters,
+        digits_per_millivolt=gains,
+        derived=derived,
+        ignored=tuple(ignored),
+    )
+
+
+def _by_lead(
+    contents: Contents, source: str, wanted: Sequence[str] | None
+) -> tuple[dict[str, Channel], list[str]]:
+    """Sort the channels into leads and the rest, whose names are returned."""
+    leads: dict[str, Channel] = {}
+    ignored = []
+    for channel in contents.channels:
+        lead = channel.lead if channel.lead is not None else lead_name(channel.name)
+        if lead is None or (wanted is not None and lead not in wanted):
+            ignored.append(printable(channel.name))
+        elif lead in leads:
+            raise InputError(
+                f"{source}: lead {lead} is there twice ('{printable(leads[lead].name)}' and "
+                f"'{printable(channel.name)}'); keep one of them"
+            )
+        else:
+            leads[lead] = channel
+    return leads, ignored
+
+
+def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | None) -> None:
+    """Refuse a file without the leads that are needed or wanted."""
+    limb_known = limb_leads_from(found) is not None
+    needed = INDEPENDENT_LEADS if wanted is None else wanted
+    missing = [
+        lead for lead in needed if lead not in found and not (lead in LIMB_LEADS and limb_known)
+    ]
+    if not missing:
+        return
+    usable = [lead for lead in LEADS if lead in found]
+    advice = "two limb leads and V1 to V6 are needed"
+    if limb_known and any(lead in CHEST_LEADS for lead in found):
+        advice += f"; to go on without, name the leads to use: --leads {','.join(usable)}"
+    raise InputError(
+        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing (found: "
+        f"{', '.join(usable) or 'none'}); {advice}"
+    )
+
+
+def _check_derived(signal: NDArray[np.float64], derived: Sequence[str], source: str) -> None:
+    """Refuse limb leads that cannot follow because the two were not recorded together."""
+    rows = [LEADS.index(lead) for lead in derived]
+    empty = [LEADS[row] for row in rows if not np.isfinite(signal[row]).any()]
+    if empty:
+        raise InputError(
+            f"{source}: lead{'s' * (len(empty) > 1)} {', '.join(empty)} missing, and no two limb "
+            "leads were recorded at the same time to compute them from"
+        )
+
+
+def _in_millivolts(
+    leads: Mapping[str, Channel], source: str, given: Given
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Leads as (12, n) mV and the gains (12,) of their digits; NaN for what is not there."""
+    lengths = {lead: len(channel.values) for lead, channel in leads.items()}
+    if len(set(lengths.values())) != 1:
+        few, many = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+        raise InputError(
+            f"{source}: lead {few} has {lengths[few]} samples, lead {many} {lengths[many]}; export "
+            "all leads over the same time and at one rate"
+        )
+    signal = np.full((len(LEADS), next(iter(lengths.values()))), np.nan)
+    gains = np.full(len(LEADS), np.nan)
+    for lead, channel in leads.items():
+        row = LEADS.index(lead)
+        scale = _scale(channel, lead, source, given)
+        with np.errstate(over="ignore"):  # what is infinite is refused as a gap
+            signal[row] = scale * channel.values
+        if channel.digits_per_millivolt is not None:
+            gains[row] = channel.digits_per_millivolt
+    return signal, gains
+
+
+def _scale(channel: Channel, lead: str, source: str, given: Given) -> float:
+    """Return the mV of one unit of a channel."""
+    stated = None if channel.unit is None else printable(channel.unit)
+    if stated is not None and given.unit is not None and not same_unit(stated, given.unit):
+        raise InputError(
+            f"{source}: lead {lead} is in '{stated}', --unit says '{given.unit}'; leave the option "
+            "out or correct the file"
+        )
+    unit = stated if stated is not None else given.unit
+    scale = None if unit is None else millivolts(unit)
+    if scale is None:
+        found = "the file names none" if unit is None else f"'{unit}'"
+        raise InputError(
+            f"{source}: unknown unit of lead {lead} ({found}); known are nV, uV, mV and V, give it "
+            "in the file or by --unit"
+        )
+    return scale

@@ -1,0 +1,130 @@
+"""ECG recordings from the files that clinics and archives have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+from fascicle.core.errors import InputError
+from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content
+from fascicle.recording.readers.hashes import sha256_of
+from fascicle.recording.readers.raw_recording import Contents, assemble
+from fascicle.recording.readers.read_options import Given
+from fascicle.recording.recording import Recording
+
+# The module and function that read each kind of file; loaded when used.
+_READERS = {
+    "WFDB": ("wfdb_records", "read_wfdb"),
+    "DICOM": ("dicom", "read_dicom"),
+    "XML": ("clinical", "read_xml"),
+    "SCP-ECG": ("clinical", "read_scp"),
+    "EDF": ("edf", "read_edf"),
+    "HDF5": ("hdf5", "read_hdf5"),
+    "MAT": ("matlab", "read_matlab"),
+    "table": ("tables", "read_table"),
+}
+_KINDS = {
+    ".hea": "WFDB", ".dcm": "DICOM", ".xml": "XML", ".scp": "SCP-ECG", ".edf": "EDF",
+    ".h5": "HDF5", ".hdf5": "HDF5", ".nc": "HDF5", ".mat": "MAT", ".csv": "table",
+    ".tsv": "table", ".txt": "table",
+}  # fmt: skip
+_ADVICE = {
+    ".pkl": "pickle files can run any code and are never opened, save the recording as CSV",
+    ".pickle": "pickle files can run any code and are never opened, save the recording as CSV",
+    ".npy": "arrays without lead names are not read, save the recording as CSV",
+    ".dat": "give its WFDB header, the .hea file beside it",
+    ".bdf": "BDF is not read, save the recording as EDF",
+    ".pdf": "give the recording itself, or digitise the picture to CSV",
+}
+_KNOWN = (
+    "give WFDB (.hea), DICOM (.dcm), HL7 aECG or MUSE (.xml), SCP-ECG (.scp), EDF (.edf), HDF5 "
+    "(.h5), MATLAB (.mat) or a table (.csv, .tsv)"
+)
+
+
+def read_recording(
+    path: str | Path,
+    *,
+    leads: Sequence[str] | None = None,
+    sampling_rate: float | None = None,
+    unit: str | None = None,
+) -> Recording:
+    """Read a 12-lead recording.
+
+    Parameters
+    ----------
+    path : path
+        WFDB header (or the record name without suffix), DICOM waveform, HL7 aECG, MUSE XML,
+        SCP-ECG, EDF or EDF+, HDF5, MATLAB or a table: see ``docs/recordings.md``.
+    leads : sequence of str, optional
+        Leads to use, of `fascicle.core.leads.LEADS`; by default all. Limb leads are computed where
+        two of them are used.
+    sampling_rate : float, optional
+        Samples per second (Hz), for files that do not say.
+    unit : str, optional
+        Unit of the leads (nV, uV, mV, V), for files that do not say.
+
+    Returns
+    -------
+    Recording
+        Leads in mV, in the order of `fascicle.core.leads.LEADS`.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be used; the message says why and what to do.
+    """
+    path = _existing_file(Path(path))
+    given = Given(sampling_rate, unit)
+    recording = assemble(_reader(path)(path, given), str(path), given, leads)
+    notes = {"source_sha256": sha256_of([path])}
+    if leads is not None:
+        notes["choice_leads"] = ", ".join(leads)
+    if sampling_rate is not None:
+        notes["choice_sampling_rate_hz"] = f"{sampling_rate:g}"
+    if unit is not None:
+        notes["choice_unit"] = unit
+    return replace(recording, provenance=recording.provenance | notes)
+
+
+def _existing_file(path: Path) -> Path:
+    """Return the file itself, or the WFDB header of a record name."""
+    if path.is_file():
+        return path
+    header = path.with_name(path.name + ".hea") if path.name else path
+    if header.is_file():
+        return header
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give one recording file")
+    if path.exists():
+        raise InputError(f"{path}: is not an ordinary file; give one recording file")
+    raise InputError(f"{path}: no such file; check the name of the recording")
+
+
+def _reader(path: Path) -> Callable[[Path, Given], Contents]:
+    """Choose by the suffix, or by the first bytes where there is none; both must agree."""
+    suffix, size = path.suffix.lower(), path.stat().st_size
+    if not 0 < size <= LARGEST_FILE:
+        raise InputError(
+            f"{path}: {size / 2**20:.0f} MB; cut the recording to a part of at most "
+            f"{LARGEST_FILE / 2**20:.0f} MB, 10 s are enough"
+            if size
+            else f"{path}: the file is empty; download or export it again"
+        )
+    found = kind_of_content(path)
+    kind = _KINDS.get(suffix)
+    if kind is None and suffix not in _ADVICE:
+        kind = found
+    if kind is None:
+        what = f"'{suffix}' recordings" if suffix else "recordings of unknown kind"
+        raise InputError(f"{path}: {what} cannot be read; {_ADVICE.get(suffix, _KNOWN)}")
+    # MATLAB's newer files are HDF5 inside
+    if found is not None and found != kind and (found, kind) != ("HDF5", "MAT"):
+        raise InputError(f"{path}: its content is {found}, not what its name says; rename it")
+    module, name = _READERS[kind]
+    reader: Callable[[Path, Given], Contents] = getattr(
+        import_module(f"{__package__}.{module}"), name
+    )
+    return reader

@@ -1,0 +1,195 @@
+"""The target of cut beats: their QRS window, what is suspicious, where they came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.recording.analysis import Beat
+from fascicle.recording.beats import CutBeats
+from fascicle.recording.choices import Choices, check_window
+from fascicle.recording.detection import magnitude
+from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.recording import Recording
+from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.window import qrs_window, window_uncertainty
+
+LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
+LARGEST_DOUBT = 40.0  # ms
+NOISY = 0.2  # beat-to-beat spread over QRS height
+FEW_ALIKE = 0.7  # share of the beats that should be alike
+
+
+def whole_target(
+    recording: Recording,
+    cut: CutBeats,
+    beats: Sequence[Beat],
+    choices: Choices,
+    label: str,
+    findings: Sequence[Finding],
+) -> Target:
+    """Make the target of beats that were cut out.
+
+    Parameters
+    ----------
+    recording : Recording
+        Where they are from.
+    cut : CutBeats
+        Those that are used.
+    beats : sequence of Beat
+        All beats of the recording.
+    choices : Choices
+        Decisions of the user.
+    label : str
+        Class of the beats.
+    findings : sequence of Finding
+        What the checks of the recording said.
+
+    Raises
+    ------
+    InputError
+        When a single beat has no stated noise, or the window is impossible or cannot be found.
+    """
+    _check_noise(len(cut.beats), label, choices, recording.source)
+    mean = cut.beats.mean(axis=0)
+    onset, offset = _window(mean, cut, choices, recording.source)
+    ends = window_uncertainty(cut.beats, SAMPLING_STEP, cut.not_before, noise=choices.noise)
+    onset_sd, offset_sd = (math.hypot(sd, cut.doubt) for sd in ends)
+    _check_doubt(onset_sd, offset_sd, choices, recording.source)
+    target = Target(
+        beats=cut.beats,
+        time=cut.time,
+        qrs_onset=onset,
+        qrs_offset=offset,
+        heart_rate=_heart_rate(beats),
+        provenance=_provenance(recording, beats, len(cut.beats), choices),
+        onset_sd=onset_sd if choices.onset is None else 0.0,
+        offset_sd=offset_sd if choices.offset is None else 0.0,
+        noise=choices.noise,
+    )
+    warnings = _warnings(recording, target, beats, label, choices, findings)
+    if not warnings:
+        return target
+    return replace(target, provenance=target.provenance | {"warnings": "\n".join(warnings)})
+
+
+def _heart_rate(beats: Sequence[Beat]) -> float:
+    """Beats per minute, of all classes; NaN where there is one beat only."""
+    intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
+    return 60000.0 / float(np.mean(intervals)) if intervals else math.nan
+
+
+def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
+    """Ask for the noise of a single beat, and only of one."""
+    if count == 1 and choices.noise is None:
+        raise InputError(
+            f"{source}: a single beat (class {label}) cannot tell how beats vary; state its noise, "
+            "such as --noise 0.04 (mV), or give a recording with more beats of one shape"
+        )
+    if count > 1 and choices.noise is not None:
+        raise InputError(
+            f"{source}: {count} beats tell how they vary; --noise is for a single beat"
+        )
+
+
+def _check_doubt(onset_sd: float, offset_sd: float, choices: Choices, source: str) -> None:
+    """Refuse ends that may be anywhere, unless the user has given them."""
+    for name, sd, given in (
+        ("onset", onset_sd, choices.onset), ("offset", offset_sd, choices.offset)
+    ):  # fmt: skip
+        if sd > LARGEST_DOUBT and given is None:
+            raise InputError(
+                f"{source}: QRS {name} found to within {sd:.0f} ms only (at most "
+                f"{LARGEST_DOUBT:.0f}); give it by --{name}, or a cleaner recording"
+            )
+
+
+def _window(
+    mean: NDArray[np.float64], cut: CutBeats, choices: Choices, source: str
+) -> tuple[float, float]:
+    """QRS window (ms from R): what is given, otherwise what is found."""
+    first, last = qrs_window(mean, SAMPLING_STEP, cut.not_before)
+    time = cut.time
+    start = float(time[first]) if choices.onset is None else float(choices.onset)
+    end = float(time[last]) if choices.offset is None else float(choices.offset)
+    check_window(start, end, source)
+    if not start < 0 < end and None in (choices.onset, choices.offset):
+        raise InputError(
+            f"{source}: QRS window {start:g} to {end:g} ms does not hold the R peak (0 ms); give "
+            "--onset and --offset about it, or a cleaner recording"
+        )
+    if start < time[0] or end > time[-1]:
+        raise InputError(
+            f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
+            f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
+        )
+    return start, end
+
+
+def _provenance(
+    recording: Recording,
+    beats: Sequence[Beat],
+    n_used: int,
+    choices: Choices,
+) -> dict[str, str]:
+    """Text about everything that decided the target."""
+    notes = {
+        "source": recording.source,
+        "sampling_rate_hz": f"{recording.sampling_rate:g}",
+        "recording_duration_s": f"{recording.duration:.3f}",
+        "beats_found": str(len(beats)),
+        "beats_used": str(n_used),
+        "beat_numbers": ", ".join(str(beat.number) for beat in beats if beat.used),
+        "beat_class": ", ".join(sorted({beat.label for beat in beats if beat.used})),
+        "qrs_onset_from": "detected" if choices.onset is None else "given",
+        "qrs_offset_from": "detected" if choices.offset is None else "given",
+    }
+    if recording.derived:
+        notes["derived_leads"] = ", ".join(recording.derived)
+    if recording.ignored:
+        notes["ignored_channels"] = ", ".join(recording.ignored)
+    return recording.provenance | notes | choices.described()
+
+
+def _warnings(
+    recording: Recording,
+    target: Target,
+    beats: Sequence[Beat],
+    label: str,
+    choices: Choices,
+    findings: Sequence[Finding],
+) -> list[str]:
+    """Collect what the user should know."""
+    warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
+    if not recording.simultaneous:
+        warnings.append(
+            "leads were recorded in turns: beats of different groups are put together, and aligned "
+            "to within some 10 ms unless they share a lead"
+        )
+    notes = recording.provenance
+    if notes.get("checksums", "").startswith("differ"):
+        warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
+    if "remarks" in notes:
+        warnings.append(notes["remarks"])
+    if not LOWEST_RATE <= target.heart_rate <= HIGHEST_RATE:
+        warnings.append(f"{target.heart_rate:.0f} beats per minute; is the sampling rate right?")
+    if len(target.beats) == 2:
+        warnings.append("two beats tell little of how beats vary; give a longer recording")
+    alike = sum(beat.label == label for beat in beats)
+    if alike < FEW_ALIKE * len(beats) and choices.beats is None:
+        warnings.append(
+            f"only {alike} of {len(beats)} beats are of class {label}; look at the rhythm"
+        )
+    spread = float(np.nanmean(magnitude(target.standard_deviation[:, target.qrs_samples])))
+    height = float(magnitude(target.qrs).max())
+    if spread > NOISY * height:
+        warnings.append(
+            f"the QRS varies by {spread:.3f} mV from beat to beat, {spread / height:.0%} of its "
+            "height; the recording is noisy"
+        )
+    return warnings

@@ -1,0 +1,148 @@
+"""A pacing prediction as files: table, ECGs, activation maps, figures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_folder, atomic_path, write_text
+from fascicle.core.leads import LEADS
+from fascicle.core.progress import Progress
+from fascicle.forward.simulation_files import write_activation
+from fascicle.predict.pacing import Pacing, pace, qrs_aligned
+from fascicle.study.fit import FittedStudy
+
+
+def write_pacing(
+    fitted: FittedStudy, root_time: float, out: Path, progress: Progress | None = None
+) -> Pacing:
+    """Predict pacing with every accepted network and write the result.
+
+    The folder holds ``table.csv`` (QRS duration and total activation time of each network before
+    and after), ``ecgs.nc``, ``activation_{minimum,median,maximum}.vtu`` for the networks with the
+    least, median and largest total activation time, and figures of the same.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    root_time : float
+        t_RV − t_LV of the paced roots (ms).
+    out : Path
+        Folder to write.
+    progress : callable, optional
+        Told how far the simulations are.
+
+    Raises
+    ------
+    InputError
+        If the study accepted no network, or the root time is not finite.
+    """
+    if not len(fitted.accepted):
+        raise InputError(
+            f"{fitted.folder}: no network was accepted, so there is nothing to predict with; "
+            "fit with more steps or more initial points"
+        )
+    if not np.isfinite(root_time):
+        raise InputError(f"--root-time is {root_time}; give a finite number of ms")
+    networks = fitted.networks(progress)
+    pacing = pace(fitted.problem.model, networks, root_time)
+    with atomic_folder(out) as folder:
+        write_text(folder / "table.csv", _table(pacing))
+        write_text(
+            folder / "summary.json", json.dumps(_summary(pacing, root_time), indent=2) + "\n"
+        )
+        _write_ecgs(folder / "ecgs.nc", pacing)
+        for name, k in pacing.extremes().items():
+            path = folder / f"activation_{name}.vtu"
+            write_activation(path, fitted.problem.model.heart, pacing.after[k])
+        _write_figures(folder, fitted, pacing, root_time)
+    return pacing
+
+
+def _table(pacing: Pacing) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        [
+            "network",
+            "qrs_duration_before_ms",
+            "qrs_duration_after_ms",
+            "total_activation_time_before_ms",
+            "total_activation_time_after_ms",
+        ]
+    )
+    columns = (pacing.qrs_before, pacing.qrs_after, pacing.tat_before, pacing.tat_after)
+    for k, row in enumerate(zip(*columns, strict=True)):
+        writer.writerow([f"{k:02d}", *(f"{value:.2f}" for value in row)])
+    return text.getvalue()
+
+
+def _summary(pacing: Pacing, root_time: float) -> dict[str, object]:
+    def numbers(values: np.ndarray) -> dict[str, float]:
+        return {
+            "minimum": float(values.min()),
+            "median": float(np.median(values)),
+            "maximum": float(values.max()),
+        }
+
+    return {
+        "root_time_ms": root_time,
+        "networks": len(pacing.after),
+        "qrs_duration_before_ms": numbers(pacing.qrs_before),
+        "qrs_duration_after_ms": numbers(pacing.qrs_after),
+        "total_activation_time_before_ms": numbers(pacing.tat_before),
+        "total_activation_time_after_ms": numbers(pacing.tat_after),
+        "activation_maps": {name: f"network {k:02d}" for name, k in pacing.extremes().items()},
+    }
+
+
+def _write_ecgs(path: Path, pacing: Pacing) -> None:
+    arrays = {}
+    for name, simulations in (("before", pacing.before), ("after", pacing.after)):
+        time, ecgs = qrs_aligned(simulations)
+        arrays[name] = xr.DataArray(
+            ecgs,
+            dims=("network", "lead", f"time_{name}"),
+            coords={"lead": list(LEADS), f"time_{name}": time},
+            attrs={"units": "mV"},
+        )
+        arrays[name][f"time_{name}"].attrs.update(units="ms", long_name="time from QRS onset")
+    with atomic_path(path) as temporary:
+        xr.Dataset(arrays).to_netcdf(temporary, engine="h5netcdf")
+
+
+def _write_figures(folder: Path, fitted: FittedStudy, pacing: Pacing, root_time: float) -> None:
+    from fascicle.report.ecg import before_after_figure
+    from fascicle.report.figures import save
+    from fascicle.report.hearts import activation_figure
+    from fascicle.report.pacing import Durations, pacing_figure
+    from fascicle.report.study import activation_row
+
+    labels = ("before", f"roots {root_time:g} ms apart" if root_time else "roots together")
+    figure = before_after_figure(
+        *qrs_aligned(pacing.before),
+        *qrs_aligned(pacing.after),
+        labels=labels,
+        title=f"Predicted ECG of {len(pacing.after)} networks",
+    )
+    save(figure, folder / "ecg.png")
+    figure = pacing_figure(
+        Durations(pacing.qrs_before, pacing.tat_before),
+        Durations(pacing.qrs_after, pacing.tat_after),
+        labels=labels,
+    )
+    save(figure, folder / "durations.png")
+    chosen = {name: pacing.after[k] for name, k in pacing.extremes().items()}
+    rows = [
+        activation_row(f"{name}, {simulation.total_activation_time:.0f} ms", simulation)
+        for name, simulation in chosen.items()
+    ]
+    figure = activation_figure(fitted.problem.model.heart, rows)
+    save(figure, folder / "activation.png")

@@ -1,0 +1,1 @@
+"""The study: settings, durable evaluations, stages, results."""

@@ -1,0 +1,133 @@
+"""A study on disk: its configuration, every evaluation, and resuming after any interruption.
+
+A study is a folder with `study.json` and `evaluations.sqlite`. Everything that takes time or
+chance is written down before it is used: each proposal of the optimisation with the
+hyper-parameters behind it, each round of posterior candidates, each evaluation. To resume is to
+run again from the start and to read what is there instead of computing it, so an interrupted
+study and an uninterrupted one are the same program and give the same bits. Step k of a stage
+draws from ``default_rng([seed, stage, k])`` and from nothing else.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import write_text
+from fascicle.core.progress import Progress
+from fascicle.inference.evaluation import Objective
+from fascicle.study.evaluations import Ledger, Record
+from fascicle.study.settings import StudyConfig
+
+if TYPE_CHECKING:
+    from fascicle.study.posterior_result import Posterior
+
+CONFIGURATION = "study.json"
+DATABASE = "evaluations.sqlite"
+
+
+class Study:
+    """A study folder.
+
+    Attributes
+    ----------
+    folder : Path
+    config : StudyConfig
+    """
+
+    def __init__(self, folder: Path, config: StudyConfig) -> None:
+        self.folder = folder
+        self.config = config
+        self._ledger = Ledger(folder / DATABASE)
+
+    @classmethod
+    def create_or_resume(cls, folder: Path, config: StudyConfig) -> Study:
+        """Open the study in `folder`, a new one if the folder is empty or missing.
+
+        Raises
+        ------
+        InputError
+            If the folder holds something else, or a study with other settings.
+        """
+        if (folder / CONFIGURATION).exists():
+            _check_same(folder, _read(folder), config)
+            return cls(folder, config)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            # A run killed while it wrote study.json leaves only its temporary file.
+            foreign = [path for path in folder.iterdir() if not path.name.startswith(".study.")]
+        except OSError as error:
+            raise InputError(f"{folder}: {error.strerror}; give another folder (--out)") from error
+        if foreign:
+            raise InputError(
+                f"{folder}: not a study (it has no {CONFIGURATION}) and not empty; "
+                "give another folder (--out)"
+            )
+        write_text(folder / CONFIGURATION, config.model_dump_json(indent=2) + "\n")
+        return cls(folder, config)
+
+    @classmethod
+    def open(cls, folder: Path) -> Study:
+        """Open the study that is in `folder`, to look at it or to resume it as it is."""
+        if not (folder / CONFIGURATION).exists():
+            raise InputError(f"{folder}: not a study; it has no {CONFIGURATION}")
+        if not (folder / DATABASE).is_file():
+            raise InputError(
+                f"{folder}: the study has no {DATABASE}; run 'fascicle fit' on it again"
+            )
+        return cls(folder, _read(folder))
+
+    def records(self) -> list[Record]:
+        """All evaluations so far, in the order in which they were made."""
+        return self._ledger.records()
+
+    def run(self, objective: Objective, progress: Progress) -> Posterior:
+        """Do what is left of the study, and give its result.
+
+        A finished study gives its result again without evaluating anything.
+
+        Parameters
+        ----------
+        objective : Objective
+            Must give the same result for the same point whenever it is asked.
+        progress : Progress
+            Told about every batch of evaluations.
+        """
+        from fascicle.study.stages import Run
+
+        return Run(self.config, self._ledger, objective, progress).posterior()
+
+
+def _read(folder: Path) -> StudyConfig:
+    path = folder / CONFIGURATION
+    try:
+        return StudyConfig.model_validate_json(path.read_text(encoding="utf-8"))
+    except (ValidationError, UnicodeDecodeError) as error:
+        where = "not text"
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            where = f"{'.'.join(map(str, first['loc'])) or 'JSON'}: {first['msg']}"
+        raise InputError(
+            f"{path}: not a configuration that this version reads ({where}); "
+            "give another folder (--out)"
+        ) from error
+
+
+def _check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
+    """Refuse to mix two studies in one folder."""
+    different = [n for n in StudyConfig.model_fields if getattr(there, n) != getattr(now, n)]
+    if different:
+        told = ", ".join(_difference(n, getattr(there, n), getattr(now, n)) for n in different)
+        raise InputError(
+            f"{folder}: holds a study with another {told}; give another folder (--out) "
+            "or the original settings"
+        )
+
+
+def _difference(name: str, there: object, now: object) -> str:
+    if isinstance(there, (tuple, dict)):
+        return name
+    return f"{name} ({there} there, {now} now)"

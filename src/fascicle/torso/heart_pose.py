@@ -1,0 +1,169 @@
+"""Where a heart lies in the body: its anatomical axes, and the body's axes around it.
+
+Body frame (mm): x to the patient's left, y to the back, z to the head; the origin lies on the axis
+of the trunk, at the level of the fourth intercostal space at the sternum. It is DICOM's LPS frame
+but for the origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.topology import boundary_loops
+from fascicle.torso.surfaces import Surface
+
+Pose = Literal["standard", "ras", "lps"]
+
+# The long axis points to the left, to the front and down, at about 45 degrees to the three planes
+# of the body (common anatomical knowledge; these figures are those of the packaged heart). The LV
+# and the RV lie side by side: the axis from one to the other is horizontal.
+AZIMUTH = np.radians(48)  # of the long axis: from straight ahead towards the patient's left
+ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
+
+# Body axes in the patient axes of images: columns are x, y and z. NIfTI's RAS+ counts to the right,
+# to the front and up, DICOM's LPS+ to the left, to the back and up.
+_PATIENT_AXES: dict[Pose, NDArray[np.float64]] = {
+    "ras": np.diag([-1.0, -1.0, 1.0]),
+    "lps": np.eye(3),
+}
+
+
+@dataclass(frozen=True)
+class BodyFrame:
+    """The rigid motion between the heart's coordinates and the body frame.
+
+    Attributes
+    ----------
+    rotation : (3, 3) array
+        Its columns are the body's axes x, y and z in the heart's coordinates.
+    origin : (3,) array
+        The body frame's origin in the heart's coordinates (mm).
+    """
+
+    rotation: NDArray[np.float64]
+    origin: NDArray[np.float64]
+
+    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Body coordinates of points (..., 3) given in the heart's."""
+        return np.asarray((points - self.origin) @ self.rotation)
+
+    def to_heart(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Heart coordinates of points (..., 3) given in the body's."""
+        return np.asarray(points @ self.rotation.T + self.origin)
+
+
+def heart_axes(lv: Surface, rv: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Anatomical axes of a heart, from the shape of its endocardia.
+
+    The long axis runs from the LV apex, the point furthest from the opening, to the middle of the
+    opening; the second axis from the middle of the LV to that of the RV, as far as it is at right
+    angles to the first.
+
+    Parameters
+    ----------
+    lv, rv : Surface
+        Endocardia, open at the base (mm).
+
+    Returns
+    -------
+    origin : (3,) array
+        Middle of the LV opening (mm).
+    rotation : (3, 3) array
+        Columns: from the LV to the RV; to the anterior-superior side of the septum; from the apex
+        to the base. Right-handed, whether the heart is mirrored or not.
+    """
+    base = opening(lv)
+    used = lv.vertices[np.unique(lv.triangles)]
+    apex = used[np.argmax(np.linalg.norm(used - base, axis=1))]
+    long_axis = (base - apex) / np.linalg.norm(base - apex)
+    across = surface_middle(rv) - surface_middle(lv)
+    across -= (across @ long_axis) * long_axis
+    across /= np.linalg.norm(across)
+    return base, np.stack([across, np.cross(long_axis, across), long_axis], axis=1)
+
+
+def opening(surface: Surface) -> NDArray[np.float64]:
+    """Middle of the openings of a surface, each point of the rim counting by length; (3,), mm."""
+    loops = boundary_loops(surface.triangles)
+    start = np.concatenate([surface.vertices[loop] for loop in loops])
+    end = np.concatenate([surface.vertices[np.roll(loop, -1)] for loop in loops])
+    length = np.linalg.norm(end - start, axis=1)
+    return np.asarray(np.average((start + end) / 2, axis=0, weights=length))
+
+
+def surface_middle(surface: Surface) -> NDArray[np.float64]:
+    """Centroid of a surface; (3,), mm."""
+    area = np.linalg.norm(triangle_normals(*surface), axis=1)
+    return np.asarray(np.average(surface.corners.mean(axis=1), axis=0, weights=area))
+
+
+def standard_axes() -> NDArray[np.float64]:
+    """The axes of `heart_axes` in the body frame, for a heart in the standard pose; (3, 3)."""
+    ce, se, ca, sa = np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH), np.sin(AZIMUTH)
+    apex_to_base = np.array([-ce * sa, ce * ca, se])
+    lv_to_rv = np.array([-ca, -sa, 0.0])
+    return np.stack([lv_to_rv, np.cross(apex_to_base, lv_to_rv), apex_to_base], axis=1)
+
+
+def body_frame(
+    lv: Surface,
+    rv: Surface,
+    centroid: NDArray[np.float64],
+    place: NDArray[np.float64],
+    pose: Pose = "standard",
+) -> BodyFrame:
+    """Lay the body's axes around a heart, which itself stays where it is.
+
+    Parameters
+    ----------
+    lv, rv : Surface
+        Endocardia in the heart's coordinates (mm).
+    centroid : (3,) array
+        Centroid of the myocardium in the heart's coordinates (mm).
+    place : (3,) array
+        Where that lies in the body frame (mm).
+    pose : {"standard", "ras", "lps"}
+        Whether the body's axes follow from the heart's, which are given the standard angles, or
+        are those of the image that the heart comes from.
+
+    Raises
+    ------
+    InputError
+        If the pose is unknown, or is that of an image and the heart's apex then points two of
+        three wrong ways: up, to the right, to the back.
+    """
+    if pose not in get_args(Pose):
+        raise InputError(f"pose: '{pose}' is unknown; use one of {', '.join(get_args(Pose))}")
+    _, axes = heart_axes(lv, rv)
+    if pose == "standard":
+        rotation = axes @ standard_axes().T
+    else:
+        rotation = _PATIENT_AXES[pose]
+        _check_pose(pose, -rotation.T @ axes[:, 2])
+    return BodyFrame(rotation, centroid - rotation @ place)
+
+
+def _check_pose(pose: Pose, towards_apex: NDArray[np.float64]) -> None:
+    """Refuse image axes in which the apex points two of these ways: right, back, up.
+
+    Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
+    one hardly down.
+    """
+    wrong = [
+        name
+        for name, component in zip(
+            ("right", "back", "head"), towards_apex * np.array([-1, 1, 1]), strict=True
+        )
+        if component > 0
+    ]
+    if len(wrong) > 1:
+        raise InputError(
+            f"pose '{pose}': the apex then points to the {' and the '.join(wrong)}, where "
+            "none does; check the axes of the image, or use 'standard'"
+        )

@@ -1,1 +1,0 @@
-"""Purkinje trees: growth from parameters, junctions."""

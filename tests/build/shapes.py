@@ -1,0 +1,95 @@
+"""Ventricles made of truncated ellipsoids, whose volume and walls are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+from scipy.integrate import quad
+
+from fascicle.heart.labelled_surface import Label, LabelledSurface
+
+# Half-axes across and along (mm) of ellipsoids cut off at z = 0, the apices below, and how far to
+# the side of the left ventricle the right one is. The right cavity is what its inner ellipsoid
+# leaves outside the left ventricle, so the septum is the left ventricle's wall.
+LV_OUTER, LV_INNER = (32.0, 72.0), (22.0, 62.0)
+RV_OUTER, RV_INNER = (38.0, 62.0), (33.0, 57.0)
+RV_ASIDE = 22.0
+LV_WALL, RV_WALL = 10.0, 5.0  # mm
+FLAT = 1e-3  # mm that the base is off its plane
+
+
+def _signed(points: np.ndarray, axes: tuple[float, float], aside: float) -> np.ndarray:
+    """Nearly the distance to an ellipsoid (mm), negative inside."""
+    half = np.array([axes[0], axes[0], axes[1]])
+    shifted = points - [aside, 0, 0]
+    near = np.linalg.norm(shifted / half, axis=-1)
+    return near * (near - 1) / np.maximum(np.linalg.norm(shifted / half**2, axis=-1), 1e-9)
+
+
+def _parts(points: np.ndarray) -> dict[Label, np.ndarray]:
+    """Functions that are positive outside the tissue through that surface, negative inside."""
+    lv = _signed(points, LV_OUTER, 0)
+    epicardium = np.minimum(lv, _signed(points, RV_OUTER, RV_ASIDE))
+    right = np.minimum(-_signed(points, RV_INNER, RV_ASIDE), lv)
+    return {
+        Label.BASE: points[..., 2],  # the base is cut flat
+        Label.EPICARDIUM: epicardium,
+        Label.LV_ENDOCARDIUM: -_signed(points, LV_INNER, 0),
+        Label.RV_ENDOCARDIUM: right,
+    }
+
+
+def biventricular_surface(edge: float) -> LabelledSurface:
+    """The closed surface of two ventricles with triangles of about this edge length (mm)."""
+    low, high = np.array([-36.0, -42.0, -76.0]), np.array([64.0, 42.0, 0.0])
+    x, y, z = (
+        np.arange(start, stop, edge) + 0.37 * edge for start, stop in zip(low, high, strict=True)
+    )
+    # two layers next to the base, so that its rim is sharp
+    z = np.concatenate([z[z < -0.5 * edge], [-FLAT, FLAT]])
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+    parts = _parts(points)
+    parts[Label.BASE] *= edge / FLAT  # else the rim would be drawn to the nodes inside
+    values = np.max(list(parts.values()), axis=0)
+    grid = pv.ImageData(dimensions=values.shape)
+    made = grid.contour([0.0], scalars=values.ravel(order="F"), method="flying_edges")
+    steps = np.asarray(made.points, dtype=float)
+    vertices = np.column_stack(
+        [np.interp(steps[:, k], np.arange(len(axis)), axis) for k, axis in enumerate((x, y, z))]
+    )
+    triangles = np.asarray(made.regular_faces, dtype=np.int64)
+    middle = vertices[triangles].mean(axis=1)
+    parts = _parts(middle)
+    labels = np.array(list(parts))[np.argmax(list(parts.values()), axis=0)]
+    labels[vertices[triangles][..., 2].min(axis=1) > -1.5 * FLAT] = Label.BASE
+    return LabelledSurface(vertices, triangles, labels.astype(np.int64), "ventricles")
+
+
+def exact_volume() -> float:
+    """Volume of the tissue (mm³), from its cross-sections: disks and their overlaps."""
+    return quad(_cross_section, -LV_OUTER[1], 0, limit=400, epsrel=1e-7)[0]
+
+
+def _cross_section(z: float) -> float:
+    outer, inner, rv_outer, rv_inner = (
+        axes[0] * np.sqrt(max(1 - (z / axes[1]) ** 2, 0))
+        for axes in (LV_OUTER, LV_INNER, RV_OUTER, RV_INNER)
+    )
+    union = np.pi * (outer**2 + rv_outer**2) - _lens(outer, rv_outer, RV_ASIDE)
+    cavity = np.pi * rv_inner**2 - _lens(outer, rv_inner, RV_ASIDE)
+    return union - np.pi * inner**2 - cavity
+
+
+def _lens(r: float, s: float, apart: float) -> float:
+    """Area common to two disks."""
+    if apart >= r + s:
+        return 0.0
+    if apart <= abs(r - s):
+        return np.pi * min(r, s) ** 2
+    x = (apart**2 + r**2 - s**2) / (2 * apart)
+    half_chord = np.sqrt(max(r**2 - x**2, 0))
+    return float(
+        r**2 * np.arctan2(half_chord, x)
+        + s**2 * np.arctan2(half_chord, apart - x)
+        - apart * half_chord
+    )

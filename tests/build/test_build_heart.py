@@ -1,0 +1,236 @@
+"""Hearts built in a torso: where it lies, its electrodes and lead fields, and what keeps them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import anatomies
+import numpy as np
+import pytest
+from anatomies import EPI, LV, NETWORK, RV
+from scipy.spatial import cKDTree
+
+import fascicle
+from fascicle.build.check import cavity_volume, check_heart
+from fascicle.build.endocardia import endocardia
+from fascicle.build.pipeline import Body, build_heart
+from fascicle.build.source import Source
+from fascicle.core.errors import InputError
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.electrodes import read_electrodes, write_electrodes
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.fibres.rules import rule_based_fibres
+from fascicle.heart.folder import load_heart, write_heart
+from fascicle.heart.torso import Tissue
+from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.topology import boundary_triangles
+from fascicle.purkinje.chart import build_chart
+from fascicle.torso.resolve import key_of
+
+STAGES = ["fibres", "torso", "lead fields"]
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def idealised(tmp_path_factory, told):
+    """Folder of a heart in the idealised torso, from tetrahedra."""
+    folder = tmp_path_factory.mktemp("idealised")
+    source = Source(anatomies.write_vtu(folder / "mesh.vtu", labelled=True))
+    built = build_heart(source, name="in a torso", progress=lambda *step: told.append(step))
+    write_heart(built.heart, folder / "heart")
+    return folder / "heart"
+
+
+@pytest.fixture(scope="module")
+def in_torso(idealised):
+    return load_heart(idealised)
+
+
+@pytest.fixture(scope="module")
+def own_body(tmp_path_factory):
+    """Folder of the same heart in a small body of its own, with one lung."""
+    folder = tmp_path_factory.mktemp("own")
+    skin, lung = anatomies.body(), anatomies.body((28.0, 40.0, 55.0), (-70.0, 0.0, -30.0))
+    body = Body(
+        torso=str(anatomies.write_surface(folder / "skin.stl", *skin)),
+        lungs=(anatomies.write_surface(folder / "lung.stl", *lung),),
+        electrodes=anatomies.write_electrodes(
+            folder / "electrodes.csv", anatomies.places_on_body()
+        ),
+    )
+    source = Source(anatomies.write_vtu(folder / "mesh.vtu", labelled=True))
+    built = build_heart(source, body=body, name="own")
+    write_heart(built.heart, folder / "heart")
+    return folder / "heart"
+
+
+@pytest.fixture
+def never_solved(monkeypatch):
+    def fail(*_, **__):
+        raise AssertionError("lead fields were solved for")
+
+    monkeypatch.setattr("fascicle.torso.resolve.lead_fields", fail)
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """Electrodes of every heart that lead fields are solved for."""
+    from fascicle.torso.lead_fields import lead_fields
+
+    asked = []
+
+    def solve(heart, *arguments):
+        asked.append(heart.electrodes)
+        return lead_fields(heart, *arguments)
+
+    monkeypatch.setattr("fascicle.torso.resolve.lead_fields", solve)
+    return asked
+
+
+def trunk(heart):
+    """Axes of the patient as the heart tells them: leftwards and headwards, roughly."""
+    from_rv = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
+    return from_rv / np.linalg.norm(from_rv), np.array([0.0, 0.0, 1.0])  # the base is above
+
+
+class TestIdealisedTorso:
+    def test_the_heart_stays_where_it_is(self, in_torso):
+        np.testing.assert_array_equal(in_torso.vertices, anatomies.tissue().vertices)
+        np.testing.assert_array_equal(
+            in_torso.torso.vertices[: len(in_torso.vertices)], in_torso.vertices
+        )
+
+    def test_body_and_heart_fill_the_trunk_without_overlap(self, in_torso):
+        torso = in_torso.torso
+        volumes = signed_volumes(torso.vertices, torso.tetrahedra)
+        assert volumes.min() > 0
+        whole = np.concatenate([in_torso.tetrahedra, torso.tetrahedra])
+        skin, _ = boundary_triangles(whole)
+        a, b, c = torso.vertices[skin].transpose(1, 0, 2)
+        enclosed = abs(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+        assert volumes.sum() + in_torso.volumes.sum() == pytest.approx(enclosed, rel=1e-6)
+        litres = {t: volumes[torso.tissues == t].sum() / 1e6 for t in Tissue}
+        assert 20 < litres[Tissue.BODY] < 45
+        assert 2 < litres[Tissue.LUNG] < 6
+        cavities = sum(map(cavity_volume, in_torso.endocardia)) / 1000  # litres
+        assert litres[Tissue.BLOOD] == pytest.approx(cavities, rel=0.15)
+
+    def test_electrodes_lie_on_the_skin_in_their_places(self, in_torso):
+        torso, places = in_torso.torso, in_torso.electrodes
+        skin, _ = boundary_triangles(np.concatenate([in_torso.tetrahedra, torso.tetrahedra]))
+        distance, _ = cKDTree(torso.vertices[np.unique(skin)]).query(places)
+        assert distance.max() < 12  # the skin's edges are 11 mm long
+        left, up = trunk(in_torso)
+        ra, la, ll, *chest = places
+        assert (la - ra) @ left > 150
+        assert min((ra - ll) @ up, (la - ll) @ up) > 200
+        assert (np.diff(np.array(chest) @ left) > 5).all()  # V1 to V6 go around to the left
+        assert (np.array(chest) - ll).dot(up).min() > 0
+        assert cKDTree(in_torso.vertices).query(places)[0].min() > 15
+
+    def test_nothing_is_wrong_with_it(self, in_torso):
+        charts = {e.side: build_chart(e) for e in in_torso.endocardia}
+        assert check_heart(in_torso, charts).warnings == ()
+
+    def test_lead_fields_are_there_and_fresh(self, in_torso, never_solved):
+        assert in_torso.lead_fields.values.shape == (9, len(in_torso.vertices))
+        assert in_torso.lead_fields.key == key_of(in_torso, Conduction())
+        simulation = fascicle.ForwardModel(in_torso).simulate(NETWORK)
+        assert 0.1 < np.abs(simulation.leads).max() < 10  # mV
+
+    def test_each_lead_field_rises_towards_its_electrode(self, in_torso):
+        fields, places = in_torso.lead_fields.values, in_torso.electrodes
+        centre = in_torso.vertices.mean(axis=0)
+        for field, place in zip(fields, places, strict=True):
+            slope, *_ = np.linalg.lstsq(in_torso.vertices - centre, field - field.mean())
+            towards = (place - centre) / np.linalg.norm(place - centre)
+            assert slope @ towards > 0.2 * np.linalg.norm(slope)
+
+    def test_the_stages_are_told_to_their_end(self, in_torso, told):
+        assert list(dict.fromkeys(stage for stage, *_ in told)) == STAGES
+        last = {stage: (done, total) for stage, done, total, _ in told}
+        assert all(done == total for done, total in last.values())
+
+
+class TestOwnTorso:
+    def test_moved_electrode_is_solved_for_anew_and_changes_the_ecg(
+        self, own_body, tmp_path, solved
+    ):
+        folder = tmp_path / "heart"
+        shutil.copytree(own_body, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
+        before = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
+        assert solved == []
+        electrodes = read_electrodes(folder / "electrodes.csv")
+        electrodes[4] += [0.0, -60.0, -30.0]  # V2
+        write_electrodes(folder / "electrodes.csv", electrodes)
+        after = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
+        np.testing.assert_array_equal(solved, [electrodes])
+        change = np.abs(after - before).max("time") / np.abs(before).max()
+        assert change.sel(lead="V2") > 0.02
+        others = [lead for lead in before.lead.values if lead != "V2"]
+        assert change.sel(lead=others).max() < 1e-6
+        fascicle.ForwardModel(load_heart(folder))
+        assert len(solved) == 1  # it was kept
+
+    def test_lungs_and_other_conductivities_count(self, own_body, solved):
+        heart = load_heart(own_body)
+        assert set(np.unique(heart.torso.tissues)) == set(Tissue)
+        as_body = Conduction(lung=Conduction().body)
+        with_lung = fascicle.ForwardModel(heart).simulate(NETWORK)
+        without = fascicle.ForwardModel(heart, as_body).simulate(NETWORK)
+        assert len(solved) == 1
+        change = np.abs(without.leads - with_lung.leads).max() / np.abs(with_lung.leads).max()
+        assert 0.02 < change < 1
+
+    def test_lead_fields_without_their_torso_fit_their_electrodes_only(
+        self, own_body, tmp_path, never_solved
+    ):
+        folder = tmp_path / "heart"
+        write_heart(replace(load_heart(own_body), torso=None), folder)
+        assert not (folder / "torso.vtu").exists()
+        fascicle.ForwardModel(load_heart(folder))
+        electrodes = read_electrodes(folder / "electrodes.csv")
+        electrodes[0] += [5.0, 0.0, 0.0]
+        write_electrodes(folder / "electrodes.csv", electrodes)
+        with pytest.raises(InputError, match="lead fields are for other electrodes") as caught:
+            fascicle.ForwardModel(load_heart(folder))
+        assert "\n" not in str(caught.value)
+
+
+def test_volumes_converge_with_the_edge_length():
+    """Chords cut off a share that goes with the square of their length."""
+    shares = []
+    for mesh in (anatomies.tissue(), anatomies.tissue(anatomies.FINER)):
+        muscle = signed_volumes(mesh.vertices, mesh.tetrahedra).sum() / 1000
+        assert muscle == pytest.approx(anatomies.MYOCARDIUM, rel=0.02)
+        found = [
+            cavity_volume(Endocardium(side, surface.vertices, surface.triangles, 0, 1))
+            for side, surface in zip(("lv", "rv"), endocardia(mesh), strict=True)
+        ]
+        exact = [anatomies.volume_below(label) for label in (LV, RV)]
+        shares.append(1 - np.array(found) / exact)
+    coarse, fine = shares
+    assert (coarse < 0.1).all()
+    assert (np.abs(fine) < 0.035).all()
+    assert (fine < 0.6 * coarse).all()
+
+
+def test_fibres_lie_in_the_wall_and_sheets_across_them():
+    mesh = anatomies.tissue()
+    fibres = rule_based_fibres(mesh)
+    for directions in (fibres.fibre, fibres.sheet):
+        assert np.abs(np.linalg.norm(directions, axis=1) - 1).max() < 1e-12
+    assert np.abs(np.einsum("ij,ij->i", fibres.fibre, fibres.sheet)).max() < 1e-12
+    centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    outward = centres / np.array(anatomies.HALF_AXES[LV]) ** 2  # normal of the LV's ellipsoids
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    free_wall = (centres[:, 0] < -5) & (centres[:, 2] > -45)
+    out_of_wall = np.abs(np.einsum("ij,ij->i", fibres.fibre, outward))[free_wall]
+    assert free_wall.sum() > 200
+    assert np.median(out_of_wall) < 0.1
+    assert EPI in mesh.labels

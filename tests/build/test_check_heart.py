@@ -1,0 +1,156 @@
+"""What `check_heart` measures on ventricles whose figures are known, and when it warns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from math import radians
+
+import anatomies
+import numpy as np
+import pytest
+from anatomies import CENTRE_X, EPI, HALF_AXES, LV, PLACES, RV
+
+from fascicle.build.check import MOST, cavity_volume, check_heart
+from fascicle.build.pipeline import heart_of
+from fascicle.build.source import Anatomy
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.fibres.rules import FibreAngles
+from fascicle.heart.heart import Heart
+from fascicle.purkinje.chart import build_chart
+
+ELECTRODE_PLACES = np.array([PLACES[name] for name in ELECTRODES], dtype=float)
+
+
+@cache
+def heart_with(lv=(60.0, -60.0), rv=(90.0, -25.0)) -> Heart:
+    """The ventricles with rule-based fibres of these helix angles (degrees)."""
+    angles = FibreAngles(*map(radians, (*lv, *rv)))
+    return replace(heart_of(Anatomy(anatomies.tissue()), angles), electrodes=ELECTRODE_PLACES)
+
+
+def check(heart):
+    return check_heart(heart, {e.side: build_chart(e) for e in heart.endocardia})
+
+
+def through(angles, ratio=1.0):
+    """Angles in the middle of five layers between two surfaces (degrees).
+
+    The rule's depth is harmonic: between cylinders whose radii have this ratio it goes with the
+    logarithm of the radius, and so it does nearly between these ellipsoids.
+    """
+    depth = (np.arange(5) + 0.5) / 5
+    if ratio > 1:
+        depth = np.log(1 + (ratio - 1) * depth) / np.log(ratio)
+    return angles[0] + depth * (angles[1] - angles[0])
+
+
+# From the middle of the left ventricle to its two surfaces, on the left
+RATIO = (HALF_AXES[EPI][0] - CENTRE_X[EPI]) / HALF_AXES[LV][0]
+
+
+@pytest.mark.parametrize("asked", [(30.0, -30.0), (60.0, -60.0), (45.0, 10.0)])
+def test_helix_of_the_free_wall_is_what_was_asked_for(asked):
+    found = check(heart_with(lv=asked)).helix["LV free wall"].in_layers()
+    np.testing.assert_allclose(found, through(asked, RATIO), atol=4)
+
+
+def test_without_a_helix_there_is_none():
+    helix = check(heart_with((0.0, 0.0), (0.0, 0.0))).helix
+    assert set(helix) == {"LV free wall", "septum", "RV free wall"}
+    for wall in helix.values():
+        assert np.abs(wall.in_layers()).max() < 4
+
+
+def test_right_wall_has_the_right_angles_and_the_septum_both():
+    helix = check(heart_with(lv=(30.0, -30.0), rv=(20.0, -40.0))).helix
+    np.testing.assert_allclose(helix["RV free wall"].in_layers(), through((20, -40)), atol=7)
+    # what rises on the septum's right side, seen from there, falls seen from the left
+    np.testing.assert_allclose(helix["septum"].in_layers(), through((30, -20)), atol=7)
+
+
+def test_layers_average_directions_without_a_sign():
+    helix = check(heart_with()).helix["LV free wall"]
+    steep = replace(helix, angle=np.where(np.arange(len(helix.angle)) % 2, 89.0, -89.0))
+    assert np.abs(steep.in_layers()).min() > 88.9
+    assert np.isnan(replace(helix, depth=np.full_like(helix.depth, 0.5)).in_layers()[0])
+
+
+def test_figures_are_those_of_the_ellipsoids():
+    heart = heart_with()
+    found = check(heart)
+    rows = dict(found.rows)
+    lv, rv = map(cavity_volume, heart.endocardia)
+    assert (lv, rv) == (
+        pytest.approx(anatomies.volume_below(LV), rel=0.1),
+        pytest.approx(anatomies.volume_below(RV), rel=0.1),
+    )
+    assert rows["myocardium"].startswith(f"{heart.volumes.sum() / 1000:.1f} ml")
+    assert f"LV {lv:.0f}, RV {rv:.0f} ml" in rows["myocardium"]
+    extent = [float(word) for word in rows["extent"].removesuffix(" mm").split(" x ")]
+    np.testing.assert_allclose(extent, np.multiply(HALF_AXES[EPI], (2, 2, 1)), atol=2)
+    thickness = HALF_AXES[EPI][0] - CENTRE_X[EPI] - HALF_AXES[LV][0]  # at the left
+    assert found.walls.lv.median == pytest.approx(thickness, abs=2.5)
+    assert found.quality.tetrahedra == len(heart.tetrahedra)
+    assert rows["torso"] == "none (unbounded conductor)"
+    assert rows["electrodes"].startswith("9; nearest to the heart V2, 3")
+    assert found.warnings == ()
+
+
+def warning(heart, start):
+    """The one warning that begins so; there is no other."""
+    warnings = check(heart).warnings
+    assert len(warnings) == 1, warnings
+    assert warnings[0].startswith(start), warnings
+    assert "\n" not in warnings[0]
+    return warnings[0]
+
+
+def test_fibres_that_turn_the_other_way_are_told():
+    found = warning(heart_with(lv=(-60.0, 60.0)), "fibres: the helix angle of the LV free wall")
+    assert "mirrored" in found
+
+
+def swapped(one, other):
+    places = ELECTRODE_PLACES.copy()
+    first, second = ELECTRODES.index(one), ELECTRODES.index(other)
+    places[[first, second]] = places[[second, first]]
+    return replace(heart_with(), electrodes=places)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "start"),
+    [("RA", "LA", "electrodes RA and LA"), ("V3", "V4", "electrodes V3 and V4")],
+)
+def test_exchanged_electrodes_are_told(one, other, start):
+    warning(swapped(one, other), start)
+
+
+def test_an_electrode_almost_on_the_heart_is_told():
+    places = ELECTRODE_PLACES.copy()
+    heart = heart_with()
+    nearest = heart.vertices[np.argmin(np.linalg.norm(heart.vertices - places[4], axis=1))]
+    places[4] = nearest + 4 * (places[4] - nearest) / np.linalg.norm(places[4] - nearest)
+    warning(replace(heart, electrodes=places), "electrode V2 is 4 mm from the heart")
+
+
+def test_a_small_heart_is_told_with_its_figures():
+    heart = heart_with()
+    small = replace(
+        heart,
+        vertices=0.55 * heart.vertices,
+        lv=replace(heart.lv, vertices=0.55 * heart.lv.vertices),
+        rv=replace(heart.rv, vertices=0.55 * heart.rv.vertices),
+    )
+    found = [line.split(":")[0] for line in check(small).warnings]
+    assert found[:3] == ["LV cavity", "RV cavity", "myocardium"]
+    assert f"{cavity_volume(small.lv):.3g} ml" in check(small).warnings[0]
+
+
+def test_of_a_large_mesh_some_tetrahedra_are_measured(monkeypatch):
+    whole = check(heart_with()).helix["LV free wall"]
+    assert len(anatomies.tissue().tetrahedra) < MOST
+    monkeypatch.setattr("fascicle.build.check.MOST", 1500)
+    some = check(heart_with()).helix["LV free wall"]
+    assert 0.2 < len(some.depth) / len(whole.depth) < 0.4
+    np.testing.assert_allclose(some.in_layers(), whole.in_layers(), atol=4)

@@ -1,0 +1,243 @@
+"""What is wrong with a surface is repaired, or refused with its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import pytetwild
+from scipy.spatial.transform import Rotation
+from shapes import LV_WALL, RV_WALL, biventricular_surface, exact_volume
+
+from fascicle.build.label_borders import cleaned_labels, labels_from_points
+from fascicle.build.repair import enclosed_volume, prepared_surface
+from fascicle.build.wall import check_edge_length, wall_thickness
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.mesh.intersections import self_intersections
+from fascicle.mesh.topology import boundary_loops
+
+EDGE = 4.0  # mm
+APEX = np.array([0.0, 0.0, -72.0])
+ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+
+
+@cache
+def ventricles() -> LabelledSurface:
+    return prepared_surface(biventricular_surface(EDGE))
+
+
+def without(surface: LabelledSurface, gone: np.ndarray) -> LabelledSurface:
+    return replace(surface, triangles=surface.triangles[~gone], labels=surface.labels[~gone])
+
+
+def around_apex(surface: LabelledSurface, radius: float) -> np.ndarray:
+    middle = surface.vertices[surface.triangles].mean(axis=1)
+    outer = surface.labels == Label.EPICARDIUM
+    return outer & (np.linalg.norm(middle - APEX, axis=1) < radius)
+
+
+def test_the_analytic_shape_is_closed_and_has_its_volume():
+    surface = ventricles()
+    assert enclosed_volume(surface) == pytest.approx(exact_volume(), rel=0.015)
+    for label in ENDOCARDIA:
+        assert len(boundary_loops(surface.having(label))) == 1
+    assert len(boundary_loops(surface.having(Label.BASE))) == 3
+
+
+def test_walls_are_as_thick_as_they_were_made():
+    walls = wall_thickness(ventricles())
+    assert walls.lv.median == pytest.approx(LV_WALL, rel=0.07)
+    assert walls.septum.median == pytest.approx(LV_WALL, rel=0.07)
+    assert walls.rv.median == pytest.approx(RV_WALL, rel=0.07)
+
+
+def test_an_edge_length_too_coarse_for_the_right_wall_is_refused():
+    walls = wall_thickness(ventricles())
+    check_edge_length(walls, 3.4, "heart.vtp")
+    with pytest.raises(InputError, match=r"3\.6 mm is too coarse for the right .* 4\.\d mm thick"):
+        check_edge_length(walls, 3.6, "heart.vtp")
+
+
+def test_flipped_repeated_and_unwelded_triangles_are_repaired():
+    surface = ventricles()
+    rng = np.random.default_rng(1)
+    soup = surface.vertices[surface.triangles].reshape(-1, 3)
+    triangles = np.arange(len(soup)).reshape(-1, 3)
+    flipped = rng.random(len(triangles)) < 0.3
+    triangles[flipped] = triangles[flipped][:, ::-1]
+    triangles = np.concatenate([triangles, triangles[:50]])
+    labels = np.concatenate([surface.labels, surface.labels[:50]])
+    repaired = prepared_surface(LabelledSurface(soup, triangles, labels))
+    assert len(repaired.vertices) == len(surface.vertices)
+    assert len(repaired.triangles) == len(surface.triangles)
+    assert enclosed_volume(repaired) == pytest.approx(enclosed_volume(surface), rel=1e-9)
+
+
+def test_a_small_hole_is_closed():
+    surface = ventricles()
+    open_one = without(surface, around_apex(surface, 1.8))
+    assert len(open_one.triangles) < len(surface.triangles)
+    repaired = prepared_surface(open_one)
+    assert enclosed_volume(repaired) == pytest.approx(enclosed_volume(surface), rel=1e-3)
+    assert boundary_loops(repaired.triangles) == []
+
+
+def test_a_large_hole_is_refused_with_its_place():
+    surface = ventricles()
+    with pytest.raises(InputError, match=r"not closed: a hole .* \(.*, .*, -6\d\.\d\) mm"):
+        prepared_surface(without(surface, around_apex(surface, 15)))
+
+
+def test_metres_are_refused():
+    surface = ventricles()
+    with pytest.raises(InputError, match="metres"):
+        prepared_surface(replace(surface, vertices=surface.vertices / 1000))
+
+
+def test_a_missing_label_is_named():
+    surface = ventricles()
+    labels = np.where(surface.labels == Label.RV_ENDOCARDIUM, Label.EPICARDIUM, surface.labels)
+    with pytest.raises(InputError, match="no triangle is labelled rv endocardium"):
+        prepared_surface(replace(surface, labels=labels))
+
+
+def test_exchanged_ventricles_are_refused():
+    surface = ventricles()
+    left, right = (surface.labels == label for label in ENDOCARDIA)
+    labels = surface.labels.copy()
+    labels[left], labels[right] = Label.RV_ENDOCARDIUM, Label.LV_ENDOCARDIUM
+    with pytest.raises(InputError, match="swapped"):
+        prepared_surface(replace(surface, labels=labels))
+
+
+def test_two_pieces_are_refused():
+    surface = ventricles()
+    apart = surface.vertices * 0.1
+    with pytest.raises(InputError, match="falls into 2 pieces"):
+        prepared_surface(
+            LabelledSurface(
+                np.concatenate([surface.vertices, apart]),
+                np.concatenate([surface.triangles, surface.triangles + len(apart)]),
+                np.tile(surface.labels, 2),
+            )
+        )
+
+
+def test_a_sheet_across_the_base_is_refused():
+    surface = ventricles()
+    a, b = surface.having(Label.BASE)[0][:2]
+    sheet = np.array([[a, b, len(surface.vertices)]])
+    extended = LabelledSurface(
+        np.concatenate([surface.vertices, [[0, 0, 5.0]]]),
+        np.concatenate([surface.triangles, sheet]),
+        np.append(surface.labels, Label.BASE),
+    )
+    with pytest.raises(InputError, match=r"more than two triangles \(the first, of .*base"):
+        prepared_surface(extended)
+
+
+def spiked(surface: LabelledSurface) -> LabelledSurface:
+    """With one vertex of the epicardium pulled through the wall into the left cavity."""
+    outer = np.unique(surface.having(Label.EPICARDIUM))
+    vertices = surface.vertices.copy()
+    spike = outer[np.argmin(np.linalg.norm(vertices[outer] - [-32.0, 0, -10], axis=1))]
+    vertices[spike] += [14.0, 0, 0]
+    return replace(surface, vertices=vertices)
+
+
+def test_a_surface_that_cuts_itself_is_meshed_through(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    broken = spiked(ventricles())
+    assert len(self_intersections(broken.vertices, broken.triangles)) > 0
+    repaired = prepared_surface(broken)
+    assert list(tmp_path.iterdir()) == []  # fTetWild leaves a file where it runs
+    assert len(self_intersections(repaired.vertices, repaired.triangles)) == 0
+    assert enclosed_volume(repaired) == pytest.approx(enclosed_volume(broken), rel=0.02)
+    for label in ENDOCARDIA:
+        before, after = (surface.vertices[surface.having(label)] for surface in (broken, repaired))
+        area = [
+            np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
+            for x in (before, after)
+        ]
+        assert area[1] == pytest.approx(area[0], rel=0.05)
+
+
+def test_a_filling_whose_boundary_touches_itself_is_made_again(monkeypatch):
+    corners = np.array([[0.0, 0, 0], [0, 0, 9], [9, 0, 0], [9, 1, 0], [-9, 0, 0], [-9, 1, 0]])
+    touching = corners, np.array([[0, 1, 2, 3], [0, 1, 4, 5]])
+    made = []
+
+    def first_touching(*given, **options):
+        made.append(touching if len(made) < tries else tetrahedralize(*given, **options))
+        return made[-1]
+
+    tetrahedralize = pytetwild.tetrahedralize
+    monkeypatch.setattr(pytetwild, "tetrahedralize", first_touching)
+    tries = 1
+    prepared_surface(spiked(ventricles()))
+    assert len(made) >= 2
+    tries = 100
+    with pytest.raises(
+        InputError, match=r"repair failed: 1 edges belong to more than two .*there$"
+    ):
+        prepared_surface(spiked(ventricles()))
+
+
+def test_triangles_in_one_plane_do_not_cut_for_rounding():
+    rng = np.random.default_rng(3)
+    flat = np.array([[0.0, 0, 0], [9, 0, 0], [9, 3, 0], [-4, 1, 0], [-4, -2, 0]])
+    for _ in range(200):
+        turn = Rotation.random(rng=rng).as_matrix()
+        vertices = flat @ turn.T + rng.normal(scale=50, size=3)
+        assert self_intersections(vertices, np.array([[0, 1, 2], [0, 3, 4]])).size == 0
+
+
+def test_a_closed_shape_does_not_cut_itself_and_two_crossed_triangles_do():
+    surface = ventricles()
+    assert len(self_intersections(surface.vertices, surface.triangles)) == 0
+    vertices = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -1], [0.5, 0.5, 1], [3, 3, 0]])
+    assert self_intersections(vertices, np.array([[0, 1, 2], [3, 4, 5]])).tolist() == [[0, 1]]
+    moved = vertices.copy()
+    moved[3:] += [0, 0, 2]
+    assert self_intersections(moved, np.array([[0, 1, 2], [3, 4, 5]])).size == 0
+
+
+def test_triangles_folded_on_one_another_cut():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.8, 0], [0, -1, 0]])
+    assert self_intersections(vertices, np.array([[0, 1, 2], [1, 0, 3]])).tolist() == [[0, 1]]
+    assert self_intersections(vertices, np.array([[0, 1, 2], [1, 0, 4]])).size == 0
+
+
+def test_islands_teeth_and_pinholes_are_cleaned():
+    surface = ventricles()
+    middle = surface.vertices[surface.triangles].mean(axis=1)
+    labels = surface.labels.copy()
+    inside = np.flatnonzero(labels == Label.LV_ENDOCARDIUM)
+    deepest = inside[np.argsort(middle[inside, 2])[:5]]
+    labels[deepest] = Label.RV_ENDOCARDIUM
+    outside = np.flatnonzero(labels == Label.EPICARDIUM)
+    labels[outside[np.argsort(middle[outside, 2])[:5]]] = Label.BASE
+    assert (labels != surface.labels).sum() == 10
+    cleaned = cleaned_labels(surface.vertices, surface.triangles, labels)
+    assert (cleaned[labels != surface.labels] == surface.labels[labels != surface.labels]).all()
+    # of the rest only teeth at the base change
+    changed = cleaned != surface.labels
+    assert changed.sum() < 15
+    assert (cleaned[changed] == Label.BASE).all()
+
+
+@pytest.mark.parametrize("rim_is_base", [True, False])
+def test_labels_of_points_give_clean_borders(rim_is_base):
+    surface = ventricles()
+    basal = surface.labels == Label.BASE
+    at_points = np.zeros(len(surface.vertices), dtype=np.int64)
+    first, last = (~basal, basal) if rim_is_base else (basal, ~basal)
+    for rows in (first, last):
+        at_points[surface.triangles[rows]] = surface.labels[rows][:, None]
+    labels = labels_from_points(surface.vertices, surface.triangles, at_points)
+    assert (labels != surface.labels).mean() < 0.02
+    for label in ENDOCARDIA:
+        assert len(boundary_loops(surface.triangles[labels == label])) == 1

@@ -1,0 +1,113 @@
+"""Endocardia with one opening, two, or none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.build.endocardia import endocardia
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import oriented_into_cavity
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.topology import boundary_loops
+
+SIZE = 16  # squares along the sides of a box
+
+
+def box(openings: dict[str, list[tuple[int, int, int, int]]]) -> LabelledMesh:
+    """Boundary of two flat boxes, whose tops have openings (rows and columns) labelled base."""
+    vertices, triangles, labels = [], [], []
+    for place, (label, side) in enumerate(
+        ((Label.LV_ENDOCARDIUM, "lv"), (Label.RV_ENDOCARDIUM, "rv"))
+    ):
+        points, faces = _cube()
+        middle = points[faces].mean(axis=1)
+        given = np.full(len(faces), int(label))
+        on_top = middle[:, 2] > 1 - 1e-9
+        row, column = (np.floor(middle[:, k] * SIZE).astype(int) for k in (0, 1))
+        for low, high, first, last in openings[side]:
+            inside = (row >= low) & (row < high) & (column >= first) & (column < last)
+            given[on_top & inside] = Label.BASE
+        triangles.append(faces + sum(map(len, vertices)))
+        vertices.append(40 * points + [60 * place, 0, 0])
+        labels.append(given)
+    return LabelledMesh(
+        np.concatenate(vertices),
+        np.empty((0, 4), dtype=np.int64),
+        np.concatenate(triangles),
+        np.concatenate(labels),
+        name="box",
+    )
+
+
+def _cube() -> tuple[np.ndarray, np.ndarray]:
+    """A cube's surface of squares split in two, facing inwards (tissue lies around)."""
+    steps = np.arange(SIZE + 1) / SIZE
+    corners: dict[tuple[float, ...], int] = {}
+    faces = []
+    for axis in range(3):
+        for level in (0.0, 1.0):
+            for i in range(SIZE):
+                for j in range(SIZE):
+                    quad = [
+                        (steps[i + a], steps[j + b]) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
+                    ]
+                    points = [tuple(np.insert(uv, axis, level)) for uv in quad]
+                    ids = [corners.setdefault(point, len(corners)) for point in points]
+                    flip = (level == 1.0) == (axis != 1)
+                    ids = ids[::-1] if flip else ids
+                    faces += [[ids[0], ids[1], ids[2]], [ids[0], ids[2], ids[3]]]
+    return np.array(list(corners)), np.array(faces, dtype=np.int64)
+
+
+ONE = [(4, 12, 4, 12)]
+TWO = [(2, 14, 2, 8), (5, 10, 10, 14)]
+
+
+def test_one_opening_is_left_as_it_is():
+    mesh = box({"lv": ONE, "rv": ONE})
+    lv, rv = endocardia(mesh)
+    assert len(lv.triangles) == len(rv.triangles) == 12 * SIZE**2 - 2 * 8 * 8
+    assert not lv.valve.any()
+    assert not rv.valve.any()
+
+
+def test_the_smaller_of_two_openings_is_closed_and_marked():
+    mesh = box({"lv": TWO, "rv": ONE})
+    lv, rv = endocardia(mesh)
+    assert not rv.valve.any()
+    loops = boundary_loops(lv.triangles)
+    assert [len(loop) for loop in loops] == [2 * (12 + 6)]
+    assert lv.valve.sum() == 2 * (5 + 4) - 2  # a polygon of n sides has n - 2 triangles
+    areas = np.linalg.norm(triangle_normals(lv.vertices, lv.triangles[lv.valve]), axis=1)
+    assert areas.sum() == pytest.approx(5 * 4 * (40 / SIZE) ** 2)
+    assert (lv.vertices == mesh.vertices[lv.mesh_vertex]).all()
+    again = oriented_into_cavity(lv.vertices, lv.triangles, "lv")
+    assert (again == lv.triangles).all()
+
+
+def test_triangles_face_the_cavity():
+    lv, _ = endocardia(box({"lv": TWO, "rv": ONE}))
+    middle = lv.vertices[lv.triangles].mean(axis=1)
+    inwards = [20, 20, 20] - middle
+    assert (np.einsum("ij,ij->i", triangle_normals(lv.vertices, lv.triangles), inwards) > 0).all()
+
+
+def test_an_island_of_another_label_is_no_opening():
+    mesh = box({"lv": ONE, "rv": ONE})
+    at = np.flatnonzero(mesh.labels == Label.LV_ENDOCARDIUM)
+    lowest = at[mesh.vertices[mesh.triangles[at]][..., 2].max(axis=1) < 1e-9]
+    mesh.labels[lowest[100:103]] = Label.RV_ENDOCARDIUM
+    lv, _ = endocardia(mesh)
+    assert len(lv.triangles) == 12 * SIZE**2 - 2 * 8 * 8
+    assert not lv.valve.any()
+
+
+def test_a_closed_endocardium_and_a_missing_one_are_refused():
+    with pytest.raises(InputError, match=r"LV endocardium: .*no boundary loop"):
+        endocardia(box({"lv": [], "rv": ONE}))
+    mesh = box({"lv": ONE, "rv": ONE})
+    mesh.labels[mesh.labels == Label.RV_ENDOCARDIUM] = Label.EPICARDIUM
+    with pytest.raises(InputError, match="RV endocardium: no triangle"):
+        endocardia(mesh)

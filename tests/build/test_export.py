@@ -1,0 +1,184 @@
+"""Hearts in other software's files read back equal, as meshes and as hearts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+from builders import block_of_random_tissue, line_tree
+
+from fascicle.build.export import export_heart
+from fascicle.build.labelled_mesh_files import read_labelled_mesh
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.boundary_labels import labelled_mesh
+from fascicle.heart.electrodes import read_electrodes, write_electrodes
+from fascicle.heart.labelled_surface import NEEDED
+from fascicle.heart.torso import LeadFields
+from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE
+from fascicle.mesh.formats.opencarp import read_opencarp_mesh
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.purkinje.tree_files import read_tree
+
+SIZE = 60.0  # mm
+OUT = {"opencarp": "carp", "vtu": "heart.vtu", "gmsh": "heart.msh"}
+MESH = {**OUT, "opencarp": "carp/heart.pts"}
+TOLERANCE = {"opencarp": 1e-9, "vtu": 0.0, "gmsh": 0.0}  # mm
+
+
+@pytest.fixture
+def heart():
+    """A block with random fibres, sheets, regions, electrodes and lead fields."""
+    rng = np.random.default_rng(5)
+    block = block_of_random_tissue(SIZE, rng)
+    return replace(
+        block,
+        electrodes=300 * rng.standard_normal((9, 3)),
+        lead_fields=LeadFields(rng.standard_normal((9, len(block.vertices))), "key", ""),
+    )
+
+
+@pytest.mark.parametrize("kind", OUT)
+def test_a_heart_comes_back(tmp_path, heart, kind):
+    export_heart(heart, tmp_path / OUT[kind], kind)
+    mesh = read_mesh(tmp_path / MESH[kind])
+    count = len(heart.vertices)
+    assert np.abs(mesh.points[:count] - heart.vertices).max() <= TOLERANCE[kind]
+    np.testing.assert_array_equal(mesh.cells[TETRAHEDRON], heart.tetrahedra)
+    arrays = mesh.cell_data[TETRAHEDRON]
+    assert np.abs(arrays["fibre"] - heart.fibres).max() <= 1e-14
+    assert np.abs(arrays["sheet"] - heart.sheets).max() <= 1e-14
+    np.testing.assert_array_equal(arrays["region"], heart.regions)
+
+
+@pytest.mark.parametrize("kind", OUT)
+def test_a_heart_without_sheets_and_regions(tmp_path, heart, kind):
+    plain = replace(heart, sheets=None, regions=None, lead_fields=None)
+    export_heart(plain, tmp_path / OUT[kind], kind)
+    arrays = read_mesh(tmp_path / MESH[kind]).cell_data[TETRAHEDRON]
+    assert "sheet" not in arrays
+    assert (arrays.get("region", np.ones(1)) == 1).all()
+
+
+def test_vtu_has_lead_fields(tmp_path, heart):
+    export_heart(heart, tmp_path / "heart.vtu", "vtu")
+    mesh = read_mesh(tmp_path / "heart.vtu")
+    for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
+        np.testing.assert_array_equal(mesh.point_data[f"lead_field_{electrode}"], values)
+
+
+def test_gmsh_groups(tmp_path, heart):
+    export_heart(heart, tmp_path / "heart.msh", "gmsh")
+    mesh = read_mesh(tmp_path / "heart.msh")
+    assert {name: of for name, (of, _) in mesh.groups.items()} == {
+        "lv_endo": 2,
+        "rv_endo": 2,
+        "epi": 2,
+        "base": 2,
+        **{f"region {k}": 3 for k in range(-1, 4)},
+    }
+    numbers = mesh.cell_data[TETRAHEDRON][GROUP]
+    for region in range(-1, 4):
+        there = numbers == mesh.groups[f"region {region}"][1]
+        np.testing.assert_array_equal(there, heart.regions == region)
+    for side, level in (("lv", 0.0), ("rv", SIZE)):
+        rows = mesh.cell_data[TRIANGLE][GROUP] == mesh.groups[f"{side}_endo"][1]
+        assert rows.sum() == 32
+        assert (mesh.points[mesh.cells[TRIANGLE][rows]][:, :, 0] == level).all()
+    assert len(mesh.points) == len(heart.vertices)
+
+
+def test_gmsh_agrees_with_meshio(tmp_path, heart):
+    """A second reader finds the same nodes, elements and groups."""
+    export_heart(heart, tmp_path / "heart.msh", "gmsh")
+    mesh = read_mesh(tmp_path / "heart.msh")
+    content = (tmp_path / "heart.msh").read_bytes()
+    bare = tmp_path / "bare.msh"  # meshio cannot read this format's element data
+    bare.write_bytes(content[: content.index(b"$ElementData")])
+    other = meshio.gmsh.read(bare)
+    np.testing.assert_array_equal(mesh.points, other.points)
+    np.testing.assert_array_equal(mesh.cells[TETRAHEDRON], other.cells_dict["tetra"])
+    np.testing.assert_array_equal(mesh.cells[TRIANGLE], other.cells_dict["triangle"])
+    numbers = other.get_cell_data(GROUP, "triangle")
+    np.testing.assert_array_equal(mesh.cell_data[TRIANGLE][GROUP], numbers)
+    assert len(numbers) == len(heart.boundary[0])
+
+
+@pytest.mark.parametrize("kind", ["opencarp", "gmsh"])
+def test_what_goes_out_has_every_label(tmp_path, default_heart, kind):
+    export_heart(default_heart, tmp_path / OUT[kind], kind)
+    read = read_labelled_mesh(tmp_path / MESH[kind])
+    known = labelled_mesh(default_heart)
+    order = [np.lexsort(np.sort(mesh.triangles).T) for mesh in (read, known)]
+    same = [np.sort(mesh.triangles)[at] for mesh, at in zip((read, known), order, strict=True)]
+    np.testing.assert_array_equal(*same)
+    np.testing.assert_array_equal(read.labels[order[0]], known.labels[order[1]])
+    assert np.unique(read.labels).tolist() == sorted(NEEDED)
+    np.testing.assert_array_equal(read.tetrahedra, default_heart.tetrahedra)
+    assert read.notes == ()
+
+
+def test_opencarp_takes_trees(tmp_path, heart):
+    tree = line_tree([[5, 5, 50], [5, 15, 40], [5, 25, 20.0]])
+    tree = replace(tree, lengths=tree.lengths * 1.01)
+    export_heart(heart, tmp_path / "carp", "opencarp", [tree])
+    read = read_tree(tmp_path / "carp" / "lv_tree.pts", "lv", tree.nodes[0])
+    assert np.abs(read.lengths - tree.lengths).max() < 1e-9
+    assert len(read_opencarp_mesh(tmp_path / "carp" / "heart").points) == 125
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+def test_electrodes_come_back(tmp_path, heart, suffix):
+    path = tmp_path / f"electrodes{suffix}"
+    write_electrodes(path, heart.electrodes)
+    np.testing.assert_array_equal(read_electrodes(path), heart.electrodes)
+    if suffix == ".json":
+        assert list(json.loads(path.read_text())) == list(ELECTRODES)
+
+
+def test_opencarp_has_the_electrodes(tmp_path, heart):
+    export_heart(heart, tmp_path / "carp", "opencarp")
+    read = read_electrodes(tmp_path / "carp" / "electrodes.csv")
+    np.testing.assert_array_equal(read, heart.electrodes)
+
+
+@pytest.mark.parametrize(
+    ("out", "kind", "words"),
+    [
+        ("heart.stl", "stl", "format 'stl' is unknown"),
+        ("heart.vtk", "vtu", "must end in .vtu"),
+        ("heart.vtu", "gmsh", "must end in .msh"),
+        ("taken.vtu", "vtu", "is a folder"),
+        ("full", "opencarp", "holds 'mine.txt', which would be lost"),
+    ],
+)
+def test_bad_places_are_refused(tmp_path, heart, out, kind, words):
+    (tmp_path / "taken.vtu").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError, match=words) as caught:
+        export_heart(heart, tmp_path / out, kind)
+    assert "\n" not in str(caught.value)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_trees_go_with_opencarp_only(tmp_path, heart):
+    with pytest.raises(InputError, match="for openCARP only"):
+        export_heart(heart, tmp_path / "heart.vtu", "vtu", [line_tree([[0, 0, 0], [0, 0, 9]])])
+
+
+def test_nothing_is_left_of_a_failed_export(tmp_path, heart, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("meshio.gmsh.write", full)
+    with pytest.raises(InputError, match="No space left"):
+        export_heart(heart, tmp_path / "heart.msh", "gmsh")
+    monkeypatch.setattr("fascicle.build.opencarp.write_electrodes", full)
+    with pytest.raises(InputError, match="No space left"):
+        export_heart(heart, tmp_path / "carp", "opencarp")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,212 @@
+"""A heart taken apart by its labels, degraded in known ways, and joined again."""
+
+import igl
+import numpy as np
+import pytest
+
+from fascicle.build.joining.join import join_surfaces
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label
+
+LV, RV, EPI, BASE = (
+    Label.LV_ENDOCARDIUM,
+    Label.RV_ENDOCARDIUM,
+    Label.EPICARDIUM,
+    Label.BASE,
+)
+
+
+@pytest.fixture(scope="module")
+def geo1(data_folder):
+    """Vertices, triangles and labels of the statistical mean heart."""
+    pv = pytest.importorskip("pyvista")
+    mesh = pv.read(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
+    triangles = mesh.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
+    at_corners = np.asarray(mesh["class"])[triangles]
+    labels = np.where((at_corners == BASE).any(axis=1), BASE, at_corners.max(axis=1))
+    return np.asarray(mesh.points, dtype=float), triangles, labels
+
+
+@pytest.fixture(scope="module")
+def parts(geo1):
+    """Its parts, by label."""
+    vertices, triangles, labels = geo1
+    result = {}
+    for label in (LV, RV, EPI, BASE):
+        used, local = np.unique(triangles[labels == label], return_inverse=True)
+        result[label] = (vertices[used], local.reshape(-1, 3).astype(np.int64))
+    return result
+
+
+@pytest.fixture(scope="module")
+def coarse(parts):
+    """The parts, each remeshed at its own resolution."""
+    return {
+        label: remeshed(*parts[label], edge)
+        for label, edge in ((EPI, 5.0), (LV, 3.0), (RV, 4.0), (BASE, 2.5))
+    }
+
+
+def remeshed(vertices, triangles, edge):
+    import mmgpy
+
+    mesh = mmgpy.MmgMeshS(
+        np.ascontiguousarray(vertices), np.ascontiguousarray(triangles, dtype=np.int32)
+    )
+    mesh.remesh(hmax=1.3 * edge, hmin=0.6 * edge, hausd=0.15, verbose=-1)
+    return (
+        np.asarray(mesh.get_vertices(), dtype=float),
+        np.asarray(mesh.get_triangles(), dtype=np.int64),
+    )
+
+
+def joined(parts, base=True):
+    return join_surfaces(parts[LV], parts[RV], parts[EPI], parts[BASE] if base else None, "geo1")
+
+
+def jittered(parts, size):
+    """Rims moved at random by up to `size` mm along each axis."""
+    rng = np.random.default_rng(5)
+    result = {}
+    for label, (vertices, triangles) in parts.items():
+        rims = np.concatenate(igl.boundary_loop_all(triangles))
+        moved = vertices.copy()
+        moved[rims] += rng.uniform(-size, size, (len(rims), 3))
+        result[label] = moved, triangles
+    return result
+
+
+def volume(vertices, triangles):
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6
+
+
+def area(vertices, triangles):
+    return igl.doublearea(vertices, triangles).sum() / 2
+
+
+def assert_heart(surface, geo1, tolerance):
+    """Closed, one piece, outwards, each label with its rims, volume and areas as they were."""
+    vertices, triangles = surface.vertices, surface.triangles
+    directed = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    assert len(np.unique(directed, axis=0)) == len(directed)
+    assert len(np.unique(np.sort(directed, axis=1), axis=0)) == len(directed) // 2
+    assert np.max(igl.bfs_orient(triangles)[1]) == 0
+    assert len(vertices) - len(triangles) // 2 == 2  # Euler characteristic of a sphere
+    assert volume(vertices, triangles) == pytest.approx(volume(*geo1[:2]), rel=tolerance)
+    for label, rims in ((LV, 1), (RV, 1), (EPI, 1), (BASE, 3)):
+        assert len(igl.boundary_loop_all(surface.having(label))) == rims
+        if label != BASE:
+            there = geo1[1][geo1[2] == label]
+            assert area(vertices, surface.having(label)) == pytest.approx(
+                area(geo1[0], there), rel=0.01
+            )
+
+
+def test_parts_that_weld_do_not_move(parts, geo1):
+    surface = joined(parts)
+    assert_heart(surface, geo1, 1e-9)
+    assert sorted(map(tuple, surface.vertices)) == sorted(map(tuple, geo1[0]))
+    assert np.bincount(surface.labels).tolist() == np.bincount(geo1[2]).tolist()
+
+
+def test_soup_turned_at_random(coarse, geo1):
+    rng = np.random.default_rng(1)
+    soup = {}
+    for label, (vertices, triangles) in coarse.items():
+        turn = rng.random((len(triangles), 1)) < 0.5
+        turned = np.where(turn, triangles, triangles[:, ::-1])
+        points = vertices[turned].reshape(-1, 3).astype(np.float32).astype(float)
+        soup[label] = points, np.arange(len(points)).reshape(-1, 3)
+    surface, whole = joined(soup), joined(coarse)
+    assert_heart(surface, geo1, 0.02)
+    assert len(surface.vertices) == len(whole.vertices)
+
+
+@pytest.mark.parametrize("base", [True, False])
+def test_jittered_rims_of_different_resolution(coarse, geo1, base):
+    assert_heart(joined(jittered(coarse, 0.5), base), geo1, 0.02)
+
+
+def test_base_two_millimetres_away(coarse, geo1):
+    away = coarse[BASE][0] + np.array([1.1, 1.1, 1.1]), coarse[BASE][1]
+    assert_heart(joined({**coarse, BASE: away}), geo1, 0.02)
+
+
+def test_made_base_keeps_the_parts(parts, geo1):
+    surface = joined(parts, base=False)
+    assert_heart(surface, geo1, 0.01)
+    given = np.vstack([parts[label][0] for label in (LV, RV, EPI)])
+    kept = set(map(tuple, surface.vertices))
+    assert all(tuple(point) in kept for point in given)
+    assert area(surface.vertices, surface.having(BASE)) == pytest.approx(1400, rel=0.1)
+
+
+def refused(parts, message, base=True):
+    with pytest.raises(InputError, match=message) as raised:
+        joined(parts, base)
+    assert "\n" not in str(raised.value)
+
+
+def test_gap_is_named_measured_and_placed(coarse):
+    away = coarse[BASE][0] + np.array([0, 0, 4.0]), coarse[BASE][1]
+    refused(
+        {**coarse, BASE: away},
+        r"rims of epicardium and base are up to [34]\.\d mm apart \(at \(-?\d+, -?\d+, -?\d+\) mm",
+    )
+
+
+def test_swapped_sides(coarse):
+    refused({**coarse, LV: coarse[RV], RV: coarse[LV]}, "LV and RV seem to be swapped")
+
+
+def test_right_ventricle_of_another_frame(coarse):
+    away = coarse[RV][0] + np.array([60.0, 0, 0]), coarse[RV][1]
+    refused({**coarse, RV: away}, r"RV endocardium: \d+ of \d+ vertices lie outside the epic")
+
+
+def test_the_same_cavity_twice(coarse):
+    refused({**coarse, RV: coarse[LV]}, "LV endocardium: .* lie within the RV endocardium")
+
+
+def test_units(coarse):
+    metres = {label: (vertices / 1000, t) for label, (vertices, t) in coarse.items()}
+    refused(metres, "epicardium: the largest extent is .* multiply the coordinates by 1000")
+
+
+def test_several_pieces(coarse):
+    vertices, triangles = coarse[LV]
+    twice = np.vstack([vertices, vertices + 50]), np.vstack([triangles, triangles + len(vertices)])
+    refused({**coarse, LV: twice}, r"LV endocardium: .* 2 pieces \(\d+ triangles about \(")
+
+
+def test_hole_and_closed_part(coarse, geo1):
+    vertices, triangles = coarse[EPI]
+    inner = ~np.isin(triangles, np.concatenate(igl.boundary_loop_all(triangles))).any(axis=1)
+    holed = np.delete(triangles, np.flatnonzero(inner)[0], axis=0)
+    refused({**coarse, EPI: (vertices, holed)}, r"epicardium: the surface has 2 rims .* 3 vertices")
+    refused({**coarse, EPI: geo1[:2]}, r"epicardium: the surface has no rim \(it is closed\)")
+
+
+def test_base_without_holes_and_crowded_edge(coarse):
+    refused({**coarse, BASE: coarse[EPI]}, "base: the surface has 1 rim .* must have three")
+    vertices, triangles = coarse[RV]
+    fin = np.array([[*triangles[0, :2], triangles[len(triangles) // 2, 2]]])
+    crowded = vertices, np.vstack([triangles, fin])
+    refused({**coarse, RV: crowded}, "RV endocardium: 1 of .* more than two triangles")
+
+
+def test_rims_that_cross_leave_no_room_for_a_base(coarse):
+    vertices, triangles = coarse[RV]
+    rim = igl.boundary_loop_all(triangles)[0]
+    moved = vertices.copy()
+    middle = moved[rim].mean(axis=0)
+    far = rim[np.argmax(np.linalg.norm(moved[rim] - middle, axis=1))]
+    moved[far] += 0.5 * (moved[far] - middle)
+    refused({**coarse, RV: (moved, triangles)}, "seen from the base, the rims of epi", base=False)
+
+
+def test_told(coarse):
+    told = []
+    join_surfaces(*(coarse[k] for k in (LV, RV, EPI, BASE)), "geo1", lambda *s: told.append(s))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]

@@ -1,0 +1,167 @@
+"""Files of labelled surfaces."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+import pyvista as pv
+from shapes import biventricular_surface
+
+from fascicle.build.repair import prepared_surface
+from fascicle.build.surface_files import has_labels, read_labelled_surface
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.topology import boundary_loops
+
+
+@cache
+def ventricles() -> LabelledSurface:
+    return prepared_surface(biventricular_surface(5.0))
+
+
+def polydata(surface: LabelledSurface) -> pv.PolyData:
+    return pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
+
+
+def written(path: Path, **arrays: np.ndarray) -> Path:
+    data = polydata(ventricles())
+    for name, values in arrays.items():
+        where = data.cell_data if len(values) == data.n_cells else data.point_data
+        where[name] = values
+    data.save(path)
+    return path
+
+
+def test_labels_of_triangles(tmp_path):
+    path = written(tmp_path / "heart.vtp", Label=ventricles().labels)
+    surface = read_labelled_surface(path)
+    assert (surface.labels == ventricles().labels).all()
+    assert surface.name == str(path)
+
+
+def test_whole_numbers_are_labels_by_name_only(tmp_path):
+    labels = ventricles().labels
+    path = written(tmp_path / "heart.vtk", patch=labels, RegionId=np.zeros(len(labels), int))
+    assert not has_labels(read_mesh(path))
+    with pytest.raises(InputError, match=r"\(arrays: RegionId, patch\); name .*--label-array"):
+        read_labelled_surface(path)
+    assert (read_labelled_surface(path, array="patch").labels == labels).all()
+    for name in ("class", "label", "surface"):
+        arrays = {name: labels, "other": np.arange(len(labels))}
+        path = written(tmp_path / f"{name}.vtk", **arrays)
+        assert has_labels(read_mesh(path))
+        assert (read_labelled_surface(path).labels == labels).all()
+
+
+def write_groups(path: Path, numbers: np.ndarray, names: dict[str, int]) -> Path:
+    """Triangles with physical groups, in Gmsh's format 2."""
+    data = {"gmsh:physical": [numbers], "gmsh:geometrical": [numbers]}
+    groups = {name: np.array([number, 2]) for name, number in names.items()}
+    cells = [("triangle", ventricles().triangles)]
+    mesh = meshio.Mesh(ventricles().vertices, cells, cell_data=data, field_data=groups)
+    meshio.gmsh.write(path, mesh, fmt_version="2.2", binary=True)
+    return path
+
+
+def test_names_of_physical_groups(tmp_path):
+    labels = ventricles().labels
+    names = {"base": 11, "epi": 12, "LV endo": 13, "right ventricle": 14}
+    path = write_groups(tmp_path / "heart.msh", labels + 10, names)
+    assert has_labels(read_mesh(path))
+    assert (read_labelled_surface(path).labels == labels).all()
+
+
+def test_one_physical_group_tells_nothing(tmp_path):
+    path = write_groups(tmp_path / "a.msh", np.ones_like(ventricles().labels), {"heart": 1})
+    assert not has_labels(read_mesh(path))
+
+
+def test_own_numbers_are_translated(tmp_path):
+    own = np.array([0, 10, 20, 30, 40])[ventricles().labels]
+    path = written(tmp_path / "heart.vtp", label=own)
+    numbers = {"base": 10, "epicardium": 20, "lv": 30, "rv": 40}
+    assert (read_labelled_surface(path, names=numbers).labels == ventricles().labels).all()
+    with pytest.raises(InputError, match=rf"40 \({(own == 40).sum()} times\); known are"):
+        read_labelled_surface(path, names={k: v for k, v in numbers.items() if k != "rv"})
+    with pytest.raises(InputError, match="two meanings"):
+        read_labelled_surface(path, names={"lv": 10, "rv": 10})
+    shorter = {"BASE": 10, "epi": 20, "lv_endo": 30, "Right ventricle": 40}
+    assert (read_labelled_surface(path, names=shorter).labels == ventricles().labels).all()
+    with pytest.raises(InputError, match=r"as in --labels base=1,epicardium=2,lv=3,rv=4$"):
+        read_labelled_surface(path)
+    with pytest.raises(InputError, match="unknown 'apex'; the parts are base, epicardium, lv"):
+        read_labelled_surface(path, names={"apex": 10})
+
+
+def test_numbers_may_exchange_the_default_ones(tmp_path):
+    labels = ventricles().labels
+    exchanged = np.where(labels == 3, 4, np.where(labels == 4, 3, labels))
+    path = written(tmp_path / "heart.vtp", label=exchanged)
+    assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
+
+
+def test_stl_with_a_file_of_labels(tmp_path):
+    path = tmp_path / "heart.stl"
+    polydata(ventricles()).save(path)
+    labels = tmp_path / "labels.csv"
+    labels.write_text("\n".join(map(str, ventricles().labels)))
+    assert not has_labels(read_mesh(path))
+    surface = read_labelled_surface(path, labels_file=labels)
+    assert (surface.labels == ventricles().labels).all()
+    assert len(surface.vertices) == len(ventricles().vertices)
+    assert len(boundary_loops(surface.triangles)) == 0
+    with pytest.raises(InputError, match="no labels"):
+        read_labelled_surface(path)
+
+
+def test_a_file_of_labels_must_fit(tmp_path):
+    path = written(tmp_path / "heart.vtp")
+    labels = tmp_path / "labels.txt"
+    labels.write_text("1 2 3")
+    count = len(ventricles().triangles)
+    with pytest.raises(InputError, match=f"3 labels, but .* has {count} triangles"):
+        read_labelled_surface(path, labels_file=labels)
+    labels.write_text("label\n1\n")
+    with pytest.raises(InputError, match="entry 1 is 'label'"):
+        read_labelled_surface(path, labels_file=labels)
+
+
+def test_arrays_that_are_no_labels(tmp_path):
+    path = written(tmp_path / "heart.vtp", height=ventricles().vertices[:, 2])
+    with pytest.raises(InputError, match=r"no labels: .*\(arrays: height\)"):
+        read_labelled_surface(path)
+    with pytest.raises(InputError, match="must hold one whole number"):
+        read_labelled_surface(path, array="height")
+    with pytest.raises(InputError, match="no array 'class'"):
+        read_labelled_surface(path, array="class")
+
+
+def test_metres_are_refused(tmp_path):
+    data = polydata(ventricles())
+    data.points = data.points / 1000
+    data.cell_data["class"] = ventricles().labels
+    data.save(tmp_path / "heart.vtp")
+    with pytest.raises(InputError, match="metres"):
+        read_labelled_surface(tmp_path / "heart.vtp")
+
+
+def test_labels_of_points_of_the_mean_heart(data_folder):
+    surface = read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
+    for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):
+        assert len(boundary_loops(surface.having(label))) == 1
+    edges = [
+        {
+            *map(
+                frozenset,
+                surface.having(label)[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).tolist(),
+            )
+        }
+        for label in (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
+    ]
+    assert not (edges[0] & edges[1])
+    assert not (edges[2] & edges[1])

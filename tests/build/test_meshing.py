@@ -1,0 +1,189 @@
+"""From a labelled surface to tetrahedra: volume, labels, edge length, register, determinism."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import RV_WALL, biventricular_surface, exact_volume
+
+from fascicle.build import meshing
+from fascicle.build.endocardia import endocardia
+from fascicle.build.meshing import available_memory, check_memory, mesh_surface
+from fascicle.build.remeshing import remeshed_surface, without_short_edges
+from fascicle.build.repair import enclosed_volume, prepared_surface
+from fascicle.build.surface_files import read_labelled_surface
+from fascicle.build.wall import wall_thickness
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import oriented_into_cavity
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
+from fascicle.mesh.measures import signed_volumes, triangle_normals
+from fascicle.mesh.meshing import NOTHING, Sheet, filled
+from fascicle.mesh.quality import quality
+from fascicle.mesh.topology import boundary_loops, boundary_triangles
+
+EDGE = 3.3  # mm
+ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+
+
+@pytest.fixture(scope="module")
+def surface() -> LabelledSurface:
+    return prepared_surface(biventricular_surface(4.0))
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[tuple[int, int]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def mesh(surface, steps) -> LabelledMesh:
+    return mesh_surface(surface, EDGE, lambda done, total: steps.append((done, total)))
+
+
+def test_tetrahedra_fill_the_exact_volume(mesh, surface):
+    volumes = signed_volumes(mesh.vertices, mesh.tetrahedra)
+    assert volumes.min() > 0
+    assert volumes.sum() == pytest.approx(enclosed_volume(surface), rel=0.01)
+    assert volumes.sum() == pytest.approx(exact_volume(), rel=0.02)
+
+
+def test_edges_have_the_length_that_was_asked_for(mesh):
+    found = quality(mesh.vertices, mesh.tetrahedra)
+    assert found.mean_edge == pytest.approx(EDGE, rel=0.05)
+    assert found.smallest_angle > 8
+    assert found.sharp < 1e-3
+    assert found.median_angle > 40
+
+
+def test_the_labelled_triangles_are_the_boundary_and_face_outwards(mesh):
+    boundary, _ = boundary_triangles(mesh.tetrahedra)
+    assert {*map(frozenset, boundary.tolist())} == {*map(frozenset, mesh.triangles.tolist())}
+    outside = LabelledSurface(mesh.vertices, mesh.triangles, mesh.labels)
+    volume = signed_volumes(mesh.vertices, mesh.tetrahedra).sum()
+    assert enclosed_volume(outside) == pytest.approx(volume, rel=1e-9)
+
+
+def test_labels_stay_where_they_were(mesh, surface):
+    for label in (Label.BASE, Label.EPICARDIUM, *ENDOCARDIA):
+        before, after = (
+            np.linalg.norm(triangle_normals(body.vertices, body.having(label)), axis=1).sum()
+            for body in (surface, mesh)
+        )
+        assert after == pytest.approx(before, rel=0.03)
+        assert len(boundary_loops(mesh.having(label))) == (3 if label == Label.BASE else 1)
+
+
+def test_walls_keep_their_thickness(mesh, surface):
+    before, after = wall_thickness(surface), wall_thickness(mesh)
+    assert after.rv.median == pytest.approx(RV_WALL, rel=0.05)
+    for wall in ("lv", "septum", "rv"):
+        assert getattr(after, wall).median == pytest.approx(getattr(before, wall).median, rel=0.03)
+
+
+def test_the_endocardia_are_disks_in_register_with_the_mesh(mesh):
+    for side, label in zip(endocardia(mesh), ENDOCARDIA, strict=True):
+        assert (side.vertices == mesh.vertices[side.mesh_vertex]).all()
+        assert not side.valve.any()
+        own = np.sort(side.mesh_vertex[side.triangles], axis=1)
+        assert {*map(tuple, own)} == {*map(tuple, np.sort(mesh.having(label), axis=1))}
+        again = oriented_into_cavity(side.vertices, side.triangles, "endocardium")
+        assert (again == side.triangles).all()
+
+
+def test_the_same_surface_gives_the_same_mesh_and_nothing_is_printed(mesh, surface, capfd):
+    again = mesh_surface(surface, EDGE)
+    assert capfd.readouterr().out == ""
+    assert np.array_equal(again.vertices, mesh.vertices)
+    assert np.array_equal(again.tetrahedra, mesh.tetrahedra)
+    assert np.array_equal(again.labels, mesh.labels)
+
+
+def test_a_surface_that_cannot_be_filled_is_refused_in_one_line(capfd):
+    corners = 10 * np.vstack([np.zeros(3), np.eye(3)])
+    inside_out = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    with pytest.raises(
+        InputError, match=r"^h\.vtk: inside: .* \(.+ domain 1\); smooth it$"
+    ) as error:
+        filled([Sheet(corners, inside_out, 1, NOTHING)], "h.vtk: inside", "smooth it", maxh=EDGE)
+    assert "\n" not in str(error.value)
+    assert "100.00% could not be filled" in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_steps_are_told(mesh, steps):
+    assert steps == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_a_coarse_edge_length_is_refused(surface):
+    with pytest.raises(InputError, match=r"4 mm is too coarse for the right .* give 3\.\d+ mm or"):
+        mesh_surface(surface, 4.0)
+
+
+def test_an_edge_length_that_would_not_fit_in_memory_is_refused(surface, monkeypatch):
+    check_memory(surface, 2.0)
+    monkeypatch.setattr(meshing, "available_memory", lambda: 1e9)
+    with pytest.raises(InputError, match=r"2\.8e\+05 vertices, .* 1\.7 GB and 1\.0 GB are free"):
+        check_memory(surface, 1.0)
+    with pytest.raises(InputError, match="must be above 0"):
+        check_memory(surface, 0.0)
+
+
+def test_free_memory_is_known_here():
+    assert 1e7 < available_memory() < 1e14
+
+
+def test_short_edges_are_closed_up_and_the_surface_stays_closed(surface):
+    shortened = without_short_edges(surface, 1.0)
+    corners = shortened.vertices[shortened.triangles]
+    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert len(shortened.vertices) < 0.95 * len(surface.vertices)
+    assert (lengths < 1.0).mean() < 0.002
+    assert boundary_loops(shortened.triangles) == []
+    assert enclosed_volume(shortened) == pytest.approx(enclosed_volume(surface), rel=2e-3)
+    assert len(shortened.vertices) - len(shortened.triangles) / 2 == 2  # Euler: a sphere
+
+
+@pytest.mark.parametrize("edge", [2.5, 3.4])
+def test_a_remeshed_surface_has_edges_of_the_length(surface, edge):
+    new = remeshed_surface(surface, edge)
+    corners = new.vertices[new.triangles]
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean() == pytest.approx(
+        edge, rel=0.06
+    )
+
+
+@pytest.fixture(scope="module")
+def mean_heart(data_folder: Path) -> LabelledSurface:
+    return read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
+
+
+def test_a_real_surface_at_2_mm(mean_heart):
+    surface = prepared_surface(mean_heart)
+    assert enclosed_volume(surface) == pytest.approx(144.8e3, rel=1e-3)
+    mesh = mesh_surface(surface, 2.0)
+    found = quality(mesh.vertices, mesh.tetrahedra)
+    assert found.volume == pytest.approx(enclosed_volume(surface), rel=2e-3)
+    assert found.mean_edge == pytest.approx(2.0, rel=0.05)
+    assert found.smallest_angle > 8
+    before, after = wall_thickness(surface), wall_thickness(mesh)
+    assert after.lv.median == pytest.approx(before.lv.median, rel=0.01)
+    assert after.rv.median == pytest.approx(before.rv.median, rel=0.01)
+    for side in endocardia(mesh):
+        assert (side.vertices == mesh.vertices[side.mesh_vertex]).all()
+        assert len(boundary_loops(side.triangles)) == 1
+
+
+def test_a_real_surface_is_too_thin_for_3_mm(mean_heart):
+    with pytest.raises(InputError, match=r"3 mm is too coarse .* 3 mm thick .* give 2\.11 mm"):
+        mesh_surface(prepared_surface(mean_heart), 3.0)
+
+
+def test_a_real_surface_with_exchanged_labels_is_refused(mean_heart):
+    labels = mean_heart.labels.copy()
+    left, right = (labels == label for label in ENDOCARDIA)
+    labels[left], labels[right] = Label.RV_ENDOCARDIUM, Label.LV_ENDOCARDIUM
+    with pytest.raises(InputError, match="swapped"):
+        prepared_surface(replace(mean_heart, labels=labels))

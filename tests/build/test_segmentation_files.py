@@ -1,0 +1,203 @@
+"""Label maps in NIfTI and NRRD: the same positions from both, and damaged ones in one line."""
+
+from __future__ import annotations
+
+import gzip
+
+import nibabel
+import nrrd
+import numpy as np
+import pytest
+
+from fascicle.build.segmentation.files import read_segmentation
+from fascicle.core.errors import InputError
+
+TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+TURN = np.linalg.qr(np.array([[0.8, -0.4, 0.45], [0.5, 0.85, -0.15], [-0.3, 0.35, 0.9]]))[0]
+AFFINE = np.eye(4)
+AFFINE[:3, :3] = TURN * [1.25, -1.25, 8.0]
+AFFINE[:3, 3] = [12.0, -80.0, 301.5]
+
+
+@pytest.fixture
+def labels():
+    return np.random.default_rng(0).integers(0, 5, (9, 7, 5)).astype(np.int16)
+
+
+def write_nifti(path, labels, affine=AFFINE, units="mm", codes=(2, 1)):
+    image = nibabel.Nifti1Image(labels, affine)
+    image.set_sform(affine, code=codes[0])
+    image.set_qform(affine, code=codes[1])
+    image.header.set_xyzt_units(units)
+    nibabel.save(image, path)
+    return path
+
+
+def write_nrrd(path, labels, affine=TO_LPS @ AFFINE, **header):
+    fields = {
+        "space": "left-posterior-superior",
+        "space directions": affine[:3, :3].T,
+        "space origin": affine[:3, 3],
+        "encoding": "gzip",
+    } | header
+    fields = {key: value for key, value in fields.items() if value is not None}
+    nrrd.write(str(path), labels, fields)
+    return path
+
+
+def refused(path):
+    """The message with which a file is refused: one line that begins with its name."""
+    with pytest.raises(InputError) as error:
+        read_segmentation(path)
+    message = str(error.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message
+
+
+def read_or_message(path):
+    """What is read, or the message with which it is refused."""
+    try:
+        return read_segmentation(path)
+    except InputError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"])
+def test_labels_and_positions_come_back_as_they_stand(tmp_path, labels, name):
+    nifti = ".nii" in name
+    write = write_nifti if nifti else write_nrrd
+    found = read_segmentation(write(tmp_path / name, labels))
+    np.testing.assert_array_equal(found.labels, labels)
+    np.testing.assert_allclose(found.affine, AFFINE if nifti else TO_LPS @ AFFINE, atol=1e-4)
+    assert found.space == ("RAS" if nifti else "LPS")
+    np.testing.assert_allclose(found.spacing, [1.25, 1.25, 8.0], rtol=1e-6)
+    assert found.name == str(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("space", "known_as"),
+    [("LPS", "LPS"), ("right-anterior-superior", "RAS"), ("RAS", "RAS"), ("3D-right-handed", "")],
+)
+def test_nrrd_spaces_are_kept(tmp_path, labels, space, known_as):
+    found = read_segmentation(write_nrrd(tmp_path / "a.nrrd", labels, AFFINE, space=space))
+    np.testing.assert_allclose(found.affine, AFFINE, atol=1e-9)
+    assert found.space == known_as
+
+
+def test_a_left_handed_space_is_refused(tmp_path, labels):
+    path = write_nrrd(tmp_path / "a.nrrd", labels, space="left-anterior-superior")
+    assert "'left-anterior-superior' is unknown or left-handed" in refused(path)
+
+
+def test_nrrd_with_spacings_alone_keeps_its_axes(tmp_path, labels):
+    nrrd.write(str(tmp_path / "a.nrrd"), labels, {"spacings": [1.5, 2.0, 6.0]})
+    found = read_segmentation(tmp_path / "a.nrrd")
+    np.testing.assert_allclose(found.affine, np.diag([1.5, 2.0, 6.0, 1.0]))
+
+
+@pytest.mark.parametrize(("units", "factor"), [("meter", 1e-3), ("micron", 1e3), ("mm", 1)])
+def test_nifti_units_are_honoured(tmp_path, labels, units, factor):
+    affine = AFFINE.copy()
+    affine[:3] *= factor
+    found = read_segmentation(write_nifti(tmp_path / "a.nii", labels, affine, units))
+    np.testing.assert_allclose(found.affine, AFFINE, rtol=1e-5)
+
+
+def test_labels_stored_as_whole_floats_are_read_and_others_refused(tmp_path, labels):
+    found = read_segmentation(write_nifti(tmp_path / "a.nii", labels.astype(np.float32)))
+    np.testing.assert_array_equal(found.labels, labels)
+    soft = labels.astype(np.float32)
+    soft[2, 3, 1] = 0.25
+    message = refused(write_nifti(tmp_path / "b.nii", soft))
+    assert "1 of 315 voxels are not whole numbers (first: 0.25)" in message
+    soft[2, 3, 1] = np.nan
+    assert "1 of 315" in refused(write_nrrd(tmp_path / "b.nrrd", soft))
+
+
+def test_other_dimensions_are_refused(tmp_path, labels):
+    cine = np.stack([labels, labels], axis=-1)
+    assert "4 dimensions (9 × 7 × 5 × 2)" in refused(write_nifti(tmp_path / "a.nii", cine))
+    nrrd.write(str(tmp_path / "a.nrrd"), cine)
+    assert "4 dimensions" in refused(tmp_path / "a.nrrd")
+    assert "2 dimensions" in refused(write_nifti(tmp_path / "b.nii", labels[:, :, 0]))
+
+
+@pytest.mark.parametrize("size", [0.0, np.nan])
+def test_nifti_without_spacing_is_refused(tmp_path, labels, size):
+    path = write_nifti(tmp_path / "a.nii", labels)
+    raw = bytearray(path.read_bytes())
+    raw[80:84] = np.float32(size).tobytes()  # pixdim[1]
+    path.write_bytes(raw)
+    assert "pixdim" in refused(path)
+
+
+def test_nifti_without_position_is_refused(tmp_path, labels):
+    message = refused(write_nifti(tmp_path / "a.nii", labels, codes=(0, 0)))
+    assert "sform_code and qform_code are 0" in message
+
+
+def test_nrrd_without_spacing_or_with_unknown_space_is_refused(tmp_path, labels):
+    nrrd.write(str(tmp_path / "a.nrrd"), labels)
+    assert "neither space directions nor spacings" in refused(tmp_path / "a.nrrd")
+    assert "space 'scanner-xyz'" in refused(
+        write_nrrd(tmp_path / "b.nrrd", labels, space="scanner-xyz")
+    )
+    assert "space units" in refused(
+        write_nrrd(tmp_path / "c.nrrd", labels, **{"space units": ["s", "s", "s"]})
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [("a.mha", "cannot read '.mha'"), ("a.pkl", "pickle"), ("b.gz", "read '.gz'")],
+)
+def test_other_formats_are_refused(tmp_path, name, problem):
+    (tmp_path / name).write_bytes(b"\x80\x04K\x01.")
+    assert problem in refused(tmp_path / name)
+
+
+def test_missing_file_is_refused(tmp_path):
+    assert "no such file" in refused(tmp_path / "none.nii.gz")
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
+def test_truncated_files_are_refused(tmp_path, labels, name):
+    write = write_nifti if ".nii" in name else write_nrrd
+    whole = write(tmp_path / name, labels).read_bytes()
+    for share in (0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.8, 0.95):
+        (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
+        refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
+def test_scrambled_headers_are_read_or_refused_in_one_line(tmp_path, labels, name):
+    """Never another error: 300 headers, each with three random bytes changed."""
+    write = write_nifti if ".nii" in name else write_nrrd
+    whole = write(tmp_path / name, labels).read_bytes()
+    packed = name.endswith(".gz")
+    plain = bytearray(gzip.decompress(whole) if packed else whole)
+    rng = np.random.default_rng(1)
+    n_refused = 0
+    for _ in range(300):
+        changed = plain.copy()
+        for place in rng.integers(0, 348, 3):
+            changed[place] = rng.integers(0, 256)
+        (tmp_path / name).write_bytes(gzip.compress(changed, 1) if packed else changed)
+        found = read_or_message(tmp_path / name)
+        if isinstance(found, str):
+            n_refused += 1
+            assert found.startswith(f"{tmp_path / name}: ")
+            assert "\n" not in found
+        else:
+            assert found.labels.ndim == 3
+            assert np.isfinite(found.affine).all()
+    assert n_refused > 30
+
+
+def test_rubbish_is_refused(tmp_path):
+    rubbish = np.random.default_rng(0).bytes(3000)
+    for name in ("a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"):
+        for content in (rubbish, bytes(3000), b"NRRD0005\n" + rubbish, b"hello\n" * 50):
+            (tmp_path / name).write_bytes(content)
+            refused(tmp_path / name)

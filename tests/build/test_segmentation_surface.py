@@ -1,0 +1,254 @@
+"""Surfaces of segmented ellipsoids: where they should be, of the right volume, with sharp borders.
+
+Volumes are compared with the label map's and positions with the exact ellipsoids'.
+"""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+import pytest
+from phantoms import (
+    BASE,
+    LABELS,
+    LV_OUTER,
+    OBLIQUE,
+    ellipsoid_segmentation,
+    exact_distance,
+    exact_volumes,
+    labels_at,
+    quadric,
+)
+
+from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, segmentation_volumes
+from fascicle.build.segmentation.surface import RV_WALL, surface_from_segmentation
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label
+from fascicle.mesh.topology import boundary_loops
+
+MAPS = {
+    "isotropic, oblique": ((1.5, 1.5, 1.5), {"slices": OBLIQUE}),
+    "short axis, oblique": ((1.25, 1.25, 6.0), {}),
+}
+SIDES = {"lv": Label.LV_ENDOCARDIUM, "rv": Label.RV_ENDOCARDIUM, "epi": Label.EPICARDIUM}
+
+
+@pytest.fixture(scope="module", params=MAPS)
+def extracted(request):
+    """A phantom's map, its surface, and the surface's vertices in the heart's frame."""
+    spacing, how = MAPS[request.param]
+    phantom = ellipsoid_segmentation(spacing, **how)
+    surface = surface_from_segmentation(phantom.segmentation, LABELS)
+    return phantom, surface, phantom.to_heart(surface.vertices)
+
+
+def volume(vertices, triangles):
+    """Volume (ml) between triangles and the plane z = BASE, which closes them."""
+    a, b, c = (vertices[triangles[:, k]] - [0, 0, BASE] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6 / 1000
+
+
+def euler(triangles):
+    edges = np.unique(
+        np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
+    )
+    return len(np.unique(triangles)) - len(edges) + len(triangles)
+
+
+def check_topology(surface):
+    assert len(boundary_loops(surface.triangles)) == 0
+    assert igl.is_edge_manifold(surface.triangles)[0]
+    assert euler(surface.triangles) == 2
+    for label, n_loops in ((Label.BASE, 3), *((side, 1) for side in SIDES.values())):
+        assert len(boundary_loops(surface.having(label))) == n_loops
+        assert euler(surface.having(label)) == 2 - n_loops
+
+
+def test_volumes_are_the_label_maps_and_the_exact_ones(extracted):
+    phantom, surface, vertices = extracted
+    found = {
+        "lv": -volume(vertices, surface.having(Label.LV_ENDOCARDIUM)),
+        "rv": -volume(vertices, surface.having(Label.RV_ENDOCARDIUM)),
+        "myocardium": volume(vertices, surface.triangles),
+    }
+    counted = segmentation_volumes(phantom.segmentation, LABELS)
+    exact = exact_volumes()
+    for part, ml in found.items():
+        assert ml == pytest.approx(counted[part], rel=0.01)
+        assert ml == pytest.approx(exact[part], rel=0.03)
+
+
+def test_surfaces_are_smooth_and_in_place(extracted):
+    """Within 0.3 voxels of the exact surface, where a staircase would be off by 0.3 to 0.5."""
+    phantom, surface, vertices = extracted
+    for side, label in SIDES.items():
+        own = vertices[np.unique(surface.having(label))]
+        distance = exact_distance(own, side)
+        assert np.sqrt(np.mean(distance**2)) < 0.3 * phantom.segmentation.spacing.min()
+        assert abs(distance.mean()) < 0.05
+
+
+def test_normals_are_those_of_the_ellipsoid(extracted):
+    """A staircase's normals are off by 30 to 50 degrees on average."""
+    _, surface, vertices = extracted
+    own = surface.having(Label.LV_ENDOCARDIUM)
+    a, b, c = (vertices[own[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    middle = (a + b + c) / 3
+    step = 1e-4 * np.eye(3)
+    exact = np.stack(
+        [exact_distance(middle + e, "lv") - exact_distance(middle - e, "lv") for e in step]
+    )
+    cosine = -np.einsum("im,mi->m", exact, normals) / (area * np.linalg.norm(exact, axis=0))
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    assert np.average(angle, weights=area) < 8
+
+
+def test_surface_is_closed_and_every_part_in_one_piece(extracted):
+    check_topology(extracted[1])
+
+
+def test_base_is_flat_and_at_the_base(extracted):
+    phantom, surface, vertices = extracted
+    base = vertices[np.unique(surface.having(Label.BASE))]
+    assert np.abs(base[:, 2] - BASE).max() < 0.1
+    a, b, c = (surface.vertices[surface.having(Label.BASE)[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a) @ phantom.turn
+    assert (normals[:, 2] > 0.999 * np.linalg.norm(normals, axis=1)).all()
+    below = np.setdiff1d(np.arange(len(vertices)), np.unique(surface.having(Label.BASE)))
+    assert vertices[below, 2].max() < BASE
+
+
+def test_volumes_of_the_map():
+    phantom = ellipsoid_segmentation((1.5, 1.5, 1.5))
+    exact = exact_volumes()
+    for part, ml in segmentation_volumes(phantom.segmentation, LABELS).items():
+        assert ml == pytest.approx(exact[part], rel=0.03)
+
+
+def test_without_rv_wall_one_is_added():
+    """In maps of LV muscle alone, the wall is 3 mm thick, and nothing else changes."""
+
+    def lv_muscle_alone(points):
+        labels = labels_at(points)
+        labels[(labels >= 3) & (quadric(points, LV_OUTER) > 0)] = 0
+        return labels
+
+    phantom = ellipsoid_segmentation((1.25, 1.25, 8.0), labels=lv_muscle_alone)
+    notes = []
+    surface = surface_from_segmentation(phantom.segmentation, LABELS, noted=notes.append)
+    check_topology(surface)
+    assert "map: 66% of the RV blood borders on no tissue, so an RV wall of 3 mm was added" in notes
+    vertices = phantom.to_heart(surface.vertices)
+    free = vertices[np.unique(surface.having(Label.EPICARDIUM))]
+    free = free[(free[:, 0] > 48) & (free[:, 2] > -15)]
+    assert len(free) > 100
+    thickness = exact_distance(free, "rv")
+    assert np.median(thickness) == pytest.approx(RV_WALL, abs=0.3)
+
+
+def with_atria(points):
+    """Blood goes on above an uneven rim of tissue, as in maps of the whole heart."""
+    labels = labels_at(points, base=40.0)
+    rim = BASE + 3 * np.sin(np.arctan2(points[..., 1], points[..., 0]))
+    labels[(points[..., 2] > rim) & (labels >= 3)] = 0
+    labels[(labels == 1) & (points[..., 2] > 18 + 0.3 * points[..., 0])] = 6
+    labels[(labels == 2) & (points[..., 2] > 28)] = 7
+    return labels
+
+
+def closed_over(points):
+    """Tissue closes over both cavities at the base."""
+    labels = labels_at(points, base=22.0)
+    labels[(points[..., 2] > BASE) & (labels > 0)] = 3
+    return labels
+
+
+@pytest.mark.parametrize(
+    ("labels", "lowest", "how"),
+    [(with_atria, 4, "the highest complete ring"), (closed_over, 8, "tissue closes over")],
+)
+def test_maps_that_are_not_cut_are_cut_below_the_rim(labels, lowest, how):
+    phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=OBLIQUE, labels=labels)
+    notes = []
+    surface = surface_from_segmentation(phantom.segmentation, LABELS, noted=notes.append)
+    check_topology(surface)
+    assert how in notes[0]
+    base = phantom.to_heart(surface.vertices[np.unique(surface.having(Label.BASE))])
+    assert base[:, 2].min() > lowest
+    assert base[:, 2].max() < BASE + 0.5
+
+
+def test_papillary_muscle_across_the_cavity_is_given_to_the_blood():
+    def with_strand(points):
+        labels = labels_at(points)
+        strand = np.hypot(points[..., 1], points[..., 2] + 15) < 3
+        labels[(labels == 1) & strand] = 3
+        return labels
+
+    phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=OBLIQUE, labels=with_strand)
+    notes = []
+    surface = surface_from_segmentation(phantom.segmentation, LABELS, noted=notes.append)
+    check_topology(surface)
+    assert any("lv endocardium: gaps up to" in note for note in notes)
+
+
+def relabelled(change):
+    segmentation = ellipsoid_segmentation((3.0, 3.0, 3.0)).segmentation
+    labels = segmentation.labels.copy()
+    change(labels)
+    return Segmentation(labels, segmentation.affine, "map")
+
+
+def test_missing_label_names_those_there():
+    segmentation = ellipsoid_segmentation((3.0, 3.0, 3.0)).segmentation
+    with pytest.raises(InputError, match=r"RV blood \(label 7\) has 0 voxels; .* 1 \(\d+ voxels\)"):
+        surface_from_segmentation(segmentation, SegmentationLabels(1, 7, 3))
+
+
+def test_empty_cavity_is_refused():
+    def drain(labels):
+        labels[labels == 1] = 0
+
+    with pytest.raises(InputError, match=r"map: LV blood \(label 1\) has 0 voxels"):
+        segmentation_volumes(relabelled(drain), LABELS)
+
+
+def test_two_large_pieces_of_tissue_are_refused():
+    def cut(labels):
+        labels[18:20][labels[18:20] >= 3] = 0
+        labels[:, :, :12] = np.where(labels[:, :, :12] > 0, 0, labels[:, :, :12])
+        labels[0:6, 0:6, 0:6] = 3
+
+    with pytest.raises(
+        InputError, match=r"tissue falls into \d unconnected pieces \([\d., ]+ ml\)"
+    ):
+        surface_from_segmentation(relabelled(cut), LABELS)
+
+
+def test_islands_are_dropped_and_noted():
+    def add(labels):
+        labels[1:3, 1:3, 1:3] = 3
+
+    notes = []
+    surface = surface_from_segmentation(relabelled(add), LABELS, noted=notes.append)
+    assert notes[0].startswith("map: 1 islands of tissue (0.22 ml in all)")
+    plain = ellipsoid_segmentation((3.0, 3.0, 3.0))
+    assert plain.to_heart(surface.vertices).min(axis=0)[0] > -LV_OUTER[0] - 1.5
+
+
+def test_heart_in_metres_is_refused():
+    segmentation = ellipsoid_segmentation((3.0, 3.0, 3.0)).segmentation
+    affine = segmentation.affine.copy()
+    affine[:3] /= 1000
+    with pytest.raises(InputError, match="seems to be in metres"):
+        surface_from_segmentation(Segmentation(segmentation.labels, affine, "map"), LABELS)
+
+
+def test_steps_are_told():
+    told = []
+    surface_from_segmentation(
+        relabelled(lambda labels: None), LABELS, lambda done, total: told.append((done, total))
+    )
+    assert told == [(k, 6) for k in range(1, 7)]

@@ -1,0 +1,77 @@
+"""Files and folders that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_folder, atomic_path, write_text
+
+
+def test_file_is_replaced_only_at_the_end(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with atomic_path(path) as temporary:
+        temporary.write_text("new")
+        assert path.read_text() == "old"
+        assert temporary.suffix == ".txt"
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_what_fails_leaves_nothing(tmp_path, error):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a.txt").write_text("old")
+
+    def fail(folder):
+        write_text(folder / "a.txt", "new")
+        raise error
+
+    def stop(path):
+        path.write_text("half")
+        raise error
+
+    with pytest.raises(error), atomic_folder(tmp_path / "out") as folder:
+        fail(folder)
+    with pytest.raises(error), atomic_path(tmp_path / "b.txt") as path:
+        stop(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out" / "a.txt").read_text() == "old"
+
+
+def test_folder_is_replaced_whole(tmp_path):
+    out = tmp_path / "out"
+    for text in ("old", "new"):
+        with atomic_folder(out) as folder:
+            write_text(folder / "deep" / "a.txt", text)
+    assert (out / "deep" / "a.txt").read_text() == "new"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_folder_that_would_lose_a_file(tmp_path):
+    out = tmp_path / "out"
+    (out / "deep").mkdir(parents=True)
+    (out / "deep" / "mine.txt").write_text("mine")
+    with (
+        pytest.raises(InputError, match=r"holds 'deep.*', which would be lost; give another"),
+        atomic_folder(out) as folder,
+    ):
+        write_text(folder / "a.txt", "new")
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert [p.name for p in out.iterdir()] == ["deep"]
+
+
+def test_places_that_cannot_be(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("mine")
+    for place in (tmp_path / "file" / "out", tmp_path / "file" / "deep" / "out"):
+        with pytest.raises(InputError, match=r"cannot be written .*; choose another place"):
+            write_text(place, "new")
+        with pytest.raises(InputError, match=r"cannot be written .*; choose another place"):
+            atomic_folder(place).__enter__()
+    monkeypatch.setattr(os, "access", lambda *_: False)  # as in a read-only folder
+    with pytest.raises(InputError, match=r"cannot be written \(Permission denied\); choose"):
+        write_text(tmp_path / "new.txt", "new")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]

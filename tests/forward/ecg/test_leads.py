@@ -1,0 +1,66 @@
+"""The twelve leads: sum rules, no common potential, the template."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
+from fascicle.forward.ecg.action_potential import Upstroke
+from fascicle.forward.ecg.lead_field import unbounded
+
+
+@pytest.fixture
+def leads():
+    potentials = np.random.default_rng(0).normal(size=(9, 50))
+    return dict(zip(LEADS, lead_matrix() @ potentials, strict=True)), potentials
+
+
+def test_einthoven_and_goldberger(leads):
+    lead, _ = leads
+    np.testing.assert_allclose(lead["I"] + lead["III"], lead["II"], atol=1e-14)
+    np.testing.assert_allclose(lead["aVR"] + lead["aVL"] + lead["aVF"], 0.0, atol=1e-14)
+    np.testing.assert_allclose(lead["aVR"], -(lead["I"] + lead["II"]) / 2, atol=1e-14)
+    np.testing.assert_allclose(lead["aVL"], (lead["I"] - lead["III"]) / 2, atol=1e-14)
+    np.testing.assert_allclose(lead["aVF"], (lead["II"] + lead["III"]) / 2, atol=1e-14)
+
+
+def test_each_lead_has_its_positive_electrode(leads):
+    """A potential at one electrode only; lead I positive at LA, II and III at LL, Vn at Vn."""
+    positive = {"I": "LA", "II": "LL", "III": "LL", "aVR": "RA", "aVL": "LA", "aVF": "LL"}
+    positive |= {f"V{k}": f"V{k}" for k in range(1, 7)}
+    matrix = lead_matrix()
+    for row, lead in zip(matrix, LEADS, strict=True):
+        assert row.argmax() == ELECTRODES.index(positive[lead])
+        assert row.max() == 1.0
+
+
+def test_wilson_terminal_is_the_mean_of_the_limb_electrodes(leads):
+    lead, potentials = leads
+    np.testing.assert_allclose(lead["V3"], potentials[5] - potentials[:3].mean(axis=0), atol=1e-14)
+
+
+def test_no_lead_sees_a_common_potential():
+    matrix = lead_matrix()
+    np.testing.assert_allclose(matrix.sum(axis=1), 0.0, atol=1e-15)
+    assert np.linalg.matrix_rank(matrix) == 8  # twelve leads, eight independent
+
+
+def test_lead_field_is_that_of_a_point_source():
+    """1 µA at 5 cm in 2 mS/cm gives 1/(4π·2·5) mV; its flux through a sphere is the current."""
+    point = np.array([[30.0, 40.0, 0.0]])
+    assert unbounded(point, np.zeros((1, 3)), 2.0)[0, 0] == pytest.approx(1 / (4 * np.pi * 2 * 5))
+    near, far = unbounded(np.array([[49.99, 0, 0], [50.01, 0, 0]]), np.zeros((1, 3)), 2.0)[0]
+    field = (near - far) / 0.002  # mV/cm per µA
+    assert 2.0 * field * 4 * np.pi * 5.0**2 == pytest.approx(1.0, rel=1e-6)
+
+
+def test_upstroke_has_the_velocity_that_its_width_says():
+    """105.2 mV over 1 ms at the steepest; constant to 1e-6 of the rise outside its span."""
+    u = Upstroke()
+    t = np.linspace(-0.01, 0.01, 3)
+    assert np.gradient(u(t), t)[1] == pytest.approx(105.2, rel=1e-3)  # mV/ms
+    begin, end = u.span
+    assert u(np.array([begin]))[0] + 85.2 < 1.1e-6 * 105.2
+    assert 20.0 - u(np.array([end]))[0] < 1.1e-6 * 105.2
+    assert u(np.array([0.0]))[0] == pytest.approx((20.0 - 85.2) / 2)

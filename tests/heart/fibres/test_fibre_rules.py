@@ -1,0 +1,268 @@
+"""Fibres by rule: exact ones on a slab and a spheroid; angles and continuity in a whole heart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from labelled_walls import Spheroid, labelled_heart, slab
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+from fascicle.heart.fibres.laplace import quadratic_space
+from fascicle.heart.fibres.longitudinal import apex_to_base, lv_apex
+from fascicle.heart.fibres.rules import (
+    FibreAngles,
+    Fibres,
+    Wall,
+    by_rule,
+    rule_based_fibres,
+    wall_potentials,
+)
+from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+
+STREETER = FibreAngles(
+    rv_endocardium=np.radians(60), rv_epicardium=np.radians(-60)
+)  # the same in both ventricles
+
+
+def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle (degrees) between lines."""
+    return np.degrees(np.arccos(np.clip(np.abs(np.sum(a * b, axis=1)), 0, 1)))
+
+
+def steps(fibres: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbouring tetrahedra (k, 2), and the angle (degrees) between their fibres."""
+    faces = np.sort(tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]], axis=2)
+    faces, owner = faces.reshape(-1, 3), np.repeat(np.arange(len(tetrahedra)), 4)
+    order = np.lexsort(faces.T)
+    same = np.flatnonzero(np.all(faces[order[1:]] == faces[order[:-1]], axis=1))
+    pairs = owner[np.stack([order[same], order[same + 1]], axis=1)]
+    return pairs, between(fibres[pairs[:, 0]], fibres[pairs[:, 1]])
+
+
+def angle_at(fibres: Fibres, wall: Wall, surface: float, among: np.ndarray | bool = True) -> float:
+    """Helix angle (degrees) at depth 0 or 1: where the line through the nearest third ends."""
+    near = among & (fibres.wall == wall) & (np.abs(fibres.depth - surface) < 1 / 3)
+    # angles near ±90 degrees are neighbours: unfold around their mean
+    angle = fibres.helix_angle()[near]
+    mean = np.angle(np.exp(2j * angle).mean()) / 2
+    unfolded = mean + (angle - mean + np.pi / 2) % np.pi - np.pi / 2
+    slope, start = np.polyfit(fibres.depth[near] - surface, unfolded, 1)
+    assert slope < 0
+    return float(np.degrees(start))
+
+
+@pytest.fixture(scope="module")
+def spheroid() -> tuple[Spheroid, LabelledMesh, Fibres]:
+    shape = Spheroid()
+    mesh = shape.mesh(rings=16, layers=5)
+    return shape, mesh, rule_based_fibres(mesh)
+
+
+@pytest.fixture(scope="module")
+def laplace(default_heart: Heart) -> tuple[LabelledMesh, tuple[np.ndarray, ...]]:
+    """The packaged heart, and what the rule takes: potentials, gradients, way to base, outflow."""
+    triangles, _ = default_heart.boundary
+    x = default_heart.vertices[triangles]
+    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rim = np.unique(default_heart.vertices[triangles].reshape(-1, 3), axis=0)
+    # its base is a plane, square to the long axis
+    loop = default_heart.lv.vertices
+    centred = loop - loop.mean(axis=0)
+    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+    if axis[2] < 0:  # the base is up
+        axis = -axis
+    top = (rim @ axis).max()
+    mesh = labelled_heart(
+        default_heart, (normals @ axis > 0.9) & ((x @ axis).min(axis=1) > top - 3)
+    )
+    space = quadratic_space(mesh.vertices, mesh.tetrahedra)
+    return mesh, (*wall_potentials(space, mesh), *apex_to_base(space, mesh))
+
+
+@pytest.fixture(scope="module")
+def biventricular(laplace) -> tuple[LabelledMesh, Fibres]:
+    mesh, fields = laplace
+    return mesh, by_rule(*fields, STREETER)
+
+
+def test_across_a_slab_the_angle_is_linear_and_as_prescribed():
+    mesh = slab(thickness=8, layers=4)
+    fibres = rule_based_fibres(mesh)
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    far = middle[:, 2] > 30  # from the apex, so that its end is the only way to the base
+    angle = np.radians(60) * (1 - middle[:, 1] / 4)
+    # out of the ventricle is y, to the base z, and so around it -x
+    expected = np.stack([-np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    assert between(fibres.fibre, expected)[far].max() < 0.5
+    np.testing.assert_allclose(fibres.depth, middle[:, 1] / 8, atol=1e-4)
+    np.testing.assert_allclose(fibres.helix_angle()[far], angle[far], atol=np.radians(0.5))
+
+
+def test_one_tetrahedron_across_a_thin_wall_is_enough():
+    mesh = slab(thickness=3, layers=1)
+    fibres = rule_based_fibres(mesh)
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    far = middle[:, 2] > 30
+    angle = np.radians(60) * (1 - 2 * middle[:, 1] / 3)
+    np.testing.assert_allclose(fibres.helix_angle()[far], angle[far], atol=np.radians(0.5))
+
+
+def test_an_angle_of_zero_is_an_angle():
+    mesh = slab(thickness=8, layers=2)
+    fibres = rule_based_fibres(mesh, FibreAngles(lv_endocardium=0.0, lv_epicardium=0.0))
+    np.testing.assert_allclose(fibres.helix_angle(), 0, atol=1e-9)
+
+
+def test_sheets_turn_through_the_wall_as_bayer_has_them():
+    mesh = slab(thickness=8, layers=4)
+    fibres = rule_based_fibres(mesh)
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    far = middle[:, 2] > 30
+    tilt = np.degrees(np.arcsin(np.abs(fibres.sheet[:, 1])))  # y is across the wall
+    expected = np.abs(-65 + 90 * middle[:, 1] / 8)
+    np.testing.assert_allclose(tilt[far], expected[far], atol=0.5)
+
+
+def test_fibres_of_a_spheroid_are_those_of_its_own_coordinates(spheroid):
+    shape, mesh, fibres = spheroid
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    exact = shape.fibres(middle, np.radians(60), np.radians(-60))
+    error = between(fibres.fibre, exact)
+    _, nu, _ = shape.coordinates(middle)
+    assert np.median(error) < 1
+    assert error[nu > np.radians(20)].max() < 5  # but for the apex, where there is no direction
+
+
+def test_a_spheroid_has_the_prescribed_angles_at_its_surfaces(spheroid):
+    _, _, fibres = spheroid
+    assert angle_at(fibres, Wall.LV, 0) == pytest.approx(60, abs=2)
+    assert angle_at(fibres, Wall.LV, 1) == pytest.approx(-60, abs=2)
+
+
+def test_fibres_are_a_right_handed_helix_inside_and_a_left_handed_one_outside(spheroid):
+    _, mesh, fibres = spheroid
+    x = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    around = np.stack([-x[:, 1], x[:, 0]], axis=1)  # counter-clockwise seen from the base, +z
+    along = np.sum(fibres.fibre[:, :2] * around, axis=1) * fibres.fibre[:, 2]
+    away = x[:, 2] > -40  # from the apex
+    assert np.all(along[away & (fibres.depth < 0.4)] > 0)
+    assert np.all(along[away & (fibres.depth > 0.6)] < 0)
+
+
+def test_directions_are_unit_vectors_and_orthogonal(biventricular):
+    _, fibres = biventricular
+    for directions in (fibres.fibre, fibres.sheet, fibres.normal, fibres.longitudinal):
+        np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(np.sum(fibres.fibre * fibres.sheet, axis=1), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wall", "inner", "outer"),
+    [(Wall.LV, 60, -60), (Wall.RV, 60, -60), (Wall.SEPTUM, 60, -60)],
+)
+def test_each_wall_of_a_heart_has_the_prescribed_angles(biventricular, wall, inner, outer):
+    _, fibres = biventricular
+    assert angle_at(fibres, wall, 0) == pytest.approx(inner, abs=2)
+    assert angle_at(fibres, wall, 1) == pytest.approx(outer, abs=2)
+
+
+def test_the_angle_falls_monotonely_through_each_wall(biventricular):
+    _, fibres = biventricular
+    angle = fibres.helix_angle()
+    for wall in Wall:
+        here = fibres.wall == wall
+        layer = np.digitize(fibres.depth[here], np.linspace(0, 1, 9))
+        medians = [np.median(angle[here][layer == k]) for k in np.unique(layer)]
+        assert np.all(np.diff(medians) < 0)
+
+
+def test_neighbours_differ_by_what_the_rule_turns_but_along_the_junctions(biventricular):
+    mesh, fibres = biventricular
+    pairs, angle = steps(fibres.fibre, mesh.tetrahedra)
+    turned = 120 * np.abs(np.diff(fibres.depth[pairs], axis=1)[:, 0])
+    same = fibres.wall[pairs[:, 0]] == fibres.wall[pairs[:, 1]]
+    beyond = angle - turned
+    assert np.mean(beyond[same] > 15) < 0.01
+    septum = same & (fibres.wall[pairs[:, 0]] == Wall.SEPTUM)
+    assert np.percentile(beyond[septum], 99) < 12
+    assert np.mean(angle > 60) < 0.005
+
+
+def test_the_rv_has_angles_of_its_own(laplace):
+    mesh, fields = laplace
+    fibres = by_rule(*fields, FibreAngles())
+    # the epicardium's angle passes to the LV's along their junction
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    from_left, _ = cKDTree(middle[fibres.wall != Wall.RV]).query(middle)
+    free = from_left > 6
+    assert angle_at(fibres, Wall.RV, 0, free) == pytest.approx(90, abs=2)
+    assert angle_at(fibres, Wall.RV, 1, free) == pytest.approx(-25, abs=2)
+    # the septum's right side is the RV's endocardium, seen from the left
+    assert abs(angle_at(fibres, Wall.SEPTUM, 1)) == pytest.approx(90, abs=2)
+
+
+def test_the_apex_is_that_of_the_left_ventricle(spheroid):
+    shape, mesh, _ = spheroid
+    inner, outer = shape.walls
+    expected = [[0, 0, -shape.focus * np.cosh(xi)] for xi in (inner, outer)]
+    np.testing.assert_allclose(mesh.vertices[lv_apex(mesh)], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("missing", "named"),
+    [
+        (Label.BASE, "base"),
+        (Label.EPICARDIUM, "epicardium"),
+        (Label.LV_ENDOCARDIUM, "LV endocardium"),
+    ],
+)
+def test_a_missing_label_is_named(missing, named):
+    mesh = slab(thickness=8, layers=2)
+    mesh = replace(mesh, labels=np.where(mesh.labels == missing, 0, mesh.labels))
+    with pytest.raises(InputError, match=f"slab: no boundary triangle is labelled as {named}"):
+        rule_based_fibres(mesh)
+
+
+def test_progress_is_told_to_the_end():
+    told: list[tuple[int, int]] = []
+    rule_based_fibres(
+        slab(thickness=8, layers=2), told=lambda done, total: told.append((done, total))
+    )
+    assert told[0][0] == 0
+    assert told[-1][0] == told[-1][1]
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_fibres_of_the_rv_turn_towards_a_labelled_pulmonary_opening(laplace, biventricular):
+    mesh, (potentials, gradients, _, _) = laplace
+    _, plain = biventricular
+    centres = mesh.vertices[mesh.triangles].mean(axis=1)
+    to_right, to_left = (
+        cKDTree(mesh.vertices[np.unique(mesh.having(label))]).query(centres)[0]
+        for label in (Label.RV_ENDOCARDIUM, Label.LV_ENDOCARDIUM)
+    )
+    base = mesh.labels == Label.BASE
+    right = base & (to_right < to_left) & (to_left > 12)
+    # its third that lies furthest to the front of the body, -y
+    opening = right & (centres[:, 1] < np.quantile(centres[right, 1], 1 / 3))
+    mesh = replace(mesh, labels=np.where(opening, Label.PULMONARY, mesh.labels))
+    space = quadratic_space(mesh.vertices, mesh.tetrahedra)
+    baseward, outflow = apex_to_base(space, mesh)
+    fibres = by_rule(potentials, gradients, baseward, outflow, STREETER)
+    middle = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    distance, _ = cKDTree(centres[opening]).query(middle)
+    near = (distance < 4) & (fibres.wall == Wall.RV)
+    inside, outside = near & (fibres.depth < 0.3), near & (fibres.depth > 0.7)
+    lengthwise = np.degrees(np.abs(fibres.helix_angle()))
+    before = np.degrees(np.abs(plain.helix_angle()))
+    assert np.median(before[inside]) < 55
+    assert np.median(lengthwise[inside]) > np.median(before[inside]) + 8
+    assert np.median(lengthwise[outside]) < np.median(before[outside]) - 15
+    # and no further than the tract
+    far = distance > 40
+    assert between(fibres.fibre, plain.fibre)[far].max() < 1

@@ -1,0 +1,117 @@
+"""Fibres, endocardia and seeds on shapes whose answers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.heart.endocardium import oriented_into_cavity
+from fascicle.heart.fibres.directions import average_to_tetrahedra, match_by_position
+from fascicle.heart.seeds import septal_seeds
+from fascicle.heart.validate import check_tetrahedra, check_units
+from fascicle.mesh.measures import signed_volumes, triangle_normals
+from fascicle.mesh.topology import boundary_loops
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+def bowl(rings=8, spokes=20, depth=40.0):
+    """Paraboloid open at z = 0, apex at z = -depth; triangles in mixed-up orientation."""
+    points, triangles = [[0.0, 0.0, -depth]], []
+    for ring in range(1, rings + 1):
+        angle = 2 * np.pi * np.arange(spokes) / spokes
+        r = 20 * ring / rings
+        z = -depth * (1 - (ring / rings) ** 2)
+        points += np.column_stack([r * np.cos(angle), r * np.sin(angle), 0 * angle + z]).tolist()
+    for k in range(spokes):
+        n = (k + 1) % spokes
+        triangles.append([0, 1 + n, 1 + k])
+        for ring in range(rings - 1):
+            a, b = 1 + ring * spokes + k, 1 + ring * spokes + n
+            triangles += [[a, a + spokes, b], [b, b + spokes, a + spokes]]
+    return np.array(points), np.array(triangles)
+
+
+def test_fibres_have_no_sign():
+    tetrahedra = np.array([[0, 1, 2, 3]])
+    axis = np.array([0.6, 0.0, 0.8])
+    given = np.array([[1.0], [-3.0], [0.5], [-1.0]]) * axis
+    mean = average_to_tetrahedra(given, tetrahedra)[0]
+    assert abs(mean @ axis) == pytest.approx(1, abs=1e-12)
+
+
+def test_mean_of_two_directions_lies_between():
+    angle = np.radians([20, 20, 60, 60])
+    given = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    mean = average_to_tetrahedra(given, np.array([[0, 1, 2, 3]]))[0]
+    assert np.degrees(np.arctan(mean[1] / mean[0])) == pytest.approx(40)
+
+
+def test_matching_undoes_a_permutation_and_single_precision():
+    rng = np.random.default_rng(0)
+    wanted = 100 * rng.random((50, 3))
+    order = rng.permutation(50)
+    row = match_by_position("f", wanted[order].astype(np.float32).astype(float), wanted, "points")
+    np.testing.assert_array_equal(order[row], np.arange(50))
+    with pytest.raises(InputError, match=r"^f: no fibre within .* of 50 of 50 points .*; give"):
+        match_by_position("f", wanted + 0.1, wanted, "points")
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_endocardium_is_turned_to_its_cavity(flip):
+    points, triangles = bowl()
+    oriented = oriented_into_cavity(points, triangles[:, ::-1] if flip else triangles, "bowl")
+    normals = triangle_normals(points, oriented)
+    centres = points[oriented].mean(axis=1)
+    assert (normals[:, 2] > 0).all()  # out of the bowl, so into the cavity
+    assert (np.einsum("ij,ij->i", normals[:, :2], centres[:, :2]) < 1e-9).all()
+    assert {frozenset(t) for t in oriented.tolist()} == {frozenset(t) for t in triangles.tolist()}
+
+
+def test_boundary_loop_is_the_rim():
+    points, triangles = bowl()
+    loops = boundary_loops(oriented_into_cavity(points, triangles, "bowl"))
+    assert len(loops) == 1
+    assert set(loops[0]) == set(range(len(points) - 20, len(points)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, 3.0])
+def test_seeds_look_at_the_other_ventricle(angle):
+    points, triangles = bowl()
+    triangles = oriented_into_cavity(points, triangles, "bowl")
+    towards = np.array([np.cos(angle), np.sin(angle)])
+    other = points + np.append(45 * towards, 0.0)
+    root, direction = points[list(septal_seeds(points, triangles, other))]
+    assert root[:2] @ towards > 0.9 * np.linalg.norm(root[:2])
+    assert direction[:2] @ towards > 0.9 * np.linalg.norm(direction[:2])
+    assert -0.25 * 40 < root[2] < 0  # near the base, but not on it
+    assert direction[2] < root[2] - 5
+
+
+def test_volume_and_its_sign():
+    assert signed_volumes(CORNERS, np.array([[0, 1, 2, 3]]))[0] == pytest.approx(1 / 6)
+    assert signed_volumes(CORNERS, np.array([[1, 0, 2, 3]]))[0] == pytest.approx(-1 / 6)
+
+
+def test_flat_is_told_from_small():
+    points = np.vstack([CORNERS, 1e-3 * CORNERS[1:]])  # the second is 1e-9 of the first
+    good = np.array([[0, 1, 2, 3], [0, 4, 5, 6]])
+    check_tetrahedra("m", 60 * points * [1, 1, 1], good)
+    with pytest.raises(InputError, match=r"1 of 2 tetrahedra have zero volume \(first: 1\)"):
+        check_tetrahedra("m", points, np.array([[0, 1, 2, 3], [0, 1, 2, 2]]))
+
+
+@pytest.mark.parametrize(
+    ("extent", "words"),
+    [(0.1, "metres; multiply the coordinates by 1000"), (10, "centimetres; .* by 10 "),
+     (1e5, "micrometres; .* by 0.001"), (900, "; check the units"), (0, "; check the units")],
+)  # fmt: skip
+def test_units_are_told_by_size(extent, words):
+    with pytest.raises(InputError, match=words):
+        check_units("m", CORNERS * extent)
+
+
+def test_hearts_of_dogs_and_men_pass():
+    for extent in (40, 90, 200):
+        check_units("m", CORNERS * extent)

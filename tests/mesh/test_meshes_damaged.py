@@ -1,0 +1,167 @@
+"""Mesh files cut short or scrambled: refused in one line, never read in part, never a crash.
+
+Several of these made VTK print to the terminal, return garbage in place of the missing end, or
+crash the process (binary PLY), and meshio leave the program or search for ever.
+"""
+
+from __future__ import annotations
+
+import meshio
+import numpy as np
+import pytest
+import pyvista as pv
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+from fascicle.core.errors import InputError
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
+from fascicle.mesh.formats.read import read_mesh
+
+CUTS = [0, 0.001, 0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.995, -100, -40, -20, -10, -5]
+RUBBISH = {
+    "random": np.random.default_rng(0).bytes(3000),
+    "text": b"hello\nworld\n" * 20,
+    "zeros": bytes(3000),
+}
+TISSUE = [
+    "b.vtk",
+    "a.vtk",
+    "b.vtu",
+    "a.vtu",
+    "appended.vtu",
+    "raw.vtu",
+    "b.msh",
+    "a.msh",
+    "a22.msh",
+]
+SURFACES = ["b.vtp", "a.vtp", "sb.vtk", "b.ply", "a.ply", "b.stl", "a.stl", "a.obj"]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Whole files in every format, by name."""
+    folder = tmp_path_factory.mktemp("whole")
+    block = pv.ImageData(dimensions=(5, 5, 5), spacing=(15, 15, 15))
+    grid = block.cast_to_unstructured_grid().triangulate()
+    rng = np.random.default_rng(1)
+    grid.point_data["fibre"] = rng.standard_normal((grid.n_points, 3))
+    sheet = pv.Plane(i_resolution=8, j_resolution=8, i_size=40, j_size=40).triangulate()
+    sheet.clear_data()
+    for name in ("b.vtk", "a.vtk", "b.vtu", "a.vtu"):
+        grid.save(folder / name, binary=name[0] == "b")
+    for name in ("b.vtp", "a.vtp", "sb.vtk", "b.ply", "a.ply", "b.stl", "a.stl"):
+        sheet.save(folder / name, binary="b" in name[:2])
+    pv.save_meshio(folder / "a.obj", sheet)
+    for name, encoded in (("appended.vtu", 1), ("raw.vtu", 0)):
+        writer = vtkXMLUnstructuredGridWriter()
+        writer.SetInputData(grid)
+        writer.SetDataModeToAppended()
+        writer.SetEncodeAppendedData(encoded)
+        if not encoded:
+            writer.SetCompressorTypeToNone()
+        writer.SetFileName(str(folder / name))
+        writer.Write()
+    mesh = meshio.Mesh(np.asarray(grid.points, float), [("tetra", grid.cells_dict[10])])
+    for name in ("b.msh", "a.msh", "a22.msh"):
+        version = "gmsh22" if "22" in name else "gmsh"
+        meshio.write(folder / name, mesh, file_format=version, binary=name[0] == "b")
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("name", TISSUE + SURFACES)
+def test_whole_files_are_read_quietly(files, tmp_path, capfd, name):
+    path = tmp_path / name
+    path.write_bytes(files[name])
+    mesh = read_mesh(path)
+    kind, number = (TETRAHEDRON, 384) if name in TISSUE else (TRIANGLE, 128)
+    assert len(mesh.require(kind, "cells")) == number
+    assert capfd.readouterr() == ("", "")
+
+
+def refused(path, content, capfd):
+    """Refuse it in one line without a sound; None if it was read."""
+    path.write_bytes(content)
+    capfd.readouterr()
+    try:
+        mesh = read_mesh(path)
+    except InputError as error:
+        message = str(error)
+        assert message.startswith(f"{path}: ")
+        assert message.isprintable()
+        assert "; " in message
+        mesh = None
+    assert capfd.readouterr() == ("", "")
+    return mesh
+
+
+@pytest.mark.parametrize("name", TISSUE + SURFACES)
+@pytest.mark.parametrize("cut", CUTS)
+def test_truncated(files, tmp_path, capfd, name, cut):
+    whole = files[name]
+    content = whole[: int(cut * len(whole))] if 0 <= cut < 1 else whole[:cut]
+    mesh = refused(tmp_path / name, content, capfd)
+    if mesh is not None:
+        # a cut between two arrays is no harm if the cells are all there, or none
+        assert name.endswith(".vtk")
+        cells = [len(mesh.cells.get(kind, ())) for kind in (TETRAHEDRON, TRIANGLE)]
+        assert sum(cells) in (0, 384 if name in TISSUE else 128)
+        assert "fibre" not in mesh.point_data
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".vtu", ".vtp", ".ply", ".stl", ".obj", ".msh"])
+@pytest.mark.parametrize("content", RUBBISH.values(), ids=RUBBISH.keys())
+def test_rubbish(tmp_path, capfd, suffix, content):
+    assert refused(tmp_path / f"rubbish{suffix}", content, capfd) is None
+
+
+@pytest.mark.parametrize("name", [n for n in TISSUE + SURFACES if not n.endswith("obj")])
+def test_second_half_never_copied(files, tmp_path, capfd, name):
+    whole = files[name]
+    half = len(whole) // 2
+    mesh = refused(tmp_path / name, whole[:half] + bytes(len(whole) - half), capfd)
+    if mesh is not None:
+        with pytest.raises(InputError, match="no cells in this file"):
+            mesh.require(TRIANGLE, "cells")
+
+
+@pytest.mark.parametrize("name", TISSUE + SURFACES)
+def test_flipped_bytes(files, tmp_path, capfd, name):
+    rng = np.random.default_rng(2)
+    for _ in range(8):
+        content = bytearray(files[name])
+        for at in rng.integers(len(content), size=5):
+            content[at] = rng.integers(256)
+        refused(tmp_path / name, bytes(content), capfd)  # or read, but without a sound or a crash
+
+
+def test_array_that_is_not_finite_elsewhere_does_no_harm(tmp_path, capfd):
+    mesh = pv.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid().triangulate()
+    mesh.point_data["distance"] = np.full(mesh.n_points, np.inf)
+    mesh.save(tmp_path / "inf.vtu")
+    assert len(read_mesh(tmp_path / "inf.vtu").points) == 27
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_ply_with_the_other_name_of_indices(tmp_path, newline):
+    lines = ["ply", "format ascii 1.0", "element vertex 3", "property float x", "property float y",
+             "property float z", "element face 1", "property list uchar int vertex_index",
+             "end_header", "0 0 0", "1 0 0", "0 1 0", "3 0 1 2", ""]  # fmt: skip
+    (tmp_path / "a.ply").write_bytes(newline.join(lines).encode())
+    assert read_mesh(tmp_path / "a.ply").require(TRIANGLE, "triangles").tolist() == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("newline", [b"\n", b"\r\n"])
+@pytest.mark.parametrize("name", ["a.vtk", "sa.vtk"])
+def test_text_vtk_without_arrays_or_with_long_title(tmp_path, name, newline):
+    block = pv.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid().triangulate()
+    sheet = pv.Plane(i_resolution=2, j_resolution=2).triangulate()
+    data, kind = (block, TETRAHEDRON) if name == "a.vtk" else (sheet, TRIANGLE)
+    data.clear_data()
+    data.save(tmp_path / name, binary=False)
+    content = (tmp_path / name).read_bytes().replace(b"vtk output", b"a title " * 20)
+    content = content.replace(b"\n", newline)
+    (tmp_path / name).write_bytes(content)
+    assert len(read_mesh(tmp_path / name).require(kind, "cells")) == data.n_cells
+    (tmp_path / name).write_bytes(content.rstrip()[:-1])
+    with pytest.raises(InputError, match=r"no line end at its end|Error reading ascii"):
+        read_mesh(tmp_path / name)

@@ -1,0 +1,200 @@
+"""Growth: exact lengths, continuity, junctions, clearance, turning sense, typed failure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from builders import half_ellipsoid
+from grounds import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root, stretches
+from scipy.spatial import cKDTree
+
+from fascicle.purkinje.chart import build_chart
+from fascicle.purkinje.growth import GrowthRules, find_seed, grow_from_parameters
+from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+
+
+@pytest.mark.parametrize("angles", ANGLES)
+def test_bundle_and_fascicles_have_the_length_that_was_asked_for(ground, angles):
+    """By the stored lengths to rounding; by straight chords a little less, as the surface bends."""
+    tree = grow(ground, angles=angles, rules=BARE)
+    assert isinstance(tree, PurkinjeTree), tree
+    bundle, fascicles = LENGTHS[ground[0].side]
+    found = stretches(tree)
+    for path, wanted in zip(found, (bundle, *fascicles), strict=True):
+        assert tree.lengths[path[1:]].sum() == pytest.approx(wanted, rel=1e-12)
+        assert (tree.lengths[path[1:-1]] == 1.0).all()  # only the last segment is shorter
+        assert 0.98 * wanted < chord_length(tree, path) <= wanted * (1 + 1e-9)
+
+
+def test_fine_chords_have_the_length_that_was_asked_for(ground):
+    """With segments of 0.05 mm the chords leave the surface nowhere: 0.5 % is allowed."""
+    fine = GrowthRules(generations=0, segments=160)
+    tree = grow(ground, rules=fine)
+    bundle, fascicles = LENGTHS[ground[0].side]
+    for path, wanted in zip(stretches(tree), (bundle, *fascicles), strict=True):
+        assert chord_length(tree, path) == pytest.approx(wanted, rel=5e-3)
+
+
+def test_nodes_lie_on_the_endocardium(ground):
+    import igl
+
+    endocardium, chart, _ = ground
+    tree = grow(ground)
+    square, _, _ = igl.point_mesh_squared_distance(
+        tree.nodes, endocardium.vertices, np.ascontiguousarray(chart.triangles)
+    )
+    assert np.sqrt(square.max()) < 1e-6  # mm
+    np.testing.assert_allclose(tree.nodes[tree.root], endocardium.vertices[endocardium.root])
+
+
+def test_no_segment_chord_is_longer_than_the_segment(ground):
+    tree = grow(ground)
+    chords = np.linalg.norm(tree.nodes[1:] - tree.nodes[tree.parents[1:]], axis=1)
+    assert (chords <= tree.lengths[1:] * (1 + 1e-9)).all()
+    assert np.median(chords / tree.lengths[1:]) > 0.98
+
+
+def test_each_fascicle_keeps_its_own_length(ground):
+    """Changing one must not change the other (a shared queue in the published code did)."""
+    _, (first, second) = LENGTHS[ground[0].side]
+    base = stretches(grow(ground, rules=BARE))
+    tree = grow(ground, fascicles=(first, second - 4.4), rules=BARE)
+    changed = stretches(tree)
+    assert tree.lengths[changed[1][1:]].sum() == pytest.approx(first)
+    assert tree.lengths[changed[2][1:]].sum() == pytest.approx(second - 4.4)
+    assert len(changed[0]) == len(base[0])
+    assert len(changed[1]) == len(base[1])
+
+
+def test_trees_change_continuously_with_lengths(ground):
+    """0.001 mm more must not jump, also across a whole number of segments; a staircase would."""
+    bundle, fascicles = LENGTHS[ground[0].side]
+    nudge = 1e-3  # mm
+    for near in (bundle, math.floor(bundle) - nudge / 2):
+        one = grow(ground, bundle=near, rules=BARE)
+        other = grow(ground, bundle=near + nudge, rules=BARE)
+        ends = [
+            np.array([tree.nodes[path[-1]] for path in stretches(tree)]) for tree in (one, other)
+        ]
+        moved = np.linalg.norm(ends[1] - ends[0], axis=1)
+        assert 0 < moved.max() < 10 * nudge
+    few = GrowthRules(generations=2)
+    one, other = (grow(ground, fascicles=(f, fascicles[1]), rules=few)
+                  for f in (fascicles[0], fascicles[0] + nudge))  # fmt: skip
+    assert len(one.nodes) == len(other.nodes)
+    assert np.linalg.norm(one.nodes - other.nodes, axis=1).max() < 10 * nudge
+
+
+def test_growth_is_deterministic(ground):
+    one, other = grow(ground), grow(ground)
+    for name in ("nodes", "parents", "lengths"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_junctions_are_the_leaves_each_once(ground):
+    tree = grow(ground)
+    children = np.bincount(tree.parents[tree.parents >= 0], minlength=len(tree.nodes))
+    assert tree.junctions.tolist() == np.flatnonzero(children == 0).tolist()
+    assert len(np.unique(tree.nodes[tree.junctions], axis=0)) == len(tree.junctions)
+    assert len(tree.junctions) > 20
+    assert (tree.parents < np.arange(len(tree.nodes))).all()
+
+
+def branches(tree):
+    """Chain of each node: runs between forks, numbered by their first node."""
+    children = np.bincount(tree.parents[tree.parents >= 0], minlength=len(tree.nodes))
+    chain = np.arange(len(tree.nodes))
+    for node in range(1, len(tree.nodes)):
+        if children[tree.parents[node]] == 1:
+            chain[node] = chain[tree.parents[node]]
+    return chain
+
+
+def test_foreign_nodes_keep_their_distance(ground):
+    """Foreign nodes are 0.9 segment apart, but for kin near their fork.
+
+    Growth measures in the metric of one triangle, and the straight distance may be less where the
+    surface bends: measured at most 0.13 % of the nodes have a foreign one within 0.8 mm.
+    """
+    tree = grow(ground)
+    chain = branches(tree)
+    fork = tree.parents[chain]  # node each chain starts from
+    pairs = cKDTree(tree.nodes).query_pairs(0.8, output_type="ndarray")
+    i, j = pairs.T
+    kin = (
+        (chain[i] == chain[j])
+        | (fork[i] == fork[j])
+        | (fork[i] == j)
+        | (fork[j] == i)
+        | (fork[i] == tree.parents[j])
+        | (fork[j] == tree.parents[i])
+    )
+    foreign = pairs[~kin]
+    assert len(foreign) <= 0.002 * len(tree.nodes), (len(foreign), len(tree.nodes))
+
+
+def test_positive_fascicle_angle_turns_counter_clockwise_seen_from_the_blood(ground):
+    endocardium, chart, _ = ground
+    for angle in (0.8, -0.8):
+        tree = grow(ground, angles=(angle, 0.0), rules=BARE)
+        bundle, turned, straight = stretches(tree)
+        if len(turned) < len(straight):  # leaves come in node order: fascicle 1 first
+            pytest.fail("fascicles are not in order")
+        fork = bundle[-1]
+        heading = tree.nodes[straight[2]] - tree.nodes[fork]
+        other = tree.nodes[turned[2]] - tree.nodes[fork]
+        centres = endocardium.vertices[chart.triangles].mean(axis=1)
+        nearest = np.linalg.norm(centres - tree.nodes[fork], axis=1).argmin()
+        a, b, c = endocardium.vertices[chart.triangles[nearest]]
+        into_cavity = np.cross(b - a, c - a)
+        assert np.sign(np.cross(heading, other) @ into_cavity) == np.sign(angle)
+
+
+def test_branches_leave_at_the_branch_angle_both_ways(ground):
+    """In the metric the map is nearly conformal, so 0.15 rad in the disk is about that in 3-D."""
+    tree = grow(ground, rules=GrowthRules(generations=1))
+    children = [np.flatnonzero(tree.parents == node) for node in range(len(tree.nodes))]
+    forks = [node for node in range(1, len(tree.nodes)) if len(children[node]) == 2][1:]
+    assert len(forks) == 2  # the ends of the two fascicles
+    for fork in forks:
+        a, b = tree.nodes[children[fork]] - tree.nodes[fork]
+        between = math.acos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+        assert 0.15 < between < 0.6  # rad; 2·0.15 where the map is conformal
+
+
+@pytest.mark.parametrize(
+    ("bundle", "fascicles", "stretch"),
+    [(400.0, (10.0, 10.0), "bundle"), (40.0, (10.0, 400.0), "fascicle 2")],
+)
+def test_a_stretch_that_leaves_the_endocardium_is_a_typed_outcome(
+    ground, bundle, fascicles, stretch
+):
+    outcome = grow(ground, bundle=bundle, fascicles=fascicles)
+    assert isinstance(outcome, InvalidTree)
+    side = ground[0].side
+    assert outcome.side == side
+    assert outcome.reason.startswith(f"{side.upper()} {stretch} leaves the endocardium after ")
+    assert "of 400.0 mm" in outcome.reason
+    laid = float(outcome.reason.split("after ")[1].split(" of")[0])
+    assert 0 < laid < 400
+
+
+def test_length_at_which_the_bundle_leaves_is_where_the_reason_says(ground):
+    """The feasible set must end exactly there, not a segment earlier."""
+    outcome = grow(ground, bundle=400.0, fascicles=(), angles=(), rules=BARE)
+    longest = float(outcome.reason.split("after ")[1].split(" of")[0])
+    assert isinstance(grow(ground, longest - 0.06, (), (), BARE), PurkinjeTree)
+    assert isinstance(grow(ground, longest + 0.06, (), (), BARE), InvalidTree)
+
+
+def test_any_number_of_fascicles():
+    endocardium = half_ellipsoid()
+    chart = build_chart(endocardium)
+    parameters = {"lv_initial_length": 30.0, "cv": 3.0}
+    for k in range(1, 12):  # ten and more: sorted as numbers, not as text
+        parameters |= {f"lv_fascicle_length_{k}": 2.0 + k, f"lv_fascicle_angle_{k}": 0.1 * k}
+    tree = grow_from_parameters("lv", chart, find_seed(endocardium, chart), parameters, BARE)
+    lengths = [tree.lengths[path_to_root(tree, leaf)].sum() - 30.0 for leaf in tree.junctions]
+    np.testing.assert_allclose(lengths, np.arange(1, 12) + 2.0)

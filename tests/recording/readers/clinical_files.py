@@ -1,0 +1,213 @@
+"""Writers of HL7 aECG, GE MUSE XML and SCP-ECG files, from the standards, for the tests.
+
+Digits are (leads, samples) arrays of integers. Everything that a test wants wrong is an argument,
+or is changed in the text that comes out.
+"""
+
+from __future__ import annotations
+
+import base64
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fascicle.core.leads import INDEPENDENT_LEADS
+
+# EN 1064, 5.6.3: identification of leads
+SCP_CODES = {
+    "I": 1, "II": 2, "V1": 3, "V2": 4, "V3": 5, "V4": 6, "V5": 7, "V6": 8,
+    "III": 61, "aVR": 62, "aVL": 63, "aVF": 64, "X": 16,
+}  # fmt: skip
+
+
+def heart_beats(leads=8, samples=2000, rate=500, seed=1):
+    """Digits of leads in which a QRS, different in each, beats once a second over noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) / rate
+    qrs = np.exp(-(((t % 1.0 - 0.5) / 0.02) ** 2))
+    amplitude = rng.uniform(-400, 400, leads)
+    return np.rint(amplitude[:, None] * qrs + rng.normal(0, 2, (leads, samples))).astype(int)
+
+
+def aecg(
+    digits, *, names=INDEPENDENT_LEADS, step=("0.002", "s"), scale=("2.5", "uV"), origin="0",
+    subjects=("SBJ-1",), filters="",
+) -> str:  # fmt: skip
+    """HL7 aECG with one rhythm series of one sequence set."""
+    people = "".join(
+        '<componentOf><timepointEvent><componentOf><subjectAssignment><subject><trialSubject>'
+        f'<id root="2.16" extension="{subject}"/></trialSubject></subject></subjectAssignment>'
+        '</componentOf></timepointEvent></componentOf>'
+        for subject in subjects
+    )  # fmt: skip
+    value, unit = scale
+    leads = "".join(
+        f'<component><sequence><code code="MDC_ECG_LEAD_{name.upper()}"/>'
+        f'<value xsi:type="SLIST_PQ"><origin value="{origin}" unit="{unit}"/>'
+        f'<scale value="{value}" unit="{unit}"/><digits>{" ".join(map(str, row))}</digits>'
+        "</value></sequence></component>"
+        for name, row in zip(names, digits, strict=True)
+    )
+    time = (
+        '<component><sequence><code code="TIME_ABSOLUTE"/><value xsi:type="GLIST_TS">'
+        f'<head value="20021122091000.000"/><increment value="{step[0]}" unit="{step[1]}"/>'
+        "</value></sequence></component>"
+    )
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n<AnnotatedECG xmlns="urn:hl7-org:v3" '
+        'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" type="Observation">'
+        f'{people}<component><series><code code="RHYTHM"/>{filters}<component><sequenceSet>'
+        f"{time}{leads}</sequenceSet></component></series></component></AnnotatedECG>"
+    )
+
+
+def muse(
+    digits, *, names=INDEPENDENT_LEADS, base="500", exponent="0", scale="4.88",
+    unit="MICROVOLTS", checksums=True, extra: Mapping[str, str] | None = None, patient="4711",
+    wrap=72,
+) -> str:  # fmt: skip
+    """GE MUSE XML: a median beat, then the rhythm, digits as little-endian 16 bit in base64."""
+
+    def lead(name, row):
+        payload = np.asarray(row).astype("<i2").tobytes()
+        text = base64.b64encode(payload).decode()
+        lines = "\n".join(text[k : k + wrap] for k in range(0, len(text), wrap))
+        checksum = zlib.crc32(payload) if checksums else 0
+        more = (extra or {}).get(name, "")
+        return (
+            f"<LeadData>\n<LeadByteCountTotal>{len(payload)}</LeadByteCountTotal>\n"
+            f"<LeadSampleCountTotal>{len(row)}</LeadSampleCountTotal>\n"
+            f"<LeadAmplitudeUnitsPerBit>{scale}</LeadAmplitudeUnitsPerBit>\n"
+            f"<LeadAmplitudeUnits>{unit}</LeadAmplitudeUnits>\n<LeadID>{name}</LeadID>\n{more}"
+            f"<LeadSampleSize>2</LeadSampleSize>\n<LeadDataCRC32>{checksum}</LeadDataCRC32>\n"
+            f"<WaveFormData>\n{lines}\n</WaveFormData>\n</LeadData>\n"
+        )
+
+    def waveform(kind, rows):
+        return (
+            f"<Waveform>\n<WaveformType>{kind}</WaveformType>\n<SampleBase>{base}</SampleBase>\n"
+            f"<SampleExponent>{exponent}</SampleExponent>\n<HighPassFilter>16</HighPassFilter>\n"
+            "<LowPassFilter>150</LowPassFilter>\n<ACFilter>60</ACFilter>\n"
+            + "".join(lead(name, row) for name, row in zip(names, rows, strict=True))
+            + "</Waveform>\n"
+        )
+
+    return (
+        '<?xml version="1.0" encoding="ISO-8859-1"?>\n'
+        '<!DOCTYPE RestingECG SYSTEM "restecg.dtd">\n<RestingECG>\n'
+        "<MuseInfo><MuseVersion>9.0.7</MuseVersion></MuseInfo>\n"
+        f"<PatientDemographics><PatientID>{patient}</PatientID></PatientDemographics>\n"
+        + waveform("Median", np.asarray(digits)[:, :600] // 2)
+        + waveform("Rhythm", digits)
+        + "</RestingECG>\n"
+    )
+
+
+def crc_ccitt(data: bytes) -> int:
+    """Checksum of EN 1064, 5.2.7: polynomial x^16 + x^12 + x^5 + 1, from all ones."""
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte << 8
+        for _ in range(8):
+            register = (register << 1) ^ (0x1021 if register & 0x8000 else 0)
+            register &= 0xFFFF
+    return register
+
+
+def default_code(value: int) -> str:
+    """Bits of one value in the default Huffman table of EN 1064, 5.5."""
+    size = abs(value)
+    if value == 0:
+        return "0"
+    if size <= 8:
+        return "1" * size + "0" + ("1" if value < 0 else "0")
+    if -128 <= value <= 127:
+        return "1111111110" + format(value & 0xFF, "08b")
+    return "1111111111" + format(value & 0xFFFF, "016b")
+
+
+def differences(row, order: int):
+    """Values as EN 1064, 5.9.4 stores them: the first `order` as they are, then differences."""
+    row = np.asarray(row)
+    return np.concatenate([row[:order], np.diff(row, order)])
+
+
+def bit_bytes(bits: str) -> bytes:
+    """Bits, the first one highest, filled up with zeros to an even number of bytes."""
+    bits += "0" * (-len(bits) % 16)
+    return int(bits, 2).to_bytes(len(bits) // 8, "big")
+
+
+def lead_bytes(row, order: int, huffman: bool) -> bytes:
+    """Samples of one lead as sections 5 and 6 store them."""
+    values = differences(row, order)
+    if huffman:
+        return bit_bytes("".join(default_code(int(value)) for value in values))
+    return values.astype("<i2").tobytes()
+
+
+def section(number: int, content: bytes) -> bytes:
+    """A section with its header and checksum, padded to an even length."""
+    content += b"\0" * (len(content) % 2)
+    reserved = b"SCPECG" if number == 0 else bytes(6)
+    body = struct.pack("<HIBB", number, 16 + len(content), 20, 20) + reserved + content
+    return struct.pack("<H", crc_ccitt(body)) + body
+
+
+def scp_record(sections: Mapping[int, bytes]) -> bytes:
+    """A record of sections 1 and up, with the pointers of section 0 and all checksums."""
+    contents = {number: section(number, content) for number, content in sections.items()}
+    table = range(12)
+    place = 6 + 16 + 10 * len(table)
+    pointers = struct.pack("<HII", 0, place - 6, 7)
+    for number in table[1:]:
+        size = len(contents.get(number, b""))
+        pointers += struct.pack("<HII", number, size, place + 1 if size else 0)
+        place += size
+    body = section(0, pointers) + b"".join(contents[number] for number in sorted(contents))
+    body = struct.pack("<I", 6 + len(body)) + body
+    return struct.pack("<H", crc_ccitt(body)) + body
+
+
+def scp_sections(
+    digits: Sequence, *, names=INDEPENDENT_LEADS, starts=None, order=0, huffman=False,
+    nanovolts=4880, interval=2000, flags=None,
+) -> dict[int, bytes]:  # fmt: skip
+    """Contents of the sections of a 12-lead recording, to be changed by a test."""
+    starts = [1] * len(names) if starts is None else starts
+    leads = [
+        struct.pack("<IIB", start, start + len(row) - 1, SCP_CODES[name])
+        for name, start, row in zip(names, starts, digits, strict=True)
+    ]
+    flags = 0x04 | len(names) << 3 if flags is None else flags
+    data = [lead_bytes(row, order, huffman) for row in digits]
+    tags = b"\x1b\x02\x00" + struct.pack("<H", 5) + b"\x1c\x02\x00" + struct.pack("<H", 150)
+    tags += b"\x1d\x01\x00\x02" + b"\xff\x00\x00"
+    sections = {
+        1: b"\x02\x05\x004711\x00" + tags,
+        3: bytes([len(leads), flags & 0xFF]) + b"".join(leads),
+        6: struct.pack(f"<HHBB{len(data)}H", nanovolts, interval, order, 0, *map(len, data))
+        + b"".join(data),
+    }
+    if huffman:
+        sections[2] = struct.pack("<H", 19999)
+    return sections
+
+
+def scp(digits, **options) -> bytes:
+    """SCP-ECG file of a recording."""
+    return scp_record(scp_sections(digits, **options))
+
+
+def saved(folder, content):
+    """Write a file of the right name; text is XML, bytes are SCP-ECG."""
+    path = folder / ("a.xml" if isinstance(content, str) else "a.scp")
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def replaced(text, old, new, count=1):
+    assert old in text
+    return text.replace(old, new, count)

@@ -1,0 +1,512 @@
+"""Recordings from HDF5 and MATLAB files, good, bad and damaged."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+from hypothesis import example, given
+from hypothesis import strategies as st
+from refusals import fuzzing, outcome, refused
+
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.readers import hdf5, matlab_elements
+from fascicle.recording.readers.read import read_recording
+
+RATE, N = 500, 1000
+
+
+@pytest.fixture
+def signal():
+    """(12, n) mV, every lead different, limb leads consistent."""
+    t = np.arange(N) / RATE
+    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
+    return lead_matrix() @ waves
+
+
+def by_lead(signal, names=LEADS):
+    return dict(zip(names, signal, strict=True))
+
+
+def save_hdf5(path, datasets, attributes=None):
+    with h5py.File(path, "w") as file:
+        for name, values in datasets.items():
+            file[name] = values
+        for place, value in (
+            {"fs": RATE, "units": "mV"} if attributes is None else attributes
+        ).items():
+            owner, _, name = place.rpartition(":")
+            file[owner or "/"].attrs[name] = value
+    return path
+
+
+def save_matlab(path, variables, **options):
+    scipy.io.savemat(path, variables, **options)
+    return path
+
+
+def save_matlab_73(path, signal, names=LEADS, kind=b"cell"):
+    """Write what MATLAB 7.3 writes for a matrix, a cell array of texts, a number and a text."""
+
+    def text(group, name, letters):
+        codes = np.array([[ord(letter)] for letter in letters], dtype=np.uint16)
+        group[name] = codes
+        group[name].attrs["MATLAB_class"] = np.bytes_(b"char")
+        return group[name].ref
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in {"ecg": signal.T, "fs": [[500.0]]}.items():
+            file[name] = values
+            file[name].attrs["MATLAB_class"] = np.bytes_(b"double")
+        text(file, "units", "mV")
+        cells = file.create_group("#refs#")
+        references = [text(cells, f"r{k}", name) for k, name in enumerate(names)]
+        file["leads"] = np.array([references], dtype=h5py.ref_dtype)
+        file["leads"].attrs["MATLAB_class"] = np.bytes_(kind)
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(124) + b"\0\2IM"
+    path.write_bytes(header + path.read_bytes()[128:])
+    return path
+
+
+class TestHdf5:
+    def test_one_dataset_a_lead(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal) | {"resp": np.zeros(9), "note": "x"})
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=0)
+        assert recording.sampling_rate == 500
+        assert recording.ignored == ("resp",)
+        assert recording.provenance["format"] == "HDF5"
+
+    @pytest.mark.parametrize("group", ["ecg", "patient/ecg"])
+    def test_leads_in_a_group(self, tmp_path, signal, group):
+        names = [f"{group}/lead_{lead.lower()}" for lead in LEADS]
+        path = save_hdf5(
+            tmp_path / "a.hdf5", by_lead(1000 * signal, names), {"fs": RATE, f"{group}:units": "uV"}
+        )
+        assert read_recording(path).signal == pytest.approx(signal, abs=1e-12)
+
+    @pytest.mark.parametrize("key", ["leads", "sig_name", "ch_names", "labels", "Lead Names"])
+    @pytest.mark.parametrize("turned", [False, True])
+    def test_matrix_with_names(self, tmp_path, signal, key, turned):
+        matrix = signal.T if turned else signal
+        names = ["Resp", *reversed(LEADS)]
+        matrix = np.insert(signal[::-1], 0, 7.0, axis=0)
+        path = save_hdf5(tmp_path / "a.h5", {"ecg": matrix.T if turned else matrix, key: names})
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=0)
+        assert recording.ignored == ("Resp",)
+
+    @pytest.mark.parametrize(
+        "names", [list(LEADS), np.array(LEADS, dtype="S5"), ",".join(LEADS), " ".join(LEADS)]
+    )
+    def test_names_rate_and_unit_as_attributes(self, tmp_path, signal, names):
+        attributes = {"ecg:leads": names, "ecg:Sampling Rate": "0.5 kHz", "ecg:unit": "uV"}
+        path = save_hdf5(tmp_path / "a.h5", {"ecg": 1000 * signal[None]}, attributes)
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=1e-12)
+        assert recording.sampling_rate == 500
+
+    @pytest.mark.parametrize(
+        ("key", "value"),
+        [("fs", 500), ("sampling_frequency", [500.0]), ("SampleRate", "500 Hz"), ("fs_khz", 0.5),
+         ("samplerate", np.full(12, 500)), ("fs_hz", "500"), ("frequency", "500.0Hz"),
+         ("fs_khz", "0.5"), ("fs_khz", "500 Hz")],
+    )  # fmt: skip
+    def test_spellings_of_the_rate(self, tmp_path, signal, key, value):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {key: value, "units": "mV"})
+        assert read_recording(path).sampling_rate == 500
+
+    def test_unit_of_each_lead(self, tmp_path, signal):
+        scaled = signal * np.where(np.arange(12) < 6, 1.0, 1000.0)[:, None]
+        units = ["mV"] * 6 + ["uV"] * 6
+        path = save_hdf5(
+            tmp_path / "a.h5", {"ecg": scaled}, {"fs": RATE, "leads": list(LEADS), "units": units}
+        )
+        assert read_recording(path).signal == pytest.approx(signal, abs=1e-12)
+        path = save_hdf5(
+            tmp_path / "b.h5", {"ecg": signal}, {"fs": 500, "leads": LEADS, "units": units[:5]}
+        )
+        refused(path, "lists 5 units for 12 signals")
+
+    def test_netcdf(self, tmp_path, signal):
+        xarray = pytest.importorskip("xarray")
+        ecg = xarray.DataArray(
+            signal.T, dims=("time", "lead"), attrs={"units": "mV"},
+            coords={"lead": list(LEADS), "time": ("time", np.arange(N) / RATE, {"units": "s"})},
+        )  # fmt: skip
+        dataset = xarray.Dataset({"ecg": ecg}, attrs={"sampling_rate": 500.0})
+        dataset.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+        assert read_recording(tmp_path / "a.nc").signal == pytest.approx(signal, abs=0)
+
+    def test_fill_values_are_missing_samples(self, tmp_path, signal):
+        digits = np.round(1000 * signal).astype(np.int16)
+        digits[4, 10:13] = -32768
+        attributes = {"fs": RATE, "units": "uV", "aVL:_FillValue": np.int16(-32768)}
+        refused(save_hdf5(tmp_path / "a.h5", by_lead(digits), attributes), "aVL lacks 3 samples")
+
+
+class TestStated:
+    """What is missing or contradictory is refused, in files of both kinds."""
+
+    def test_no_rate_or_unit(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {"units": "mV"})
+        refused(path, "no sampling rate", "--sampling-rate")
+        assert read_recording(path, sampling_rate=250).sampling_rate == 250
+        path = save_hdf5(tmp_path / "b.h5", by_lead(1000 * signal), {"fs": RATE})
+        refused(path, "unknown unit of lead I", "--unit")
+        assert read_recording(path, unit="uV").signal == pytest.approx(signal, abs=1e-12)
+
+    def test_user_and_file_must_agree(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        refused(path, "is 500 Hz", "1000 Hz", sampling_rate=1000)
+        refused(path, "'mV'", "'uV'", unit="uV")
+        assert read_recording(path, sampling_rate=500.0, unit="MV").sampling_rate == 500
+
+    def test_contradictions_in_the_file(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {"fs": 500, "I:fs": 250, "units": "V"})
+        refused(path, "'fs' is 250", "'fs' is 500", "contradict")
+        attributes = {"fs": 500, "units": "mV", "II:units": "uV"}
+        refused(
+            save_hdf5(tmp_path / "b.h5", by_lead(signal), attributes), "lead 'II'", "contradict"
+        )
+        path = save_hdf5(
+            tmp_path / "c.h5", {"ecg": signal},
+            {"fs": 500, "units": "mV", "leads": LEADS, "labels": LEADS[::-1]},
+        )  # fmt: skip
+        refused(path, "'ecg' (12 x 1000)", "ambiguous")
+
+    @pytest.mark.parametrize("rate", [0.5, 1, 0, -500, np.nan, np.array([500, 1000]), "fast", "1"])
+    def test_impossible_rates(self, tmp_path, signal, rate):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal), {"fs": rate, "units": "mV"})
+        refused(path, "'fs' is", "Hz")
+
+    @pytest.mark.parametrize("rate", [1e6, np.inf])
+    def test_rates_beyond_all_recorders(self, tmp_path, signal, rate):
+        refused(save_hdf5(tmp_path / "a.h5", by_lead(signal), {"fs": rate, "units": "mV"}), "Hz")
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [("gain", 200), ("scale_factor", 0.005), ("add_offset", 5.0), ("adc_gain", np.arange(12))],
+    )
+    def test_digits_with_a_gain(self, tmp_path, signal, name, value):
+        attributes = {"fs": RATE, "units": "mV", name: value}
+        refused(save_hdf5(tmp_path / "a.h5", by_lead(signal), attributes), f"'{name}'", "physical")
+        variables = by_lead(signal) | attributes
+        refused(save_matlab(tmp_path / "a.mat", variables), f"'{name}'", "physical")
+
+    def test_a_gain_of_one_changes_nothing(self, tmp_path, signal):
+        attributes = {"fs": RATE, "units": "mV", "gain": 1.0, "offset": 0}
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal), attributes)
+        assert read_recording(path).signal == pytest.approx(signal, abs=0)
+
+    def test_matrix_without_names(self, tmp_path, signal):
+        refused(
+            save_hdf5(tmp_path / "a.h5", {"ecg": signal}),
+            "'ecg' (12 x 1000)",
+            "add a list 'leads' of the 12",
+        )
+        path = save_hdf5(tmp_path / "b.h5", {"ecg": signal, "leads": LEADS[:11]})
+        refused(path, "has no lead names")
+
+    def test_two_recordings(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", {"one": signal, "two": signal, "leads": LEADS})
+        refused(path, "'one' and 'two'")
+        datasets = {f"{group}/{lead}": x for group in "ab" for lead, x in by_lead(signal).items()}
+        refused(save_hdf5(tmp_path / "b.h5", datasets), "leads in /a and /b")
+        path = save_hdf5(tmp_path / "c.h5", by_lead(signal) | {"ecg": signal, "leads": LEADS})
+        refused(path, "arrays named after leads and 'ecg'")
+
+    def test_names_that_fit_both_sides(self, tmp_path, signal):
+        square = {"ecg": signal[:, :12], "leads": LEADS}
+        refused(save_hdf5(tmp_path / "a.h5", square), "ambiguous")
+
+    def test_no_leads(self, tmp_path, signal):
+        refused(save_hdf5(tmp_path / "a.h5", {"x": np.arange(9)}), "no leads", "'x' (9)")
+        refused(save_hdf5(tmp_path / "b.h5", {}), "no numeric arrays")
+        refused(save_hdf5(tmp_path / "c.h5", {"ecg": signal[None].repeat(3, 0)}), "(3 x 12 x 1000)")
+        refused(save_hdf5(tmp_path / "d.h5", {"x\ny": np.arange(9)}), r"x\ny")
+
+
+class TestHdf5Refused:
+    def test_links_are_not_followed(self, tmp_path, signal):
+        other = save_hdf5(tmp_path / "other.h5", by_lead(signal))
+        for link in (h5py.ExternalLink(str(other), "/V1"), h5py.SoftLink("/V2")):
+            path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+            with h5py.File(path, "a") as file:
+                del file["V1"]
+                file["V1"] = link
+            refused(path, "'V1' is a link", "copy the data")
+
+    def test_other_files_are_not_opened(self, tmp_path, signal):
+        other = save_hdf5(tmp_path / "other.h5", by_lead(signal))
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        layout = h5py.VirtualLayout(shape=(N,), dtype=float)
+        layout[:] = h5py.VirtualSource(other, "V1", shape=(N,))
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            file.create_virtual_dataset("V1", layout)
+        refused(path, "'V1' has its data in other files")
+        secret = tmp_path / "secret"
+        secret.write_bytes(signal[6].tobytes())
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            file.create_dataset("V1", (N,), float, external=[(secret, 0, 8 * N)])
+        refused(path, "'V1' has its data in other files")
+
+    @pytest.mark.parametrize(
+        "dtype",
+        [np.complex128, [("re", float), ("im", float)], h5py.vlen_dtype(float), h5py.ref_dtype,
+         np.bool_, "V8"],
+    )  # fmt: skip
+    def test_what_is_no_number(self, tmp_path, signal, dtype):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            file.create_dataset("V1", (N,), dtype, fillvalue=None)
+        refused(path, "'V1'", "numbers")
+
+    def test_text_for_a_lead(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal) | {"V1": ["x"] * N})
+        refused(path, "'V1' holds no numbers")
+
+    def test_empty(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal) | {"V1": np.zeros(0)})
+        refused(path, "0.00 s")
+        refused(save_hdf5(path, by_lead(signal) | {"V1": h5py.Empty(float)}), "'V1' is empty")
+
+    def test_declared_and_not_held(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            file.create_dataset("V1", (N,), float, chunks=(N,))
+        refused(path, "declares 1000 values and holds none")
+
+    @pytest.mark.parametrize("shape", [(10**12,), (12, 10**11)])
+    def test_bombs(self, tmp_path, shape):
+        path = tmp_path / "a.h5"
+        with h5py.File(path, "w") as file:
+            file.attrs.update({"fs": RATE, "units": "mV", "leads": list(LEADS)})
+            for name in LEADS if len(shape) == 1 else ["ecg"]:
+                data = file.create_dataset(name, shape, "i1", chunks=(1,) * len(shape))
+                data[(0,) * len(shape)] = 1
+        refused(path, "s long; cut it")
+
+    def test_huge_blocks(self, tmp_path, signal, monkeypatch):
+        monkeypatch.setattr(hdf5, "LARGEST", 2000)
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            data = file.create_dataset("V1", (1,), "i1", chunks=(2001,), maxshape=(None,))
+            data[0] = 1
+        refused(path, "'V1' is stored in blocks of 2001")
+
+    def test_unknown_compression(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            file.create_dataset("V1", data=signal[6], scaleoffset=3)
+        refused(path, "'V1' is compressed by filter 6")
+
+    @pytest.mark.parametrize("compression", ["gzip", "lzf"])
+    def test_usual_compression_is_read(self, tmp_path, signal, compression):
+        path = save_hdf5(tmp_path / "a.h5", by_lead(signal))
+        with h5py.File(path, "a") as file:
+            del file["V1"]
+            file.create_dataset(
+                "V1", data=signal[6], compression=compression, shuffle=True, fletcher32=True
+            )
+        assert read_recording(path).signal == pytest.approx(signal, abs=0)
+
+    def test_groups_in_circles_and_crowds(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", {f"ecg/{lead}": signal[0] for lead in LEADS})
+        with h5py.File(path, "a") as file:
+            file["ecg/again"] = file["/"]
+        refused(path, "leads in /ecg and /ecg/again")
+        refused(save_hdf5(path, {str(k): 0 for k in range(1001)}), "more than 1000")
+
+    def test_damaged_heap_of_texts(self, tmp_path, signal):
+        """The library itself would look for the end of such a heap for ever."""
+        path = save_hdf5(tmp_path / "a.h5", {"ecg": signal, "leads": list(LEADS)})
+        content = bytearray(path.read_bytes())
+        start = content.index(b"GCOL") + 16
+        content[start : start + 16] = bytes(16)
+        path.write_bytes(content)
+        refused(path, "damaged HDF5 file (heap of its texts)")
+
+    def test_declared_length_of_a_text(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", {"ecg": signal, "leads": list(LEADS)})
+        with h5py.File(path) as file:
+            offset = file["leads"].id.get_offset()
+        content = bytearray(path.read_bytes())
+        content[offset : offset + 4] = (2**31 - 1).to_bytes(4, "little")
+        path.write_bytes(content)
+        refused(path, "has no lead names")
+
+
+class TestMatlab:
+    @pytest.mark.parametrize("options", [{}, {"do_compression": True}, {"format": "4"}])
+    def test_one_variable_a_lead(self, tmp_path, signal, options):
+        variables = by_lead(1000 * signal) | {"fs": 500.0, "units": "uV", "x": np.ones(3)}
+        recording = read_recording(save_matlab(tmp_path / "a.mat", variables, **options))
+        assert recording.signal == pytest.approx(signal, abs=1e-12)
+        assert recording.sampling_rate == 500
+        assert recording.ignored == ("x",)
+        assert recording.provenance["format"] == f"MATLAB {options.get('format', '5')}"
+
+    @pytest.mark.parametrize("names", [np.array(LEADS, dtype=object), np.array(LEADS)])
+    @pytest.mark.parametrize("turned", [False, True])
+    def test_matrix_with_names(self, tmp_path, signal, names, turned):
+        matrix = signal.T if turned else signal
+        variables = {"ecg": matrix, "leads": names, "Fs": 500, "unit": "mV"}
+        recording = read_recording(save_matlab(tmp_path / "a.mat", variables))
+        assert recording.signal == pytest.approx(signal, abs=0)
+
+    def test_structure(self, tmp_path, signal):
+        names = np.array(LEADS, dtype=object)
+        fields = {"data": signal, "leads": names, "fs": 500, "units": "mV"}
+        path = save_matlab(tmp_path / "a.mat", {"ecg": fields, "info": {"age": 61}})
+        assert read_recording(path).signal == pytest.approx(signal, abs=0)
+        fields = {"leads": by_lead(signal) | {"units": "mV"}, "fs": 500}
+        path = save_matlab(tmp_path / "b.mat", {"ecg": fields})
+        assert read_recording(path).signal == pytest.approx(signal, abs=0)
+
+    def test_physionet_challenge(self, tmp_path, signal):
+        path = save_matlab(tmp_path / "a.mat", {"val": np.round(1000 * signal)})
+        refused(path, "'val' (12 x 1000) has no lead names", ".hea")
+
+    def test_version_7_3(self, tmp_path, signal):
+        path = save_matlab_73(tmp_path / "a.mat", signal)
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=0)
+        assert recording.provenance["format"] == "MATLAB 7.3"
+        path = save_matlab_73(tmp_path / "b.mat", signal, kind=b"string")
+        refused(path, "'ecg' (1000 x 12) has no lead names")
+
+    def test_loop_index_is_no_lead(self, tmp_path, signal):
+        variables = {"ecg": signal, "leads": np.array(LEADS), "fs": 500, "units": "mV"}
+        path = save_matlab(tmp_path / "a.mat", variables | {"i": np.arange(9.0)})
+        assert read_recording(path).signal == pytest.approx(signal, abs=0)
+
+    @pytest.mark.parametrize("value", [np.ones(N, dtype=complex), "text"])
+    def test_what_is_no_number(self, tmp_path, signal, value):
+        variables = by_lead(signal) | {"fs": 500, "units": "mV", "V1": value}
+        refused(save_matlab(tmp_path / "a.mat", variables), "lead 'V1'", "no real numbers")
+
+    @pytest.mark.parametrize(
+        ("code", "word"), [(3, "an object"), (16, "a function"), (17, "string")]
+    )
+    def test_objects_and_functions(self, tmp_path, signal, code, word):
+        path = save_matlab(tmp_path / "a.mat", {"x": 1.0} | by_lead(signal))
+        content = bytearray(path.read_bytes())
+        assert content[144] == 6  # class of the first variable: double
+        content[144] = code
+        path.write_bytes(content)
+        refused(path, word, "cellstr")
+
+    def test_functions_within_cells(self, tmp_path):
+        cell = np.empty(1, dtype=object)
+        cell[0] = np.arange(3.0)
+        path = save_matlab(tmp_path / "a.mat", {"c": {"d": cell}})
+        content = path.read_bytes()
+        flags = content.rindex(b"\x06\0\0\0\x08\0\0\0\x06") + 8
+        path.write_bytes(content[:flags] + b"\x10" + content[flags + 1 :])
+        refused(path, "a function")
+
+    def test_sparse(self, tmp_path, signal):
+        variables = by_lead(signal) | {"fs": 500, "units": "mV", "V1": scipy.sparse.eye(9).tocsc()}
+        refused(save_matlab(tmp_path / "a.mat", variables), "a sparse matrix")
+        refused(save_matlab(tmp_path / "b.mat", variables, format="4"), "'V1' is a sparse matrix")
+
+    def test_bomb(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(matlab_elements, "LARGEST", 2**20)
+        path = save_matlab(tmp_path / "a.mat", {"I": np.zeros(2**18)}, do_compression=True)
+        assert path.stat().st_size < 2**14
+        refused(path, "more than 1 MB when decompressed")
+
+    def test_cells_that_are_not_there(self, tmp_path):
+        path = save_matlab(tmp_path / "a.mat", {"c": np.array(["x", "y", "z"], dtype=object)})
+        content = path.read_bytes()
+        shape = np.array([1, 3], dtype="<i4").tobytes()
+        more = np.array([2**15, 2**15], dtype="<i4").tobytes()
+        path.write_bytes(content.replace(shape, more, 1))
+        refused(path, "does not hold the 1073741824 entries")
+
+    def test_deep_nesting(self, tmp_path):
+        nested = {"x": 1.0}
+        for _ in range(12):
+            nested = {"x": nested}
+        refused(save_matlab(tmp_path / "a.mat", nested), "nested too deep")
+
+    def test_twice_the_same_variable(self, tmp_path, signal):
+        path = save_matlab(tmp_path / "a.mat", by_lead(signal))
+        path.write_bytes(path.read_bytes() + path.read_bytes()[128:])
+        refused(path, "Duplicate variable")
+
+    def test_truncated(self, tmp_path, signal):
+        path = save_matlab(tmp_path / "a.mat", by_lead(signal), do_compression=True)
+        path.write_bytes(path.read_bytes()[:-100])
+        refused(path, "damaged MATLAB")
+
+
+@pytest.fixture(scope="module")
+def whole_files(tmp_path_factory):
+    """Name and content of good files: four of MATLAB, two HDF5."""
+    t = np.arange(N) / RATE
+    signal = np.sin(np.arange(1, 13)[:, None] * t)
+    named = by_lead(signal.astype(np.float32)) | {"fs": 500, "units": "mV"}
+    fields = {"data": signal, "leads": np.array(LEADS, dtype=object), "fs": 500, "units": "mV"}
+    folder = tmp_path_factory.mktemp("whole")
+    paths = [
+        save_matlab(folder / "flat.mat", named),
+        save_matlab(folder / "packed.mat", named, do_compression=True),
+        save_matlab(folder / "structure.mat", {"ecg": fields}),
+        save_matlab(folder / "old.mat", named, format="4"),
+        save_hdf5(folder / "named.h5", by_lead(signal.astype(np.float32))),
+        save_hdf5(folder / "matrix.h5", {"ecg": signal, "leads": np.array(LEADS, dtype="S5")}),
+    ]
+    return [(path.name, path.read_bytes()) for path in paths]
+
+
+fuzz = fuzzing(120)
+flips = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=8)
+
+
+class TestFuzz:
+    @fuzz
+    @given(which=st.integers(0, 3), flips=flips, near=st.integers(200, 10**5), keep=st.floats(0, 2))
+    @example(which=0, flips=[], near=200, keep=1)
+    @example(which=1, flips=[], near=200, keep=1)
+    @example(which=2, flips=[], near=200, keep=1)
+    @example(which=3, flips=[], near=200, keep=1)
+    def test_damaged_matlab(self, tmp_path, whole_files, which, flips, near, keep):
+        self.check(tmp_path, whole_files[which], flips, near, keep)
+
+    @fuzz
+    @given(which=st.integers(4, 5), flips=flips, near=st.integers(200, 10**5), keep=st.floats(0, 2))
+    @example(which=4, flips=[], near=200, keep=1)
+    @example(which=5, flips=[], near=200, keep=1)
+    def test_damaged_hdf5(self, tmp_path, whole_files, which, flips, near, keep):
+        self.check(tmp_path, whole_files[which], flips, near, keep)
+
+    def check(self, folder, file, flips, near, keep):
+        name, whole = file
+        content = bytearray(whole)
+        for place, byte in flips:
+            content[int(place * min(near, len(content) - 1))] = byte
+        recording = outcome(folder / name, bytes(content[: round(keep * len(content))]))
+        if not flips and keep >= 1:
+            assert recording is not None
+
+    @fuzz
+    @given(
+        content=st.binary(max_size=3000),
+        mark=st.sampled_from([
+            (".h5", b""), (".h5", b"\x89HDF\r\n\x1a\n"), (".mat", b""), (".mat", b"\0\0\0\0"),
+            (".mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"),
+        ]),
+    )  # fmt: skip
+    def test_arbitrary_bytes(self, tmp_path, content, mark):
+        suffix, start = mark
+        assert outcome(tmp_path / f"a{suffix}", start + content) is None

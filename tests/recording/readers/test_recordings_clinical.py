@@ -1,0 +1,342 @@
+"""HL7 aECG, GE MUSE XML and SCP-ECG files, good and wrong."""
+
+from __future__ import annotations
+
+import re
+import struct
+import xml.etree.ElementTree as ET
+
+import clinical_files as files
+import numpy as np
+import pytest
+from clinical_files import replaced, saved
+from refusals import refused
+
+from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
+from fascicle.recording.readers.read import read_recording
+from fascicle.recording.recording import Filters
+
+ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
+
+
+@pytest.fixture(scope="module")
+def digits():
+    """(8, 2000) integers: 4 s at 500 Hz."""
+    return files.heart_beats()
+
+
+class TestPublishedAecg:
+    """The example file of the standard, its digits read a second time, without the library."""
+
+    @pytest.fixture(scope="class")
+    def path(self, data_folder):
+        return data_folder / "ecg" / "aecg" / "Example_aECG.xml"
+
+    def test_values(self, path):
+        recording = read_recording(path)
+        namespace = "{urn:hl7-org:v3}"
+        series = ET.parse(path).getroot().find(f"{namespace}component/{namespace}series")
+        expected = {}
+        for sequence in series.find(f"{namespace}component/{namespace}sequenceSet").iter(
+            f"{namespace}sequence"
+        ):
+            code = sequence.find(f"{namespace}code").get("code")
+            found = sequence.find(f".//{namespace}digits")
+            if found is not None:
+                scale = float(sequence.find(f".//{namespace}scale").get("value"))
+                name = code.removeprefix("MDC_ECG_LEAD_").replace("AV", "aV")
+                expected[name] = scale / 1000 * np.array(found.text.split(), dtype=float)
+        assert recording.sampling_rate == 500
+        assert recording.signal.shape == (12, 5000)
+        assert recording.derived == ()
+        for lead, row in zip(LEADS, recording.signal, strict=True):
+            assert row == pytest.approx(expected[lead], abs=1e-12), lead
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 400))
+        assert recording.filters == Filters(lowpass=150, notch=60)
+
+    def test_obeys_einthoven(self, path):
+        signal = read_recording(path).signal
+        # three roundings to 2.5 uV
+        assert np.abs(signal[0] + signal[2] - signal[1]).max() <= 0.0051
+        assert 0.5 < np.ptp(signal[1]) < 5
+
+
+class TestSignal:
+    @pytest.mark.parametrize("order", [0, 1, 2])
+    @pytest.mark.parametrize("huffman", [False, True])
+    def test_scp(self, tmp_path, digits, order, huffman):
+        path = saved(tmp_path, files.scp(digits, order=order, huffman=huffman))
+        recording = read_recording(path)
+        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+        assert recording.sampling_rate == 500
+        assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 1 / 4.88e-3))
+        assert recording.filters == Filters(highpass=0.05, lowpass=150, notch=50)
+
+    def test_muse(self, tmp_path, digits):
+        recording = read_recording(saved(tmp_path, files.muse(digits)))
+        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+        assert recording.sampling_rate == 500
+        assert recording.filters == Filters(highpass=0.16, lowpass=150, notch=60)
+        assert recording.digits_per_millivolt[6] == pytest.approx(1 / 4.88e-3)
+
+    @pytest.mark.parametrize(
+        ("scale", "millivolts"), [(("2500", "nV"), 2.5e-3), (("0.0025", "mV"), 2.5e-3)]
+    )
+    def test_aecg(self, tmp_path, digits, scale, millivolts):
+        recording = read_recording(saved(tmp_path, files.aecg(digits, scale=scale)))
+        assert recording.signal[ROWS] == pytest.approx(digits * millivolts, abs=1e-12)
+
+    @pytest.mark.parametrize("write", [files.aecg, files.muse, files.scp])
+    def test_limb_leads_follow(self, tmp_path, digits, write):
+        recording = read_recording(saved(tmp_path, write(digits)))
+        one, two, three, right, left, foot = recording.signal[:6]
+        assert recording.derived == ("III", "aVR", "aVL", "aVF")
+        assert three == pytest.approx(two - one, abs=1e-12)
+        assert right == pytest.approx(-(one + two) / 2, abs=1e-12)
+        assert left == pytest.approx((one - three) / 2, abs=1e-12)
+        assert foot == pytest.approx((two + three) / 2, abs=1e-12)
+
+    def test_origin_shifts(self, tmp_path, digits):
+        recording = read_recording(saved(tmp_path, files.aecg(digits, origin="100")))
+        assert recording.signal[6] == pytest.approx(digits[2] * 2.5e-3 + 0.1, abs=1e-12)
+
+    def test_reference_beat_subtraction(self, tmp_path, digits):
+        n, fiducial, at = 200, 100, 750
+        beat = np.rint(0.5 * digits[:, at - fiducial : at - fiducial + n]).astype(int)
+        residual = digits.copy()
+        first = at - fiducial + 1  # EN 1064 counts samples from 1
+        residual[:, first - 1 : first - 1 + n] -= beat
+        sections = files.scp_sections(residual, order=2, huffman=True, flags=0x45)
+        data = [files.lead_bytes(row, 1, True) for row in beat]
+        sections[4] = struct.pack("<HHH", 2 * n, fiducial, 1)
+        sections[4] += struct.pack("<HIII", 0, first, at, first + n - 1)
+        sections[4] += struct.pack("<II", first, first + n - 1)
+        sections[5] = struct.pack("<HHBB8H", 4880, 2000, 1, 0, *map(len, data)) + b"".join(data)
+        recording = read_recording(saved(tmp_path, files.scp_record(sections)))
+        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+        assert "reference beat" in recording.provenance["remarks"]
+
+    def test_own_huffman_table(self, tmp_path, digits):
+        """One code: no prefix but its first bit, then 16 bits of the value."""
+        sections = files.scp_sections(digits)
+        data = [
+            files.bit_bytes("".join("1" + format(int(v) & 0xFFFF, "016b") for v in row))
+            for row in digits
+        ]
+        sections[2] = struct.pack("<HHBBBhI", 1, 1, 1, 17, 1, 0, 1)
+        sections[6] = struct.pack("<HHBB8H", 4880, 2000, 0, 0, *map(len, data)) + b"".join(data)
+        recording = read_recording(saved(tmp_path, files.scp_record(sections)))
+        assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
+
+    def test_other_channels_are_left_out(self, tmp_path, digits):
+        names = (*INDEPENDENT_LEADS, "X")
+        content = files.scp(np.vstack([digits, digits[:1]]), names=names)
+        assert read_recording(saved(tmp_path, content)).ignored == ("X",)
+
+
+class TestRate:
+    def test_interval_in_microseconds(self, tmp_path, digits):
+        recording = read_recording(saved(tmp_path, files.scp(digits, interval=1024)))
+        assert recording.sampling_rate == 976.5625
+
+    @pytest.mark.parametrize(
+        ("step", "rate"),
+        [(("1.024", "ms"), 976.5625), (("0.001953125", "s"), 512), (("2000", "us"), 500)],
+    )
+    def test_increment(self, tmp_path, digits, step, rate):
+        recording = read_recording(saved(tmp_path, files.aecg(digits, step=step)))
+        assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
+
+    @pytest.mark.parametrize(
+        ("base", "exponent", "rate"), [("5", "2", 500), ("4882", "-1", 488.2), ("1000", "", 1000)]
+    )
+    def test_base_and_exponent(self, tmp_path, digits, base, exponent, rate):
+        content = files.muse(digits, base=base, exponent=exponent)
+        recording = read_recording(saved(tmp_path, content))
+        assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
+
+    def test_unusable(self, tmp_path, digits):
+        refused(saved(tmp_path, files.scp(digits, interval=0)), "sampling interval is 0")
+        refused(saved(tmp_path, files.scp(digits, interval=10_000)), "100 Hz")
+        refused(saved(tmp_path, files.muse(digits, base="0")), "SampleBase")
+        refused(saved(tmp_path, files.muse(digits, base="nan")), "damaged")
+        refused(saved(tmp_path, files.aecg(digits, step=("0", "s"))), "time increment")
+        refused(saved(tmp_path, files.aecg(digits, step=("1e-323", "us"))), "damaged")
+        refused(saved(tmp_path, files.aecg(digits, step=("2", ""))), "time increment unit")
+
+    def test_two_steps(self, tmp_path, digits):
+        time = '<component><sequence><code code="TIME_RELATIVE"/><value><increment value="{}" '
+        time += 'unit="ms"/></value></sequence></component>'
+        text = files.aecg(digits)
+        same = replaced(text, "<sequenceSet>", "<sequenceSet>" + time.format(2))
+        assert read_recording(saved(tmp_path, same)).sampling_rate == 500
+        other = replaced(text, "<sequenceSet>", "<sequenceSet>" + time.format(4))
+        refused(saved(tmp_path, other), "2 different sampling steps", "4 ms, 0.002 s")
+
+
+class TestAmplitude:
+    def test_unit_serves_only_a_stated_scale(self, tmp_path, digits):
+        path = saved(tmp_path, files.aecg(digits, scale=("2.5", "")))
+        refused(path, "unknown unit of lead I", "--unit")
+        signal = read_recording(path, unit="uV").signal
+        assert signal[6] == pytest.approx(digits[2] * 2.5e-3, abs=1e-12)
+        path = saved(tmp_path, re.sub("<scale[^>]*/>", "", files.aecg(digits)))
+        refused(path, "unknown amplitude of lead I", unit="uV")
+
+    def test_muse_without_unit(self, tmp_path, digits):
+        path = saved(tmp_path, files.muse(digits, unit=""))
+        refused(path, "unknown unit of lead I")
+        assert read_recording(path, unit="uV").signal[6] == pytest.approx(digits[2] * 4.88e-3)
+        refused(saved(tmp_path, files.muse(digits, unit="FURLONGS")), "unknown unit", "FURLONGS")
+        assert read_recording(
+            saved(tmp_path, files.muse(digits, scale="0,00488", unit="MV"))
+        ).signal[6] == pytest.approx(digits[2] * 4.88e-3)
+
+    @pytest.mark.parametrize("scale", ["0", "-2.5", "nan", "inf", "1e999", "", "abc"])
+    def test_impossible_scales(self, tmp_path, digits, scale):
+        words = "unknown amplitude of lead I"
+        refused(saved(tmp_path, files.muse(digits, scale=scale)), words, unit="uV")
+        refused(saved(tmp_path, files.aecg(digits, scale=(scale, "uV"))), words, unit="uV")
+
+    def test_unit_without_scale_is_no_unit(self, tmp_path, digits):
+        text = files.aecg(digits).replace('<scale value="2.5" ', "<scale ")
+        refused(saved(tmp_path, text), "unknown amplitude of lead I", "none")
+
+    def test_multiplier_zero(self, tmp_path, digits):
+        path = saved(tmp_path, files.scp(digits, nanovolts=0))
+        refused(path, "unknown amplitude of lead I", unit="uV")
+
+    def test_overflow(self, tmp_path, digits):
+        path = saved(tmp_path, files.aecg(digits, scale=("1e307", "uV")))
+        refused(path, "lead II holds", "no finite numbers")
+
+
+class TestTime:
+    def test_leads_in_turns(self, tmp_path):
+        """Two groups one after another, as SCP-ECG's start samples say."""
+        digits = files.heart_beats(samples=1000)
+        starts = [1, 1, 1, 1, 1001, 1001, 1001, 1001]
+        content = files.scp(digits, starts=starts, interval=2000, flags=4 << 3)
+        recording = read_recording(saved(tmp_path, content))
+        assert recording.signal.shape == (12, 2000)
+        assert recording.spans[ROWS].tolist() == [[0, 1000]] * 4 + [[1000, 2000]] * 4
+        assert recording.signal[8, 1000:] == pytest.approx(digits[4] * 4.88e-3, abs=1e-12)
+        assert "4 of 8 leads are said to be simultaneous" in recording.provenance["remarks"]
+
+    def test_late_lead(self, tmp_path, digits):
+        rows = [*digits[:7], digits[7, 100:]]
+        content = files.scp(rows, starts=[1] * 7 + [101])
+        refused(saved(tmp_path, content), "lead V6 lacks 100 samples")
+
+    def test_lengths_differ(self, tmp_path, digits):
+        rows = [*digits[:7], digits[7, :-10]]
+        for content in (files.aecg(rows), files.scp(rows)):
+            refused(saved(tmp_path, content), "lead V6 has 1990 samples", "2000")
+
+    @pytest.mark.parametrize("tag", ["LeadTimeOffset", "LeadOffsetFirstSample"])
+    def test_offsets_of_muse(self, tmp_path, digits, tag):
+        offset = f"<{tag}>20</{tag}>\n"
+        path = saved(tmp_path, files.muse(digits, extra={"V3": offset}))
+        refused(path, f"{tag} of lead V3 is 20")
+        path = saved(tmp_path, files.muse(digits, extra=dict.fromkeys(INDEPENDENT_LEADS, offset)))
+        assert read_recording(path).signal[8] == pytest.approx(digits[4] * 4.88e-3)
+
+    def test_remarks_of_muse(self, tmp_path, digits):
+        extra = {
+            "V2": "<LeadOff>TRUE</LeadOff>\n",
+            "V4": "<FirstSampleBaseline>7</FirstSampleBaseline>\n",
+        }
+        remarks = read_recording(saved(tmp_path, files.muse(digits, extra=extra))).provenance[
+            "remarks"
+        ]
+        assert "lead off: V2" in remarks
+        assert "FirstSampleBaseline is non-zero" in remarks
+        assert "V4" in remarks
+
+
+class TestOneRecording:
+    def test_two_patients(self, tmp_path, digits):
+        path = saved(tmp_path, files.aecg(digits, subjects=("SBJ-1", "SBJ-2")))
+        assert "SBJ" not in refused(path, "2 different subjects")
+        assert (
+            read_recording(saved(tmp_path, files.aecg(digits, subjects=("S", "S")))).duration == 4
+        )
+        second = "<PatientDemographics><PatientID>4712</PatientID></PatientDemographics>"
+        text = replaced(files.muse(digits), "</RestingECG>", second + "</RestingECG>")
+        assert "471" not in refused(saved(tmp_path, text), "2 different patients")
+
+    def test_nested_recordings(self, tmp_path, digits):
+        text = replaced(files.muse(digits), "</RestingECG>", "<RestingECG/></RestingECG>")
+        refused(saved(tmp_path, text), "several recordings")
+
+    def test_appended_record(self, tmp_path, digits):
+        content = files.scp(digits)
+        refused(saved(tmp_path, content + content), "bytes follow its record")
+        assert read_recording(saved(tmp_path, content + bytes(9))).duration == 4
+
+    def test_second_series_is_named(self, tmp_path, digits):
+        text = files.aecg(digits)
+        series = re.search("<component><series>.*</series></component>", text)[0]
+        text = text.replace(
+            "</AnnotatedECG>", series.replace('MDC_ECG_LEAD_I"', 'X"') + "</AnnotatedECG>"
+        )
+        recording = read_recording(saved(tmp_path, text))
+        assert "2 rhythm series found; only the first is read" in recording.provenance["remarks"]
+
+    def test_lead_twice(self, tmp_path, digits):
+        names = (*INDEPENDENT_LEADS[:-1], "V5")
+        for write in (files.aecg, files.muse, files.scp):
+            refused(saved(tmp_path, write(digits, names=names)), "lead V5 is there twice")
+
+    @pytest.mark.parametrize(
+        "root", ["restingecgdata", "html", "ECG", "AnnotatedECGs", "sapphire", "a" * 5000]
+    )
+    def test_other_xml(self, tmp_path, root):
+        refused(saved(tmp_path, f"<{root}><x>1</x></{root}>"), f"<{root[:40]}", "is not read")
+
+
+class TestDamage:
+    def test_checksum_of_muse(self, tmp_path, digits):
+        text = files.muse(digits)
+        start = text.index("<WaveFormData>", text.index("Rhythm")) + 100
+        changed = text[:start] + ("A" if text[start] != "A" else "B") + text[start + 1 :]
+        refused(saved(tmp_path, changed), "checksum", "lead I (rhythm)")
+
+    def test_unwritten_checksums(self, tmp_path, digits):
+        """Converters write 0 for every checksum."""
+        path = saved(tmp_path, files.muse(digits, checksums=False))
+        assert read_recording(path).signal[6] == pytest.approx(digits[2] * 4.88e-3)
+
+    @pytest.mark.parametrize("place", [0, 5000, -50])
+    def test_checksum_of_scp(self, tmp_path, digits, place):
+        content = bytearray(files.scp(digits))
+        content[place] ^= 0x10
+        refused(saved(tmp_path, bytes(content)), "checksum", "CRC mismatch")
+
+    @pytest.mark.parametrize(
+        ("old", "new", "word"),
+        [
+            ("<LeadByteCountTotal>4000", "<LeadByteCountTotal>4002", "LeadByteCountTotal 4002"),
+            ("<LeadSampleCountTotal>2000", "<LeadSampleCountTotal>-1", "LeadSampleCountTotal -1"),
+            ("<LeadSampleSize>2", "<LeadSampleSize>3", "3-byte samples"),
+            ("<LeadSampleSize>2", "<LeadSampleSize>inf", "damaged"),
+            ("<WaveFormData>", "<WaveFormData>*!", "Base64"),
+            ("<WaveformType>Rhythm", "<WaveformType>Other", "No rhythm waveform"),
+        ],
+    )
+    def test_contradictions_of_muse(self, tmp_path, digits, old, new, word):
+        refused(saved(tmp_path, replaced(files.muse(digits), old, new)), word)
+
+    @pytest.mark.parametrize("digit", ["x", "nan", "inf", "1e999", "--1"])
+    def test_digits_that_are_none(self, tmp_path, digits, digit):
+        text = replaced(files.aecg(digits), "<digits>", f"<digits>{digit} ")
+        refused(saved(tmp_path, text), "ead")
+
+    def test_long_rubbish_is_cut(self, tmp_path, digits):
+        text = replaced(files.aecg(digits), "<digits>", f"<digits>{'x' * 100_000} ")
+        assert len(refused(saved(tmp_path, text), "Invalid digits")) < 400
+
+    @pytest.mark.parametrize("share", [0, 0.001, 0.01, 0.1, 0.5, 0.99])
+    def test_truncated(self, tmp_path, digits, share):
+        for content in (files.aecg(digits), files.muse(digits), files.scp(digits, huffman=True)):
+            refused(saved(tmp_path, content[: int(share * len(content))]))

@@ -1,0 +1,490 @@
+"""DICOM waveform objects, good and bad, and a published one."""
+
+from __future__ import annotations
+
+import functools
+import io
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pydicom
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from pydicom.data import get_testdata_file
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import (
+    DeflatedExplicitVRLittleEndian,
+    EncapsulatedPDFStorage,
+    ExplicitVRBigEndian,
+    ExplicitVRLittleEndian,
+    ImplicitVRLittleEndian,
+    JPEGBaseline8Bit,
+    TwelveLeadECGWaveformStorage,
+    generate_uid,
+)
+from refusals import fuzzing, outcome, refused
+
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.readers.read import read_recording
+
+# pydicom warns while it writes what these tests want to be wrong
+pytestmark = pytest.mark.filterwarnings("ignore:Invalid value for VR:UserWarning")
+
+RATE, N = 500, 1000
+MDC = dict(zip(LEADS, (1, 2, 61, 62, 63, 64, *range(3, 9)), strict=True))
+
+
+def digits(n=N, amplitude=40):
+    """(12, n) integers within 8 bits, every lead different."""
+    t = np.arange(n) / RATE
+    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
+    return np.round(amplitude * (lead_matrix() @ waves)).astype(np.int64)
+
+
+def code(value, scheme, meaning=""):
+    item = Dataset()
+    item.CodeValue, item.CodingSchemeDesignator, item.CodeMeaning = value, scheme, meaning
+    return item
+
+
+def channel(lead, **elements):
+    item = Dataset()
+    item.ChannelSourceSequence = [code(f"2:{MDC[lead]}", "MDC", f"Lead {lead}")]
+    item.ChannelSensitivity = "25"
+    item.ChannelSensitivityUnitsSequence = [code("uV", "UCUM", "microvolt")]
+    item.ChannelSensitivityCorrectionFactor = "1"
+    item.ChannelBaseline = "0"
+    item.ChannelSampleSkew = "0"
+    item.WaveformBitsStored = 16
+    return put(item, **elements)
+
+
+def group(samples, leads=LEADS, dtype="<i2", **elements):
+    """A multiplex group of samples (channels, n)."""
+    item = Dataset()
+    item.WaveformOriginality = "ORIGINAL"
+    item.NumberOfWaveformChannels, item.NumberOfWaveformSamples = samples.shape
+    item.SamplingFrequency = str(RATE)
+    item.WaveformBitsAllocated = 8 * np.dtype(dtype).itemsize
+    item.WaveformSampleInterpretation = {"i1": "SB", "u1": "UB", "i2": "SS", "u2": "US",
+                                         "i4": "SL", "u4": "UL"}[dtype[-2:]]  # fmt: skip
+    item.ChannelDefinitionSequence = [channel(lead) for lead in leads]
+    item.WaveformData = samples.T.astype(dtype).tobytes()
+    item["WaveformData"].VR = "OB" if dtype[-2:] in ("i1", "u1") else "OW"
+    return put(item, **elements)
+
+
+def put(item, **elements):
+    """Set elements of a dataset; None takes one away."""
+    for keyword, value in elements.items():
+        if value is None:
+            delattr(item, keyword)
+        else:
+            setattr(item, keyword, value)
+    return item
+
+
+def write(folder, *groups, syntax=ExplicitVRLittleEndian, **elements):
+    dataset = Dataset()
+    dataset.file_meta = FileMetaDataset()
+    dataset.file_meta.TransferSyntaxUID = syntax
+    dataset.SOPClassUID = TwelveLeadECGWaveformStorage
+    dataset.SOPInstanceUID = generate_uid(entropy_srcs=["a test"])
+    dataset.Modality = "ECG"
+    dataset.WaveformSequence = list(groups)
+    put(dataset, **elements)
+    dataset.save_as(folder / "a.dcm", enforce_file_format=True)
+    return folder / "a.dcm"
+
+
+def change_leads(group, **elements):
+    for item in group.ChannelDefinitionSequence:
+        put(item, **elements)
+    return group
+
+
+class TestPublished:
+    @pytest.fixture
+    def path(self):
+        return get_testdata_file("waveform_ecg.dcm", download=False)
+
+    def test_rhythm_in_mv(self, path):
+        recording = read_recording(path)
+        raw = pydicom.dcmread(path).waveform_array(0)
+        assert recording.signal == pytest.approx(raw.T / 1000)
+        assert recording.sampling_rate == 1000
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 800))
+        assert 0.5 < np.ptp(recording.signal, axis=1).max() < 5
+        assert recording.provenance["multiplex_group"] == "1"
+        assert recording.provenance["multiplex_group_label"] == "RHYTHM"
+        filters = recording.filters
+        assert (filters.highpass, filters.lowpass, filters.notch) == (0.05, 300, None)
+
+    @pytest.mark.parametrize("size", [0, 100, 400, 2000, 100_000, 240_000])
+    def test_truncated(self, path, tmp_path, size):
+        with open(path, "rb") as file:
+            (tmp_path / "a.dcm").write_bytes(file.read(size))
+        refused(tmp_path / "a.dcm")
+
+
+@pytest.mark.parametrize(
+    "syntax", [ExplicitVRLittleEndian, ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian]
+)
+@pytest.mark.parametrize("dtype", ["i1", "<i2", "<i4"])
+def test_sample_types_and_transfer_syntaxes(tmp_path, syntax, dtype):
+    recording = read_recording(write(tmp_path, group(digits(), dtype=dtype), syntax=syntax))
+    assert recording.signal == pytest.approx(0.025 * digits())
+    assert recording.sampling_rate == RATE
+
+
+@pytest.mark.parametrize(("dtype", "zero"), [("u1", 128), ("<u2", 32768), ("<u4", 2**31)])
+def test_unsigned_samples_with_a_baseline(tmp_path, dtype, zero):
+    item = change_leads(group(digits() + zero, dtype=dtype), ChannelBaseline=str(-25 * zero))
+    assert read_recording(write(tmp_path, item)).signal == pytest.approx(0.025 * digits(), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bits", "kind"), [(8, "MB"), (8, "AB"), (16, "SB"), (12, "SS"), (64, "SV")]
+)
+def test_unknown_sample_types(tmp_path, bits, kind):
+    item = group(digits(), WaveformBitsAllocated=bits, WaveformSampleInterpretation=kind)
+    refused(write(tmp_path, item), f"{bits} bits, interpretation '{kind}'", "SS")
+
+
+def test_sensitivity_correction_baseline_and_gain(tmp_path):
+    item = group(digits())
+    put(
+        item.ChannelDefinitionSequence[7], ChannelSensitivity="5",
+        ChannelSensitivityCorrectionFactor="-0.5", ChannelBaseline="100",
+    )  # fmt: skip
+    recording = read_recording(write(tmp_path, item))
+    assert recording.signal[7] == pytest.approx((-2.5 * digits()[7] + 100) / 1000)
+    assert recording.digits_per_millivolt[6:8] == pytest.approx([40, 400])
+
+
+def test_a_sensitivity_without_an_inverse_has_no_gain(tmp_path):
+    item = change_leads(group(digits()), ChannelSensitivity="1e-322")
+    recording = read_recording(write(tmp_path, item))
+    assert np.isnan(recording.digits_per_millivolt).all()
+    assert np.abs(recording.signal).max() < 1e-300
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("nV", 1e-6), ("uV", 1e-3), ("mV", 1), ("V", 1e3)])
+def test_units(tmp_path, unit, factor):
+    item = change_leads(
+        group(digits()), ChannelSensitivityUnitsSequence=[code(unit, "UCUM", "some volt")]
+    )
+    recording = read_recording(write(tmp_path, item))
+    assert recording.signal == pytest.approx(25 * factor * digits())
+    assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / (25 * factor)))
+
+
+def test_unit_of_the_user(tmp_path):
+    path = write(tmp_path, change_leads(group(digits()), ChannelSensitivityUnitsSequence=None))
+    refused(path, "unknown unit of lead I (the file names none)")
+    assert read_recording(path, unit="uV").signal == pytest.approx(0.025 * digits())
+    path = write(tmp_path, group(digits()))
+    refused(path, "lead I is in 'uV', --unit says 'mV'", unit="mV")
+
+
+@pytest.mark.parametrize(
+    ("elements", "words"),
+    [
+        ({"ChannelSensitivity": None}, ["unknown unit of lead aVL (no channel sensitivity)"]),
+        ({"ChannelSensitivity": ""}, ["unknown unit of lead aVL (no channel sensitivity)"]),
+        ({"ChannelSensitivity": "0"}, ["sensitivity of lead aVL is 0"]),
+        ({"ChannelSensitivity": ["1", "2"]}, ["ChannelSensitivity", "not a number"]),
+        ({"ChannelSensitivity": "inf"}, ["ChannelSensitivity is 'inf'"]),
+        ({"ChannelBaseline": "nan"}, ["ChannelBaseline is 'nan'"]),
+        ({"ChannelSensitivityUnitsSequence": [code("1", "UCUM", "")]}, ["lead aVL ('1')"]),
+        ({"ChannelSampleSkew": "0.6"}, ["lead aVL is 0.6 samples apart"]),
+        ({"ChannelSampleSkew": None, "ChannelTimeSkew": "0.01"}, ["aVL is 5 samples apart"]),
+        ({"ChannelOffset": "-0.004"}, ["aVL is -2 samples apart"]),
+    ],
+)
+def test_channels_that_are_refused(tmp_path, elements, words):
+    item = group(digits())
+    put(item.ChannelDefinitionSequence[4], **elements)
+    refused(write(tmp_path, item), *words)
+
+
+def test_multiplexing_is_no_skew(tmp_path):
+    item = group(digits())
+    for k, described in enumerate(item.ChannelDefinitionSequence):
+        put(described, ChannelSampleSkew=f"{k / 25:.2f}")
+    assert read_recording(write(tmp_path, item)).signal == pytest.approx(0.025 * digits())
+
+
+def test_filters_are_the_narrowest_of_the_leads(tmp_path):
+    item = group(digits())
+    for described, low, high in zip(
+        item.ChannelDefinitionSequence, ["0.05", "0.5", "0"] * 4, ["150", "40", "300"] * 4,
+        strict=True,
+    ):  # fmt: skip
+        put(described, FilterLowFrequency=low, FilterHighFrequency=high, NotchFilterFrequency="50")
+    filters = read_recording(write(tmp_path, item)).filters
+    assert (filters.highpass, filters.lowpass, filters.notch) == (0.5, 40, 50)
+    assert read_recording(write(tmp_path, group(digits()))).filters.lowpass is None
+
+
+class TestNames:
+    def read(self, folder, k, lead, *sources, **elements):
+        item = group(digits())
+        put(item.ChannelDefinitionSequence[k], ChannelSourceSequence=list(sources), **elements)
+        path = write(folder, item)
+        assert read_recording(path).signal[LEADS.index(lead)] == pytest.approx(0.025 * digits()[k])
+        return path
+
+    @pytest.mark.parametrize(
+        "source",
+        [
+            code("5.6.3-9-5", "SCPECG", "Lead V3"),
+            code("2:5", "MDC", ""),
+            code("2:5", "mdc", "chest"),
+            code("MDC_ECG_LEAD_V3", "99MAKER", "Lead V3"),
+            code("2:1", "99MAKER", "V3"),  # not of the scheme whose code for lead I it is
+        ],
+    )
+    def test_codes_and_meanings(self, tmp_path, source):
+        self.read(tmp_path, 8, "V3", source)
+
+    def test_labels(self, tmp_path):
+        self.read(tmp_path, 8, "V3", ChannelLabel="V3")
+        self.read(tmp_path, 8, "V3", code("X", "99MAKER", "channel 9"), ChannelLabel="C3")
+
+    def test_contradiction(self, tmp_path):
+        item = group(digits())
+        source = item.ChannelDefinitionSequence[8].ChannelSourceSequence[0]
+        source.CodeMeaning = "Lead V4"
+        refused(write(tmp_path, item), "channel 9 has the code 2:5 of V3", "'Lead V4'")
+
+    def test_other_leads_are_ignored_and_need_no_calibration(self, tmp_path):
+        samples = np.concatenate([digits(), digits()[:1]])
+        item = group(samples, [*LEADS, "aVR"])
+        put(
+            item.ChannelDefinitionSequence[12], ChannelSensitivity=None, ChannelLabel="aVR",
+            ChannelSourceSequence=[code("2:65", "MDC", "Lead -aVR")],
+        )  # fmt: skip
+        recording = read_recording(write(tmp_path, item))
+        assert recording.ignored == ("Lead -aVR",)
+        assert recording.signal == pytest.approx(0.025 * digits())
+
+    def test_missing_and_double_leads(self, tmp_path):
+        item = group(digits())
+        source = item.ChannelDefinitionSequence[8].ChannelSourceSequence[0]
+        source.CodeValue, source.CodeMeaning = "2:9", "Lead V7"
+        refused(write(tmp_path, item), "lead V3 missing")
+        source.CodeValue, source.CodeMeaning = "2:3", "Lead V1"
+        refused(write(tmp_path, item), "lead V1 is there twice")
+
+
+class TestGroups:
+    def thirds(self, offsets, rates=(RATE,) * 4, n=N):
+        """Four groups of three leads."""
+        return [
+            group(
+                digits(n)[3 * k : 3 * k + 3], LEADS[3 * k : 3 * k + 3],
+                MultiplexGroupTimeOffset=offset, SamplingFrequency=str(rate),
+            )
+            for k, (offset, rate) in enumerate(zip(offsets, rates, strict=True))
+        ]  # fmt: skip
+
+    def test_leads_in_turns(self, tmp_path):
+        path = write(tmp_path, *self.thirds(["100", "2100", "4100", "6100"]))
+        recording = read_recording(path)
+        assert not recording.simultaneous
+        assert recording.signal.shape == (12, 4 * N)
+        starts = np.repeat([0, 1000, 2000, 3000], 3)
+        assert recording.spans == pytest.approx(np.stack([starts, starts + N], axis=1))
+        for row, start in enumerate(starts):
+            assert recording.signal[row, start : start + N] == pytest.approx(0.025 * digits()[row])
+        assert recording.provenance["multiplex_group"] == "1, 2, 3, 4"
+
+    def test_leads_at_once(self, tmp_path):
+        recording = read_recording(write(tmp_path, *self.thirds(["0"] * 4)))
+        assert recording.simultaneous
+        assert recording.signal == pytest.approx(0.025 * digits())
+
+    def test_strip_beside_leads_in_turns(self, tmp_path):
+        strip = group(digits(4 * N)[1:2], ["II"], MultiplexGroupTimeOffset="0")
+        path = write(tmp_path, strip, *self.thirds(["0", "2000", "4000", "6000"]))
+        recording = read_recording(path)
+        assert recording.provenance["multiplex_group"] == "2, 3, 4, 5"
+        assert np.isfinite(recording.signal[1]).sum() == N
+
+    def test_groups_that_cannot_be_joined(self, tmp_path):
+        path = write(tmp_path, *self.thirds(["0", "2000", "4000", ""]))
+        refused(path, "leads V4, V5, V6", "without a time offset")
+        path = write(tmp_path, *self.thirds(["0"] * 4, rates=(500, 500, 250, 500)))
+        refused(path, "V1, V2, V3 are sampled at 250 Hz, I, II, III at 500 Hz")
+        path = write(tmp_path, *self.thirds(["0", "0", "0", "99999999999999"]))
+        refused(path, "s apart")
+        refused(write(tmp_path, *self.thirds(["0", "0", "0", "500"])), "lead I lacks")
+
+    def test_rhythm_and_not_the_median_beat(self, tmp_path):
+        median = group(digits(600), WaveformOriginality="DERIVED", SamplingFrequency="1000")
+        recording = read_recording(write(tmp_path, median, group(digits())))
+        assert recording.provenance["multiplex_group"] == "2"
+        assert recording.signal.shape == (12, N)
+        broken = change_leads(median, ChannelSensitivity=None)
+        assert read_recording(write(tmp_path, broken, group(digits()))).signal.shape == (12, N)
+
+
+def test_padding_is_a_gap(tmp_path):
+    samples = digits()
+    samples[3, 10:14] = -(2**15)
+    item = group(samples, WaveformPaddingValue=b"\x00\x80")
+    item["WaveformPaddingValue"].VR = "OW"
+    refused(write(tmp_path, item), "lead aVR lacks 4 samples", "sample 10")
+
+
+@pytest.mark.parametrize(
+    ("elements", "words"),
+    [
+        ({"SamplingFrequency": "0"}, ["sampling rate is 0 Hz"]),
+        ({"SamplingFrequency": "-500"}, ["sampling rate is -500 Hz"]),
+        ({"SamplingFrequency": "nan"}, ["SamplingFrequency is 'nan'"]),
+        ({"SamplingFrequency": None}, ["no sampling rate in the file", "--sampling-rate"]),
+        ({"NumberOfWaveformSamples": 0}, ["12 channels of 0 samples"]),
+        ({"NumberOfWaveformSamples": N + 1}, ["truncated", "24024 bytes, 24000 found"]),
+        ({"NumberOfWaveformSamples": 2**32 - 1}, ["cut it"]),
+        ({"NumberOfWaveformSamples": None}, ["12 channels of 0 samples"]),
+        ({"NumberOfWaveformChannels": 11}, ["should have 11 channels", "describes 12"]),
+        ({"ChannelDefinitionSequence": []}, ["0 channels"]),
+        ({"ChannelDefinitionSequence": None}, ["0 channels"]),
+        ({"WaveformData": None}, ["truncated", "0 found"]),
+        ({"WaveformBitsAllocated": None}, ["0 bits"]),
+    ],
+)
+def test_groups_that_are_refused(tmp_path, elements, words):
+    item = group(digits())
+    put(item, **elements)
+    refused(write(tmp_path, item), *words)
+
+
+def test_rate_of_the_user(tmp_path):
+    path = write(tmp_path, group(digits(), SamplingFrequency=None))
+    assert read_recording(path, sampling_rate=400).sampling_rate == 400
+    refused(write(tmp_path, group(digits())), "is 500 Hz", sampling_rate=400)
+
+
+class TestOtherFiles:
+    def test_image(self, tmp_path):
+        refused(
+            write(
+                tmp_path,
+                WaveformSequence=None,
+                Modality="CT",
+                SOPClassUID="1.2.840.10008.5.1.4.1.1.2",
+            ),
+            "without a waveform (modality CT, CT Image Storage)",
+        )
+
+    def test_pdf(self, tmp_path):
+        path = write(tmp_path, WaveformSequence=None, SOPClassUID=EncapsulatedPDFStorage)
+        refused(path, "without a waveform (modality ECG, Encapsulated PDF Storage)")
+
+    def test_encrypted(self, tmp_path):
+        path = write(tmp_path, WaveformSequence=None, EncryptedAttributesSequence=[Dataset()])
+        refused(path, "encrypted", "without encryption")
+
+    def test_empty_sequence(self, tmp_path):
+        refused(write(tmp_path), "without a waveform")
+
+    def test_syntaxes_of_images(self, tmp_path):
+        path = write(tmp_path, group(digits()), syntax=ExplicitVRBigEndian)
+        refused(path, "transfer syntax is Explicit VR Big Endian", "Explicit VR Little Endian")
+        path = write(tmp_path, group(digits()))
+        content = path.read_bytes()
+        old = b"1.2.840.10008.1.2.1\0\0"
+        assert content.count(old[:-1]) == 1
+        dataset = pydicom.dcmread(path)
+        dataset.file_meta.TransferSyntaxUID = JPEGBaseline8Bit
+        dataset.save_as(path)
+        refused(path, "transfer syntax is JPEG Baseline")
+
+    def test_encapsulated_waveform(self, tmp_path):
+        item = group(digits())
+        item["WaveformData"].VR = "OB"
+        item["WaveformData"].is_undefined_length = True
+        item.WaveformData = pydicom.encaps.encapsulate([item.WaveformData])
+        refused(write(tmp_path, item), "encapsulated", "without compression")
+
+    def test_deflated_bomb(self, tmp_path):
+        item = group(digits())
+        noise = np.random.default_rng(1).bytes(600_000)
+        item.WaveformData += noise
+        path = write(tmp_path, item, syntax=DeflatedExplicitVRLittleEndian)
+        assert path.stat().st_size < 2**20
+        refused(path, "0.6 MB of deflated DICOM")
+
+    def test_nested_without_end(self, tmp_path):
+        path = write(tmp_path, group(digits()))
+        start = path.read_bytes()[: -len(group(digits()).WaveformData) - 100]
+        item = b"\xfe\xff\x00\xe0\xff\xff\xff\xff" + b"\x00\x54\x00\x01SQ\0\0\xff\xff\xff\xff"
+        path.write_bytes(start[: start.index(b"\x00\x54\x00\x01")] + item[8:] + 5000 * item)
+        refused(path, "DICOM file")
+
+    def test_not_dicom(self, tmp_path):
+        (tmp_path / "a.dcm").write_bytes(b"no DICOM at all" * 40)
+        refused(tmp_path / "a.dcm", "not a DICOM file")
+
+
+@functools.cache
+def written(syntax):
+    """Bytes of a file with limb and chest leads in two groups."""
+    rows = (slice(0, 6), slice(6, 12))
+    groups = [group(digits()[k], LEADS[k], MultiplexGroupTimeOffset="0") for k in rows]
+    with TemporaryDirectory() as folder:
+        return write(Path(folder), *groups, syntax=syntax).read_bytes()
+
+
+FUZZ = fuzzing(80)
+VALUES = [
+    "", "0", "-1", "1e300", "nan", "inf", "0.5", "1e-300", "abc", "1\\2", "2:1", "mV", "MDC",
+    "Lead II", "\n", "é", "SB", "US", "4294967295",
+]  # fmt: skip
+
+
+@FUZZ
+@given(edits=st.lists(st.tuples(st.integers(128, 6000), st.binary(max_size=4)), max_size=3),
+       cut=st.one_of(st.none(), st.integers(0, 30000)),
+       syntax=st.sampled_from([ExplicitVRLittleEndian, ImplicitVRLittleEndian,
+                               DeflatedExplicitVRLittleEndian]))  # fmt: skip
+def test_damaged_bytes(tmp_path, edits, cut, syntax):
+    path = tmp_path / "a.dcm"
+    content = written(syntax)[:cut]
+    for place, new in edits:
+        content = content[:place] + new + content[place + max(1, len(new)) :]
+    path.write_bytes(content)
+    outcome(path)
+
+
+@FUZZ
+@given(keyword=st.sampled_from([
+           "NumberOfWaveformSamples", "SamplingFrequency", "MultiplexGroupTimeOffset",
+           "WaveformSampleInterpretation", "ChannelSensitivity", "ChannelBaseline",
+           "ChannelSensitivityCorrectionFactor", "ChannelSampleSkew", "FilterLowFrequency",
+           "NotchFilterFrequency", "ChannelLabel", "CodeValue", "CodingSchemeDesignator",
+           "CodeMeaning"]),
+       value=st.sampled_from(VALUES), only=st.integers(0, 30))  # fmt: skip
+@example(keyword="MultiplexGroupTimeOffset", value="1e300", only=0)
+def test_senseless_values(tmp_path, keyword, value, only):
+    path = tmp_path / "a.dcm"
+    dataset = pydicom.dcmread(io.BytesIO(written(ExplicitVRLittleEndian)))
+    found = [
+        (item, element)
+        for group in dataset.WaveformSequence
+        for item in (group, *group.ChannelDefinitionSequence)
+        for source in (item, *item.get("ChannelSourceSequence", []))
+        for item, element in [(source, source.get_item(keyword))]
+        if element is not None
+    ]
+    if found:
+        item, element = found[only % len(found)]
+        # as text, which is what damaged or careless files have
+        item[element.tag] = pydicom.DataElement(element.tag, "UT", value)
+    dataset.save_as(path)
+    outcome(path)

@@ -1,0 +1,276 @@
+"""EDF recordings, good, bad and damaged."""
+
+from __future__ import annotations
+
+import warnings
+
+import edfio
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from refusals import fuzzing, outcome, refused
+
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.readers.read import read_recording
+from fascicle.recording.recording import Filters
+
+RATE, N = 500, 1000
+RANGE = 5000.0  # uV; 16 bits resolve 0.15 uV of it
+DIGIT = 2 * RANGE / 65535 / 1000  # mV
+BLOCK = 256
+# Byte offsets of the fields of a signal, times the number of signals
+LABEL, UNIT, PHYSICAL_MIN, PHYSICAL_MAX, DIGITAL_MIN, DIGITAL_MAX = 0, 96, 104, 112, 120, 128
+SAMPLES = 216
+
+
+@pytest.fixture
+def signal():
+    """(12, n) mV, every lead different, limb leads consistent."""
+    t = np.arange(N) / RATE
+    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
+    return lead_matrix() @ waves
+
+
+def signals(signal, labels=LEADS, scale=1000.0, rate=RATE, **options):
+    options = {"physical_dimension": "uV", "physical_range": (-RANGE, RANGE)} | options
+    return [
+        edfio.EdfSignal(scale * lead, rate, label=label, **options)
+        for label, lead in zip(labels, signal, strict=True)
+    ]
+
+
+def write(path, signals, annotations=None):
+    edfio.Edf(signals, annotations=annotations, data_record_duration=1).write(path)
+    return path
+
+
+def patch(path, offset, text, length=8):
+    data = bytearray(path.read_bytes())
+    data[offset : offset + length] = text.encode("latin-1").ljust(length)
+    path.write_bytes(data)
+    return path
+
+
+def field(offset, number, count, length=8):
+    """Offset of a field of one signal in the header."""
+    return BLOCK + offset * count + length * number
+
+
+class TestRead:
+    def test_values_rate_and_gain(self, tmp_path, signal):
+        recording = read_recording(write(tmp_path / "a.edf", signals(signal)))
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        assert recording.sampling_rate == 500
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
+        assert recording.provenance["format"] == "EDF"
+        assert recording.filters == Filters()
+
+    @pytest.mark.parametrize("pattern", ["ECG {}", "EKG {}", "ECG_{}", "ecg  {}", "Lead {}"])
+    def test_labels_of_type_and_sensor(self, tmp_path, signal, pattern):
+        labels = [pattern.format(lead) for lead in LEADS]
+        recording = read_recording(write(tmp_path / "a.edf", signals(signal, labels)))
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+
+    def test_wilson_reference_and_inverted_lead(self, tmp_path, signal):
+        labels = [f"ECG {lead}-WCT" if lead[0] == "V" else lead for lead in LEADS]
+        recording = read_recording(write(tmp_path / "a.edf", signals(signal, labels)))
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        labels = ["ECG -V1" if lead == "V1" else f"ECG {lead}" for lead in LEADS]
+        refused(write(tmp_path / "b.edf", signals(signal, labels)), "lead V1 missing")
+        labels = ["V1-V2" if lead == "V1" else lead for lead in LEADS]
+        refused(write(tmp_path / "c.edf", signals(signal, labels)), "lead V1 missing")
+
+    def test_other_signals_and_annotations_are_left_out(self, tmp_path, signal):
+        breath = edfio.EdfSignal(np.sin(np.arange(50.0)), 25, label="Resp", physical_dimension="l")
+        path = write(
+            tmp_path / "a.edf",
+            [breath, *signals(signal)],
+            [edfio.EdfAnnotation(0.5, None, "lead I off")],
+        )
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        assert recording.ignored == ("Resp",)
+
+    @pytest.mark.parametrize(("unit", "scale"), [("mV", 1.0), ("nV", 1e6), ("V", 1e-3)])
+    def test_units(self, tmp_path, signal, unit, scale):
+        options = {"physical_dimension": unit, "physical_range": (-5 * scale, 5 * scale)}
+        path = write(tmp_path / "a.edf", signals(signal, scale=scale, **options))
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
+
+    def test_micro_sign_of_latin_1(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        for number in range(12):
+            patch(path, field(UNIT, number, 12), "µV")
+        assert read_recording(path).signal == pytest.approx(signal, abs=DIGIT)
+
+    def test_user_says_the_unit_where_the_file_does_not(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal, physical_dimension=""))
+        refused(path, "unknown unit of lead I", "--unit")
+        recording = read_recording(path, unit="uV")
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
+
+    def test_user_and_file_must_agree(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        refused(path, "'uV'", "'mV'", unit="mV")
+        refused(path, "500 Hz", "250 Hz", sampling_rate=250)
+        assert read_recording(path, unit="µV", sampling_rate=500).sampling_rate == 500
+
+    @pytest.mark.parametrize(
+        ("text", "filters"),
+        [
+            ("HP:0.05Hz LP:150Hz N:50Hz", Filters(0.05, 150, 50)),
+            ("HP: 0,5 Hz LP: 40 Hz Notch: 60 Hz", Filters(0.5, 40, 60)),
+            ("HP:0.1 LP:75", Filters(0.1, 75)),
+            ("HP:0Hz LP:0Hz", Filters()),
+            ("HP:0.3s LP:0.15kHz N:none", Filters()),
+            ("", Filters()),
+        ],
+    )
+    def test_filters(self, tmp_path, signal, text, filters):
+        path = write(tmp_path / "a.edf", signals(signal, prefiltering=text))
+        assert read_recording(path).filters == filters
+
+    def test_strictest_filter_where_leads_differ(self, tmp_path, signal):
+        first = signals(signal[:6], LEADS[:6], prefiltering="HP:0.5Hz LP:100Hz")
+        rest = signals(signal[6:], LEADS[6:], prefiltering="HP:0.05Hz LP:40Hz")
+        path = write(tmp_path / "a.edf", [*first, *rest])
+        assert read_recording(path).filters == Filters(0.5, 40)
+
+    def test_physical_range_may_run_downward(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        patch(path, field(PHYSICAL_MIN, 0, 12), "5000")
+        patch(path, field(PHYSICAL_MAX, 0, 12), "-5000")
+        recording = read_recording(path)
+        assert recording.signal[0] == pytest.approx(-signal[0], abs=DIGIT)
+        assert recording.signal[1] == pytest.approx(signal[1], abs=DIGIT)
+
+    def test_unclosed_file_is_counted(self, tmp_path, signal):
+        path = patch(write(tmp_path / "a.edf", signals(signal)), 236, "-1")
+        path.write_bytes(path.read_bytes() + b"\0" * 100)  # of the record in work
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            recording = read_recording(path)
+        assert recording.signal == pytest.approx(signal, abs=DIGIT)
+        assert recording.provenance["data_records"].startswith("2, counted")
+
+
+class TestRefused:
+    def test_leads_at_two_rates(self, tmp_path, signal):
+        path = write(
+            tmp_path / "a.edf",
+            [*signals(signal[:11], LEADS[:11]), *signals(signal[11:, ::2], ["V6"], rate=250)],
+        )
+        refused(path, "'V6' has 250", "'I' 500", "one rate")
+
+    def test_no_lead_or_twice_the_same(self, tmp_path, signal):
+        refused(write(tmp_path / "a.edf", signals(signal[:2], ["EEG Fpz", "EMG"])), "EEG Fpz, EMG")
+        labels = ["V1", "ECG V1"]
+        path = write(tmp_path / "b.edf", [*signals(signal), *signals(signal[:2], labels)])
+        refused(path, "lead V1 is there twice")
+
+    def test_interrupted(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal), [edfio.EdfAnnotation(0, None, "x")])
+        refused(patch(path, 192, "EDF+D", 5), "EDF+D", "gaps")
+
+    def test_bdf(self, tmp_path, signal):
+        bdf = [
+            edfio.BdfSignal(1000 * lead, RATE, label=label, physical_dimension="uV")
+            for label, lead in zip(LEADS, signal, strict=True)
+        ]
+        edfio.Bdf(bdf).write(tmp_path / "a.edf")
+        refused(tmp_path / "a.edf", "BDF", "export")
+
+    @pytest.mark.parametrize(
+        ("offset", "value", "word"),
+        [
+            (DIGITAL_MIN, "32767", "lead aVR has no calibration"),
+            (DIGITAL_MAX, "40000", "lead aVR has no calibration"),
+            (PHYSICAL_MIN, "5000", "lead aVR has no calibration"),
+            (PHYSICAL_MIN, "nan", "lead aVR has no calibration"),
+            (PHYSICAL_MAX, "1e999", "damaged EDF"),
+            (PHYSICAL_MAX, "x", "damaged EDF"),
+            (DIGITAL_MIN, "", "damaged EDF"),
+        ],
+    )
+    def test_no_calibration(self, tmp_path, signal, offset, value, word):
+        path = write(tmp_path / "a.edf", signals(signal))
+        refused(patch(path, field(offset, 3, 12), value), word)
+
+    def test_calibration_of_other_signals_does_not_matter(self, tmp_path, signal):
+        breath = edfio.EdfSignal(np.zeros(50), 25, label="Resp")
+        path = write(tmp_path / "a.edf", [*signals(signal), breath])
+        patch(path, field(DIGITAL_MAX, 12, 13), "-32768")
+        assert read_recording(path).signal == pytest.approx(signal, abs=DIGIT)
+
+    @pytest.mark.parametrize("cut", [1, 7000, 23000])
+    def test_truncated(self, tmp_path, signal, cut):
+        path = write(tmp_path / "a.edf", signals(signal))
+        path.write_bytes(path.read_bytes()[:-cut])
+        refused(path, "EDF" if cut == 23000 else "declares 2 data records")
+
+    def test_header_lies_about_the_length(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        refused(patch(path, 236, "99999999"), "declares 99999999 data records")
+        refused(patch(path, 236, "1"), "declares 1 data records, the file holds 2")
+        refused(patch(path, 236, "0"), "0 data records")
+        refused(patch(path, 236, "two"), "damaged EDF")
+
+    @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e-300", "86400"])
+    def test_impossible_record_duration(self, tmp_path, signal, seconds):
+        refused(patch(write(tmp_path / "a.edf", signals(signal)), 244, seconds))
+
+    def test_too_long_is_refused_before_samples_are_read(self, tmp_path, monkeypatch):
+        flat = [edfio.EdfSignal.from_digital(
+            np.zeros(RATE * 1801, dtype=np.int16), RATE, label=lead, physical_dimension="uV"
+        ) for lead in LEADS]  # fmt: skip
+        path = write(tmp_path / "a.edf", flat)
+        monkeypatch.setattr(edfio.EdfSignal, "data", property(lambda _: pytest.fail("read")))
+        refused(path, "1801 s long")
+
+    @pytest.mark.parametrize(
+        ("offset", "text", "length"),
+        [(252, "0", 4), (252, "-12", 4), (252, "9999", 4), (184, "256", 8), (236, "", 8)],
+    )
+    def test_damaged_header(self, tmp_path, signal, offset, text, length):
+        path = write(tmp_path / "a.edf", signals(signal))
+        refused(patch(path, offset, text, length), "damaged EDF")
+
+    def test_samples_that_cancel(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        patch(path, field(SAMPLES, 0, 12), "1500")
+        refused(patch(path, field(SAMPLES, 1, 12), "-500"), "damaged EDF")
+
+    def test_line_breaks_of_the_file_stay_out_of_messages(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        refused(patch(path, field(UNIT, 0, 12), "m\nV"), r"m\nV")
+        for number in range(12):
+            patch(path, field(LABEL, number, 12, 16), f"x\n{number}", 16)
+        refused(path, r"x\n0")
+
+
+fuzz = fuzzing(150)
+flips = st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), max_size=12)
+
+
+class TestFuzz:
+    @fuzz
+    @given(flips=flips, keep=st.one_of(st.just(1.0), st.floats(0, 1)))
+    @example(flips=[], keep=1.0)
+    def test_damaged_files(self, tmp_path, signal, flips, keep):
+        path = write(tmp_path / "a.edf", signals(signal), [edfio.EdfAnnotation(0, None, "x")])
+        content = bytearray(path.read_bytes())
+        for place, byte in flips:
+            content[place] = byte
+        recording = outcome(path, bytes(content[: round(keep * len(content))]))
+        if not flips and keep == 1:
+            assert recording is not None
+
+    @fuzz
+    @given(content=st.binary(max_size=4000), header=st.booleans())
+    def test_arbitrary_bytes(self, tmp_path, content, header):
+        mark = b"0       " if header else b""
+        assert outcome(tmp_path / "a.edf", mark + content) is None

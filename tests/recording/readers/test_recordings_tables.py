@@ -1,0 +1,548 @@
+"""Recordings from tables, good and bad."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from refusals import fuzzing, refused
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.readers.read import read_recording
+
+RATE, N = 500, 2000
+IN_MV = [f"{lead}_mV" for lead in LEADS]
+fuzz = fuzzing(30, HealthCheck.too_slow)
+
+
+def waves(n=N, rate=RATE):
+    """(12, n) mV, every lead different, limb leads consistent."""
+    t = np.arange(n) / rate
+    potentials = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
+    return lead_matrix() @ potentials
+
+
+@pytest.fixture(scope="module")
+def signal():
+    return waves()
+
+
+def table(signal, names=LEADS, time="time_ms", rate=RATE):
+    step = 1000 / rate if time == "time_ms" else 1 / rate
+    columns = {time: step * np.arange(signal.shape[1])}
+    return pd.DataFrame(columns | dict(zip(names, signal, strict=True)))
+
+
+def save(frame, path, **options):
+    frame.to_csv(path, index=False, **options)
+    return path
+
+
+def write(path, text, encoding="utf-8"):
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def text_of(frame, **options):
+    return frame.to_csv(index=False, **options)
+
+
+class TestUnits:
+    def test_our_own_format_is_in_mv(self, tmp_path, signal):
+        recording = read_recording(save(table(signal), tmp_path / "ecg.csv"))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.sampling_rate == 500
+        assert len(recording.provenance["source_sha256"]) == 64
+
+    @pytest.mark.parametrize(
+        ("pattern", "factor"),
+        [
+            ("{}_uV", 1e3), ("{} [mV]", 1), ("{} (uV)", 1e3), ("lead {} (µV)", 1e3), ("{}_V", 1e-3),
+            ("{}/mV", 1), ("{} / μV", 1e3), ("{}, mV", 1), ("{} in uV", 1e3),
+            ("{}_microvolts", 1e3), ("{} (Wilson) [nV]", 1e6),
+        ],
+    )  # fmt: skip
+    def test_in_the_header(self, tmp_path, signal, pattern, factor):
+        names = [pattern.format(lead.upper()) for lead in LEADS]
+        path = save(table(factor * signal, names, "time_s"), tmp_path / "a.csv")
+        assert_allclose(read_recording(path).signal, signal, rtol=0, atol=1e-9)
+
+    def test_by_the_user_or_a_remark(self, tmp_path, signal):
+        path = save(table(1e3 * signal, time="time_s"), tmp_path / "a.csv")
+        refused(path, "unknown unit of lead I", "--unit")
+        assert_allclose(read_recording(path, unit="uV").signal, signal, rtol=0, atol=1e-9)
+        path = write(tmp_path / "b.csv", f"# units: uV\n{path.read_text()}")
+        assert_allclose(read_recording(path).signal, signal, rtol=0, atol=1e-9)
+        refused(path, "'uV'", "'mV' by --unit", unit="mV")
+
+    @pytest.mark.parametrize("separator", [",", "\t", ";"])
+    def test_in_a_row_under_the_header(self, tmp_path, signal, separator):
+        lines = text_of(table(1e3 * signal, time="time"), sep=separator).splitlines()
+        units = separator.join(["(sec)", *["(µV)"] * 12])
+        path = write(tmp_path / "a.csv", "\n".join([lines[0], units, *lines[1:]]))
+        recording = read_recording(path)
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-9)
+        assert recording.sampling_rate == 500
+
+    def test_as_rdsamp_writes_csv(self, tmp_path, signal):
+        times = [f"'{k // 30000}:{k / 500 % 60:06.3f}'" for k in range(29_000, 29_000 + N)]
+        header = ",".join(["'Elapsed time'", *[f"'{lead.lower()}'" for lead in LEADS]])
+        units = ",".join(["'hh:mm:ss.mmm'", *["'mV'"] * 12])
+        numbers = [",".join(map(repr, sample)) for sample in signal.T.tolist()]
+        rows = [f"{time},{row}" for time, row in zip(times, numbers, strict=True)]
+        path = write(tmp_path / "samples.csv", "\n".join([header, units, *rows]))
+        recording = read_recording(path)
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.sampling_rate == pytest.approx(500, abs=1e-5)
+
+    def test_that_disagree(self, tmp_path, signal):
+        refused(save(table(signal), tmp_path / "a.csv"), "'mV' as in", "'uV' by --unit", unit="uV")
+        path = save(table(signal, IN_MV), tmp_path / "b.csv")
+        refused(path, "I_mV", "'uV' by --unit", unit="uV")
+        assert read_recording(path, unit="millivolt").signal[0] == pytest.approx(signal[0])
+        lines = path.read_text().splitlines()
+        units = ",".join(["ms", *["uV"] * 12])
+        refused(write(tmp_path / "c.csv", "\n".join([lines[0], units, *lines[1:]])), "'uV' by the")
+        units = ",".join(["s", *["mV"] * 12])
+        refused(write(tmp_path / "d.csv", "\n".join([lines[0], units, *lines[1:]])), "time_ms")
+
+    def test_unknown(self, tmp_path, signal):
+        path = save(table(signal, [f"{lead} [adc]" for lead in LEADS]), tmp_path / "a.csv")
+        refused(path, "unknown unit of lead I ('adc')")
+        refused(path, "'adc'", unit="mV")
+        path = save(table(signal, [lead.lower() for lead in LEADS]), tmp_path / "b.csv")
+        refused(path, "unknown unit of lead I (the file names none)")
+
+
+class TestNumbers:
+    @pytest.mark.parametrize("separator", [";", "\t"])
+    def test_decimal_commas(self, tmp_path, signal, separator):
+        path = save(table(signal, IN_MV, "time_s"), tmp_path / "a.csv", sep=separator, decimal=",")
+        recording = read_recording(path)
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.sampling_rate == 500
+
+    def test_decimal_commas_between_commas(self, tmp_path, signal):
+        text = text_of(table(signal, IN_MV, "time_s"), sep=";", decimal=",")
+        refused(write(tmp_path / "a.csv", text.replace(";", ",")), "decimal commas by semicolons")
+        quoted = text_of(table(signal, IN_MV, "time_s").map(lambda x: f"{x:.5f}".replace(".", ",")))
+        refused(write(tmp_path / "b.csv", quoted), "decimal mark")
+
+    def test_thousands_are_not_decimals(self, tmp_path, signal):
+        """1,234 is 1.234 or 1234: nothing in this table says which."""
+        frame = table(1e6 * signal, [f"{lead}_nV" for lead in LEADS]).round().astype(int)
+        frame = frame.iloc[1:]
+        grouped = frame.map(lambda x: f"{x:,}")
+        refused(save(grouped, tmp_path / "a.csv", sep=";"), "groups thousands")
+        grouped = frame.map(lambda x: f"{x:,}".replace(",", "."))
+        refused(save(grouped, tmp_path / "b.csv", sep=";"), "groups thousands")
+
+    def test_both_decimal_marks(self, tmp_path, signal):
+        frame = table(signal, IN_MV).astype(str)
+        frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
+        refused(save(frame, tmp_path / "a.csv", sep=";"), "decimal points", "decimal commas")
+
+    def test_blanks_between_numbers(self, tmp_path, signal):
+        frame = table(signal, IN_MV, "time_s")
+        text = frame.to_string(index=False, float_format="%.6f") + "\n\n"
+        recording = read_recording(write(tmp_path / "a.txt", text))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-6)
+
+    @pytest.mark.parametrize(
+        "encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1", "cp1252", "mac-roman"]
+    )
+    @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+    def test_encodings_and_line_ends(self, tmp_path, signal, encoding, line_end):
+        names = [f"{lead} (µV)" for lead in LEADS]
+        text = text_of(table(1e3 * signal[:, :800], names), lineterminator=line_end)
+        recording = read_recording(write(tmp_path / "a.csv", text, encoding))
+        assert_allclose(recording.signal, signal[:, :800], rtol=0, atol=1e-9)
+
+    def test_text_and_holes(self, tmp_path, signal):
+        frame = table(signal).astype(object)
+        frame.loc[5, "V3"] = "0.25x"
+        refused(save(frame, tmp_path / "a.csv"), "column 'V3'", "row 7", "0.25x")
+        for cell in ("inf", "1e999", "1e4000000000000001", "9" * 400, "True", "-", "0,25"):
+            frame.loc[5, "V3"] = cell
+            refused(save(frame, tmp_path / "b.csv"), "column 'V3'", "row 7")
+        frame = table(signal)
+        frame.loc[5, "V3"] = np.nan
+        refused(save(frame, tmp_path / "c.csv"), "lead V3 lacks 1 samples (first: sample 5")
+        frame = table(signal)
+        frame["V3"] = True
+        refused(save(frame, tmp_path / "d.csv"), "column 'V3'", "True")
+
+    def test_remarks_notes_and_empty_ends(self, tmp_path, signal):
+        frame = table(signal).assign(remark='sinus, "normal"', beat=np.nan)
+        lines = text_of(frame).splitlines()
+        lines = ["# exported", "", *lines[:9], "# here", *lines[9:], ",,,,,,,,,,,,,,", "", "# end"]
+        recording = read_recording(write(tmp_path / "a.csv", "\n".join(lines)), unit="mV")
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.ignored == ("remark", "beat")
+
+    def test_line_of_excel_and_separators_at_line_ends(self, tmp_path, signal):
+        text = text_of(table(signal, IN_MV), sep=";").replace("\n", ";\n")
+        recording = read_recording(write(tmp_path / "a.csv", f"sep=;\n{text}"))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+
+
+class TestLeads:
+    def test_order_spelling_separator_and_extra_columns(self, tmp_path, signal):
+        spelt = [
+            "di", "DII", "d3", "AVR", "avl", "Lead aVF", "c1", "v2", "V3", "v4", "MDC_ECG_LEAD_V5",
+            "V6",
+        ]  # fmt: skip
+        frame = table(signal, [f"{name}_mV" for name in spelt])
+        frame = frame[[frame.columns[0], *frame.columns[:0:-1]]].assign(note_mV=1.0)
+        recording = read_recording(save(frame, tmp_path / "a.csv", sep=";"))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.ignored == ("note_mV",)
+
+    def test_limb_leads_follow_from_two(self, tmp_path, signal):
+        frame = table(signal, IN_MV).drop(columns=["III_mV", "aVR_mV", "aVL_mV", "aVF_mV"])
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.derived == ("III", "aVR", "aVL", "aVF")
+
+    def test_missing_leads_are_named(self, tmp_path, signal):
+        frame = table(signal, IN_MV)[["time_ms", "I_mV", *IN_MV[6:]]].drop(columns="V2_mV")
+        refused(save(frame, tmp_path / "a.csv"), "leads II, V2 missing", "found: I, V1, V3")
+
+    def test_inverted_lead_is_not_the_lead(self, tmp_path, signal):
+        names = [name.replace("V1", "-V1") for name in IN_MV]
+        refused(save(table(signal, names), tmp_path / "a.csv"), "lead V1 missing")
+
+    def test_twice_the_same_lead(self, tmp_path, signal):
+        frame = table(signal, IN_MV)
+        refused(save(frame.assign(v1_uV=1.0), tmp_path / "a.csv"), "lead V1 is there twice")
+        # pandas reads and writes a second V1_mV by this name
+        path = save(frame.assign(**{"V1_mV.1": 1.0}), tmp_path / "b.csv")
+        refused(path, "lead V1 is there twice")
+        lines = path.read_text().replace("V1_mV.1", "V1_mV")
+        refused(write(tmp_path / "c.csv", lines), "lead V1 is there twice")
+
+
+class TestTimes:
+    @pytest.mark.parametrize(
+        ("name", "per_second"),
+        [
+            ("time_ms", 1e3), ("time_s", 1), ("time [ms]", 1e3), ("Time (s)", 1), ("t_ms", 1e3),
+            ("seconds", 1), ("sec", 1), ("msec", 1e3), ("Zeit/ms", 1e3), ("Time in s", 1),
+            ("timestamp_us", 1e6), ("Elapsed time [s]", 1), ("T (µs)", 1e6),
+        ],
+    )  # fmt: skip
+    def test_units(self, tmp_path, signal, name, per_second):
+        frame = table(signal, IN_MV, name)
+        frame[name] = np.arange(N) / RATE * per_second + 0.5 * per_second
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        assert recording.sampling_rate == pytest.approx(500, abs=1e-5)
+        assert recording.ignored == ()
+
+    @pytest.mark.parametrize("step", [1 / RATE, 1000 / RATE, 1])
+    def test_without_a_unit_the_rate_must_be_given_and_fit(self, tmp_path, signal, step):
+        frame = table(signal, IN_MV, "time")
+        frame["time"] = 3 + step * np.arange(N)
+        path = save(frame, tmp_path / "a.csv")
+        refused(path, "unknown unit of the time column 'time'", "--sampling-rate")
+        assert read_recording(path, sampling_rate=500).sampling_rate == 500
+        if step != 1:
+            refused(path, "480 Hz by --sampling-rate, 500 Hz by the column", sampling_rate=480)
+            refused(path, "neither s nor ms", sampling_rate=800)
+
+    def test_without_times_the_rate_must_be_given(self, tmp_path, signal):
+        frame = table(signal, IN_MV)[IN_MV]
+        refused(save(frame, tmp_path / "a.csv"), "no time column", "--sampling-rate")
+        recording = read_recording(tmp_path / "a.csv", sampling_rate=400)
+        assert recording.sampling_rate == 400
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        path = write(tmp_path / "b.csv", f"# fs=1000 Hz\n{(tmp_path / 'a.csv').read_text()}")
+        assert read_recording(path).sampling_rate == 1000
+        refused(path, "400 Hz by --sampling-rate, 1000 Hz by a remark", sampling_rate=400)
+
+    def test_that_disagree_with_the_rate_given(self, tmp_path, signal):
+        path = save(table(signal), tmp_path / "a.csv")
+        refused(path, "512 Hz by --sampling-rate, 500 Hz by the column", sampling_rate=512)
+        assert read_recording(path, sampling_rate=500.2).sampling_rate == 500.2
+
+    def test_sample_numbers_show_gaps(self, tmp_path, signal):
+        frame = table(signal, IN_MV)[IN_MV]
+        frame.insert(0, "sample #", np.arange(N))
+        path = save(frame, tmp_path / "a.csv")
+        assert read_recording(path, sampling_rate=500).sampling_rate == 500
+        path = save(frame.drop(index=range(90, 95)), tmp_path / "b.csv")
+        refused(path, "not evenly spaced", sampling_rate=500)
+
+    @pytest.mark.parametrize(
+        ("rate", "digits", "name"),
+        [(256, 0, "time_ms"), (360, 3, "time_s"), (257, 3, "time_s"), (1000, 3, "time_s"),
+         (720, 3, "time_s"), (977, 0, "time_ms"), (1024, 3, "time_s"), (1000 / 3, 0, "time_ms")],
+    )  # fmt: skip
+    def test_rounded(self, tmp_path, rate, digits, name):
+        frame = table(waves(rate=rate), IN_MV, name, rate)
+        frame[name] = frame[name].round(digits)
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        assert recording.sampling_rate == pytest.approx(rate, rel=1e-4)
+        for gap in (500, 1000, 1900):
+            refused(save(frame.drop(index=gap), tmp_path / "b.csv"), "not evenly")
+
+    def test_rounded_too_much(self, tmp_path, signal):
+        frame = table(signal, IN_MV, "time_s").round({"time_s": 2})
+        refused(save(frame, tmp_path / "a.csv"), "rounded to 10 ms but step by 2 ms")
+
+    def test_uneven(self, tmp_path, signal):
+        path = save(table(signal).drop(index=range(90, 95)), tmp_path / "a.csv")
+        refused(path, "not evenly spaced (12 ms after 0.178 s, 2.0")
+        refused(save(table(signal)[::-1], tmp_path / "b.csv"), "do not increase")
+        refused(save(table(signal).drop(index=1500), tmp_path / "c.csv"), "4 ms after 2.998 s")
+        frame = table(signal)
+        frame.loc[7, "time_ms"] = np.nan
+        refused(save(frame, tmp_path / "d.csv"), "lacks times")
+
+    def test_two_time_columns_must_agree(self, tmp_path, signal):
+        frame = table(signal).assign(time_s=np.arange(N) / 500)
+        assert read_recording(save(frame, tmp_path / "a.csv"), unit="mV").sampling_rate == 500
+        frame["time_s"] *= 2
+        refused(save(frame, tmp_path / "b.csv"), "500 Hz by the column 'time_ms', 250 Hz")
+
+    @pytest.mark.parametrize(
+        "pattern", ["{h:02d}:{m:02d}:{s:06.3f}", "2020-02-01T{h:02d}:{m:02d}:{s:06.3f}Z"]
+    )
+    def test_of_a_clock(self, tmp_path, signal, pattern):
+        frame = table(signal, IN_MV, "Time")
+        at = 36_000 - 2 + np.arange(N) / 500
+        frame["Time"] = [
+            pattern.format(h=int(x // 3600), m=int(x // 60 % 60), s=x % 60) for x in at.round(3)
+        ]
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        assert recording.sampling_rate == pytest.approx(500, abs=1e-4)
+        frame.loc[3, "Time"] = "later"
+        refused(save(frame, tmp_path / "b.csv"), "'later'", "row 5")
+
+    def test_too_long_is_refused_before_it_is_parsed(self, tmp_path):
+        rows = "\n".join(f"{4 * k},0.5" for k in range(500_000))
+        path = write(tmp_path / "a.csv", f"time_ms,I_mV\n{rows}x")
+        refused(path, "recording is 2000 s long")
+
+
+def paper(signal, rhythm="II_rhythm_mV"):
+    """Three rows of leads that take turns, over four columns; II runs along below."""
+    quarter = signal.shape[1] // 4
+    frame = table(signal, IN_MV)
+    for k, name in enumerate(IN_MV):
+        outside = np.arange(signal.shape[1]) // quarter != k // 3
+        frame.loc[outside, name] = np.nan
+    return frame if rhythm is None else frame.assign(**{rhythm: signal[1]})
+
+
+def long_format(frame, rate=RATE):
+    leads = frame.columns[1:]
+    parts = [
+        pd.DataFrame({"Lead": name.removesuffix("_mV"), "time_s": np.arange(len(frame)) / rate,
+                      "Voltage (mV)": frame[name]}).dropna()
+        for name in leads
+    ]  # fmt: skip
+    return pd.concat(parts)
+
+
+class TestPaper:
+    N = 10 * RATE
+
+    def expected(self, signal):
+        rows = np.full_like(signal, np.nan)
+        quarter = self.N // 4
+        for k in range(12):
+            span = slice(quarter * (k // 3), quarter * (k // 3 + 1))
+            rows[k, span] = signal[k, span]
+        return rows
+
+    def test_leads_in_turns(self, tmp_path):
+        signal = waves(self.N)
+        path = save(paper(signal, None), tmp_path / "a.csv")
+        recording = read_recording(path)
+        assert_allclose(recording.signal, self.expected(signal), rtol=0, atol=1e-12)
+
+    @pytest.mark.parametrize(
+        "name", ["II_rhythm_mV", "II (rhythm) [mV]", "Rhythm II_mV", "rhythm strip II_mV"]
+    )
+    def test_the_longer_strip_is_the_lead(self, tmp_path, name):
+        signal = waves(self.N)
+        recording = read_recording(save(paper(signal, name), tmp_path / "a.csv"))
+        expected = self.expected(signal)
+        expected[1] = signal[1]
+        assert_allclose(recording.signal, expected, rtol=0, atol=1e-12)
+        note = recording.provenance["strip_of_II"]
+        assert "10.00 s" in note
+        assert "'II_mV' (2.50 s) is left out" in note
+
+    def test_a_rhythm_strip_of_the_same_length_is_left_out(self, tmp_path, signal):
+        frame = table(signal, IN_MV).assign(II_rhythm_mV=5.0)
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.ignored == ("II_rhythm_mV (left out)",)
+
+    def test_a_rhythm_strip_alone_is_the_lead(self, tmp_path):
+        signal = waves(self.N)
+        frame = paper(signal).drop(columns="II_mV")
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        assert recording.signal[1] == pytest.approx(signal[1], abs=1e-12)
+
+    @pytest.mark.parametrize("shuffled", [False, True])
+    def test_long_format(self, tmp_path, shuffled):
+        signal = waves(self.N)
+        frame = long_format(paper(signal))
+        if shuffled:
+            frame = frame.sort_values("time_s", kind="stable")[["Voltage (mV)", "time_s", "Lead"]]
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        expected = self.expected(signal)
+        expected[1] = signal[1]
+        assert recording.sampling_rate == 500
+        assert_allclose(recording.signal, expected, rtol=0, atol=1e-12)
+
+    def test_long_format_with_a_grid_of_its_own_for_each_lead(self, tmp_path):
+        signal = waves(self.N)
+        frame = long_format(paper(signal, None))
+        rng = np.random.default_rng(1)
+        shift = {lead: rng.uniform(-0.24, 0.24) / RATE for lead in LEADS}
+        frame["time_s"] += frame["Lead"].map(shift)
+        recording = read_recording(save(frame, tmp_path / "a.csv"))
+        finite = np.isfinite(recording.signal)
+        first = np.argmax(finite, axis=1)
+        assert np.abs(first - 1250 * (np.arange(12) // 3)).max() <= 1
+        assert finite.sum(axis=1).tolist() == [1250] * 12
+
+    def test_long_format_at_different_rates(self, tmp_path):
+        signal = waves(self.N)
+        frame = long_format(paper(signal, None))
+        frame.loc[frame["Lead"] == "V2", "time_s"] *= 1.0015
+        refused(save(frame, tmp_path / "a.csv"), "lead 'V2' has 499.2", "resample")
+        frame.loc[frame["Lead"] == "V2", "time_s"] *= 1.1
+        refused(save(frame, tmp_path / "b.csv"), "Hz by lead 'V2'")
+
+    def test_long_format_that_cannot_be_used(self, tmp_path):
+        frame = long_format(paper(waves(self.N), None))
+        refused(save(frame[frame["Lead"] != "V4"], tmp_path / "a.csv"), "lead V4 missing")
+        path = save(frame.rename(columns={"Voltage (mV)": "value"}), tmp_path / "b.csv")
+        refused(path, "unknown unit of lead I")
+        assert read_recording(path, unit="uV").recorded.all()
+        far = frame.copy()
+        far.loc[far["Lead"] == "V6", "time_s"] += 1e9
+        refused(save(far, tmp_path / "c.csv"), "1000000000 s long"[:6])
+        gap = frame.drop(index=400)
+        refused(save(gap, tmp_path / "d.csv"), "not evenly spaced")
+        refused(save(frame.assign(Lead="spam"), tmp_path / "e.csv"), "no lead in the column 'Lead'")
+
+
+class TestNoTables:
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"", b"\n\n", b"\xff\xfe\x00\x01" * 30, b"time_ms,I\n", b'"a,b\n1', b",,,\n,,,\n,,,\n",
+            b"time_ms,I_mV,II_mV\n,,\n,,\n", b"\x00" * 5000, bytes(range(256)) * 40,
+            b'{"I": [1, 2, 3],\n "II": [4, 5, 6],\n "rate": 500}', b"import numpy as np\nx = 1\n",
+            b"Dear colleague,\nthank you, again.\nI saw, II told\n", b"# only\n# remarks\n",
+            b"0,1,2\n3,4,5\n6,7,8\n", b"a b\n1 2\n", b"I_mV,II_mV\n1,2\n", b"\xfe\xff\xd8",
+            b"x" * 200_000, b"," * 200_000, b"a," * 1000 + b"\n" + b"1," * 1000 + b"\n",
+            b"time_ms,I_mV\n0,1\n1,2\n2,3,4\n", b'time_ms,I_mV\n0,1\n1,"2\n2,3\n', b"sep=;\n",
+            b"#\n" * 5000, b"\n" * 5000 + b"time_ms,I_mV\n0,1\n2,3\n",
+            b"time_ms,I_mV\n" + b"0,1\n" * 30 + b"1,2,3\n", b"time_ms,I_mV\n1e308,1\n-1e308,1\n",
+        ],
+    )  # fmt: skip
+    def test_content(self, tmp_path, content):
+        path = tmp_path / "a.csv"
+        path.write_bytes(content)
+        refused(path)
+        refused(path, sampling_rate=500.0, unit="mV")
+
+    def test_zero_bytes_and_endless_lines_in_the_middle(self, tmp_path, signal):
+        text = text_of(table(signal))
+        refused(write(tmp_path / "a.csv", text[:9000] + "\0" + text[9000:]), "byte 0")
+        refused(write(tmp_path / "b.csv", text + "0" * 100_000 + text), "65536 characters")
+
+    @fuzz
+    @given(
+        text=st.text(max_size=300) | st.text(alphabet="IV123aVRtime_smu,;\t\n .-'\"#", max_size=300)
+    )
+    def test_any_text(self, tmp_path, text):
+        path = tmp_path / "a.csv"
+        path.write_bytes(text.encode("utf-8", errors="surrogatepass"))
+        with pytest.raises(InputError) as info:
+            read_recording(path, sampling_rate=500, unit="mV")
+        assert len(str(info.value).splitlines()) == 1
+
+    @fuzz
+    @given(data=st.data())
+    def test_damaged_tables(self, tmp_path, data):
+        """What is still read has the rate and finite samples; the rest is refused in one line."""
+        frame = data.draw(st.sampled_from(damaged_from()))
+        content = bytearray(frame)
+        for _ in range(data.draw(st.integers(1, 4))):
+            at = data.draw(st.integers(0, len(content) - 1) | st.integers(0, 120))
+            junk = data.draw(
+                st.binary(max_size=3) | st.sampled_from([b",", b"\n", b'"', b"#", b"'"])
+            )
+            content[at : at + data.draw(st.sampled_from([0, 1, 5, 2000]))] = junk
+        path = tmp_path / "a.csv"
+        path.write_bytes(bytes(content))
+        try:
+            recording = read_recording(path, leads=["I", "V1"])
+        except InputError:
+            refused(path, leads=["I", "V1"])
+        else:
+            assert recording.sampling_rate == pytest.approx(500, rel=3e-3)
+
+
+def damaged_from():
+    """Small tables of the kinds that are read, as bytes."""
+    signal = waves(800).round(3)
+    frame = table(signal, IN_MV, "time_s").iloc[:, [0, 1, 7]]
+    wide = text_of(frame)
+    quoted = frame.to_csv(index=False, quoting=2).replace('"', "'")
+    return [
+        wide.encode(),
+        text_of(frame, sep=";", decimal=",").encode("latin-1"),
+        quoted.encode(),
+        text_of(long_format(frame)).encode(),
+        wide.encode("utf-16"),
+        frame.to_string(index=False).encode(),
+    ]
+
+
+SPELT = {lead: [lead, lead.upper(), lead.lower(), f"Lead {lead}", f"MDC_ECG_LEAD_{lead}"]
+         for lead in LEADS}  # fmt: skip
+
+
+@fuzz
+@given(data=st.data())
+def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
+    signal = waves(1000)
+    draw = data.draw
+    separator = draw(st.sampled_from([",", ";", "\t"]))
+    decimal = "." if separator == "," else draw(st.sampled_from(".,"))
+    columns = {}
+    clock, scale = draw(st.sampled_from([("time_s", 1), ("t [ms]", 1e3), ("Time (us)", 1e6)]))
+    columns[clock] = np.arange(1000) * scale / RATE
+    for lead in draw(st.permutations(LEADS)):
+        row = signal[LEADS.index(lead)]
+        form, factor = draw(st.sampled_from(
+            [("{}_mV", 1), ("{} [uV]", 1e3), ("{} (µV)", 1e3), ("{}/nV", 1e6), ("{} in V", 1e-3)]
+        ))  # fmt: skip
+        columns[form.format(draw(st.sampled_from(SPELT[lead])))] = factor * row
+    if draw(st.booleans()):
+        columns["comment"] = "none"
+    buffer = io.StringIO()
+    pd.DataFrame(columns).to_csv(
+        buffer, index=False, sep=separator, decimal=decimal, quoting=draw(st.sampled_from([0, 2]))
+    )
+    path = tmp_path / draw(st.sampled_from(["a.csv", "a.tsv", "a.txt"]))
+    write(
+        path, buffer.getvalue(), draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "cp1252"]))
+    )
+    recording = read_recording(path)
+    assert_allclose(recording.signal, signal, rtol=0, atol=1e-9)
+    assert recording.sampling_rate == pytest.approx(RATE, abs=1e-5)

@@ -1,0 +1,485 @@
+"""WFDB records of every signal format and layout, good and bad.
+
+Signal files are packed here, from the text of signal(5), and not by the library that reads them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import socket
+import tracemalloc
+
+import numpy as np
+import pytest
+import wfdb
+from hypothesis import example, given
+from hypothesis import strategies as st
+from refusals import fuzzing, outcome, refused
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.readers.read import read_recording
+
+RATE, N, GAIN = 500, 1500, 40
+EIGHT = ("I", "II", "V1", "V2", "V3", "V4", "V5", "V6")
+
+
+def digits(n=N, gain=GAIN):
+    """(12, n) integers, every lead different, limb leads consistent but for rounding."""
+    t = np.arange(n) / RATE
+    waves = np.array([np.sin(2 * np.pi * (1 + k) * t + k) for k in range(9)])
+    return np.round(gain * (lead_matrix() @ waves)).astype(np.int64)
+
+
+def pack(samples, kind):
+    """Bytes of samples (n, channels) in a signal format."""
+    flat = samples.ravel()
+    if kind == "8":
+        return np.diff(samples, axis=0, prepend=samples[:1]).astype("i1").tobytes()
+    if kind == "24":
+        return flat.astype("<i4").view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
+    if kind == "212":
+        one, two = (flat & 0xFFF).reshape(-1, 2).T
+        octets = [one & 0xFF, (one >> 8) | (two >> 8 << 4), two & 0xFF]
+        return np.stack(octets, axis=1).astype(np.uint8).tobytes()
+    if kind in ("310", "311"):
+        one, two, three = (flat & 0x3FF).reshape(-1, 3).T
+        if kind == "311":
+            return (one | two << 10 | three << 20).astype("<u4").tobytes()
+        words = [one << 1 | (three & 0x1F) << 11, two << 1 | (three >> 5) << 11]
+        return np.stack(words, axis=1).astype("<u2").tobytes()
+    types = {"16": "<i2", "61": ">i2", "32": "<i4", "80": "u1", "160": "<u2"}
+    return (flat + {"80": 2**7, "160": 2**15}.get(kind, 0)).astype(types[kind]).tobytes()
+
+
+def write(
+    folder, samples, kind="16", gain=f"{GAIN}/mV", names=LEADS, name="rec", first=None, **how
+):
+    """Write a record of samples (channels, n); `gain` is one or a list."""
+    stored, prefix = how.get("stored", kind), how.get("prefix", b"")
+    gains = [gain] * len(samples) if isinstance(gain, str) else gain
+    first = f"{name} {len(samples)} {RATE} {samples.shape[1]}" if first is None else first
+    lines = [
+        f"{name}.dat {stored} {gain} 16 0 {row[0]} {int(row.sum()) % 2**16} 0 {lead}"
+        for row, gain, lead in zip(samples, gains, names, strict=True)
+    ]
+    (folder / f"{name}.dat").write_bytes(prefix + pack(samples.T, kind))
+    path = folder / f"{name}.hea"
+    path.write_text("\n".join([first, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def change(path, old, new, count=1):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, count))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["8", "16", "24", "32", "61", "80", "160", "212", "310", "311"])
+def test_signal_formats(tmp_path, kind):
+    path = write(tmp_path, digits(), kind)
+    recording = read_recording(path)
+    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    assert recording.sampling_rate == RATE
+    assert recording.digits_per_millivolt == pytest.approx(np.full(12, GAIN))
+    assert recording.provenance["checksums"] == "agree"
+    data = path.with_suffix(".dat").read_bytes()
+    path.with_suffix(".dat").write_bytes(data[: len(data) // 2 - 1])
+    refused(path, "rec.dat is truncated", "1500 samples", "749 found")
+
+
+@pytest.mark.parametrize("kind", ["508", "516", "524"])
+def test_flac_formats(tmp_path, kind):
+    rows = [LEADS.index(lead) for lead in EIGHT]
+    wfdb.wrsamp(
+        "rec", fs=RATE, units=["mV"] * 8, sig_name=list(EIGHT), d_signal=digits()[rows].T,
+        fmt=[kind] * 8, adc_gain=[GAIN] * 8, baseline=[0] * 8, write_dir=str(tmp_path),
+    )  # fmt: skip
+    path = tmp_path / "rec.hea"
+    recording = read_recording(path)
+    assert recording.signal[rows] == pytest.approx(digits()[rows] / GAIN, abs=1e-12)
+    assert recording.derived == ("III", "aVR", "aVL", "aVF")
+    data = path.with_suffix(".dat").read_bytes()
+    path.with_suffix(".dat").write_bytes(data[: len(data) // 2])
+    refused(path, "damaged")
+    path.with_suffix(".dat").write_bytes(b"RIFF" + data[4:])
+    refused(path, "rec.dat is not FLAC")
+    path.with_suffix(".dat").write_bytes(data)
+    refused(change(path, f"8 {RATE} {N}", f"8 {RATE} {N + 1}"), "truncated", "1501", "1500 found")
+    refused(change(path, f"8 {RATE} {N + 1}", f"8 {RATE}"), "number of samples is absent")
+
+
+def test_several_signal_files_of_several_formats(tmp_path):
+    path = write(tmp_path, digits())
+    lines = path.read_text().splitlines()
+    (tmp_path / "limb.dat").write_bytes(pack(digits()[:6].T, "212"))
+    (tmp_path / "chest.dat").write_bytes(pack(digits()[6:].T, "16"))
+    for k in range(12):
+        new = "limb.dat 212" if k < 6 else "chest.dat 16"
+        lines[k + 1] = lines[k + 1].replace("rec.dat 16", new)
+    path.write_text("\n".join([lines[0], *lines[7:], *lines[1:7]]))
+    recording = read_recording(path)
+    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    both = (tmp_path / "chest.dat").read_bytes() + (tmp_path / "limb.dat").read_bytes()
+    assert recording.provenance["signal_files"] == "chest.dat, limb.dat"
+    assert recording.provenance["signal_sha256"] == hashlib.sha256(both).hexdigest()
+    path.write_text("\n".join([lines[0], lines[1], *lines[7:], *lines[2:7]]))
+    refused(path, "signals of limb.dat", "others between them")
+
+
+def test_byte_offset_as_in_mat_files_of_challenges(tmp_path):
+    path = write(tmp_path, digits(), stored="16+24", prefix=b"header of 24 bytes ok ok")
+    path.with_suffix(".dat").rename(tmp_path / "rec.mat")
+    change(path, "rec.dat", "rec.mat", 12)
+    assert read_recording(path).signal == pytest.approx(digits() / GAIN, abs=1e-12)
+
+
+def test_several_samples_in_a_frame(tmp_path):
+    interleaved = digits().reshape(12, -1, 2).transpose(1, 0, 2).reshape(1, -1)
+    first = f"rec 12 {RATE / 2:g} {N // 2}"
+    path = write(tmp_path, digits(), stored="16x2", first=first)
+    path.with_suffix(".dat").write_bytes(pack(interleaved, "16"))
+    recording = read_recording(path)
+    assert recording.sampling_rate == RATE
+    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    refused(path, "sampling rate is 500 Hz", sampling_rate=250)
+
+
+def test_slower_channels_are_ignored_but_slower_leads_refused(tmp_path):
+    frames = digits().reshape(12, -1, 2).transpose(1, 0, 2).reshape(N // 2, 24)
+    stored = np.concatenate([frames, np.arange(N // 2)[:, None] % 7], axis=1)
+    path = write(tmp_path, digits(), stored="16x2", first=f"rec 13 {RATE / 2:g} {N // 2}")
+    path.with_suffix(".dat").write_bytes(pack(stored, "16"))
+    path.write_text(path.read_text() + f"rec.dat 16 {GAIN}/mmHg 16 0 0 0 0 Resp\n")
+    recording = read_recording(path)
+    assert recording.ignored == ("Resp",)
+    assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    text = path.read_text().replace("Resp", "V6").replace("0 V6", "0 other", 1)
+    path.write_text(text)
+    refused(path, "lead V6 has 750 samples, lead I 1500")
+
+
+def test_skew_is_undone(tmp_path):
+    delayed = digits()
+    for row, delay in [(2, 3), (7, 5)]:
+        delayed[row] = np.roll(delayed[row], delay)
+    path = write(tmp_path, delayed)
+    lines = path.read_text().splitlines()
+    lines[3] = lines[3].replace(" 16 ", " 16:3 ", 1)
+    lines[8] = lines[8].replace(" 16 ", " 16:5 ", 1)
+    path.write_text("\n".join(lines))
+    assert read_recording(path).signal == pytest.approx(digits()[:, :-5] / GAIN, abs=1e-12)
+    refused(change(path, "16:5", "16:1500"), "skewed by 1500 samples")
+
+
+@pytest.mark.parametrize(
+    ("gain", "millivolts", "per_millivolt"),
+    [
+        ("40", 1 / 40, 40),
+        ("40(7)/mV", 1 / 40, 40),
+        ("-40/mV", -1 / 40, 40),
+        ("0.04/uV", 1 / 40, 40),
+        ("4e-02/µV", 1 / 40, 40),
+        ("40000/V", 1 / 40, 40),
+        ("40/V", 25, 0.04),
+    ],
+)
+def test_gain_baseline_and_unit(tmp_path, gain, millivolts, per_millivolt):
+    recording = read_recording(write(tmp_path, digits(), gain=gain))
+    baseline = 7 if "(7)" in gain else 0
+    assert recording.signal == pytest.approx(millivolts * (digits() - baseline), rel=1e-12)
+    assert recording.digits_per_millivolt == pytest.approx(np.full(12, per_millivolt))
+
+
+def test_microvolts_of_old_encodings(tmp_path):
+    path = write(tmp_path, digits(), gain="0.04/µV")
+    path.write_text(path.read_text(encoding="utf-8"), encoding="latin-1")
+    assert read_recording(path).signal == pytest.approx(digits() / GAIN, rel=1e-12)
+    refused(path, "lead I is in 'uV', --unit says 'mV'", unit="mV")
+
+
+def test_unknown_units(tmp_path):
+    refused(write(tmp_path, digits(), gain="40/mmHg"), "unknown unit of lead I ('mmHg')")
+
+
+@pytest.mark.parametrize("gain", ["0", "0.0/mV", "0(5)/mV", "/mV", "x", "1E3/mV", "1,5/mV"])
+def test_uncalibrated(tmp_path, gain):
+    gains = [f"{GAIN}/mV"] * 12
+    gains[2] = gain
+    refused(write(tmp_path, digits(), gain=gains), "unknown unit", "signal 3", gain, "1000/mV")
+
+
+def test_samples_marked_invalid_are_gaps(tmp_path):
+    samples = digits()
+    samples[8, 700] = -(2**15)
+    refused(write(tmp_path, samples), "lead V3 lacks 1 samples", "sample 700")
+
+
+def test_wrong_checksums_are_told(tmp_path):
+    path = write(tmp_path, digits())
+    data = bytearray(path.with_suffix(".dat").read_bytes())
+    data[2 * 3] ^= 1  # of the first sample of aVR
+    path.with_suffix(".dat").write_bytes(data)
+    assert read_recording(path).provenance["checksums"] == "differ for aVR"
+    lines = [line.split() for line in path.read_text().splitlines()]
+    for line in lines[1:]:
+        line[6] = "0"
+    path.write_text("\n".join(" ".join(line) for line in lines))
+    assert "checksums" not in read_recording(path).provenance
+
+
+def test_header_without_a_rate(tmp_path):
+    path = write(tmp_path, digits(), first="rec 12")
+    refused(path, "no sampling rate in the file", "--sampling-rate")
+    assert read_recording(path, sampling_rate=1000).sampling_rate == 1000
+
+
+@pytest.mark.parametrize("kind", ["16", "212", "311"])
+def test_header_without_a_length(tmp_path, kind):
+    path = write(tmp_path, digits(), kind, first="rec 12 500/1.0(0)")
+    assert read_recording(path).signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    path.with_suffix(".dat").write_bytes(b"")
+    refused(path, "rec.dat is empty")
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        ("rec 12 -500 1500", ["sampling rate is '-500'"]),
+        ("rec 12 nan 1500", ["sampling rate is 'nan'"]),
+        ("rec 12 0 1500", ["sampling rate is '0'"]),
+        ("rec 12 360Hz 1500", ["sampling rate is '360Hz'"]),
+        ("rec 12 500,5 1500", ["sampling rate is '500,5'"]),
+        ("rec 12 100 1500", ["100 Hz", "250 Hz is needed"]),
+        ("rec 12 500 -1500", ["number of samples is '-1500'"]),
+        ("rec 12 500 10:30:00", ["number of samples is '10:30:00'"]),
+        ("rec 12 500 0", ["header without data"]),
+        ("rec 0 500 1500", ["header without data (0 signals"]),
+        ("rec 11 500 1500", ["says 11 signals, but 12 lines follow"]),
+        ("rec 13 500 1500", ["says 13 signals, but 12 lines follow"]),
+        ("rec 12 500 900001", ["1800 s long", "cut it"]),
+        ("rec 12 500 999999999999", ["cut it"]),
+        ("rec 12 500 " + "9" * 500, ["not a readable WFDB header"]),
+        ("rec 12 500 1500 99:99:99", ["damaged", "99:99:99"]),
+        ("re.c 12 500 1500", ["not a readable WFDB header"]),
+        ("rec", ["not a readable WFDB header"]),
+        ("µ 12 500 1500", ["not a readable WFDB header"]),
+    ],
+)
+def test_first_lines(tmp_path, first, words):
+    refused(write(tmp_path, digits(), first=first), *words)
+
+
+@pytest.mark.parametrize("content", ["\n# comment\n", "rubbish\n\n", "\0\1", "x" * 2000])
+def test_no_headers(tmp_path, content):
+    (tmp_path / "rec.hea").write_text(content)
+    refused(tmp_path / "rec.hea", "WFDB header")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("rec.dat 16", "http://physionet.org/rec.dat 16", ["signal 1", "in the folder"]),
+        ("rec.dat 16", "s3://bucket/rec.dat 16", ["signal 1", "in the folder"]),
+        ("rec.dat 16", "../rec.dat 16", ["'../rec.dat'"]),
+        ("rec.dat 16", "/etc/passwd 16", ["'/etc/passwd'"]),
+        ("rec.dat 16", "sub\\rec.dat 16", ["signal 1"]),
+        ("rec.dat 16", "a::rec.dat 16", ["signal 1"]),
+        ("rec.dat 16", "r.e.c.dat 16", ["one dot"]),
+        ("rec.dat 16", "~ 16", ["~ is missing"]),
+        ("rec.dat 16", "rek.dat 16", ["rek.dat is missing"]),
+        ("rec.dat 16", "r" * 400 + " 16", ["signal 1"]),
+        ("rec.dat 16", "rec.dat 99", ["signal format of signal 1 is '99'"]),
+        ("rec.dat 16", "rec.dat 16+24:3", ["'16+24:3'"]),
+        ("rec.dat 16", "rec.dat 16x0", ["0 samples in a frame"]),
+        ("rec.dat 16", "rec.dat 212", ["different formats"]),
+        ("rec.dat 16", "rec.dat 16+9", ["different formats or offsets"]),
+    ],
+)
+def test_signal_lines(tmp_path, monkeypatch, old, new, words):
+    def connect(*_):
+        raise AssertionError("a file of a header was looked for in the network")
+
+    monkeypatch.setattr(socket.socket, "connect", connect)
+    refused(change(write(tmp_path, digits()), old, new), *words)
+
+
+def test_missing_and_empty_signal_files(tmp_path):
+    path = write(tmp_path, digits())
+    path.with_suffix(".dat").write_bytes(b"")
+    refused(path, "rec.dat is truncated", "0 found")
+    path.with_suffix(".dat").unlink()
+    refused(path, "rec.dat is missing")
+
+
+def test_claimed_lengths_take_no_memory(tmp_path):
+    path = write(tmp_path, digits(), first=f"rec 12 {RATE} {1800 * RATE}")
+    tracemalloc.start()
+    refused(path, "truncated", "900000 samples", "1500 found")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * 2**20  # the samples would take 86 MB
+    refused(
+        change(path, f"{RATE} {1800 * RATE}", "100000 15000000"), "15000000 samples of each lead"
+    )
+
+
+class TestSegments:
+    @pytest.fixture
+    def parts(self, tmp_path):
+        """Two halves in one folder, the second with other gains and its signals reversed."""
+        write(tmp_path, digits()[:, :700], name="s1")
+        write(tmp_path, 2 * digits()[::-1, 700:], gain=f"{2 * GAIN}/mV", name="s2",
+              names=LEADS[::-1])  # fmt: skip
+        return tmp_path
+
+    def master(self, folder, *segments, total=None):
+        total = sum(length for _, length in segments) if total is None else total
+        lines = [f"rec/{len(segments)} 12 {RATE} {total}", *(f"{n} {k}" for n, k in segments)]
+        (folder / "rec.hea").write_text("\n".join(lines) + "\n")
+        return folder / "rec.hea"
+
+    def test_fixed_layout(self, tmp_path):
+        write(tmp_path, digits()[:, :700], name="s1")
+        write(tmp_path, digits()[:, 700:], name="s2")
+        recording = read_recording(self.master(tmp_path, ("s1", 700), ("s2", 800)))
+        assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, GAIN))
+        assert recording.provenance["signal_files"] == "s1.dat, s1.hea, s2.dat, s2.hea"
+        assert recording.provenance["checksums"] == "agree"
+
+    def test_variable_layout(self, parts):
+        layout = [f"~ 0 {GAIN}/mV 16 0 0 0 0 {lead}" for lead in LEADS]
+        (parts / "rec_layout.hea").write_text("\n".join([f"rec_layout 12 {RATE} 0", *layout]))
+        path = self.master(parts, ("rec_layout", 0), ("s1", 700), ("s2", 800))
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
+        assert np.isnan(recording.digits_per_millivolt).all()  # not the same throughout
+
+    def test_gap(self, parts):
+        path = self.master(parts, ("s1", 700), ("~", 100), ("s2", 800))
+        refused(path, "lacks 100 samples", "sample 700")
+
+    @pytest.mark.parametrize(
+        ("segments", "words"),
+        [
+            ([("s1", 700), ("s3", 800)], ["segment s3 has no header", "s3.hea"]),
+            ([("s1", 700), ("s2", 900)], ["s2 has 800 samples", "expects 900"]),
+            ([("s1", 700), ("rec", 700)], ["segment rec", "segments itself"]),
+            ([("s1", 700), ("../s2", 800)], ["segment 2 is '../s2 800'"]),
+            ([("~", 700), ("~", 800)], ["no signals"]),
+            ([("s1", 700)] * 1001, ["1001 segments"]),
+            ([("s1", 700), ("s2", 10**11)], ["s2 has 800 samples"]),
+        ],
+    )
+    def test_refusals(self, parts, segments, words):
+        refused(self.master(parts, *segments), *words)
+
+    def test_contradictions(self, parts):
+        segments = [("s1", 700), ("s2", 800)]
+        refused(self.master(parts, *segments, total=1501), "hold 1500 samples", "says 1501")
+        path = self.master(parts, *segments)
+        change(parts / "s2.hea", f"{2 * GAIN}/mV", f"{2 * GAIN}/uV")
+        refused(path, "signal V6 differs in unit")
+        change(parts / "s2.hea", f" {RATE} ", " 1000 ")
+        refused(path, "segment s2 is sampled at 1000 Hz, the record at 500 Hz")
+
+
+@pytest.mark.parametrize("folder", ["a b", "[x]*?", "é ü", "http:", "~", "%41"])
+def test_odd_paths(tmp_path, monkeypatch, folder):
+    (tmp_path / folder).mkdir()
+    path = write(tmp_path / folder, digits())
+    other = path.rename(path.with_name("my rec.v2.hea"))
+    for name in (other, other.with_suffix("")):
+        assert read_recording(name).signal == pytest.approx(digits() / GAIN, abs=1e-12)
+    monkeypatch.chdir(tmp_path)
+    assert read_recording(f"{folder}/my rec.v2").source == f"{folder}/my rec.v2.hea"
+    (tmp_path / "link.hea").symlink_to(other)
+    refused(tmp_path / "link.hea", "rec.dat is missing")
+    (tmp_path / "rec.dat").symlink_to(path.with_suffix(".dat"))
+    assert read_recording(tmp_path / "link").signal.shape == (12, N)
+
+
+def test_addresses_are_paths(tmp_path):
+    for address in ("http://physionet.org/rec.hea", "s3://bucket/rec", "gs://bucket/rec.hea"):
+        with pytest.raises(InputError, match="no such file"):
+            read_recording(address)
+    (tmp_path / "simplecache::x").mkdir()
+    refused(write(tmp_path / "simplecache::x", digits()), "has no '::'")
+
+
+def test_signal_file_instead_of_header(tmp_path):
+    refused(write(tmp_path, digits()).with_suffix(".dat"), ".hea")
+
+
+def test_ludb(data_folder):
+    recording = read_recording(data_folder / "ecg" / "ludb" / "24_common.hea")
+    # First samples of the header over its gain
+    assert recording.signal[:4, 0] == pytest.approx(np.array([-8, -90, -82, 49]) / 1000)
+    assert recording.provenance["checksums"] == "agree"
+    assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1000))
+
+
+def test_ptb(data_folder):
+    recording = read_recording(data_folder / "ecg" / "ptb-s0010" / "s0010_re")
+    assert recording.signal.shape == (12, 38400)
+    first = [-489, -458, 31, 474, -260, -214, -88, -241, -112, 212, 393, 390]
+    assert recording.signal[:, 0] == pytest.approx(np.array(first) / 2000)
+    assert recording.ignored == ("vx", "vy", "vz")
+
+
+TOKENS = [
+    "", "0", "-1", "12", "500", "nan", "inf", "1e3", "1e99", "9" * 12, "9" * 400, "16", "8", "212",
+    "310", "16x2", "16:3", "16+24", "16x4:2+1", "516", "0/mV", "1000(5)/uV", "200(99999999999)",
+    "~", "rec.hea", "../x", "/etc/passwd", "http://a/b", "é", "µ", "#", "10:30:00", "00/00/0000",
+    "500/1.0(0)", "rec/2", "s1",
+]  # fmt: skip
+EDITS = st.lists(
+    st.one_of(
+        st.tuples(st.just("token"), st.integers(0, 200), st.sampled_from(TOKENS)),
+        st.tuples(st.just("insert"), st.integers(0, 200), st.sampled_from(TOKENS)),
+        st.tuples(st.just("line"), st.integers(0, 20), st.just("")),
+        st.tuples(st.just("byte"), st.integers(0, 1200), st.binary(min_size=1, max_size=3)),
+        st.tuples(st.just("data"), st.integers(0, 36000), st.binary(max_size=3)),
+        st.tuples(st.just("cut"), st.integers(0, 36000), st.just("")),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+def edited(header, data, edits):
+    """Bytes of a header and its signal file after some damage."""
+    for what, place, new in edits:
+        words = header.split(b" ")
+        if what == "token":
+            words[place % len(words)] = new.encode()
+        elif what == "insert":
+            words.insert(place % len(words), new.encode())
+        header = b" ".join(words)
+        lines = header.split(b"\n")
+        if what == "line":
+            del lines[place % len(lines)]
+            header = b"\n".join(lines)
+        elif what == "byte":
+            header = header[:place] + new + header[place + len(new) :]
+        elif what == "data":
+            data = data[:place] + new + data[place + 2 :]
+        elif what == "cut":
+            data = data[:place]
+    return header, data
+
+
+@fuzzing(150)
+@given(kind=st.sampled_from(["16", "212", "8", "310", "24"]), edits=EDITS)
+@example(kind="16", edits=[("token", 2, "-500")])
+@example(kind="8", edits=[("token", 8, "9" * 12)])  # initial value
+def test_damage(tmp_path, kind, edits):
+    path = write(tmp_path, digits(1000), kind)
+    header, data = edited(path.read_bytes(), path.with_suffix(".dat").read_bytes(), edits)
+    path.write_bytes(header)
+    path.with_suffix(".dat").write_bytes(data)
+    found = outcome(path)
+    if found is not None:
+        assert np.isfinite(found.signal[found.recorded]).all()

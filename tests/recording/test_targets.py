@@ -1,0 +1,156 @@
+"""Targets to and from netCDF."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.recording.covariance import residual_covariance
+from fascicle.recording.target import Target
+from fascicle.recording.target_files import read_target, write_target
+
+
+@pytest.fixture
+def target():
+    rng = np.random.default_rng(4)
+    notes = {
+        "source": "rec.hea",
+        "beats_used": "3",
+        "warnings": "I + III differs; μV ≠ mV",
+        "none": "",
+    }
+    beats, time = rng.normal(size=(3, 12, 201)), np.arange(-80.0, 121.0)
+    return Target(beats, time, -41.5, 62.0, 71.25, notes, onset_sd=3.5, offset_sd=4.25)
+
+
+def test_round_trip_is_exact(target, tmp_path):
+    write_target(target, tmp_path / "new" / "target.nc")
+    again = read_target(str(tmp_path / "new" / "target.nc"))
+    assert np.array_equal(again.beats, target.beats)
+    assert np.array_equal(again.time, target.time)
+    assert (again.qrs_onset, again.qrs_offset, again.heart_rate) == (-41.5, 62.0, 71.25)
+    assert (again.onset_sd, again.offset_sd, again.noise) == (3.5, 4.25, None)
+    assert again.provenance == target.provenance
+    assert again.beats.dtype == np.float64
+
+
+def test_file_explains_itself(target, tmp_path):
+    write_target(target, tmp_path / "target.nc")
+    dataset = xr.load_dataset(tmp_path / "target.nc", engine="h5netcdf")
+    assert dataset["beats"].dims == ("beat", "lead", "time")
+    units = {name: variable.attrs.get("units") for name, variable in dataset.variables.items()}
+    assert units == {
+        "beats": "mV", "mean": "mV", "standard_deviation": "mV",
+        "residual_covariance_leads": "1", "residual_covariance_time": "1",
+        "time": "ms", "qrs_time": "ms", "qrs_time_2": "ms", "beat": "1", "in_qrs": "1",
+        "lead": None, "lead_2": None,
+    }  # fmt: skip
+    assert dataset["mean"].sel(lead="V2", time=7.0).item() == target.mean[7, 87]
+    assert dataset["standard_deviation"].values == pytest.approx(target.standard_deviation)
+    assert dataset["beats"].isel(time=dataset["in_qrs"] == 1).values == pytest.approx(
+        target.qrs_beats
+    )
+    assert all("long_name" in variable.attrs for variable in dataset.variables.values())
+    assert dataset.attrs["qrs_duration_ms"] == 103.5
+    assert dataset.attrs["qrs_onset_sd_ms"] == 3.5
+    assert dataset.attrs["heart_rate_bpm"] == 71.25
+    assert dataset.attrs["provenance_source"] == "rec.hea"
+    assert dataset.attrs["software"].startswith("fascicle ")
+
+
+def test_covariance_can_be_put_together_from_the_file(target, tmp_path):
+    write_target(target, tmp_path / "target.nc")
+    dataset = xr.load_dataset(tmp_path / "target.nc", engine="h5netcdf")
+    sd = dataset["standard_deviation"].isel(time=dataset["in_qrs"] == 1).values
+    leads, time = dataset["residual_covariance_leads"], dataset["residual_covariance_time"]
+    assert "standard_deviation[l, t]" in leads.attrs["comment"]
+    assert 0 < leads.attrs["shrinkage"] <= 1
+    full = residual_covariance(target).full
+    found = sd[2, 5] * sd[9, 11] * leads.values[2, 9] * time.values[5, 11]
+    assert found == pytest.approx(full[2, 5, 9, 11])
+
+
+def test_single_beat_and_unused_leads_come_back(target, tmp_path):
+    beats = target.beats[:1].copy()
+    beats[:, 7] = np.nan
+    one = replace(target, beats=beats, noise=0.03, heart_rate=float("nan"))
+    write_target(one, tmp_path / "one.nc")
+    again = read_target(tmp_path / "one.nc")
+    assert np.array_equal(again.beats, beats, equal_nan=True)
+    assert again.noise == 0.03
+    assert np.isnan(again.heart_rate)
+    assert not again.used[7]
+    assert again.used.sum() == 11
+    dataset = xr.load_dataset(tmp_path / "one.nc", engine="h5netcdf")
+    assert (dataset["standard_deviation"].sel(lead="I") == 0.03).all()
+    assert dataset["standard_deviation"].sel(lead="V2").isnull().all()
+
+
+def test_failed_write_leaves_the_old_file(target, tmp_path, monkeypatch):
+    path = tmp_path / "target.nc"
+    write_target(target, path)
+    before = path.read_bytes()
+
+    def fail(*_args, **_options):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_target(target, path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["target.nc"]
+
+
+def refused(path, word):
+    with pytest.raises(InputError) as info:
+        read_target(path)
+    assert str(info.value).startswith(f"{path}: ")
+    assert word in str(info.value)
+    assert "\n" not in str(info.value)
+
+
+def test_files_that_are_not_targets(target, tmp_path):
+    refused(tmp_path, "is a folder")
+    refused(tmp_path / "none.nc", "no such file")
+    (tmp_path / "text.nc").write_text("not netCDF")
+    refused(tmp_path / "text.nc", "not a readable netCDF file")
+    (tmp_path / "empty.nc").touch()
+    refused(tmp_path / "empty.nc", "not a readable netCDF file")
+    write_target(target, tmp_path / "target.nc")
+    content = (tmp_path / "target.nc").read_bytes()
+    (tmp_path / "short.nc").write_bytes(content[: len(content) // 2])
+    refused(tmp_path / "short.nc", "not a readable netCDF file")
+    xr.Dataset({"a": ("x", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    refused(tmp_path / "other.nc", "not a target")
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda d: d.drop_vars("beats"), "without beats"),
+        (lambda d: d.isel(beat=[0]), "1 beats without a stated noise"),
+        (lambda d: d.isel(lead=slice(0, 8)), "not the standard 12"),
+        (lambda d: d.assign(beats=d["beats"] * np.nan), "not finite"),
+        (lambda d: d.assign(beats=d["beats"].where(d["time"] < 100)), "not finite"),
+        (lambda d: d.assign_attrs(heart_rate_bpm=np.nan), "heart_rate_bpm is"),
+        (lambda d: d.assign_attrs(qrs_onset_ms="early"), "qrs_onset_ms is 'early'"),
+        (lambda d: d.assign_attrs(format_version=99), "format version 99"),
+        (lambda d: d.assign_attrs(format="fascicle heart"), "not a target"),
+    ],
+)
+def test_damaged_targets(target, tmp_path, change, word):
+    write_target(target, tmp_path / "target.nc")
+    dataset = change(xr.load_dataset(tmp_path / "target.nc", engine="h5netcdf"))
+    dataset.to_netcdf(tmp_path / "changed.nc", engine="h5netcdf")
+    refused(tmp_path / "changed.nc", word)
+
+
+def test_leads_are_written_in_order(target, tmp_path):
+    write_target(target, tmp_path / "target.nc")
+    dataset = xr.load_dataset(tmp_path / "target.nc", engine="h5netcdf")
+    assert tuple(dataset["lead"].values) == LEADS
