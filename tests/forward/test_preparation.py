@@ -220,13 +220,13 @@ class TestRealHeart:
 class TestCompilation:
     def test_says_nothing_where_nothing_is_slow(self, monkeypatch):
         Compilation(lambda *_: None).run()  # now everything is compiled
-        monkeypatch.setattr(compilation, "PATIENCE", 60.0)
+        monkeypatch.setattr(compile_kernels, "PATIENCE", 60.0)
         told = []
         Compilation(lambda *what: told.append(what)).run()
         assert told == []
 
     def test_tells_how_far_it_is_where_it_takes_long(self, monkeypatch):
-        monkeypatch.setattr(compilation, "PATIENCE", 0.0)
+        monkeypatch.setattr(compile_kernels, "PATIENCE", 0.0)
         told, steps = [], compile_kernels._steps
 
         def slow_steps():
@@ -235,7 +235,7 @@ class TestCompilation:
             time.sleep(0.1)
             yield from steps()
 
-        monkeypatch.setattr(compilation, "_steps", slow_steps)
+        monkeypatch.setattr(compile_kernels, "_steps", slow_steps)
         Compilation(lambda *what: told.append(what)).run()
         assert [what[:3] for what in told] == [
             ("compilation", done, STEPS) for done in range(STEPS + 1)
@@ -248,7 +248,7 @@ class TestCompilation:
             raise RuntimeError("no compiler")
             yield
 
-        monkeypatch.setattr(compilation, "_steps", broken)
+        monkeypatch.setattr(compile_kernels, "_steps", broken)
         before, told = threading.active_count(), []
         with pytest.raises(RuntimeError, match="no compiler"):
             Compilation(lambda *what: told.append(what)).run()
