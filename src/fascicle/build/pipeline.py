@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fascicle.build.endocardia import endocardia
 from fascicle.build.source import Anatomy, Source, read_anatomy
 from fascicle.core.errors import InputError
-from fascicle.core.progress import Progress, stage_of
+from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import Endocardium
@@ -184,7 +184,7 @@ def heart_of(
     mesh, seeds = anatomy.mesh, seeds if seeds is not None else {}
     fibres, sheets = anatomy.fibres, anatomy.sheets
     if fibres is None:
-        ruled = rule_based_fibres(mesh, angles, stage_of(progress, "fibres"))
+        ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
         fibres, sheets = ruled.fibre, ruled.sheet
     lv, rv = endocardia(mesh)
     surfaces = {"lv": lv, "rv": rv}
@@ -221,9 +221,9 @@ def in_body(
     if surfaces is None:
         return heart
     check_on_skin(source, heart.electrodes, surfaces.skin)
-    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_of(progress, "torso"))
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
     heart = replace(heart, torso=torso)
-    fields = known_lead_fields(heart, Conduction(), stage_of(progress, "lead fields"))
+    fields = known_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
     return replace(heart, lead_fields=fields)
 
 

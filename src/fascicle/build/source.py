@@ -20,7 +20,7 @@ from fascicle.build.segmentation.surface import surface_from_segmentation
 from fascicle.build.surface_files import has_labels, labelled_surface
 from fascicle.build.wall import check_not_swapped
 from fascicle.core.errors import InputError
-from fascicle.core.progress import Progress, stage_of
+from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, Mesh
@@ -142,7 +142,7 @@ def _check_unused(source: Source, what: str, *names: str) -> None:
 def _joined(source: Source, progress: Progress | None) -> LabelledSurface:
     read = {part: _triangles(read_mesh(path, part)) for part, path in source.parts.items()}
     name = str(source.parts["epicardium"])
-    told = stage_of(progress, "surface")
+    told = stage_progress(progress, "surface")
     return join_surfaces(read["lv"], read["rv"], read["epicardium"], read.get("base"), name, told)
 
 
@@ -156,7 +156,7 @@ def _from_surface(
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
         surface = labelled_surface(mesh, source.array, source.numbers, source.labels_file)
         return Anatomy(_meshed(surface, edge_length, progress))
-    told = stage_of(progress, "surface")
+    told = stage_progress(progress, "surface")
     surface = classify_surface(*_triangles(mesh), str(mesh.path), told)
     return Anatomy(_meshed(surface, edge_length, progress), guessed=True)
 
@@ -164,7 +164,7 @@ def _from_surface(
 def _meshed(
     surface: LabelledSurface, edge_length: float, progress: Progress | None
 ) -> LabelledMesh:
-    return mesh_surface(prepared_surface(surface), edge_length, stage_of(progress, "meshing"))
+    return mesh_surface(prepared_surface(surface), edge_length, stage_progress(progress, "meshing"))
 
 
 def _from_segmentation(
@@ -179,7 +179,7 @@ def _from_segmentation(
             f"{segmentation.space.lower()} lays the torso along them"
         )
     surface = surface_from_segmentation(
-        segmentation, labels, stage_of(progress, "surface"), notes.append
+        segmentation, labels, stage_progress(progress, "surface"), notes.append
     )
     mesh = _meshed(surface, edge_length, progress)
     if labels.scar is not None:
@@ -213,7 +213,7 @@ def _from_tetrahedra(source: Source, file: Path, progress: Progress | None) -> A
     if labels is None:
         _check_unused(source, f"{file}, which has no labels (--label-array names one)", "numbers")
         vertices, triangles, _ = read.boundary_surface()
-        told = stage_of(progress, "surface")
+        told = stage_progress(progress, "surface")
         labels = classify_surface(vertices, triangles, str(file), told).labels
     mesh = read.labelled(labels)
     check_not_swapped(mesh)

@@ -1,13 +1,15 @@
-"""How long tasks say how far they are."""
+"""Progress callbacks: how what takes long says how far it is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Protocol
 
+StageProgress = Callable[[int, int], None]  # progress callback of one stage: done, total
+
 
 class Progress(Protocol):
-    """Told how far a stage is.
+    """Progress callback of a run with several stages.
 
     The stages of a study are "initial", "optimisation", "refinement", "posterior" (accepted
     samples), within it "prior" (uniform draws of a round), and, where that falls short, "walk"
@@ -18,14 +20,20 @@ class Progress(Protocol):
         """`done` of `total` in `stage`; `message` says more, for people."""
 
 
-def stage_of(
-    progress: Progress | None, stage: str, message: str = ""
-) -> Callable[[int, int], None] | None:
-    """What tells `progress` how far one stage is, for code that knows of no others."""
+def no_progress(done: int, total: int) -> None:
+    """Stand in for the progress callback of a stage that nobody watches."""
+
+
+def stage_progress(progress: Progress | None, stage: str, message: str = "") -> StageProgress:
+    """Make the callback of one stage, for code that knows of no others.
+
+    Parameters
+    ----------
+    progress : Progress, optional
+        The callback of the whole run.
+    stage, message : str
+        What it is called with; see `Progress`.
+    """
     if progress is None:
-        return None
-
-    def told(done: int, total: int) -> None:
-        progress(stage, done, total, message)
-
-    return told
+        return no_progress
+    return lambda done, total: progress(stage, done, total, message)

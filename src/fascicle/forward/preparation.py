@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
-from fascicle.core.progress import Progress, stage_of
+from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.ecg.action_potential import ActionPotential
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
@@ -114,7 +114,7 @@ def build(
         _lead_field_gradients(heart, conduction, barycentric, progress),
         action_potential,
     )
-    tissue = build_tissue(heart, conduction, stage_of(progress, "preparation", ONCE))
+    tissue = build_tissue(heart, conduction, stage_progress(progress, "preparation", ONCE))
     return Prepared(charts, _seeds(heart, charts), tissue, electrocardiograph)
 
 
@@ -125,7 +125,7 @@ def _lead_field_gradients(
     progress: Progress | None,
 ) -> NDArray[np.float64]:
     """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9, m, 3)."""
-    fields = known_lead_fields(heart, conduction, stage_of(progress, "lead fields", ONCE))
+    fields = known_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
     if fields is not None:
         return nodal_gradients(fields.values, heart.tetrahedra, barycentric)
     return unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso)
