@@ -12,7 +12,7 @@ Printed are the median and the standard deviation of found minus true (ms; an ea
 negative), the same for the baseline, a plain threshold on the spatial velocity (2 % and 5 % of its
 maximum, or twice its lower quartile), and the ratio of the two standard deviations; then for how
 many beats the truth is within two of the standard deviations that `window_uncertainty` gives. The
-lines with a rhythm do the same with recordings of `made_up_recording`, whose QRS begins and ends
+lines with a rhythm do the same with recordings of `synthetic_recording`, whose QRS begins and ends
 with a power of time. The figure, docs/figures/qrs_window_error.png, shows errors against noise. Run
 from the root of the repository.
 """
@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
+from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.forward.model import Simulation
 from fascicle.recording.resampling import resample
-from fascicle.recording.rhythms import made_up_recording
 from fascicle.recording.window import qrs_window, spatial_velocity, window_uncertainty
 
 Array = NDArray[np.float64]
@@ -127,11 +127,11 @@ def simulated(rng: np.random.Generator, qrs: Simulation, ratio: float, count: in
     return Case(beats, BEFORE, BEFORE + duration)
 
 
-def made_up(rng: np.random.Generator, rhythm: str, ratio: float) -> Case | None:
-    """Beats of a made-up recording, laid on each other at their true R peaks; None if too few."""
+def synthetic(rng: np.random.Generator, rhythm: str, ratio: float) -> Case | None:
+    """Beats of a synthetic recording, laid on each other at their true R peaks; None if too few."""
     kind = "blocked" if rhythm == "blocked" else "normal"
-    recording, truth = made_up_recording(
-        rng, rhythm=rhythm, noise_db=ratio, noise=("white", "muscle")
+    recording, truth = synthetic_recording(
+        rng, Synthesis(rhythm=rhythm, noise_db=ratio, noise=("white", "muscle"))
     )
     signal = resample(recording.signal, recording.sampling_rate)
     r = np.round(1000 * truth.r_times).astype(int)
@@ -224,7 +224,7 @@ def main() -> None:
             by_count[beats].append(off)
     for rhythm in ("sinus", "blocked"):
         for ratio in RATIOS[1::2]:
-            drawn = [made_up(rng, rhythm, ratio) for _ in range(count)]
+            drawn = [synthetic(rng, rhythm, ratio) for _ in range(count)]
             cases = [case for case in drawn if case is not None]
             report(f"{rhythm}, {ratio} dB", cases, foresee=True)
     draw(by_count)

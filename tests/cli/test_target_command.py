@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from pydicom.data import get_testdata_file
 
+from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
-from fascicle.recording.rhythms import made_up_recording
 from fascicle.recording.target_files import read_target
 
 RATE, SECONDS = 500, 8
 
 
 def table(path, leads=LEADS, unit="_mV", rate=RATE, seconds=SECONDS, change=None):
-    """Write a made-up recording: beats each 0.8 s, perhaps with changed leads."""
-    recording, _ = made_up_recording(
-        np.random.default_rng(6), rate=rate, seconds=seconds, heart_rate=75.0, noise_db=30.0,
-        respiration=0.02,
-    )  # fmt: skip
+    """Write a synthetic recording: beats each 0.8 s, perhaps with changed leads."""
+    recording, _ = synthetic_recording(
+        np.random.default_rng(6),
+        Synthesis(rate=rate, seconds=seconds, heart_rate=75.0, noise_db=30.0, respiration=0.02),
+    )
     signal = recording.signal.copy()
     if change is not None:
         change(signal)

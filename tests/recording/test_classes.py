@@ -1,21 +1,21 @@
-"""Beats of made-up rhythms, sorted by shape."""
+"""Beats of synthetic rhythms, sorted by shape."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import measured_rows
 from fascicle.recording.choices import Choices
 from fascicle.recording.classes import sort_by_shape
 from fascicle.recording.resampling import resample
-from fascicle.recording.rhythms import made_up_recording
 from fascicle.recording.sorted_beats import prepared, sort_beats, without_spikes
 
 
-def made_up(rhythm, seed, noise_db=None, **more):
-    recording, truth = made_up_recording(
-        np.random.default_rng(seed), rhythm=rhythm, noise_db=noise_db, **more
+def synthetic(rhythm, seed, noise_db=None, **more):
+    recording, truth = synthetic_recording(
+        np.random.default_rng(seed), Synthesis(rhythm=rhythm, noise_db=noise_db, **more)
     )
     signal = resample(recording.signal, recording.sampling_rate)[measured_rows(recording.recorded)]
     return recording, truth, signal
@@ -31,7 +31,7 @@ def found_beats(recording):
 def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
     """Given the true R peaks, every class holds one kind, and every kind is one class."""
     for seed in range(4):
-        _, truth, signal = made_up(rhythm, seed, noise_db)
+        _, truth, signal = synthetic(rhythm, seed, noise_db)
         classes, _ = sort_by_shape(signal, np.round(1000 * truth.r_times).astype(np.int64))
         kinds = np.array(truth.kinds)
         assert len(set(classes)) == len(set(kinds))
@@ -40,7 +40,7 @@ def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
 
 
 def test_marks_that_are_off_are_put_right():
-    _, truth, signal = made_up("sinus", 5, 20.0)
+    _, truth, signal = synthetic("sinus", 5, 20.0)
     peaks = np.round(1000 * truth.r_times).astype(np.int64)
     off = peaks + np.random.default_rng(1).integers(-30, 31, len(peaks))
     _, aligned = sort_by_shape(signal, off)
@@ -50,7 +50,7 @@ def test_marks_that_are_off_are_put_right():
 
 def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
     for seed in range(4):
-        recording, truth, _ = made_up("bigeminy", seed, 20.0, heart_rate=70.0)
+        recording, truth, _ = synthetic("bigeminy", seed, 20.0, heart_rate=70.0)
         found = found_beats(recording)
         kinds = dict(zip(truth.kinds, truth.offsets - truth.onsets, strict=True))
         narrow = min(kinds, key=kinds.__getitem__)
@@ -63,7 +63,7 @@ def test_bigeminy_has_two_classes_of_which_the_narrower_comes_first():
 
 
 def test_ectopic_beats_are_described():
-    recording, truth, _ = made_up("ectopics", 2, 25.0, seconds=20.0)
+    recording, truth, _ = synthetic("ectopics", 2, 25.0, seconds=20.0)
     assert "ectopic" in truth.kinds
     found = found_beats(recording)
     assert found.describe("A") == ""
@@ -72,7 +72,7 @@ def test_ectopic_beats_are_described():
 
 
 def test_paced_beats_are_described():
-    recording, _, _ = made_up("paced", 3, 25.0)
+    recording, _, _ = synthetic("paced", 3, 25.0)
     found = found_beats(recording)
     assert found.describe("A").startswith("paced")
 

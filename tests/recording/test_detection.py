@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.detection import complete_leads, magnitude, r_peaks
-from fascicle.recording.rhythms import made_up_recording
 
 RATE = 500.0
 
 
 def sinus(seed=0, **options):
-    recording, truth = made_up_recording(np.random.default_rng(seed), noise_db=20.0, **options)
+    recording, truth = synthetic_recording(
+        np.random.default_rng(seed), Synthesis(noise_db=20.0, **options)
+    )
     return recording.signal, truth
 
 

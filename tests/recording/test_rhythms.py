@@ -1,12 +1,12 @@
-"""Made-up recordings are what they say."""
+"""Synthetic recordings are what they say."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.rhythms import NOISES, RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
-from fascicle.recording.rhythms import NOISES, RHYTHMS, made_up_recording
 
 ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
 
@@ -19,8 +19,8 @@ def inside(truth, n, rate):
 @pytest.mark.parametrize("rhythm", RHYTHMS)
 @pytest.mark.parametrize("heart_rate", [35, 100, 180])
 def test_beats_are_where_and_as_often_as_stated(rhythm, heart_rate):
-    recording, truth = made_up_recording(
-        np.random.default_rng(1), rhythm=rhythm, heart_rate=heart_rate, seconds=20.0
+    recording, truth = synthetic_recording(
+        np.random.default_rng(1), Synthesis(rhythm=rhythm, heart_rate=heart_rate, seconds=20.0)
     )
     assert len(truth.r_times) == len(truth.kinds) > 5
     assert (truth.onsets >= 0).all()
@@ -34,8 +34,8 @@ def test_beats_are_where_and_as_often_as_stated(rhythm, heart_rate):
 
 @pytest.mark.parametrize("rhythm", ["bigeminy", "blocked"])
 def test_the_qrs_is_zero_outside_its_ends_and_not_inside(rhythm):
-    recording, truth = made_up_recording(
-        np.random.default_rng(2), rhythm=rhythm, rate=2000.0, tall_t=0.0, respiration=0.0
+    recording, truth = synthetic_recording(
+        np.random.default_rng(2), Synthesis(rhythm=rhythm, rate=2000.0, tall_t=0.0, respiration=0.0)
     )
     size = np.abs(recording.signal).max(axis=0)
     t = np.arange(len(size)) / 2000
@@ -53,8 +53,8 @@ def test_the_qrs_is_zero_outside_its_ends_and_not_inside(rhythm):
 
 def test_only_t_waves_grow():
     options = {"rhythm": "ectopics", "respiration": 0.0}
-    usual, truth = made_up_recording(np.random.default_rng(2), **options)
-    tall, _ = made_up_recording(np.random.default_rng(2), tall_t=3.0, **options)
+    usual, truth = synthetic_recording(np.random.default_rng(2), Synthesis(**options))
+    tall, _ = synthetic_recording(np.random.default_rng(2), Synthesis(tall_t=3.0, **options))
     qrs = inside(truth, usual.signal.shape[1], 500.0)
     growth = np.abs(tall.signal - usual.signal)
     assert growth[:, qrs].max() < 1e-12
@@ -62,16 +62,16 @@ def test_only_t_waves_grow():
 
 
 def test_height():
-    recording, _ = made_up_recording(
-        np.random.default_rng(2), height=1.4, respiration=0.0, beat_spread=0.0
+    recording, _ = synthetic_recording(
+        np.random.default_rng(2), Synthesis(height=1.4, respiration=0.0, beat_spread=0.0)
     )
     assert np.abs(recording.signal).max() == pytest.approx(1.4, rel=0.02)
 
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_signal_to_noise_ratio(noise):
-    recording, truth = made_up_recording(
-        np.random.default_rng(3), noise_db=12.0, noise=(noise,), respiration=0.0
+    recording, truth = synthetic_recording(
+        np.random.default_rng(3), Synthesis(noise_db=12.0, noise=(noise,), respiration=0.0)
     )
     qrs = inside(truth, truth.clean.shape[1], 500.0)
     signal = np.mean(truth.clean[ROWS][:, qrs] ** 2)
@@ -81,7 +81,9 @@ def test_signal_to_noise_ratio(noise):
 
 def test_kinds_of_beats():
     def widths(rhythm, seed=4):
-        _, truth = made_up_recording(np.random.default_rng(seed), rhythm=rhythm, seconds=30.0)
+        _, truth = synthetic_recording(
+            np.random.default_rng(seed), Synthesis(rhythm=rhythm, seconds=30.0)
+        )
         width = truth.offsets - truth.onsets
         return {kind: width[np.array(truth.kinds) == kind].mean() for kind in truth.kinds}
 
@@ -96,8 +98,8 @@ def test_kinds_of_beats():
 
 def test_intervals():
     def spread(rhythm):
-        _, truth = made_up_recording(
-            np.random.default_rng(5), rhythm=rhythm, heart_rate=80, seconds=30.0
+        _, truth = synthetic_recording(
+            np.random.default_rng(5), Synthesis(rhythm=rhythm, heart_rate=80, seconds=30.0)
         )
         interval = np.diff(truth.r_times)
         return interval.std() / interval.mean(), interval
@@ -112,8 +114,8 @@ def test_intervals():
 
 def test_spikes_precede_the_qrs():
     for seed in range(4):
-        _, truth = made_up_recording(
-            np.random.default_rng(seed), rhythm="paced", rate=1000.0, spike_size=5.0
+        _, truth = synthetic_recording(
+            np.random.default_rng(seed), Synthesis(rhythm="paced", rate=1000.0, spike_size=5.0)
         )
         lag = truth.onsets - truth.spikes[np.searchsorted(truth.spikes, truth.onsets) - 1]
         assert (lag >= 0.003).all()
@@ -124,7 +126,9 @@ def test_spikes_precede_the_qrs():
 
 def test_einthoven_holds_in_noise_and_the_same_seed_gives_the_same():
     def again():
-        return made_up_recording(np.random.default_rng(8), noise_db=10.0, noise=tuple(NOISES))[0]
+        return synthetic_recording(
+            np.random.default_rng(8), Synthesis(noise_db=10.0, noise=tuple(NOISES))
+        )[0]
 
     recording = again()
     assert recording.signal[0] + recording.signal[2] == pytest.approx(recording.signal[1])
@@ -136,7 +140,9 @@ def test_noise_without_a_beat_is_an_error():
     seed = next(
         seed
         for seed in range(50)
-        if not len(made_up_recording(np.random.default_rng(seed), **options)[1].r_times)
+        if not len(
+            synthetic_recording(np.random.default_rng(seed), Synthesis(**options))[1].r_times
+        )
     )
     with pytest.raises(ValueError, match="no beat in"):
-        made_up_recording(np.random.default_rng(seed), noise_db=10.0, **options)
+        synthetic_recording(np.random.default_rng(seed), Synthesis(noise_db=10.0, **options))

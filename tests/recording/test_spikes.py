@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.recording.rhythms import RHYTHMS, made_up_recording
+from benchmarks.synthetic.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 
 
@@ -26,12 +26,9 @@ def counts(found, times, rate):
 def test_atrial_and_ventricular_spikes_are_found(rate, size, noise_db):
     total, atrial = np.zeros(3), 0
     for seed in range(6):
-        recording, truth = made_up_recording(
+        recording, truth = synthetic_recording(
             np.random.default_rng(seed),
-            rhythm="paced",
-            rate=rate,
-            spike_size=size,
-            noise_db=noise_db,
+            Synthesis(rhythm="paced", rate=rate, spike_size=size, noise_db=noise_db),
         )
         total += counts(find_spikes(recording.signal, rate), truth.spikes, rate)
         atrial += len(truth.spikes) - len(truth.r_times)
@@ -47,8 +44,8 @@ def test_beats_and_noise_are_no_spikes(rhythm):
     for seed in range(2):
         for rate in (250.0, 1000.0):
             for options in ({"height": 5.0}, {"noise_db": 10.0, "noise": ("white", "muscle")}):
-                recording, truth = made_up_recording(
-                    np.random.default_rng(seed), rhythm=rhythm, rate=rate, **options
+                recording, truth = synthetic_recording(
+                    np.random.default_rng(seed), Synthesis(rhythm=rhythm, rate=rate, **options)
                 )
                 assert len(truth.r_times) > 2
                 assert find_spikes(recording.signal, rate).shape == (0, 2)
@@ -57,7 +54,7 @@ def test_beats_and_noise_are_no_spikes(rhythm):
 def test_artefacts_of_one_electrode_are_no_spikes():
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        recording, _ = made_up_recording(rng, rate=1000.0, noise_db=25.0)
+        recording, _ = synthetic_recording(rng, Synthesis(rate=1000.0, noise_db=25.0))
         signal = recording.signal
         for sample in rng.integers(0, 9990, 10):
             signal[rng.integers(6, 12), sample : sample + 2] += rng.uniform(1, 10)
@@ -70,8 +67,10 @@ def test_artefacts_of_one_electrode_are_no_spikes():
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0])
 def test_what_is_left_is_the_beat(rate):
     options = {"rhythm": "paced", "rate": rate, "respiration": 0.0}
-    recording, truth = made_up_recording(np.random.default_rng(3), spike_size=20.0, **options)
-    bare, _ = made_up_recording(np.random.default_rng(3), spike_size=1e-9, **options)
+    recording, truth = synthetic_recording(
+        np.random.default_rng(3), Synthesis(spike_size=20.0, **options)
+    )
+    bare, _ = synthetic_recording(np.random.default_rng(3), Synthesis(spike_size=1e-9, **options))
     assert np.abs(recording.signal - bare.signal).max() > 10
     left = remove_spikes(recording.signal, find_spikes(recording.signal, rate))
     assert np.abs(left - bare.signal).max() < 0.1
@@ -79,8 +78,8 @@ def test_what_is_left_is_the_beat(rate):
 
 
 def test_spikes_are_narrow_and_lie_about_the_pulse():
-    recording, truth = made_up_recording(
-        np.random.default_rng(5), rhythm="paced", rate=1000.0, spike_size=10.0
+    recording, truth = synthetic_recording(
+        np.random.default_rng(5), Synthesis(rhythm="paced", rate=1000.0, spike_size=10.0)
     )
     spikes = find_spikes(recording.signal, 1000.0)
     assert len(spikes) == len(truth.spikes)
@@ -90,8 +89,8 @@ def test_spikes_are_narrow_and_lie_about_the_pulse():
 
 
 def test_leads_recorded_in_turns():
-    recording, truth = made_up_recording(
-        np.random.default_rng(6), rhythm="paced", rate=500.0, spike_size=10.0
+    recording, truth = synthetic_recording(
+        np.random.default_rng(6), Synthesis(rhythm="paced", rate=500.0, spike_size=10.0)
     )
     signal = np.full_like(recording.signal, np.nan)
     for group in range(4):

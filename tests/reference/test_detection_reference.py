@@ -1,15 +1,15 @@
-"""Beats against manual and machine marks, and against what made-up recordings consist of."""
+"""Beats against manual and machine marks, and against what synthetic recordings consist of."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.rhythms import RHYTHMS, made_up_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 
 SAME_BEAT = 0.2  # s; marks of several leads closer than this belong to one beat
@@ -100,16 +100,13 @@ def outcome(found, truth):
     return np.array([(~free).sum(), len(truth.onsets) - (~free).sum(), free.sum()])
 
 
-def made_up_outcome(rhythm, noise_db, seeds, **options):
+def synthetic_outcome(rhythm, noise_db, seeds, **options):
     total = np.zeros(3)
     for seed in seeds:
         for heart_rate in RATES:
-            recording, truth = made_up_recording(
+            recording, truth = synthetic_recording(
                 np.random.default_rng([seed, heart_rate]),
-                rhythm=rhythm,
-                heart_rate=heart_rate,
-                noise_db=noise_db,
-                **options,
+                Synthesis(rhythm=rhythm, heart_rate=heart_rate, noise_db=noise_db, **options),
             )
             signal = recording.signal
             if rhythm == "paced":
@@ -122,7 +119,7 @@ def made_up_outcome(rhythm, noise_db, seeds, **options):
 @pytest.mark.parametrize("noise", [("white",), ("muscle", "mains", "motion", "wander")])
 def test_beats_in_noise_of_15_db(noise):
     by_rhythm = {
-        rhythm: made_up_outcome(rhythm, 15.0, range(100, 104), noise=noise) for rhythm in RHYTHMS
+        rhythm: synthetic_outcome(rhythm, 15.0, range(100, 104), noise=noise) for rhythm in RHYTHMS
     }
     found, missed, false = sum(by_rhythm.values())
     assert found + missed > 2000
@@ -134,14 +131,14 @@ def test_beats_in_noise_of_15_db(noise):
 
 
 def test_beats_in_noise_of_5_db():
-    found, missed, false = sum(made_up_outcome(rhythm, 5.0, range(2)) for rhythm in RHYTHMS)
+    found, missed, false = sum(synthetic_outcome(rhythm, 5.0, range(2)) for rhythm in RHYTHMS)
     assert found / (found + missed) >= 0.98
     assert found / (found + false) >= 0.96
 
 
 def test_beats_among_t_waves_as_tall_as_the_qrs():
     found, missed, false = sum(
-        made_up_outcome(rhythm, 15.0, range(2), tall_t=3.0) for rhythm in RHYTHMS
+        synthetic_outcome(rhythm, 15.0, range(2), tall_t=3.0) for rhythm in RHYTHMS
     )
     assert found / (found + missed) >= 0.98
     assert found / (found + false) >= 0.98

@@ -1,4 +1,4 @@
-"""The QRS window against manual and machine marks, and against exact ends of made-up recordings."""
+"""The QRS window against manual and machine marks, and against the exact ends in synthetic ones."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import fascicle
+from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.resampling import resample
-from fascicle.recording.rhythms import made_up_recording
 from fascicle.recording.window import qrs_window, window_uncertainty
 
 TRIM = 2  # leads left out at each end: one lead marked oddly does not decide
@@ -82,15 +82,15 @@ def test_machine_duration():
     assert target.qrs_duration == pytest.approx(75, abs=15)
 
 
-def made_up_errors(noise_db, count=24):
+def synthetic_errors(noise_db, count=24):
     """Found minus true ends (ms) and what was foreseen of them, each (count, 2)."""
     rng = np.random.default_rng(int(noise_db))
     off, foreseen = [], []
     while len(off) < count:
         rhythm = ("sinus", "blocked")[len(off) % 2]
         kind = "blocked" if rhythm == "blocked" else "normal"
-        recording, truth = made_up_recording(
-            rng, rhythm=rhythm, noise_db=noise_db, noise=("white", "muscle")
+        recording, truth = synthetic_recording(
+            rng, Synthesis(rhythm=rhythm, noise_db=noise_db, noise=("white", "muscle"))
         )
         signal = resample(recording.signal, recording.sampling_rate)
         peaks = np.round(1000 * truth.r_times).astype(int)
@@ -105,8 +105,8 @@ def made_up_errors(noise_db, count=24):
 
 # Smoothing shows a QRS that begins and ends with a kink some ms too wide.
 @pytest.mark.parametrize("noise_db", [15, 20, 30])
-def test_made_up_recordings(noise_db):
-    off, foreseen = made_up_errors(noise_db)
+def test_synthetic_recordings(noise_db):
+    off, foreseen = synthetic_errors(noise_db)
     bias, spread = off.mean(axis=0), off.std(axis=0)
     assert (np.abs(bias) < 8).all()
     assert (spread < 6.5).all()

@@ -22,7 +22,7 @@ BEFORE, AFTER = 200, 300  # ms about R
 MM = RESOLUTION / 25.4  # pixels
 
 
-def made_up(
+def synthetic(
     duration=10.0,
     interval=0.8,
     scale=1.0,
@@ -107,7 +107,7 @@ def edges(polygon):
 
 
 def test_panels_show_every_beat_the_mean_and_the_spread_of_the_target():
-    analysis = made_up(unused=(3,))
+    analysis = synthetic(unused=(3,))
     target = analysis.target
     panels = recording_figure(analysis).axes[1:]
     assert [axes.texts[0].get_text() for axes in panels] == list(LEADS)
@@ -126,7 +126,7 @@ def test_panels_show_every_beat_the_mean_and_the_spread_of_the_target():
 
 
 def test_panels_share_a_scale_about_the_window_that_holds_the_beats():
-    analysis = made_up()
+    analysis = synthetic()
     beats = analysis.target.beats.copy()
     beats[2, 7, BEFORE + 20] = -3.1  # in the window
     beats[3, 4, BEFORE + 150] = 90.0  # an artefact outside
@@ -145,14 +145,14 @@ def test_window_and_its_uncertainty_are_where_the_target_has_them():
         found = [(p.get_x(), p.get_x() + p.get_width()) for p in axes.patches]
         return found, [line.get_xdata()[0] for line in axes.lines[:2]]
 
-    analysis = made_up()
+    analysis = synthetic()
     assert spans(analysis) == ([(-76.0, 86.0), (-79.0, -73.0), (82.0, 90.0)], [-76.0, 86.0])
     given = replace(analysis.target, onset_sd=0.0, offset_sd=0.0)
     assert spans(replace(analysis, target=given)) == ([(-76.0, 86.0)], [-76.0, 86.0])
 
 
 def test_strip_shows_the_signal_at_the_stated_scale():
-    analysis = made_up(unused=(2,))
+    analysis = synthetic(unused=(2,))
     strip = recording_figure(analysis).axes[0]
     level = analysis.signal - np.median(analysis.signal, axis=1, keepdims=True)
     whole = np.full((12, 10_000), np.nan)
@@ -166,7 +166,7 @@ def test_strip_shows_the_signal_at_the_stated_scale():
 
 
 def test_squares_of_the_paper_are_squares_of_40_ms_and_a_tenth_of_a_millivolt():
-    figure = recording_figure(made_up())
+    figure = recording_figure(synthetic())
     figure.set_dpi(RESOLUTION)
     assert figure.get_size_inches() * 25.4 == pytest.approx([210, 297])
     strip = figure.axes[0]
@@ -188,7 +188,7 @@ def test_squares_of_the_paper_are_squares_of_40_ms_and_a_tenth_of_a_millivolt():
 
 @pytest.mark.parametrize("chosen", ["A", "B"])
 def test_beats_have_the_colour_of_their_class_and_the_chosen_one_is_blue(chosen):
-    analysis = made_up(labels="AABAC", chosen=chosen, unused=(6, 8), interval=0.6)
+    analysis = synthetic(labels="AABAC", chosen=chosen, unused=(6, 8), interval=0.6)
     colours = class_colours(analysis)
     assert colours[chosen] == BLUE
     assert len(set(colours.values())) == 3
@@ -208,7 +208,7 @@ def test_beats_have_the_colour_of_their_class_and_the_chosen_one_is_blue(chosen)
 
 
 def test_numbers_stand_above_their_beats_and_are_hollow_where_unused():
-    analysis = made_up(labels="AAB", unused=(4,))
+    analysis = synthetic(labels="AAB", unused=(4,))
     figure = recording_figure(analysis)
     found = numbers(figure.axes[0])
     assert list(found) == [beat.number for beat in analysis.beats]
@@ -222,7 +222,7 @@ def test_numbers_stand_above_their_beats_and_are_hollow_where_unused():
 
 
 def test_classes_beyond_the_colours_share_the_grey_and_a_line_of_the_legend():
-    analysis = made_up(labels="ABCDEFGHIJKL", interval=0.4)
+    analysis = synthetic(labels="ABCDEFGHIJKL", interval=0.4)
     colours = class_colours(analysis)
     assert len({colours[label] for label in "ABCDEF"}) == 6
     assert len({colours[label] for label in "GHIJKL"}) == 1
@@ -231,13 +231,13 @@ def test_classes_beyond_the_colours_share_the_grey_and_a_line_of_the_legend():
 
 def test_pacing_spikes_are_marked_at_their_time():
     spikes = np.array([0.35, 1.15, 1.95, 12.0])
-    strip = recording_figure(made_up(duration=20.0, spikes=spikes)).axes[0]
+    strip = recording_figure(synthetic(duration=20.0, spikes=spikes)).axes[0]
     (marks,) = (c for c in strip.collections if c.get_label() == "spikes")
     np.testing.assert_array_equal([line[0, 0] for line in marks.get_segments()], spikes[:3])
 
 
 def test_spikes_do_not_take_the_room_of_the_leads():
-    plain = made_up()
+    plain = synthetic()
     signal, times = plain.signal.copy(), np.arange(0.3, 9.9, 0.4)
     for time in times:
         signal[:, round(time * 1e3)] += 8.0
@@ -248,7 +248,7 @@ def test_spikes_do_not_take_the_room_of_the_leads():
 
 
 def test_of_a_long_recording_the_first_ten_seconds_are_shown():
-    analysis = made_up(duration=38.4)
+    analysis = synthetic(duration=38.4)
     figure = recording_figure(analysis)
     assert figure.axes[0].get_xlim() == (0.0, 10.0)
     assert any(text.startswith("first 10 s of 38.4 s") for text in texts(figure))
@@ -256,7 +256,7 @@ def test_of_a_long_recording_the_first_ten_seconds_are_shown():
 
 
 def test_ten_seconds_with_used_beats_are_shown_where_the_first_have_none():
-    analysis = made_up(duration=38.4, unused=tuple(range(1, 26)))  # the 26th is at 20.4 s
+    analysis = synthetic(duration=38.4, unused=tuple(range(1, 26)))  # the 26th is at 20.4 s
     start = strip_start(analysis)
     assert 18.0 <= start <= 20.0
     figure = recording_figure(analysis)
@@ -271,7 +271,7 @@ def test_ten_seconds_with_used_beats_are_shown_where_the_first_have_none():
 
 
 def test_absent_leads_say_so_and_draw_nothing():
-    analysis = made_up()
+    analysis = synthetic()
     signal, beats = analysis.signal.copy(), analysis.target.beats.copy()
     signal[[2, 8]], beats[:, [2, 8]] = np.nan, np.nan
     figure = recording_figure(
@@ -288,7 +288,7 @@ def test_absent_leads_say_so_and_draw_nothing():
 
 
 def test_leads_in_turns_are_drawn_in_their_turn():
-    analysis = made_up(duration=20.0)
+    analysis = synthetic(duration=20.0)
     signal = np.full((12, 20_000), np.nan)
     for turn in range(4):
         here = (slice(3 * turn, 3 * turn + 3), slice(5000 * turn, 5000 * turn + 5000))
@@ -306,7 +306,7 @@ def test_leads_in_turns_are_drawn_in_their_turn():
 
 
 def test_tall_leads_halve_the_gain_and_do_not_cross():
-    figure = recording_figure(made_up(scale=3.0))
+    figure = recording_figure(synthetic(scale=3.0))
     assert any("3.8 mm/mV" in text and "5 mm/mV: half gain" in text for text in texts(figure))
     assert any("40 ms, 0.2 mV" in text for text in texts(figure))
     strip = figure.axes[0]
@@ -319,7 +319,7 @@ def test_tall_leads_halve_the_gain_and_do_not_cross():
 
 
 def test_leads_too_tall_for_any_gain_stay_on_the_paper():
-    strip = recording_figure(made_up(scale=60.0)).axes[0]
+    strip = recording_figure(synthetic(scale=60.0)).axes[0]
     bottom, top = strip.get_ylim()
     names = baselines(strip)
     assert bottom < names.min()
@@ -328,7 +328,7 @@ def test_leads_too_tall_for_any_gain_stay_on_the_paper():
 
 
 def test_a_short_artefact_leaves_the_gain_alone():
-    analysis = made_up()
+    analysis = synthetic()
     signal = analysis.signal.copy()
     signal[7, 5000:5010] += 20.0
     figure = recording_figure(replace(analysis, signal=signal))
@@ -338,7 +338,7 @@ def test_a_short_artefact_leaves_the_gain_alone():
 
 
 def test_single_beat_shows_the_stated_noise():
-    analysis = made_up()
+    analysis = synthetic()
     single = replace(
         analysis.target, beats=analysis.target.beats[:1], noise=0.05, heart_rate=np.nan
     )
@@ -353,7 +353,7 @@ def test_single_beat_shows_the_stated_noise():
 
 
 def test_of_very_many_beats_some_are_drawn_and_the_page_says_so():
-    analysis = made_up(duration=100.0, interval=0.7)
+    analysis = synthetic(duration=100.0, interval=0.7)
     count = len(analysis.target.beats)
     assert count > MOST_DRAWN
     figure = recording_figure(analysis)
@@ -364,7 +364,7 @@ def test_of_very_many_beats_some_are_drawn_and_the_page_says_so():
 
 
 def test_head_tells_the_measures():
-    figure = recording_figure(made_up(labels="AAB", source="/ward 3/scans/a.hea"))
+    figure = recording_figure(synthetic(labels="AAB", source="/ward 3/scans/a.hea"))
     found = [text.get_text() for text in figure.texts]
     assert found[0] == "a.hea"
     (measures,) = (text for text in found if "QRS" in text and "about R" in text)
@@ -379,7 +379,9 @@ def test_head_tells_the_measures():
 def test_warnings_are_named_as_far_as_they_fit():
     def page(count):
         return texts(
-            recording_figure(made_up(warnings=[f"lead {k} hums; filter it" for k in range(count)]))
+            recording_figure(
+                synthetic(warnings=[f"lead {k} hums; filter it" for k in range(count)])
+            )
         )
 
     assert [t for t in page(5) if t.startswith("!")] == [
@@ -402,7 +404,7 @@ NAMES = (
 @pytest.mark.parametrize("name", NAMES)
 def test_no_name_is_read_as_a_formula_or_leaves_the_page(name):
     warnings = [f"{name} $\\alpha$ ".replace("\n", " ") * 12] * 4
-    analysis = made_up(labels="AB", source=name, warnings=warnings, unused=(5,))
+    analysis = synthetic(labels="AB", source=name, warnings=warnings, unused=(5,))
     classes = tuple(replace(known, description=name) for known in analysis.classes)
     figure = recording_figure(replace(analysis, classes=classes))
     for text, box in placed(figure):
@@ -413,7 +415,7 @@ def test_no_name_is_read_as_a_formula_or_leaves_the_page(name):
 
 
 def test_drawn_texts_do_not_overlap():
-    analysis = made_up(labels="AABAC", spikes=np.array([1.1, 2.0]), unused=(1,))
+    analysis = synthetic(labels="AABAC", spikes=np.array([1.1, 2.0]), unused=(1,))
     figure = recording_figure(analysis)
     boxes = placed(figure)
     for k, (text, box) in enumerate(boxes):
@@ -425,7 +427,7 @@ def test_drawn_texts_do_not_overlap():
 def test_page_is_written_in_every_format_without_a_warning(tmp_path, suffix):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        analysis = made_up(labels="AAB", source="心 $5 & <b>.hea", unused=(2,))
+        analysis = synthetic(labels="AAB", source="心 $5 & <b>.hea", unused=(2,))
         path = save(recording_figure(analysis), tmp_path / f"page.{suffix}")
     start = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}[suffix]
     assert path.read_bytes().startswith(start)
@@ -442,8 +444,10 @@ def test_real_recordings_fit_at_the_standard_gain(data_folder, name, window):
 
     recording = read_recording(data_folder / "ecg" / name)
     signal = resample(recording.signal, recording.sampling_rate)
-    target = replace(made_up().target, qrs_onset=window[0], qrs_offset=window[1])
-    figure = recording_figure(replace(made_up(), recording=recording, signal=signal, target=target))
+    target = replace(synthetic().target, qrs_onset=window[0], qrs_offset=window[1])
+    figure = recording_figure(
+        replace(synthetic(), recording=recording, signal=signal, target=target)
+    )
     assert any("7.6 mm/mV" in text for text in texts(figure))
     assert figure.texts[0].get_text() == name.split("/")[1]
 

@@ -68,7 +68,7 @@ def combine(cuts: Sequence[CutBeats]) -> CutBeats:
     """Put beats of leads that were recorded in turns together, the first with the first.
 
     Beats of different groups are aligned by the leads that they share, or else by the root mean
-    square of their mean beats: in made-up recordings cut up in this way, half of the groups were
+    square of their mean beats: in synthetic recordings cut up in this way, half of the groups were
     right to within 2 ms, one in ten was off by more than 12 ms, and the worst by 50 ms. There are
     as many beats as the group with the fewest has.
 

@@ -1,4 +1,4 @@
-"""Beats made up: of a simulated ECG, and of a single recorded one with its noise."""
+"""Synthetic beats: of a simulated ECG, and of a single recorded one with its noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When beats come in each rhythm, and of which kind they are, for made-up recordings."""
+"""When beats come in each rhythm, and of which kind they are, for synthetic recordings."""
 
 from __future__ import annotations
 

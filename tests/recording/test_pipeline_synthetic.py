@@ -1,4 +1,4 @@
-"""Targets of made-up recordings whose QRS is known exactly."""
+"""Targets of synthetic recordings whose QRS is known exactly."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def true_window(target, times):
 @pytest.mark.parametrize("rate", [250.0, 360.0, 500.0, 977.0, 1000.0, 2000.0])
 def test_window_is_found_at_every_sampling_rate(rate):
     signal, times = ecg(rate)
-    target = make_target(Recording(signal, rate, "made up"))
+    target = make_target(Recording(signal, rate, "synthetic"))
     onset, offset = true_window(target, times)
     assert target.qrs_onset == pytest.approx(onset, abs=7)
     assert target.qrs_offset == pytest.approx(offset, abs=7)
@@ -74,7 +74,7 @@ def test_window_is_found_at_every_sampling_rate(rate):
 @pytest.mark.parametrize("interval", [360.0, 500.0, 1500.0])
 def test_slow_and_fast_rhythms(interval):
     signal, times = ecg(interval=interval, jitter=3.0)
-    target = make_target(Recording(signal, 500.0, "made up"))
+    target = make_target(Recording(signal, 500.0, "synthetic"))
     assert target.heart_rate == pytest.approx(60000 / interval, rel=0.02)
     assert len(target.beats) >= len(times) - 2
     assert target.time[-1] - target.time[0] <= min(700, interval) + 1
@@ -82,7 +82,7 @@ def test_slow_and_fast_rhythms(interval):
 
 def test_tall_t_waves_are_not_beats():
     signal, _ = ecg(interval=1200.0, tall_t=5.0)
-    target = make_target(Recording(signal, 500.0, "made up"))
+    target = make_target(Recording(signal, 500.0, "synthetic"))
     assert target.heart_rate == pytest.approx(50, rel=0.02)
     assert target.qrs_duration == pytest.approx(OFFSET - ONSET, abs=14)
 
@@ -125,7 +125,7 @@ def test_majority_of_odd_beats_is_reported():
 
 def test_alignment_is_better_than_a_sample():
     signal, _ = ecg(rate=1000.0)
-    target = make_target(Recording(signal, 1000.0, "made up"))
+    target = make_target(Recording(signal, 1000.0, "synthetic"))
     noise = 0.004 * np.sqrt(1 + 1 / 20)
     slope = np.abs(np.gradient(target.mean, axis=1)).max()
     assert target.standard_deviation.max() < 0.6 * slope + 3 * noise
@@ -137,7 +137,7 @@ def test_two_beats_suffice():
 
 
 def test_window_can_be_given():
-    recording = Recording(ecg()[0], 500.0, "made up")
+    recording = Recording(ecg()[0], 500.0, "synthetic")
     target = make_target(recording, onset=-60, offset=80.5)
     assert (target.qrs_onset, target.qrs_offset, target.qrs_duration) == (-60, 80.5, 140.5)
     assert target.qrs.shape == (12, 141)
@@ -152,7 +152,7 @@ def test_window_can_be_given():
 )
 def test_impossible_windows_are_refused(onset, offset):
     with pytest.raises(InputError, match=r"QRS window.* ms") as info:
-        make_target(Recording(ecg()[0], 500.0, "made up"), onset=onset, offset=offset)
+        make_target(Recording(ecg()[0], 500.0, "synthetic"), onset=onset, offset=offset)
     assert "\n" not in str(info.value)
 
 
@@ -209,7 +209,7 @@ def test_unequal_gains_are_refused_and_equal_ones_are_not():
 
 def test_leads_are_not_mixed_up():
     signal, _ = ecg()
-    target = make_target(Recording(signal, 500.0, "made up"))
+    target = make_target(Recording(signal, 500.0, "synthetic"))
     i, ii, iii, avr = (target.mean[LEADS.index(lead)] for lead in ("I", "II", "III", "aVR"))
     assert i + iii == pytest.approx(ii, abs=0.02)
     assert avr == pytest.approx(-(i + ii) / 2, abs=0.02)
@@ -256,7 +256,7 @@ def test_beats_of_another_class_are_what_they_are():
 def test_odd_rates_do_not_drift(rate):
     """Beats a minute on lie where they were recorded."""
     signal, times = ecg(rate=rate, seconds=60.0, jitter=0.0)
-    beats = analyse(Recording(signal, rate, "made up")).beats
+    beats = analyse(Recording(signal, rate, "synthetic")).beats
     interval = np.diff([beat.time for beat in beats])
     assert (beats[-1].time - beats[0].time) == pytest.approx((len(interval)) * 0.85, abs=0.0015)
     assert len(times) == len(beats)

@@ -1,4 +1,4 @@
-"""Made-up recordings of every rhythm whose beats, QRS ends and pacing spikes are known exactly."""
+"""Synthetic recordings in every rhythm; beats, QRS ends and pacing spikes are known exactly."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.synthetic.artefacts import NOISES, SIGHT, f_waves, pulses, samples
+from benchmarks.synthetic.schedules import MARGIN, RHYTHMS
 from fascicle.core.leads import ELECTRODES, INDEPENDENT_ROWS, lead_matrix
-from fascicle.recording.artefacts import NOISES, SIGHT, f_waves, pulses, samples
 from fascicle.recording.recording import Recording
-from fascicle.recording.schedules import MARGIN, RHYTHMS
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a made-up recording consists of.
+    """What a synthetic recording consists of.
 
     Attributes
     ----------
@@ -76,30 +76,12 @@ class _Shape:
         return float(share[np.argmax(power)])
 
 
-def made_up_recording(
-    rng: np.random.Generator,
-    *,
-    rhythm: str = "sinus",
-    rate: float = 500.0,
-    seconds: float = 10.0,
-    noise_db: float | None = None,
-    noise: Sequence[str] = ("white",),
-    heart_rate: float | None = None,
-    height: float | None = None,
-    tall_t: float = 1.0,
-    spike_size: float | None = None,
-    beat_spread: float = 0.03,
-    respiration: float = 0.1,
-) -> tuple[Recording, Truth]:
-    """Twelve leads of a random heart in a given rhythm.
+@dataclass(frozen=True)
+class Synthesis:
+    """What a synthetic recording is made of.
 
-    Each kind of beat has one random shape, the same in every beat but for its size and width. No
-    QRS is cut by the ends of the recording.
-
-    Parameters
+    Attributes
     ----------
-    rng : numpy.random.Generator
-        Source of everything that is random.
     rhythm : str
         One of `RHYTHMS`.
     rate : float
@@ -127,6 +109,35 @@ def made_up_recording(
         Relative standard deviation of the beats' size; their width varies half as much.
     respiration : float
         Amplitude (mV) of the drift by respiration; the beats' size follows it by 5 % at 0.1.
+    """
+
+    rhythm: str = "sinus"
+    rate: float = 500.0
+    seconds: float = 10.0
+    noise_db: float | None = None
+    noise: Sequence[str] = ("white",)
+    heart_rate: float | None = None
+    height: float | None = None
+    tall_t: float = 1.0
+    spike_size: float | None = None
+    beat_spread: float = 0.03
+    respiration: float = 0.1
+
+
+def synthetic_recording(
+    rng: np.random.Generator, made_of: Synthesis | None = None
+) -> tuple[Recording, Truth]:
+    """Twelve leads of a random heart in a given rhythm.
+
+    Each kind of beat has one random shape, the same in every beat but for its size and width. No
+    QRS is cut by the ends of the recording.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of everything that is random.
+    made_of : Synthesis, optional
+        Rhythm, length, noise and the like; by default 10 s of sinus rhythm without noise.
 
     Returns
     -------
@@ -138,31 +149,36 @@ def made_up_recording(
     ValueError
         When noise is wanted and no beat falls into the recording.
     """
-    pulse = 60 / (heart_rate if heart_rate is not None else rng.uniform(50, 110))
-    times, kinds = RHYTHMS[rhythm](rng, pulse, seconds + MARGIN)
-    goal = height if height is not None else rng.uniform(0.8, 3)
-    shapes = {kind: _shape(rng, kind, goal, tall_t) for kind in sorted(set(kinds))}
-    if rhythm == "fibrillation":
+    options = made_of if made_of is not None else Synthesis()
+    pulse = 60 / (options.heart_rate if options.heart_rate is not None else rng.uniform(50, 110))
+    times, kinds = RHYTHMS[options.rhythm](rng, pulse, options.seconds + MARGIN)
+    goal = options.height if options.height is not None else rng.uniform(0.8, 3)
+    shapes = {kind: _shape(rng, kind, goal, options.tall_t) for kind in sorted(set(kinds))}
+    if options.rhythm == "fibrillation":
         shapes = {kind: replace(shape, p_wave=np.zeros(9)) for kind, shape in shapes.items()}
-    t = np.arange(round(seconds * rate)) / rate
+    t = np.arange(round(options.seconds * options.rate)) / options.rate
     breath = np.sin(2 * np.pi * (rng.uniform(0.15, 0.4) * t + rng.random()))
-    swing = 1 + respiration / 2 * breath
-    qrs, waves, marks = _beats(rng, t, times, kinds, shapes, beat_spread)
-    potentials = swing * (qrs + waves) + respiration * rng.uniform(-1, 1, (9, 1)) * breath
-    if rhythm == "fibrillation":
+    swing = 1 + options.respiration / 2 * breath
+    qrs, waves, marks = _beats(rng, t, times, kinds, shapes, options.beat_spread)
+    potentials = swing * (qrs + waves) + options.respiration * rng.uniform(-1, 1, (9, 1)) * breath
+    if options.rhythm == "fibrillation":
         potentials += f_waves(rng, t)
-    spikes = _spike_times(rng, marks[1]) if rhythm == "paced" else np.empty(0)
+    spikes = _spike_times(rng, marks[1]) if options.rhythm == "paced" else np.empty(0)
     spikes = spikes[(spikes >= 0) & (spikes < t[-1])]
-    potentials += pulses(rng, t, spikes, spike_size)
+    potentials += pulses(rng, t, spikes, options.spike_size)
     truth = Truth(*marks, spikes, lead_matrix() @ potentials)
-    if noise_db is not None:
-        total = np.sum([_unit(NOISES[kind](rng, t)) for kind in noise], axis=0)
+    if options.noise_db is not None:
+        total = np.sum([_unit(NOISES[kind](rng, t)) for kind in options.noise], axis=0)
         inside = (qrs != 0).any(axis=0)
         if not inside.any():
-            raise ValueError(f"no beat in {seconds:g} s: noise has nothing to be compared with")
-        ratio = _power((swing * qrs)[:, inside]) / 10 ** (noise_db / 10)
+            raise ValueError(
+                f"no beat in {options.seconds:g} s: noise has nothing to be compared with"
+            )
+        ratio = _power((swing * qrs)[:, inside]) / 10 ** (options.noise_db / 10)
         potentials += np.sqrt(ratio) * _unit(total)
-    return Recording(lead_matrix() @ potentials, rate, f"made up ({rhythm})"), truth
+    return Recording(
+        lead_matrix() @ potentials, options.rate, f"synthetic ({options.rhythm})"
+    ), truth
 
 
 def _independent() -> Array:

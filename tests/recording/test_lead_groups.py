@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.lead_groups import turns
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.recording import Recording
-from fascicle.recording.rhythms import made_up_recording
 
 GROUPS = (("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6"))
 
@@ -32,8 +32,9 @@ def on_paper(recording, rhythm_strip=None):
 
 
 def whole(seed, **more):
-    return made_up_recording(
-        np.random.default_rng(seed), heart_rate=80.0, respiration=0.02, noise_db=30.0, **more
+    return synthetic_recording(
+        np.random.default_rng(seed),
+        Synthesis(heart_rate=80.0, respiration=0.02, noise_db=30.0, **more),
     )[0]
 
 
@@ -101,8 +102,9 @@ def test_groups_digitised_with_ragged_edges_stay_groups():
 
 
 def test_beats_of_several_shapes_are_not_matched_by_chance():
-    recording, _ = made_up_recording(
-        np.random.default_rng(5), rhythm="bigeminy", heart_rate=70.0, seconds=16.0, noise_db=30.0
+    recording, _ = synthetic_recording(
+        np.random.default_rng(5),
+        Synthesis(rhythm="bigeminy", heart_rate=70.0, seconds=16.0, noise_db=30.0),
     )
     with pytest.raises(InputError, match="in turns and the beats are of several shapes"):
         make_target(on_paper(recording))

@@ -1,0 +1,1 @@
+"""Measurements of accuracy and speed, and the synthetic recordings that tests share."""

@@ -1,0 +1,1 @@
+"""Synthetic recordings whose beats, QRS ends and pacing spikes are known exactly."""
