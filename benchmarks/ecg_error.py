@@ -23,16 +23,16 @@ from scipy.interpolate import CubicSpline
 from fascicle.forward.cable.stored import default_template
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import EDGES, barycentric_gradients
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes
+from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 CHILDREN = 8
-# Children of a tetrahedron: 0 to 3 its corners, 4 to 9 the midpoints of `EDGES`; the octahedron in
+# Children of a tetrahedron: 0 to 3 its corners, 4 to 9 the middles of its edges; the octahedron in
 # the middle is cut along the diagonal from the midpoint of edge (0, 2) to that of (1, 3)
 RED = np.array(
     [
@@ -66,10 +66,10 @@ class ActivatedMesh:
 
     def refined(self) -> ActivatedMesh:
         """Each tetrahedron in eight, numbered together; the activation stays the same field."""
-        edges = np.sort(self.corners[:, EDGES].reshape(-1, 2), axis=1)
+        edges = np.sort(self.corners[:, TETRAHEDRON_EDGES].reshape(-1, 2), axis=1)
         key, edge = np.unique(edges @ [len(self.vertices), 1], return_inverse=True)
         first, second = np.divmod(key, len(self.vertices))
-        midpoints = len(self.vertices) + edge.reshape(-1, len(EDGES))
+        midpoints = len(self.vertices) + edge.reshape(-1, len(TETRAHEDRON_EDGES))
 
         def with_midpoints(values: Array) -> Array:
             return np.concatenate([values, 0.5 * (values[first] + values[second])])

@@ -20,8 +20,7 @@ from hypothesis import strategies as st
 from fascicle.forward.ecg.action_potential import Upstroke
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
 from fascicle.forward.ecg.lead_field import unbounded, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import barycentric_gradients
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 
 RISE = 20.0 - -85.2  # mV
 TORSO = 2.0  # mS/cm

@@ -18,12 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fascicle.forward.eikonal.activation import solve_from_vertices
-from fascicle.forward.eikonal.myocardium import EDGES, Tissue, _reach, build_tissue
+from fascicle.forward.eikonal.myocardium import Tissue, _reach, build_tissue
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.kernels.coupled import STEEP
 from fascicle.kernels.local_solver import from_new_corner
 from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
 TOLERANCE = 1e-9  # ms
 OTHERS = [[c for c in range(4) if c != s] for s in range(4)]  # than each corner
@@ -83,7 +84,7 @@ def random_tetrahedra(seed, thickness, count):
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-5, 5, (count, 4, 3))
     corners[:, :, 2] *= thickness
-    edges = np.stack([corners[:, j] - corners[:, i] for i, j in EDGES], axis=1)
+    edges = np.stack([corners[:, j] - corners[:, i] for i, j in TETRAHEDRON_EDGES], axis=1)
     return corners, (edges**2).sum(axis=2), rng
 
 
@@ -132,7 +133,7 @@ def loose_elements(seed, thickness, speeds, count=100) -> Tissue:
 def by_pair(values):
     """Values of the six pairs of an element's corners as symmetric matrices (m, 4, 4)."""
     matrix = np.zeros((len(values), 4, 4))
-    for k, (i, j) in enumerate(EDGES):
+    for k, (i, j) in enumerate(TETRAHEDRON_EDGES):
         matrix[:, i, j] = matrix[:, j, i] = values[:, k]
     return matrix
 

@@ -12,10 +12,11 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
-from fascicle.forward.eikonal.myocardium import barycentric_gradients, build_tissue
+from fascicle.forward.eikonal.myocardium import build_tissue
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Conduction, Region
+from fascicle.mesh.measures import barycentric_gradients
 
 CV = EXAMPLE_PARAMETERS["cv"]
 BOTH = ("lv", "rv")

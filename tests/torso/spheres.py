@@ -8,11 +8,10 @@ import igl
 import numpy as np
 
 from fascicle.forward.ecg.lead_field import nodal_gradients
-from fascicle.forward.eikonal.myocardium import barycentric_gradients
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.heart.torso import Torso
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 
 GOLDEN = (1 + np.sqrt(5)) / 2
 _flat = [(0.0, a, b * GOLDEN) for a in (1, -1) for b in (1, -1)]

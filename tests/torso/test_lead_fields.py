@@ -13,10 +13,9 @@ from spheres import ball, boundary_area_vectors, heart_in_torso, isotropic, rim_
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, lead_matrix
 from fascicle.forward.ecg.lead_field import nodal_gradients
-from fascicle.forward.eikonal.myocardium import barycentric_gradients
 from fascicle.heart.conduction import Conduction, Region, transversely_isotropic
 from fascicle.heart.torso import Tissue
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 from fascicle.torso import lead_fields as module
 from fascicle.torso.lead_fields import (
     assemble_stiffness,

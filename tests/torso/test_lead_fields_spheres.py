@@ -17,10 +17,9 @@ from spheres import (
 )
 
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded
-from fascicle.forward.eikonal.myocardium import barycentric_gradients
 from fascicle.heart.conduction import Conduction, transversely_isotropic
 from fascicle.heart.torso import Tissue
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 from fascicle.torso.lead_fields import (
     assemble_stiffness,
     lead_fields,

@@ -23,7 +23,6 @@ from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_ele
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.forward.eikonal.myocardium import (
     Tissue,
-    barycentric_gradients,
     build_tissue,
     find_on_surface,
 )
@@ -31,6 +30,7 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.kernels.arrays import Mesh, Table
+from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.resolve import known_lead_fields

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart, outward_triangles
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_loops
 
 ON_ENDOCARDIUM = 0.35  # mean edges; a triangle whose middle is no further from one lies on it
@@ -30,8 +30,7 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
     """
     triangles = outward_triangles(heart)
     middle = heart.vertices[triangles].mean(axis=1)
-    normals = triangle_normals(heart.vertices, triangles)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals = unit(triangle_normals(heart.vertices, triangles))
     labels = np.full(len(triangles), int(Label.EPICARDIUM))
     labels[_basal(heart, middle, normals)] = Label.BASE
     reach = ON_ENDOCARDIUM * heart.edge_length
@@ -40,8 +39,7 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
         square, face, _ = igl.point_mesh_squared_distance(
             middle, endocardium.vertices, endocardium.triangles
         )
-        theirs = triangle_normals(endocardium.vertices, endocardium.triangles)[face]
-        theirs /= np.linalg.norm(theirs, axis=1, keepdims=True)
+        theirs = unit(triangle_normals(endocardium.vertices, endocardium.triangles)[face])
         # across a thin wall the other side is near too, but faces away; the base faces sideways
         same = np.einsum("ij,ij->i", normals, theirs) > SAME_WAY
         labels[same & (np.asarray(square) < reach**2)] = label

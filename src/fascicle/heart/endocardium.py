@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
-from fascicle.mesh.measures import enclosed_volume, triangle_normals
-from fascicle.mesh.topology import boundary_loops
+from fascicle.mesh.measures import enclosed_volume, triangle_areas
+from fascicle.mesh.topology import boundary_loops, unique_edges
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Endocardium:
     @property
     def area(self) -> float:
         """Surface area (mm²)."""
-        return float(np.linalg.norm(triangle_normals(self.vertices, self.triangles), axis=1).sum())
+        return float(triangle_areas(self.vertices, self.triangles).sum())
 
 
 def oriented_into_cavity(
@@ -83,8 +83,7 @@ def oriented_into_cavity(
 
 
 def _check_manifold(triangles: NDArray[np.int64], name: str) -> None:
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
+    edges, count = unique_edges(triangles)
     bad = np.flatnonzero(count > 2)
     if bad.size:
         a, b = edges[bad[0]]
@@ -101,9 +100,7 @@ def _check_disk(triangles: NDArray[np.int64], name: str) -> None:
         raise InputError(
             f"{name}: the surface has {found}; it must be open at the base, with exactly one"
         )
-    edges = np.unique(
-        np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
-    )
+    edges, _ = unique_edges(triangles)
     euler = np.unique(triangles).size - len(edges) + len(triangles)
     boundary = loops[0]
     if euler != 1 or np.unique(boundary).size != boundary.size:

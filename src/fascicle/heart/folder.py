@@ -37,6 +37,7 @@ from fascicle.heart.validate import (
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, Mesh
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid, write_surface
+from fascicle.mesh.topology import without_unused_vertices
 
 MANIFEST = "heart.toml"
 TORSO = "torso.vtu"
@@ -201,8 +202,7 @@ def assemble_heart(
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     check_units(str(mesh.path), mesh.points)
     direction = _fibres_per_tetrahedron(mesh, tetrahedra, fibres if fibres is not None else mesh)
-    used, compact = np.unique(tetrahedra, return_inverse=True)
-    vertices, tetrahedra = mesh.points[used], compact.reshape(-1, 4).astype(np.int64)
+    vertices, tetrahedra = without_unused_vertices(mesh.points, tetrahedra)
     check_tetrahedra(str(mesh.path), vertices, tetrahedra)
     opened = {side: _surface(side, surface) for side, surface in surfaces.items()}
     for side, (points, _) in opened.items():

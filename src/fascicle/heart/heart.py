@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.torso import LeadFields, Torso
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
 
 
@@ -87,8 +87,7 @@ class Heart:
     @cached_property
     def edge_length(self) -> float:
         """Mean edge length (mm)."""
-        difference = self.vertices[self.edges[:, 0]] - self.vertices[self.edges[:, 1]]
-        return float(np.linalg.norm(difference, axis=1).mean())
+        return float(edge_lengths(self.vertices, self.edges).mean())
 
     @cached_property
     def digest(self) -> str:

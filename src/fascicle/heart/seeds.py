@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import long_axis
+from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import boundary_loops
 
 # Depth below the base, as a fraction of the way to the apex, at which the seeds are looked for:
@@ -47,7 +48,7 @@ def septal_seeds(
     """
     loop = boundary_loops(triangles)[0]
     base, apex = long_axis(vertices, triangles)
-    axis = (apex - base) / np.linalg.norm(apex - base)
+    axis = unit(apex - base)
     depth = (vertices - base) @ axis / np.linalg.norm(apex - base)
     to_other, _ = cKDTree(opposite).query(vertices)
     inner = np.ones(len(vertices), dtype=bool)

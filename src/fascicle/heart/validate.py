@@ -12,6 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.topology import TETRAHEDRON_FACES
 
 # The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a dog's heart
 # and for a dilated one.
@@ -75,8 +76,7 @@ def check_tetrahedra(
 
 def _check_no_overlap(name: str, tetrahedra: NDArray[np.int64]) -> None:
     """Refuse tetrahedra that are there twice, or lie within one another: they would count twice."""
-    faces = tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
-    faces = np.sort(faces, axis=1)
+    faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
     order = np.lexsort(faces.T)
     same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
     crowded = order[2:][same[1:] & same[:-1]]  # the third tetrahedron on one face, and further ones

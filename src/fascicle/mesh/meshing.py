@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import closed_volume, signed_volumes
 
 NOTHING = 0  # Netgen's number of a space that it leaves empty
 VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
@@ -42,8 +42,7 @@ class Sheet(NamedTuple):
     @property
     def filled(self) -> float:
         """What it adds to the volume of all domains (mm³)."""
-        corners = (self.vertices - self.vertices.mean(axis=0))[self.triangles]
-        enclosed = float(np.linalg.det(corners).sum() / 6)
+        enclosed = closed_volume(self.vertices, self.triangles)
         return enclosed * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
 
 

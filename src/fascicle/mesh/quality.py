@@ -8,7 +8,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import edge_lengths, signed_volumes
 
 SHARP = 10.0  # degrees; tetrahedra with a smaller dihedral angle count as sharp
 # Corners of the face opposite each corner of a tetrahedron, seen from outside counter-clockwise.
@@ -73,7 +73,7 @@ def quality(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> Qua
     angles = _smallest_dihedral_angles(vertices, tetrahedra)
     ratios = _radius_ratios(vertices, tetrahedra)
     edges = np.asarray(igl.edges(tetrahedra))
-    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    lengths = edge_lengths(vertices, edges)
     return Quality(
         vertices=len(vertices),
         tetrahedra=len(tetrahedra),

@@ -6,10 +6,35 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+# Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside
+TETRAHEDRON_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+TETRAHEDRON_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
+
+
+def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Edges of triangles (m, 3) as each runs around it, shape (3m, 2)."""
+    return np.asarray(triangles[:, TRIANGLE_EDGES].reshape(-1, 2))
+
+
+def unique_edges(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Edges (e, 2) of triangles (m, 3), and how many triangles share each (e,).
+
+    Edges are sorted, their smaller vertex first.
+    """
+    edges = np.sort(directed_edges(triangles), axis=1)
+    return np.unique(edges, axis=0, return_counts=True)
+
 
 def boundary_loops(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Boundary loops of a surface, each in the direction of its triangles' edges."""
     return [np.asarray(loop, dtype=np.int64) for loop in igl.boundary_loop_all(triangles)]
+
+
+def fan(loop: NDArray[np.int64], centre: int) -> NDArray[np.int64]:
+    """Triangles (k, 3) from a boundary loop (k,) to a vertex, which continue its surface."""
+    # the loop runs along the surface's edges, so the fan's edges run against it
+    return np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), centre)])
 
 
 def boundary_triangles(
@@ -32,3 +57,11 @@ def interior_edges(
     across = np.column_stack([triangle, np.asarray(neighbours)[triangle, side]])
     edges = np.column_stack([triangles[triangle, side], triangles[triangle, (side + 1) % 3]])
     return edges.astype(np.int64), across.astype(np.int64), side
+
+
+def without_unused_vertices(
+    vertices: NDArray[np.float64], cells: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (n, 3) that some cell (m, k) has, in their order, and the cells renumbered."""
+    used, renumbered = np.unique(cells, return_inverse=True)
+    return vertices[used], renumbered.reshape(cells.shape).astype(np.int64)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
+from fascicle.mesh.measures import unit
 from fascicle.purkinje.chart import Chart
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 
@@ -68,7 +69,7 @@ def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
             f"{side} seeds: root and direction are the same vertex ({endocardium.root}); "
             "give two different ones"
         )
-    heading = offset / np.linalg.norm(offset)
+    heading = unit(offset)
     for triangle in np.flatnonzero((chart.triangles == endocardium.root).any(axis=1)):
         corner = int(np.flatnonzero(chart.triangles[triangle] == endocardium.root)[0])
         first, second = (

@@ -21,6 +21,7 @@ from fascicle.mesh.formats.opencarp import (
     write_opencarp_mesh,
     write_vtx,
 )
+from fascicle.mesh.measures import unit
 from fascicle.purkinje.tree import PurkinjeTree
 
 
@@ -36,8 +37,7 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
         tags[part] = number
     write_opencarp_mesh(stem, tree.nodes, "Ln", np.column_stack([parent, child]), tags[child])
     along = tree.nodes[child] - tree.nodes[parent]
-    size = np.linalg.norm(along, axis=1, keepdims=True)
-    write_directions(opencarp_file(stem, ".lon"), [along / np.where(size > 0, size, 1)])
+    write_directions(opencarp_file(stem, ".lon"), [unit(along)])
     lengths = rows(COORDINATE, tree.lengths[child] * MICROMETRES)
     write_text(opencarp_file(stem, "_length.dat"), lengths)
     write_vtx(opencarp_file(stem, "_root.vtx"), np.array([tree.root]))

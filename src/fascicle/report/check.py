@@ -14,7 +14,7 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart, outward_triangles
 from fascicle.heart.labelled_surface import Label
 from fascicle.heart.torso import Tissue, Torso
-from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.report.figures import (
     BLACK,
@@ -75,9 +75,9 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
 def body_views(electrodes: NDArray[np.float64]) -> tuple[View, View]:
     """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
     ra, la, ll = electrodes[:3]
-    left = _unit(la - ra)
+    left = unit(la - ra)
     up = (ra + la) / 2 - ll
-    up = _unit(up - (up @ left) * left)
+    up = unit(up - (up @ left) * left)
     back = np.cross(up, left)
     centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
     return (
@@ -254,7 +254,3 @@ def _scale_bar(axes: Axes, length: float) -> None:
         left + length / 2, bottom - 0.015 * (top - bottom), f"{length:.0f} mm", ha="center",
         va="top", fontsize=TICK_SIZE, color=BLACK,
     )  # fmt: skip
-
-
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(vector / np.linalg.norm(vector))

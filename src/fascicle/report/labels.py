@@ -8,11 +8,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import NEEDED, Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.measures import triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
 from fascicle.report.figures import (
     BLACK,
@@ -106,7 +105,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
 
 def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
     """Area (cm²) of each label that the surface has."""
-    areas = np.linalg.norm(triangle_normals(surface.vertices, surface.triangles), axis=1)
+    areas = triangle_areas(surface.vertices, surface.triangles)
     return {
         label: float(areas[surface.labels == label].sum()) / MM2_PER_CM2
         for label in Label
@@ -124,9 +123,9 @@ def _views(surface: LabelledSurface | LabelledMesh) -> list[View]:
         )
     opening = surface.vertices[max(rims, key=len)].mean(axis=0)
     wall = surface.vertices[np.unique(left_cavity)]
-    up = _unit(opening - wall[np.argmax(np.linalg.norm(wall - opening, axis=1))])
+    up = unit(opening - wall[np.argmax(np.linalg.norm(wall - opening, axis=1))])
     left = wall.mean(axis=0) - surface.vertices[np.unique(right_cavity)].mean(axis=0)
-    left = _unit(left - (left @ up) * up)
+    left = unit(left - (left @ up) * up)
     back = np.cross(up, left)
     frame = np.array([left, back, up])
     along = surface.vertices[np.unique(surface.triangles)] @ frame.T
@@ -171,7 +170,3 @@ def _scale_bar(axes: Axes) -> None:
         left + SCALE_BAR / 2, bottom + 0.015 * (top - bottom), f"{SCALE_BAR:.0f} mm", ha="center",
         va="bottom", fontsize=TICK_SIZE, color=BLACK,
     )  # fmt: skip
-
-
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(vector / np.linalg.norm(vector))

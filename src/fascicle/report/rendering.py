@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
-from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.measures import triangle_normals, unit
 
 Point = tuple[float, float, float]  # x, y (mm on the screen) and time (ms)
 
@@ -48,7 +48,7 @@ class View:
 
     def shade(self, normals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lambert brightness, from `AMBIENT` to 1, of unit normals (k, 3), shape (k,)."""
-        light = np.array(LIGHT) / np.linalg.norm(LIGHT)
+        light = unit(np.array(LIGHT))
         cosine = np.clip(normals @ self.axes.T @ light, 0, 1)
         return np.asarray(AMBIENT + (1 - AMBIENT) * cosine)
 
@@ -67,10 +67,9 @@ def heart_views(heart: Heart) -> dict[str, View]:
         the first of them towards the eye brings it: the front down, the left on the right.
     """
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-    up = (base - apex) / np.linalg.norm(base - apex)
+    up = unit(base - apex)
     left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
-    left -= (left @ up) * up
-    left /= np.linalg.norm(left)
+    left = unit(left - (left @ up) * up)
     back = np.cross(up, left)
     frame = np.array([left, back, up])
     along = heart.vertices @ frame.T
@@ -98,10 +97,10 @@ def smooth_normals(
     at_vertices = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(at_vertices, triangles[:, corner], normals)
-    flat = _unit(normals)[:, np.newaxis]
-    corners = _unit(at_vertices)[triangles]
+    flat = unit(normals)[:, np.newaxis]
+    corners = unit(at_vertices)[triangles]
     crease = np.einsum("kcj,kcj->kc", corners, np.broadcast_to(flat, corners.shape)) < CREASE
-    return _unit(np.where(crease[..., np.newaxis], flat, corners).sum(axis=1))
+    return unit(np.where(crease[..., np.newaxis], flat, corners).sum(axis=1))
 
 
 def back_to_front(
@@ -160,8 +159,3 @@ def _clip(points: list[Point], level: float, sign: float) -> list[Point]:
             share = a / (a - b)
             kept.append((xa + share * (xb - xa), ya + share * (yb - ya), level))
     return kept
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1.0))

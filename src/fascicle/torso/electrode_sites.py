@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import unit
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.heart_pose import surface_middle
 from fascicle.torso.surfaces import Surface
@@ -145,8 +146,8 @@ def check_not_mirrored(name: str, heart: Heart) -> None:
     limbs, chest = _leftwards(heart.electrodes)
     if limbs @ chest <= 0:
         return
-    left = _unit(limbs + chest)
-    across = _unit(_lv_to_rv(heart))
+    left = unit(limbs + chest)
+    across = unit(_lv_to_rv(heart))
     front = _frontwards(heart, left)
     for component, most, where in (
         (across @ left, FURTHEST_LEFT, "to the left of"),
@@ -190,7 +191,7 @@ def _reversals(heart: Heart) -> list[str]:
     front = _frontwards(heart, limbs)
     around = electrodes[V1:] - electrodes[[RA, LA]].mean(axis=0)
     around -= np.outer(around @ upwards, upwards)
-    left = _unit(limbs - (limbs @ upwards) * upwards)
+    left = unit(limbs - (limbs @ upwards) * upwards)
     angle = np.arctan2(around @ left, around @ front)
     return [
         f"electrodes {ELECTRODES[V1 + k]} and {ELECTRODES[V1 + k + 1]}: the second lies to the "
@@ -203,7 +204,7 @@ def _heights(heart: Heart) -> list[str]:
     """The legs' electrode above the arms', or chest electrodes not between them."""
     electrodes = heart.electrodes
     limbs, chest = _leftwards(electrodes)
-    left = _unit(limbs + chest) if limbs @ chest > 0 else _unit(-_lv_to_rv(heart))
+    left = unit(limbs + chest) if limbs @ chest > 0 else unit(-_lv_to_rv(heart))
     if _upwards(electrodes) @ np.cross(_frontwards(heart, left), left) < 0:
         return [
             "electrode LL lies above RA and LA as the chest electrodes see it, so leads II, III "
@@ -235,27 +236,23 @@ def _distances(heart: Heart) -> list[str]:
     return near + far
 
 
-def _unit(vector: Floats) -> Floats:
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
 def _leftwards(electrodes: Floats) -> tuple[Floats, Floats]:
     """Unit vectors to the patient's left, by the limb and by the chest electrodes."""
-    return _unit(electrodes[LA] - electrodes[RA]), _unit(electrodes[V5] - electrodes[V1])
+    return unit(electrodes[LA] - electrodes[RA]), unit(electrodes[V5] - electrodes[V1])
 
 
 def _upwards(electrodes: Floats) -> Floats:
-    return _unit(electrodes[[RA, LA]].mean(axis=0) - electrodes[LL])
+    return unit(electrodes[[RA, LA]].mean(axis=0) - electrodes[LL])
 
 
 def _frontwards(heart: Heart, left: Floats) -> Floats:
     """From the trunk towards V1 to V4, as far as it is neither up nor to the left."""
     electrodes = heart.electrodes
     up = _upwards(electrodes)
-    left = _unit(left - (left @ up) * up)
+    left = unit(left - (left @ up) * up)
     front = electrodes[V1 : V4 + 1].mean(axis=0) - heart.vertices.mean(axis=0)
     front -= (front @ up) * up + (front @ left) * left
-    return _unit(front)
+    return unit(front)
 
 
 def _lv_to_rv(heart: Heart) -> Floats:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.mesh.topology import directed_edges, unique_edges
 from fascicle.torso.surfaces import Surface, signed_distance
 
 # Largest extents; those of a child are above the first, nobody's above the second.
@@ -76,9 +77,7 @@ def check_extent(name: str, surface: Surface, limits: tuple[float, float]) -> No
 
 def check_closed(name: str, surface: Surface) -> None:
     """Refuse a surface with holes, with several sheets on one edge, or turned inside out."""
-    corners = surface.triangles
-    half = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    edges, count = np.unique(np.sort(half, axis=1), axis=0, return_counts=True)
+    edges, count = unique_edges(surface.triangles)
     for bad, what, remedy in (
         (count == 1, "an open edge", "close the hole"),
         (count > 2, "an edge of more than two triangles", "make it one closed surface"),
@@ -86,7 +85,7 @@ def check_closed(name: str, surface: Surface) -> None:
         if bad.any():
             where = _place(surface.vertices[edges[bad][0]].mean(axis=0))
             raise InputError(f"{name}: the surface has {what} at {where}; {remedy}")
-    directed, count = np.unique(half, axis=0, return_counts=True)
+    directed, count = np.unique(directed_edges(surface.triangles), axis=0, return_counts=True)
     if (count > 1).any():
         where = _place(surface.vertices[directed[count > 1][0]].mean(axis=0))
         raise InputError(
@@ -155,8 +154,7 @@ def crossing(one: Surface, other: Surface) -> NDArray[np.float64] | None:
     counting.
     """
     for a, b in ((one, other), (other, one)):
-        sides = a.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        edges = np.unique(np.sort(sides, axis=1), axis=0)
+        edges, _ = unique_edges(a.triangles)
         pairs = _near_pairs(a.vertices[edges], b.corners)
         if one is other:
             edge, triangle = edges[pairs[:, 0]], b.triangles[pairs[:, 1]]

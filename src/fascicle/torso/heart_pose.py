@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
-from fascicle.mesh.measures import triangle_normals
+from fascicle.mesh.measures import triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
 from fascicle.torso.surfaces import Surface
 
@@ -81,10 +81,9 @@ def heart_axes(lv: Surface, rv: Surface) -> tuple[NDArray[np.float64], NDArray[n
     base = opening(lv)
     used = lv.vertices[np.unique(lv.triangles)]
     apex = used[np.argmax(np.linalg.norm(used - base, axis=1))]
-    long_axis = (base - apex) / np.linalg.norm(base - apex)
+    long_axis = unit(base - apex)
     across = surface_middle(rv) - surface_middle(lv)
-    across -= (across @ long_axis) * long_axis
-    across /= np.linalg.norm(across)
+    across = unit(across - (across @ long_axis) * long_axis)
     return base, np.stack([across, np.cross(long_axis, across), long_axis], axis=1)
 
 
@@ -99,8 +98,8 @@ def opening(surface: Surface) -> NDArray[np.float64]:
 
 def surface_middle(surface: Surface) -> NDArray[np.float64]:
     """Centroid of a surface; (3,), mm."""
-    area = np.linalg.norm(triangle_normals(*surface), axis=1)
-    return np.asarray(np.average(surface.corners.mean(axis=1), axis=0, weights=area))
+    centres = surface.corners.mean(axis=1)
+    return np.asarray(np.average(centres, axis=0, weights=triangle_areas(*surface)))
 
 
 def standard_axes() -> NDArray[np.float64]:

@@ -33,7 +33,8 @@ from scipy.spatial import ConvexHull
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import signed_volumes, triangle_normals, turned_outwards
+from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.body_size import SQUARENESS, BodySize
 from fascicle.torso.electrode_sites import standard_electrodes
 from fascicle.torso.enclosure import check_within
@@ -186,10 +187,7 @@ def level_set(outside: Callable[[Floats], Floats], box: Floats, spacing: float) 
     least = LEAST_LEVEL * spacing
     values = np.where(np.abs(values) < least, np.copysign(least, values), values)
     vertices, triangles, _ = igl.marching_cubes(values, points, *(len(axis) for axis in axes), 0.0)
-    surface = Surface(vertices, np.asarray(triangles, dtype=np.int64))
-    if surface.litres < 0:
-        surface = Surface(vertices, np.ascontiguousarray(surface.triangles[:, ::-1]))
-    return surface
+    return Surface(vertices, turned_outwards(vertices, triangles))
 
 
 def _check_fits(name: str, heart: Floats, skin: Surface) -> None:
@@ -213,13 +211,11 @@ def _kept_clear(heart: Floats, base: Floats) -> Surface:
     near_base = heart[(heart - base.mean(axis=0)) @ towards_atria > -ATRIA * ATRIA / 3]
     points = np.concatenate([heart, near_base + towards_atria])
     hull = ConvexHull(points)
-    used, triangles = np.unique(hull.simplices, return_inverse=True)
-    triangles = triangles.reshape(-1, 3)
+    vertices, triangles = without_unused_vertices(points, hull.simplices)
     outward = hull.equations[:, :3]
-    a, b, c = (points[used][triangles[:, k]] for k in range(3))
-    inverted = np.einsum("ij,ij->i", np.cross(b - a, c - a), outward) < 0
+    inverted = np.einsum("ij,ij->i", triangle_normals(vertices, triangles), outward) < 0
     triangles[inverted] = triangles[inverted, ::-1]
-    return Surface(points[used], np.ascontiguousarray(triangles, dtype=np.int64))
+    return Surface(vertices, triangles)
 
 
 def _lungs(name: str, build: BodySize, clear: Surface) -> tuple[Surface, Surface]:

@@ -13,7 +13,7 @@ from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.heart.torso import Tissue, Torso
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.meshing import NOTHING, Filling, Sheet, filled
-from fascicle.mesh.topology import boundary_loops
+from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices
 from fascicle.torso.surfaces import Surface
 
 BODY, FIRST_LUNG = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
@@ -91,13 +91,9 @@ def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
     vertices, triangles = [mesh.vertices], [endocardium]
     for number, rim in enumerate(boundary_loops(endocardium), start=len(mesh.vertices)):
         vertices.append(mesh.vertices[rim].mean(axis=0, keepdims=True))
-        triangles.append(
-            np.stack([np.roll(rim, -1), rim, np.full(len(rim), number)], axis=1)
-        )  # the rim runs along the endocardium's edges, so the lid's run against it
-    everything = np.concatenate(vertices)
-    kept, compact = np.unique(np.concatenate(triangles), return_inverse=True)
-    inwards = compact.reshape(-1, 3)
-    return Surface(everything[kept], np.ascontiguousarray(inwards[:, ::-1], dtype=np.int64))
+        triangles.append(fan(rim, number))
+    kept, inwards = without_unused_vertices(np.concatenate(vertices), np.concatenate(triangles))
+    return Surface(kept, np.ascontiguousarray(inwards[:, ::-1]))
 
 
 def _in_box(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:

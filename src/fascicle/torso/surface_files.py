@@ -12,7 +12,8 @@ from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, Mesh
 from fascicle.mesh.formats.read import read_mesh
-from fascicle.mesh.topology import boundary_triangles
+from fascicle.mesh.measures import turned_outwards
+from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 from fascicle.torso.enclosure import (
     LUNG_EXTENT,
     TORSO_EXTENT,
@@ -76,13 +77,10 @@ def _outer_surface(mesh: Mesh, name: str) -> Surface:
     triangles = number.reshape(-1)[triangles]
     corners = np.sort(triangles, axis=1)
     triangles = triangles[(np.diff(corners, axis=1) > 0).all(axis=1)]
-    used, compact = np.unique(triangles, return_inverse=True)
-    oriented, pieces = igl.bfs_orient(np.ascontiguousarray(compact.reshape(-1, 3)))
+    vertices, triangles = without_unused_vertices(points, triangles)
+    oriented, pieces = igl.bfs_orient(triangles)
     if pieces.max() > 0:
         raise InputError(
             f"{name}: the surface falls into {pieces.max() + 1} pieces; keep the outer one"
         )
-    surface = Surface(points[used], np.ascontiguousarray(oriented, dtype=np.int64))
-    if surface.litres < 0:
-        surface = Surface(surface.vertices, np.ascontiguousarray(surface.triangles[:, ::-1]))
-    return surface
+    return Surface(vertices, turned_outwards(vertices, oriented))

@@ -9,6 +9,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.mesh.measures import closed_volume
 from fascicle.mesh.meshing import remeshed_triangles
 
 MM3_PER_LITRE = 1e6
@@ -37,8 +38,7 @@ class Surface(NamedTuple):
     @property
     def litres(self) -> float:
         """Enclosed volume of a closed surface."""
-        centred = self.corners - self.vertices.mean(axis=0)
-        return float(np.linalg.det(centred).sum() / 6 / MM3_PER_LITRE)
+        return closed_volume(*self) / MM3_PER_LITRE
 
 
 def signed_distance(points: NDArray[np.float64], surface: Surface) -> NDArray[np.float64]:

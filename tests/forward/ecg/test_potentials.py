@@ -17,8 +17,9 @@ from fascicle.forward.ecg.electrocardiogram import (
     first_sample,
 )
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import barycentric_gradients, build_tissue
+from fascicle.forward.eikonal.myocardium import build_tissue
 from fascicle.heart.conduction import Conduction
+from fascicle.mesh.measures import barycentric_gradients
 
 RISE = 20.0 - -85.2  # mV
 CONDUCTION = Conduction()

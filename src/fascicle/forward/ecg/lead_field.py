@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-MM_PER_CM = 10.0
+from fascicle.mesh.measures import HAMMER_STROUD_POINTS
 
-# Quadrature of degree 2 on a tetrahedron (Hammer and Stroud, 1956): four points of equal weight,
-# each nearer to one corner, in barycentric coordinates
-_NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
-QUADRATURE = _FAR + (_NEAR - _FAR) * np.eye(4)
+MM_PER_CM = 10.0
 
 
 def unbounded(
@@ -61,7 +58,7 @@ def unbounded_gradients(
     (e, m, 3) array
         Gradients (kΩ/mm).
     """
-    points = QUADRATURE @ vertices[corners]
+    points = HAMMER_STROUD_POINTS @ vertices[corners]
     gradients = np.empty((len(electrodes), len(corners), 3))
     for electrode, gradient in zip(electrodes, gradients, strict=True):
         towards = electrode - points

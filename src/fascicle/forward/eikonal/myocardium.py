@@ -15,11 +15,11 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.kernels.arrays import FACES, Mesh, Table
 from fascicle.kernels.ray import ACROSS
-from fascicle.mesh.topology import boundary_triangles
+from fascicle.mesh.measures import barycentric_gradients
+from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles
 
 ON_SURFACE = 0.25  # edges of the mesh: what lies on an endocardium is no further from it
 CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
-EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def _elements(
     count = len(corners)
     cells, solver = np.zeros((count, 24)), np.empty((count, 12))
     least = np.empty((count, 4), np.float32)
-    one, other = np.array(EDGES).T
+    one, other = TETRAHEDRON_EDGES.T
     for first in range(0, count, CHUNK):
         part = slice(first, first + CHUNK)
         points = vertices[corners[part]]
@@ -195,7 +195,7 @@ def _edges(
     corners: NDArray[np.int32], squares: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
     """The vertices that share an edge with each, and the least travel times to them."""
-    one, other = np.array(EDGES).T
+    one, other = TETRAHEDRON_EDGES.T
     tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
     head = np.concatenate([corners[:, other], corners[:, one]]).ravel()
     pair = tail * count + head
@@ -235,15 +235,6 @@ def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -
     return tree
 
 
-def barycentric_gradients(
-    vertices: NDArray[np.float64], corners: NDArray[np.integer]
-) -> NDArray[np.float64]:
-    """Gradients of the four barycentric coordinates of each tetrahedron (1/mm), (m, 4, 3)."""
-    edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
-    inner = np.swapaxes(np.linalg.inv(edges), 1, 2)
-    return np.ascontiguousarray(np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1))
-
-
 def _stars(
     corners: NDArray[np.int32], conducts: NDArray[np.bool_], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
@@ -268,7 +259,7 @@ def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     opposite to s where the projection on that side's plane points away from it.
     """
     square = np.zeros((len(squares), 4, 4))
-    for k, (i, j) in enumerate(EDGES):
+    for k, (i, j) in enumerate(TETRAHEDRON_EDGES):
         square[:, i, j] = square[:, j, i] = squares[:, k]
     least = np.empty((len(squares), 4, 3))
     for s in range(4):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
+from fascicle.mesh.measures import unit
 
 # Points of two files are the same when they are this close, as a fraction of the mesh's extent:
 # room for single precision.
@@ -44,7 +45,6 @@ def average_to_tetrahedra(
 
     Fibres have no sign, so the mean is the principal axis of Σ f⊗f.
     """
-    unit = fibres / np.linalg.norm(fibres, axis=1, keepdims=True)
-    corner = unit[tetrahedra]
+    corner = unit(fibres)[tetrahedra]
     _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", corner, corner))
     return np.asarray(axes[:, :, -1])

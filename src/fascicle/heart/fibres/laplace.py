@@ -15,18 +15,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import HAMMER_STROUD_POINTS, signed_volumes
+from fascicle.mesh.topology import TETRAHEDRON_EDGES, TETRAHEDRON_FACES, unique_edges
 
 if TYPE_CHECKING:
     from pyamg.multilevel import MultilevelSolver
 
-# The edges of a tetrahedron, by corner; each carries a node in its middle
-EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
-NODES = 4 + len(EDGES)
-OPPOSITE = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
-# Quadrature of degree 2 on a tetrahedron (Hammer and Stroud, 1956), in barycentric coordinates
-_NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
-QUADRATURE = _FAR + (_NEAR - _FAR) * np.eye(4)
+NODES = 4 + len(TETRAHEDRON_EDGES)  # corners, and a node in the middle of each edge
 CHUNK = 100_000  # tetrahedra assembled at a time, which bounds the memory
 TOLERANCE = 1e-6  # of the residual, relative: fibres are then converged to some 0.05 degrees
 COARSE_TOLERANCE = 1e-2  # likewise, of the linear functions to start from
@@ -44,7 +39,7 @@ class QuadraticSpace:
     edges : (e, 2) array
         Vertices of each edge, the smaller index first, sorted; node n + j is the middle of edge j.
     nodes : (m, 10) array
-        Of each tetrahedron: its corners, then the middles of its `EDGES`.
+        Of each tetrahedron: its corners, then the middles of its `TETRAHEDRON_EDGES`.
     """
 
     vertices: NDArray[np.float64]
@@ -61,7 +56,7 @@ class QuadraticSpace:
     def gradients(self) -> NDArray[np.float64]:
         """Gradients of the barycentric coordinates (1/mm), shape (m, 4, 3)."""
         x = self.vertices[self.tetrahedra]
-        a, b, c = (x[:, OPPOSITE[:, k]] for k in range(3))
+        a, b, c = (x[:, TETRAHEDRON_FACES[:, k]] for k in range(3))
         height = 3 * signed_volumes(self.vertices, self.tetrahedra)[:, None, None]
         return np.asarray(-np.cross(b - a, c - a) / 2 / height)
 
@@ -70,8 +65,8 @@ class QuadraticSpace:
         """∫∇φᵢ·∇φⱼ (mm) over the mesh, for the basis functions φ of the nodes."""
         upper = np.triu_indices(NODES)
         entries = np.empty((len(self.tetrahedra), len(upper[0])))
-        weights = np.abs(signed_volumes(self.vertices, self.tetrahedra)) / len(QUADRATURE)
-        shapes = [_basis_gradients(point) for point in QUADRATURE]
+        weights = np.abs(signed_volumes(self.vertices, self.tetrahedra)) / len(HAMMER_STROUD_POINTS)
+        shapes = [_basis_gradients(point) for point in HAMMER_STROUD_POINTS]
         for first in range(0, len(entries), CHUNK):
             chunk = slice(first, first + CHUNK)
             full = np.zeros((len(entries[chunk]), NODES, NODES))
@@ -97,8 +92,7 @@ class QuadraticSpace:
 
     def on(self, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
         """Nodes of some triangles of the mesh: their corners and the middles of their edges."""
-        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        keys = _keys(np.unique(sides, axis=0), len(self.vertices))
+        keys = _keys(unique_edges(triangles)[0], len(self.vertices))
         middles = np.searchsorted(_keys(self.edges, len(self.vertices)), keys)
         return np.concatenate([np.unique(triangles), len(self.vertices) + middles])
 
@@ -127,10 +121,10 @@ def quadratic_space(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
         The mesh (mm).
     """
     count = len(vertices)
-    ends = np.sort(tetrahedra[:, EDGES], axis=2)
+    ends = np.sort(tetrahedra[:, TETRAHEDRON_EDGES], axis=2)
     keys, which = np.unique(_keys(ends, count), return_inverse=True)
     edges = np.stack([keys // count, keys % count], axis=1)
-    nodes = np.hstack([tetrahedra, count + which.reshape(-1, len(EDGES))])
+    nodes = np.hstack([tetrahedra, count + which.reshape(-1, len(TETRAHEDRON_EDGES))])
     return QuadraticSpace(vertices, tetrahedra, edges, nodes)
 
 
@@ -204,13 +198,13 @@ def _multigrid(
 
 def _basis(point: NDArray[np.float64]) -> NDArray[np.float64]:
     """The ten basis functions at a point in barycentric coordinates λ: λ(2λ−1), then 4λᵢλⱼ."""
-    i, j = EDGES.T
+    i, j = TETRAHEDRON_EDGES.T
     return np.concatenate([point * (2 * point - 1), 4 * point[i] * point[j]])
 
 
 def _basis_gradients(point: NDArray[np.float64]) -> NDArray[np.float64]:
     """Their derivatives by each barycentric coordinate there, shape (10, 4)."""
-    i, j = EDGES.T
+    i, j = TETRAHEDRON_EDGES.T
     derivatives = np.zeros((NODES, 4))
     derivatives[range(4), range(4)] = 4 * point - 1
     derivatives[range(4, NODES), i] = 4 * point[j]

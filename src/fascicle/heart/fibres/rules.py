@@ -39,6 +39,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.fibres.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.heart.fibres.longitudinal import apex_to_base
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
+from fascicle.mesh.measures import unit
 
 # The surfaces that carry an angle. Where two of them share a node the first one has it.
 SURFACES = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
@@ -240,7 +241,7 @@ def by_rule(
     angles : FibreAngles
         On the surfaces.
     """
-    across = _unit(gradients * OUT_OF_VENTRICLE[:, None, None])
+    across = unit(gradients * OUT_OF_VENTRICLE[:, None, None])
     frames = [_frame(out, baseward) for out in across]
     fibre_angles, sheet_angles = _on_surfaces(potentials, outflow, angles)
     fibre_tensor, sheet_tensor = (np.zeros((len(baseward), 3, 3)) for _ in range(2))
@@ -258,10 +259,10 @@ def by_rule(
     beside = np.eye(3) - _lines(fibre)
     sheet = _principal(beside @ sheet_tensor @ beside)
     wall = LEAST_NEAR[np.argmin(potentials, axis=0)]
-    outward = _unit(np.einsum("mk,km,kmx->mx", SIDES[wall], potentials, across))
+    outward = unit(np.einsum("mk,km,kmx->mx", SIDES[wall], potentials, across))
     around, along = _frame(outward, baseward)
     fibre[_dot(fibre, around) < 0] *= -1
-    sheet = _unit(sheet - _dot(sheet, fibre)[:, None] * fibre)
+    sheet = unit(sheet - _dot(sheet, fibre)[:, None] * fibre)
     inner = potentials[np.where(wall == Wall.RV, RV, LV), np.arange(len(wall))]
     depth = 1 - inner / (
         inner + potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
@@ -309,7 +310,7 @@ def _frame(
     out: NDArray[np.float64], baseward: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Directions around the ventricle, e_c, and along it, e_l, for the one out of it, e_t."""
-    along = _unit(baseward - _dot(baseward, out)[:, None] * out)
+    along = unit(baseward - _dot(baseward, out)[:, None] * out)
     return np.cross(along, out), along
 
 
@@ -321,12 +322,6 @@ def _principal(tensors: NDArray[np.float64]) -> NDArray[np.float64]:
 def _lines(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Tensors v⊗v of the lines along vectors (m, 3), for which the sign does not matter."""
     return vectors[:, :, None] * vectors[:, None, :]
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors (..., 3) at unit length; zero ones stay zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
