@@ -22,7 +22,7 @@ from fascicle.heart.electrodes import read_electrodes, write_electrodes
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.fibres.rules import rule_based_fibres
 from fascicle.heart.folder import load_heart, write_heart
-from fascicle.heart.torso import Tissue
+from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.purkinje.chart import build_chart
@@ -114,11 +114,11 @@ class TestIdealisedTorso:
         a, b, c = torso.vertices[skin].transpose(1, 0, 2)
         enclosed = abs(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
         assert volumes.sum() + in_torso.volumes.sum() == pytest.approx(enclosed, rel=1e-6)
-        litres = {t: volumes[torso.tissues == t].sum() / 1e6 for t in Tissue}
-        assert 20 < litres[Tissue.BODY] < 45
-        assert 2 < litres[Tissue.LUNG] < 6
+        litres = {t: volumes[torso.tissues == t].sum() / 1e6 for t in TorsoTissue}
+        assert 20 < litres[TorsoTissue.BODY] < 45
+        assert 2 < litres[TorsoTissue.LUNG] < 6
         cavities = sum(map(cavity_volume, in_torso.endocardia)) / 1000  # litres
-        assert litres[Tissue.BLOOD] == pytest.approx(cavities, rel=0.15)
+        assert litres[TorsoTissue.BLOOD] == pytest.approx(cavities, rel=0.15)
 
     def test_electrodes_lie_on_the_skin_in_their_places(self, in_torso):
         torso, places = in_torso.torso, in_torso.electrodes
@@ -179,7 +179,7 @@ class TestOwnTorso:
 
     def test_lungs_and_other_conductivities_count(self, own_body, solved):
         heart = load_heart(own_body)
-        assert set(np.unique(heart.torso.tissues)) == set(Tissue)
+        assert set(np.unique(heart.torso.tissues)) == set(TorsoTissue)
         as_body = Conduction(lung=Conduction().body)
         with_lung = fascicle.ForwardModel(heart).simulate(NETWORK)
         without = fascicle.ForwardModel(heart, as_body).simulate(NETWORK)

@@ -20,7 +20,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import signed_volumes, triangle_normals
-from fascicle.mesh.meshing import NOTHING, Sheet, filled
+from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.quality import quality
 from fascicle.mesh.topology import boundary_loops, boundary_triangles
 
@@ -107,7 +107,9 @@ def test_a_surface_that_cannot_be_filled_is_refused_in_one_line(capfd):
     with pytest.raises(
         InputError, match=r"^h\.vtk: inside: .* \(.+ domain 1\); smooth it$"
     ) as error:
-        filled([Sheet(corners, inside_out, 1, NOTHING)], "h.vtk: inside", "smooth it", maxh=EDGE)
+        tetrahedralise(
+            [Interface(corners, inside_out, 1, NOTHING)], "h.vtk: inside", "smooth it", maxh=EDGE
+        )
     assert "\n" not in str(error.value)
     assert "100.00% could not be filled" in str(error.value)
     assert capfd.readouterr() == ("", "")

@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, lead_matrix
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.heart.conduction import Conduction, Region, transversely_isotropic
-from fascicle.heart.torso import Tissue
+from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 from fascicle.torso import lead_fields as module
 from fascicle.torso.lead_fields import (
@@ -27,7 +27,7 @@ from fascicle.torso.lead_fields import (
 )
 
 RADIUS = 100.0  # mm
-TISSUES = [Tissue.BLOOD, None, Tissue.LUNG, Tissue.BODY]
+TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
 
 
 def chest(layers=8, electrodes=None):
@@ -58,7 +58,11 @@ class TestConductivity:
         fibre, across = heart.fibres[0], np.array([0.0, 1.0, 0.0])
         assert own @ fibre == pytest.approx(np.tile(5.0 * fibre, (len(own), 1)))
         assert own @ across == pytest.approx(np.tile(1.5 * across, (len(own), 1)))
-        for tissue, value in ((Tissue.BODY, 2.1), (Tissue.LUNG, 0.4), (Tissue.BLOOD, 6.5)):
+        for tissue, value in (
+            (TorsoTissue.BODY, 2.1),
+            (TorsoTissue.LUNG, 0.4),
+            (TorsoTissue.BLOOD, 6.5),
+        ):
             there = around[torso.tissues == tissue]
             assert len(there) > 0
             assert (there == value * np.eye(3)).all()
@@ -223,7 +227,7 @@ class TestRefusals:
             torso,
             vertices=np.concatenate([torso.vertices, torso.vertices[torso.tetrahedra[0]] + 500.0]),
             tetrahedra=np.concatenate([torso.tetrahedra, [count + np.arange(4)]]),
-            tissues=np.append(torso.tissues, Tissue.BODY),
+            tissues=np.append(torso.tissues, TorsoTissue.BODY),
         )
         with pytest.raises(InputError, match="falls into 2 pieces"):
             lead_fields(heart, apart, Conduction())

@@ -18,7 +18,7 @@ from spheres import (
 
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded
 from fascicle.heart.conduction import Conduction, transversely_isotropic
-from fascicle.heart.torso import Tissue
+from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 from fascicle.torso.lead_fields import (
     assemble_stiffness,
@@ -208,7 +208,7 @@ class TestHeartInTorso:
     def test_every_tissue_has_its_conductivity(self):
         """Blood, myocardium, lung and body as shells of one sphere, against the series."""
         radii, at = [30.0, 50.0, 70.0, 100.0], [0.3, 0.5, 0.7, 1.0]
-        tissues = [Tissue.BLOOD, None, Tissue.LUNG, Tissue.BODY]
+        tissues = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
         electrodes = rim_points(9, RADIUS + 4.0)
         heart, torso = heart_in_torso(20, radii, at, tissues, electrodes)
         conduction = Conduction(1.0, 1.0, 2.5, 2.5, body=2.0, lung=0.5, blood=8.0)

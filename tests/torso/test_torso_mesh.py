@@ -8,7 +8,7 @@ from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
-from fascicle.heart.torso import Tissue
+from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import signed_volumes, triangle_normals
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.enclosure import check_within, crossing
@@ -58,12 +58,12 @@ def test_conforms_to_heart_and_skin(heart, torso) -> None:
 
 
 def test_tissues_have_their_volumes(heart, torso) -> None:
-    assert set(np.unique(torso.tissues)) == set(map(int, Tissue))
+    assert set(np.unique(torso.tissues)) == set(map(int, TorsoTissue))
     lungs = lung(1).litres + lung(-1).litres
-    assert volume_of(torso, Tissue.LUNG) / 1e6 == pytest.approx(lungs, rel=1e-9)
+    assert volume_of(torso, TorsoTissue.LUNG) / 1e6 == pytest.approx(lungs, rel=1e-9)
     cubes = sum(np.prod(np.subtract(high, low)) for low, high in (LV, RV))
     # the lid is known to the size of the tetrahedra, and those here are as large as the cubes
-    assert volume_of(torso, Tissue.BLOOD) == pytest.approx(cubes * CUBE**3, rel=0.04)
+    assert volume_of(torso, TorsoTissue.BLOOD) == pytest.approx(cubes * CUBE**3, rel=0.04)
 
 
 def test_closed_cavities_are_exact(heart) -> None:
@@ -73,7 +73,9 @@ def test_closed_cavities_are_exact(heart) -> None:
 
 
 def test_blood_lies_in_the_cavities(torso) -> None:
-    centres = torso.vertices[torso.tetrahedra].mean(axis=1)[torso.tissues == Tissue.BLOOD] / CUBE
+    centres = (
+        torso.vertices[torso.tetrahedra].mean(axis=1)[torso.tissues == TorsoTissue.BLOOD] / CUBE
+    )
     inside = [((centres > low) & (centres < high)).all(axis=1) for low, high in (LV, RV)]
     assert np.any(inside, axis=0).all()
 
@@ -136,7 +138,7 @@ def test_nothing_is_printed_of_a_fill(heart, capfd) -> None:
 
 
 def test_boundaries_of_positive_tetrahedra_face_outwards(torso) -> None:
-    for tissue in (Tissue.BODY, Tissue.LUNG):
+    for tissue in (TorsoTissue.BODY, TorsoTissue.LUNG):
         cells = torso.tetrahedra[torso.tissues == tissue]
         triangles, owner = boundary_triangles(cells)
         inside = torso.vertices[cells[owner]].mean(axis=1)

@@ -16,7 +16,7 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, long_axis
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.heart.torso import Tissue
+from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import enclosed_volume, signed_volumes
 from fascicle.mesh.quality import Quality, quality
 from fascicle.purkinje.chart import Chart
@@ -220,7 +220,7 @@ def _body_rows(heart: Heart) -> list[tuple[str, str]]:
     volumes = signed_volumes(heart.torso.vertices, heart.torso.tetrahedra)
     parts = ", ".join(
         f"{tissue.name.lower()} {volumes[heart.torso.tissues == tissue].sum() / LITRE:.2f} l"
-        for tissue in Tissue
+        for tissue in TorsoTissue
         if (heart.torso.tissues == tissue).any()
     )
     return [*rows, ("torso", f"{parts}; {len(heart.torso.vertices)} points")]

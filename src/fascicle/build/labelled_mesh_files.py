@@ -16,7 +16,7 @@ from fascicle.heart.folder import FIBRE_NAMES
 from fascicle.heart.label_names import Names
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
-from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, Mesh
+from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
@@ -167,7 +167,7 @@ def _named(
     return next(((lower[name], arrays[lower[name]]) for name in names if name in lower), None)
 
 
-def _regions(mesh: Mesh) -> NDArray[np.int64] | None:
+def _regions(mesh: MeshFile) -> NDArray[np.int64] | None:
     found = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
     if found is None:
         return None
@@ -180,7 +180,7 @@ def _regions(mesh: Mesh) -> NDArray[np.int64] | None:
     return values.astype(np.int64)
 
 
-def _directions(mesh: Mesh, names: tuple[str, ...]) -> NDArray[np.float64] | None:
+def _directions(mesh: MeshFile, names: tuple[str, ...]) -> NDArray[np.float64] | None:
     """Unit directions of the tetrahedra, from a cell or else a point array so named."""
     tetrahedra = mesh.cells[TETRAHEDRON]
     found = _named(mesh.cell_data.get(TETRAHEDRON, {}), names)

@@ -15,7 +15,7 @@ from fascicle.build.repair import enclosed_volume
 from fascicle.build.wall import check_edge_length, wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
-from fascicle.mesh.meshing import NOTHING, Sheet, as_float64, as_int32, filled
+from fascicle.mesh.meshing import NOTHING, Interface, as_float64, as_int32, tetrahedralise
 from fascicle.mesh.topology import boundary_triangles
 
 # Vertices in a cube with the edge length's side (measured: 2.0 at 1 mm, 2.2 at 2 mm, 2.4 at 3 mm on
@@ -60,8 +60,8 @@ def mesh_surface(
     report(0, 3)
     remeshed = remeshed_surface(surface, edge_length)
     report(1, 3)
-    vertices, tetrahedra, _ = filled(
-        [Sheet(remeshed.vertices, remeshed.triangles, TISSUE, NOTHING)],
+    vertices, tetrahedra, _ = tetrahedralise(
+        [Interface(remeshed.vertices, remeshed.triangles, TISSUE, NOTHING)],
         f"{surface.name}: the inside of the surface with edges of {edge_length:g} mm",
         "give a shorter edge length, or smooth the surface",
         maxh=edge_length,

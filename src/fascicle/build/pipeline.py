@@ -26,7 +26,7 @@ from fascicle.torso.electrode_sites import check_not_mirrored, check_on_skin
 from fascicle.torso.heart_pose import Pose
 from fascicle.torso.idealised import idealised_torso
 from fascicle.torso.mesh import mesh_torso
-from fascicle.torso.resolve import known_lead_fields
+from fascicle.torso.resolve import resolve_lead_fields
 from fascicle.torso.surface_files import read_torso_surfaces
 from fascicle.torso.surfaces import TorsoSurfaces
 
@@ -223,7 +223,7 @@ def in_body(
     check_on_skin(source, heart.electrodes, surfaces.skin)
     torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
     heart = replace(heart, torso=torso)
-    fields = known_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
+    fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
     return replace(heart, lead_fields=fields)
 
 

@@ -23,7 +23,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 
 PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
@@ -146,12 +146,12 @@ def _joined(source: Source, progress: Progress | None) -> LabelledSurface:
     return join_surfaces(read["lv"], read["rv"], read["epicardium"], read.get("base"), name, told)
 
 
-def _triangles(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _triangles(mesh: MeshFile) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return mesh.points, mesh.require(TRIANGLE, "triangles")
 
 
 def _from_surface(
-    source: Source, mesh: Mesh, edge_length: float, progress: Progress | None
+    source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
         surface = labelled_surface(mesh, source.array, source.numbers, source.labels_file)

@@ -25,14 +25,14 @@ from fascicle.heart.label_names import (
 )
 from fascicle.heart.labelled_surface import LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.formats.mesh_file import GROUP, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import GROUP, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 
 TEXT_FORMATS = (".txt", ".csv", ".dat")
 WELD = 1e-6  # of the largest extent; points of an STL file closer than this are one
 
 
-def has_labels(mesh: Mesh, array: str | None = None, labels_file: Path | None = None) -> bool:
+def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | None = None) -> bool:
     """Whether there are labels: a file of them, a named array, or one of `LABEL_NAMES`."""
     return labels_file is not None or array is not None or _found(mesh, None) is not None
 
@@ -75,7 +75,7 @@ def read_labelled_surface(
 
 
 def labelled_surface(
-    mesh: Mesh,
+    mesh: MeshFile,
     array: str | None = None,
     names: Mapping[str, int] | None = None,
     labels_file: Path | str | None = None,
@@ -111,7 +111,7 @@ def _welded(
     return points[first], group.astype(np.int64)[triangles], group.astype(np.int64)
 
 
-def _found(mesh: Mesh, array: str | None) -> tuple[str, bool] | None:
+def _found(mesh: MeshFile, array: str | None) -> tuple[str, bool] | None:
     """Name of the array of labels, and whether it is of triangles; those come first."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
     name = array_of_labels(of_triangles, array)
@@ -123,7 +123,9 @@ def _found(mesh: Mesh, array: str | None) -> tuple[str, bool] | None:
     return None if name is None else (name, False)
 
 
-def _array(mesh: Mesh, array: str | None) -> tuple[str, NDArray[np.int64], bool, dict[int, str]]:
+def _array(
+    mesh: MeshFile, array: str | None
+) -> tuple[str, NDArray[np.int64], bool, dict[int, str]]:
     """Where the labels stand, the labels, whether they are of triangles, and names of groups."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
     found = _found(mesh, array)
@@ -159,7 +161,7 @@ def _read_numbers(path: Path) -> NDArray[np.int64]:
     return np.array(words, dtype=np.int64)
 
 
-def _is_of_triangles(mesh: Mesh, values: NDArray[np.int64], source: str) -> bool:
+def _is_of_triangles(mesh: MeshFile, values: NDArray[np.int64], source: str) -> bool:
     triangles, points = len(mesh.cells[TRIANGLE]), len(mesh.points)
     welded = len(np.unique(_welded(mesh.points, mesh.cells[TRIANGLE])[2]))
     if len(values) not in (triangles, points):

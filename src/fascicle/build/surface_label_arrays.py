@@ -18,7 +18,7 @@ from fascicle.heart.label_names import (
     whole_numbers,
 )
 from fascicle.heart.labelled_surface import BASAL, NEEDED, Label
-from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TRIANGLE, MeshFile
 from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
 
 UNLABELLED = 0
@@ -41,13 +41,13 @@ class _Labelled(NamedTuple):
 
 
 def label_boundary(
-    mesh: Mesh, boundary: NDArray[np.int64], array: str | None, names: Names
+    mesh: MeshFile, boundary: NDArray[np.int64], array: str | None, names: Names
 ) -> NDArray[np.int64] | None:
     """Label each boundary triangle by what the mesh's file, or files beside it, say.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshFile
         What was read.
     boundary : (b, 3) array
         The boundary of its tetrahedra, as indices of its points.
@@ -81,7 +81,7 @@ def label_boundary(
     return labels
 
 
-def _labelled_triangles(mesh: Mesh, array: str | None, names: Names) -> _Labelled | None:
+def _labelled_triangles(mesh: MeshFile, array: str | None, names: Names) -> _Labelled | None:
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
         return _surf_files(mesh, names)
     arrays = mesh.cell_data.get(TRIANGLE, {})
@@ -100,12 +100,12 @@ def _labelled_triangles(mesh: Mesh, array: str | None, names: Names) -> _Labelle
     return _Labelled(source, mesh.cells[TRIANGLE][given], labels)
 
 
-def surface_groups(mesh: Mesh) -> dict[int, str]:
+def surface_groups(mesh: MeshFile) -> dict[int, str]:
     """Names of the physical groups of triangles by their number."""
     return {number: name for name, (dimension, number) in mesh.groups.items() if dimension == 2}
 
 
-def _files_beside(mesh: Mesh, suffix: str, names: Names) -> list[tuple[Path, Label]]:
+def _files_beside(mesh: MeshFile, suffix: str, names: Names) -> list[tuple[Path, Label]]:
     """Files of this kind whose name, without that of the mesh, means a label."""
     stem = opencarp_file(mesh.path, "").name
     found = []
@@ -117,7 +117,7 @@ def _files_beside(mesh: Mesh, suffix: str, names: Names) -> list[tuple[Path, Lab
     return found
 
 
-def _surf_files(mesh: Mesh, names: Names) -> _Labelled | None:
+def _surf_files(mesh: MeshFile, names: Names) -> _Labelled | None:
     files = _files_beside(mesh, ".surf", names)
     if not files:
         return None
@@ -128,7 +128,7 @@ def _surf_files(mesh: Mesh, names: Names) -> _Labelled | None:
 
 
 def _point_votes(
-    mesh: Mesh, boundary: NDArray[np.int64], array: str | None, names: Names
+    mesh: MeshFile, boundary: NDArray[np.int64], array: str | None, names: Names
 ) -> tuple[str, NDArray[np.bool_]] | None:
     """Source of the labels of points, and which labels each has, shape (points, labels)."""
     votes = np.zeros((len(mesh.points), max(Label) + 1), dtype=bool)

@@ -33,7 +33,7 @@ from fascicle.kernels.arrays import Mesh, Table
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
-from fascicle.torso.resolve import known_lead_fields
+from fascicle.torso.resolve import resolve_lead_fields
 
 FORMAT = 3  # of the files; another number makes them anew
 ONCE = "once per heart"
@@ -125,7 +125,7 @@ def _lead_field_gradients(
     progress: Progress | None,
 ) -> NDArray[np.float64]:
     """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9, m, 3)."""
-    fields = known_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
+    fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
     if fields is not None:
         return nodal_gradients(fields.values, heart.tetrahedra, barycentric)
     return unbounded_gradients(heart.vertices, heart.tetrahedra, heart.electrodes, conduction.torso)

@@ -34,7 +34,7 @@ from fascicle.heart.validate import (
     check_tetrahedra,
     check_units,
 )
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid, write_surface
 from fascicle.mesh.topology import without_unused_vertices
@@ -134,7 +134,7 @@ def load_heart(path: Path | str) -> Heart:
     return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields)
 
 
-def _lead_fields(mesh: Mesh, keys: LeadFieldKeys | None) -> LeadFields | None:
+def _lead_fields(mesh: MeshFile, keys: LeadFieldKeys | None) -> LeadFields | None:
     """Lead fields that stand in the mesh file, if the manifest says what they are."""
     if keys is None:
         return None
@@ -175,9 +175,9 @@ def _read_manifest(folder: Path) -> Manifest:
 
 def assemble_heart(
     *,
-    mesh: Mesh,
-    fibres: Mesh | None,
-    surfaces: dict[str, Mesh],
+    mesh: MeshFile,
+    fibres: MeshFile | None,
+    surfaces: dict[str, MeshFile],
     seeds: dict[str, tuple[ChosenSeed, ChosenSeed]],
     electrodes: Path,
     name: str,
@@ -186,11 +186,11 @@ def assemble_heart(
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshFile
         Tetrahedra, labels of regions if it has them, and the fibres too if `fibres` is None.
-    fibres : Mesh or None
+    fibres : MeshFile or None
         The file that holds the fibres, per point or per tetrahedron.
-    surfaces : dict of side to Mesh
+    surfaces : dict of side to MeshFile
         Endocardia.
     seeds : dict of side to (root, direction)
         Vertices of the endocardia, or positions on them; None where they are to be found.
@@ -235,7 +235,7 @@ def assemble_heart(
 
 
 def _check_two_surfaces(
-    surfaces: dict[str, Mesh], opened: dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
+    surfaces: dict[str, MeshFile], opened: dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
 ) -> None:
     apart = cKDTree(opened["rv"][0]).query(opened["lv"][0])[0]
     if float(np.median(apart)) == 0:
@@ -245,7 +245,7 @@ def _check_two_surfaces(
         )
 
 
-def _surface(side: str, surface: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _surface(side: str, surface: MeshFile) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Points and triangles of an endocardium, facing its cavity.
 
     Point indices stay as in the file, since seeds refer to them; points that no triangle uses
@@ -263,7 +263,7 @@ def _surface(side: str, surface: Mesh) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _fibres_per_tetrahedron(
-    mesh: Mesh, tetrahedra: NDArray[np.int64], source: Mesh
+    mesh: MeshFile, tetrahedra: NDArray[np.int64], source: MeshFile
 ) -> NDArray[np.float64]:
     """Find the unit fibre of each tetrahedron, matched by position if the order differs."""
     name = str(source.path)
@@ -286,7 +286,7 @@ def _fibres_per_tetrahedron(
     return average_to_tetrahedra(at_vertex, tetrahedra)
 
 
-def _regions(mesh: Mesh) -> NDArray[np.int64] | None:
+def _regions(mesh: MeshFile) -> NDArray[np.int64] | None:
     """Labels of the tetrahedra, if the mesh has the cell array `region`."""
     values = mesh.cell_data.get(TETRAHEDRON, {}).get(REGION)
     if values is None:
@@ -300,7 +300,7 @@ def _regions(mesh: Mesh) -> NDArray[np.int64] | None:
     return labels.astype(np.int64)
 
 
-def _sheets(mesh: Mesh) -> NDArray[np.float64] | None:
+def _sheets(mesh: MeshFile) -> NDArray[np.float64] | None:
     """Sheet directions of the tetrahedra, if the mesh has the cell array `sheet`."""
     values = mesh.cell_data.get(TETRAHEDRON, {}).get(SHEET)
     if values is None:
@@ -309,13 +309,13 @@ def _sheets(mesh: Mesh) -> NDArray[np.float64] | None:
     return np.asarray(values, dtype=float)
 
 
-def _valves(surface: Mesh) -> NDArray[np.bool_] | None:
+def _valves(surface: MeshFile) -> NDArray[np.bool_] | None:
     """Which triangles span a valve opening, if the surface has the cell array `valve`."""
     values = surface.cell_data.get(TRIANGLE, {}).get(VALVE)
     return None if values is None else np.asarray(values, dtype=float) != 0
 
 
-def _fibre_array(source: Mesh) -> tuple[NDArray[np.float64], bool]:
+def _fibre_array(source: MeshFile) -> tuple[NDArray[np.float64], bool]:
     """Find the array of directions in a file, and whether it is one per tetrahedron."""
     candidates: dict[str, tuple[Any, bool]] = {}
     for arrays, per_cell in (

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Tissue(IntEnum):
+class TorsoTissue(IntEnum):
     """What a tetrahedron outside the myocardium is."""
 
     BODY = 1
@@ -28,7 +28,7 @@ class Torso:
     tetrahedra : (m, 4) array
         Vertex indices, positively oriented; the myocardium's own are not among them.
     tissues : (m,) array
-        A `Tissue` for each.
+        A `TorsoTissue` for each.
     """
 
     vertices: NDArray[np.float64]

@@ -8,13 +8,13 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Tissue, Torso
+from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import signed_volumes
 
-TISSUE = "tissue"  # cell array of labels, see `fascicle.heart.torso.Tissue`
+TISSUE = "tissue"  # cell array of labels, see `fascicle.heart.torso.TorsoTissue`
 
 
 def write_torso(path: Path, torso: Torso) -> None:
@@ -45,9 +45,9 @@ def read_torso(path: Path, heart: Heart) -> Torso:
     tissues = mesh.cell_data[TETRAHEDRON].get(TISSUE)
     if tissues is None or tissues.ndim != 1:
         raise InputError(f"{path}: no cell array '{TISSUE}' with a label each; {again}")
-    unknown = np.setdiff1d(tissues, list(Tissue))
+    unknown = np.setdiff1d(tissues, list(TorsoTissue))
     if unknown.size:
-        known = ", ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in Tissue)
+        known = ", ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
         raise InputError(f"{path}: unknown tissue {unknown[0]:g}; the labels are {known}")
     count = len(heart.vertices)
     if not np.array_equal(mesh.points[:count], heart.vertices):

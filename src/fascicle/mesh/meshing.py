@@ -21,7 +21,7 @@ PRINTED = (1, 2)  # standard output and standard error
 FAILURE = re.compile(r"failed with error: (?:Stop meshing since )?(.+)")  # as Netgen prints it
 
 
-class Sheet(NamedTuple):
+class Interface(NamedTuple):
     """A closed surface between two domains.
 
     Attributes
@@ -40,19 +40,19 @@ class Sheet(NamedTuple):
     outer: int
 
     @property
-    def filled(self) -> float:
+    def enclosed(self) -> float:
         """What it adds to the volume of all domains (mm³)."""
-        enclosed = closed_volume(self.vertices, self.triangles)
-        return enclosed * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
+        volume = closed_volume(self.vertices, self.triangles)
+        return volume * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
 
 
-class Filling(NamedTuple):
-    """Tetrahedra between sheets.
+class DomainMesh(NamedTuple):
+    """Tetrahedra of one or more domains.
 
     Attributes
     ----------
     vertices : (n, 3) array
-        Positions (mm); those of the sheets come first, in their order.
+        Positions (mm); those of the interfaces come first, in their order.
     tetrahedra : (m, 4) array
         Vertex indices, positively oriented.
     domains : (m,) array
@@ -64,15 +64,17 @@ class Filling(NamedTuple):
     domains: NDArray[np.int64]
 
 
-def filled(sheets: Sequence[Sheet], what: str, remedy: str, **parameters: float) -> Filling:
-    """Fill the domains between closed surfaces by Netgen, which changes none of them.
+def tetrahedralise(
+    interfaces: Sequence[Interface], what: str, remedy: str, **parameters: float
+) -> DomainMesh:
+    """Fill the domains between closed surfaces by Netgen, which changes none of these.
 
     Parameters
     ----------
-    sheets : sequence of Sheet
-        The surfaces; they touch neither themselves nor one another.
+    interfaces : sequence of Interface
+        The surfaces, which touch neither themselves nor one another.
     what, remedy : str
-        What to call the space between them in an error, and what to do then.
+        For an error: the name of the space between them, and what to do.
     **parameters
         Netgen's: ``maxh``, the longest edge (mm), and others.
 
@@ -83,8 +85,8 @@ def filled(sheets: Sequence[Sheet], what: str, remedy: str, **parameters: float)
 
     Notes
     -----
-    Schöberl 1997, Comput Vis Sci 1:41-52. Where Netgen cannot fill a domain it says so on standard
-    error, leaves it out and goes on; it prints every crossing it finds, whatever it is told.
+    Schöberl 1997, Comput Vis Sci 1:41-52. A domain that Netgen cannot fill is reported on standard
+    error and left out. Netgen prints every crossing it finds, whatever its message level.
     """
     from netgen import meshing as netgen
 
@@ -92,13 +94,11 @@ def filled(sheets: Sequence[Sheet], what: str, remedy: str, **parameters: float)
     mesh = netgen.Mesh()
     mesh.dim = 3
     count = 0
-    for face, sheet in enumerate(sheets, start=1):
-        mesh.AddPoints(as_float64(sheet.vertices))
-        index = mesh.Add(
-            netgen.FaceDescriptor(bc=face, domin=sheet.inner, domout=sheet.outer, surfnr=face)
-        )
-        mesh.AddElements(dim=2, index=index, data=as_int32(sheet.triangles + count), base=0)
-        count += len(sheet.vertices)
+    for face, (vertices, triangles, inner, outer) in enumerate(interfaces, start=1):
+        mesh.AddPoints(as_float64(vertices))
+        index = mesh.Add(netgen.FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
+        mesh.AddElements(dim=2, index=index, data=as_int32(triangles + count), base=0)
+        count += len(vertices)
     with _kept_quiet() as printed:
         try:
             mesh.GenerateVolumeMesh(netgen.MeshingParameters(**parameters))
@@ -111,18 +111,18 @@ def filled(sheets: Sequence[Sheet], what: str, remedy: str, **parameters: float)
     tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen's are wound the other way
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     volume = float(signed_volumes(vertices, tetrahedra).sum())
-    missing = 1 - volume / sum(sheet.filled for sheet in sheets)
+    missing = 1 - volume / sum(interface.enclosed for interface in interfaces)
     if abs(missing) > VOLUME_TOLERANCE:
         why = f" ({failure[1].strip()})" if failure else ""
         raise InputError(
             f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
         )
-    return Filling(vertices, tetrahedra, elements["index"].astype(np.int64))
+    return DomainMesh(vertices, tetrahedra, elements["index"].astype(np.int64))
 
 
 @contextmanager
 def _kept_quiet() -> Iterator[IO[bytes]]:
-    """Send what compiled code prints into a file."""
+    """Send what compiled code prints to a file."""
     with TemporaryFile() as printed:
         streams = [(stream, os.dup(stream)) for stream in PRINTED]
         try:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
-from fascicle.mesh.formats.mesh_file import LINE, Mesh
+from fascicle.mesh.formats.mesh_file import LINE, MeshFile
 from fascicle.mesh.formats.opencarp import (
     COORDINATE,
     MICROMETRES,
@@ -44,7 +44,7 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
     write_vtx(opencarp_file(stem, "_junctions.vtx"), tree.junctions)
 
 
-def read_opencarp_tree(path: Path | str, purpose: str) -> Mesh:
+def read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
     """Read the lines of a tree, with the cell array ``length`` (mm) if its file is there.
 
     Raises

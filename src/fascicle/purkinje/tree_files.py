@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
-from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, Mesh
+from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.opencarp_trees import read_opencarp_tree
@@ -101,7 +101,7 @@ def _merged(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return points[first], np.asarray(number, dtype=np.int64)
 
 
-def _segments(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _segments(mesh: MeshFile) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     segments = mesh.require(LINE, "lines")
     ends = mesh.points[segments]
     chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

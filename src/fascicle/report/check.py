@@ -13,7 +13,7 @@ from fascicle.build.check import WALLS, HeartCheck
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart, outward_triangles
 from fascicle.heart.labelled_surface import Label
-from fascicle.heart.torso import Tissue, Torso
+from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.report.figures import (
@@ -136,7 +136,7 @@ def _draw_fibres(
 def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
     """Skin and lungs as if of glass, the heart, and the electrodes by name."""
     if heart.torso is not None:
-        for tissue, colour, alpha in ((None, SKIN, 0.5), (Tissue.LUNG, LUNG, 0.5)):
+        for tissue, colour, alpha in ((None, SKIN, 0.5), (TorsoTissue.LUNG, LUNG, 0.5)):
             faces = outline(heart, heart.torso, tissue)
             if len(faces):
                 _paint(axes, view, heart.torso.vertices, faces, colour, alpha)
@@ -154,7 +154,7 @@ def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
     _finish(axes, f"body, {view.name}")
 
 
-def outline(heart: Heart, torso: Torso, tissue: Tissue | None) -> NDArray[np.int64]:
+def outline(heart: Heart, torso: Torso, tissue: TorsoTissue | None) -> NDArray[np.int64]:
     """Triangles (k, 3) around one tissue, or, if None, around all: the skin."""
     cells = (
         torso.tetrahedra[torso.tissues == tissue]

@@ -13,7 +13,6 @@ Res. 51, 1982, 330-346).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -25,9 +24,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
 
 from fascicle.core.errors import InputError
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Tissue, Torso
+from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_distances
 
@@ -66,7 +66,7 @@ def lead_fields(
     heart: Heart,
     torso: Torso,
     conduction: Conduction,
-    told: Callable[[int, int], None] | None = None,
+    progress: StageProgress = no_progress,
 ) -> NDArray[np.float64]:
     """Lead fields of the heart's electrodes, at the heart's vertices.
 
@@ -79,8 +79,8 @@ def lead_fields(
         The myocardium and what is around it, in one frame.
     conduction : Conduction
         Conductivities of all of them.
-    told : callable, optional
-        Told how many of how many electrodes are done.
+    progress : callable, optional
+        Called with how many of how many electrodes are done.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def lead_fields(
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrodes)
     check_distances(heart.name, contacts.moved)
     conductivity = total_conductivity(heart, torso, conduction)
-    fields = solve_lead_fields(torso.vertices, tetrahedra, conductivity, contacts, told)
+    fields = solve_lead_fields(torso.vertices, tetrahedra, conductivity, contacts, progress)
     return fields[:, : len(heart.vertices)].copy()
 
 
@@ -107,7 +107,7 @@ def solve_lead_fields(
     tetrahedra: NDArray[np.int64],
     conductivity: NDArray[np.float64],
     contacts: Contacts,
-    told: Callable[[int, int], None] | None = None,
+    progress: StageProgress = no_progress,
 ) -> NDArray[np.float64]:
     """Lead fields of electrodes on any conductor.
 
@@ -119,8 +119,8 @@ def solve_lead_fields(
         σ of each tetrahedron (mS/cm).
     contacts : Contacts
         Where the current enters, from `place_electrodes`.
-    told : callable, optional
-        Told how many of how many electrodes are done.
+    progress : callable, optional
+        Called with how many of how many electrodes are done.
 
     Returns
     -------
@@ -132,10 +132,9 @@ def solve_lead_fields(
     InputError
         If the mesh falls into pieces, or the solver gets stuck.
     """
-    if told is not None:
-        told(0, len(contacts.moved))
+    progress(0, len(contacts.moved))
     stiffness = assemble_stiffness(vertices, tetrahedra, conductivity)
-    return solve_neumann(stiffness, contacts.currents(len(vertices)), told)
+    return solve_neumann(stiffness, contacts.currents(len(vertices)), progress)
 
 
 def place_electrodes(
@@ -169,8 +168,8 @@ def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> ND
     -------
     (m, 3, 3) array
     """
-    of_tissue = np.zeros(max(Tissue) + 1)
-    of_tissue[[Tissue.BODY, Tissue.LUNG, Tissue.BLOOD]] = (
+    of_tissue = np.zeros(max(TorsoTissue) + 1)
+    of_tissue[[TorsoTissue.BODY, TorsoTissue.LUNG, TorsoTissue.BLOOD]] = (
         conduction.body, conduction.lung, conduction.blood,
     )  # fmt: skip
     around = of_tissue[torso.tissues][:, None, None] * np.eye(3)
@@ -228,7 +227,7 @@ def assemble_stiffness(
 def solve_neumann(
     stiffness: csr_matrix,
     currents: NDArray[np.float64],
-    told: Callable[[int, int], None] | None = None,
+    progress: StageProgress = no_progress,
 ) -> NDArray[np.float64]:
     """Potentials for currents into the vertices of an insulated conductor.
 
@@ -243,8 +242,8 @@ def solve_neumann(
         Of `assemble_stiffness` (1/kΩ).
     currents : (e, n) array
         Current into each vertex (µA); each row sums to zero.
-    told : callable, optional
-        Told how many of how many rows are done.
+    progress : callable, optional
+        Called with how many of how many rows are done.
 
     Returns
     -------
@@ -282,8 +281,7 @@ def solve_neumann(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for done, potential in enumerate(pool.map(solve, currents)):
             potentials[done] = potential
-            if told is not None:
-                told(done + 1, len(currents))
+            progress(done + 1, len(currents))
     return potentials
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import igl
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.heart.torso import Tissue, Torso
+from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.measures import signed_volumes
-from fascicle.mesh.meshing import NOTHING, Filling, Sheet, filled
+from fascicle.mesh.meshing import NOTHING, DomainMesh, Interface, tetrahedralise
 from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices
 from fascicle.torso.surfaces import Surface
 
@@ -25,6 +26,7 @@ REMEDY = (
     "a surface crosses itself or another or is too rough; remesh the heart, the torso or the lungs "
     "more evenly"
 )
+STEPS = 2  # of the progress: filled, and blood found
 ENCLOSED = 0.5  # winding number from which a point counts as enclosed
 
 
@@ -32,7 +34,7 @@ def mesh_torso(
     mesh: LabelledMesh,
     skin: Surface,
     lungs: Sequence[Surface] = (),
-    told: Callable[[int, int], None] | None = None,
+    progress: StageProgress = no_progress,
 ) -> Torso:
     """Fill the space between myocardium, lungs and skin with tetrahedra.
 
@@ -51,8 +53,8 @@ def mesh_torso(
         Closed surface around it (mm).
     lungs : sequence of Surface
         Closed surfaces between the two (mm); see `fascicle.torso.enclosure.check_within`.
-    told : callable, optional
-        Told how many of how many steps are done.
+    progress : callable, optional
+        Called with how many of how many steps are done.
 
     Returns
     -------
@@ -64,24 +66,20 @@ def mesh_torso(
     InputError
         If the surfaces leave a space that cannot be meshed.
     """
-    steps = 2
-    if told is not None:
-        told(0, steps)
+    progress(0, STEPS)
     used = np.unique(mesh.triangles)
     vertices, tetrahedra, domains = _fill(mesh, used, skin, lungs)
-    if told is not None:
-        told(1, steps)
-    tissues = np.where(domains == BODY, int(Tissue.BODY), int(Tissue.LUNG))
+    progress(1, STEPS)
+    tissues = np.where(domains == BODY, int(TorsoTissue.BODY), int(TorsoTissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
         cavity = closed_cavity(mesh, label)
         near = (domains == BODY) & _in_box(centres, cavity.vertices)
         winding = igl.fast_winding_number(*cavity, np.ascontiguousarray(centres[near]))
-        tissues[np.flatnonzero(near)[winding > ENCLOSED]] = Tissue.BLOOD
+        tissues[np.flatnonzero(near)[winding > ENCLOSED]] = TorsoTissue.BLOOD
     added = vertices[len(used) :]
     number = np.concatenate([used, len(mesh.vertices) + np.arange(len(added))])
-    if told is not None:
-        told(steps, steps)
+    progress(STEPS, STEPS)
     return Torso(np.concatenate([mesh.vertices, added]), number[tetrahedra], tissues)
 
 
@@ -103,15 +101,18 @@ def _in_box(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArra
 
 def _fill(
     mesh: LabelledMesh, used: NDArray[np.int64], skin: Surface, lungs: Sequence[Surface]
-) -> Filling:
+) -> DomainMesh:
     """Fill the domains; the vertices begin with those of the heart's surface, the `used` ones."""
     compact = np.empty(len(mesh.vertices), dtype=np.int64)
     compact[used] = np.arange(len(used))
-    filling = filled(
+    filled = tetrahedralise(
         [
-            Sheet(mesh.vertices[used], compact[mesh.triangles], NOTHING, BODY),
-            Sheet(*skin, BODY, NOTHING),
-            *(Sheet(*lung, number, BODY) for number, lung in enumerate(lungs, start=FIRST_LUNG)),
+            Interface(mesh.vertices[used], compact[mesh.triangles], NOTHING, BODY),
+            Interface(*skin, BODY, NOTHING),
+            *(
+                Interface(*lung, number, BODY)
+                for number, lung in enumerate(lungs, start=FIRST_LUNG)
+            ),
         ],
         f"{mesh.name}: the torso around it",
         REMEDY,
@@ -119,7 +120,7 @@ def _fill(
         grading=GRADING,
         optsteps3d=OPTIMISATION_STEPS,
     )
-    flat = np.count_nonzero(signed_volumes(filling.vertices, filling.tetrahedra) <= 0)
+    flat = np.count_nonzero(signed_volumes(filled.vertices, filled.tetrahedra) <= 0)
     if flat:
         raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {REMEDY}")
-    return filling
+    return filled

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from fascicle.core.errors import InputError
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, digest_of
 from fascicle.heart.torso import LeadFields, Torso
@@ -18,8 +17,8 @@ CONDUCTIVITIES = (
 )  # fmt: skip
 
 
-def known_lead_fields(
-    heart: Heart, conduction: Conduction, told: Callable[[int, int], None] | None = None
+def resolve_lead_fields(
+    heart: Heart, conduction: Conduction, progress: StageProgress = no_progress
 ) -> LeadFields | None:
     """Lead fields of a heart: its own where they are up to date, else those of its torso.
 
@@ -29,8 +28,8 @@ def known_lead_fields(
         The heart.
     conduction : Conduction
         Conductivities of all tissues.
-    told : callable, optional
-        Told how many of how many electrodes are done.
+    progress : callable, optional
+        Called with how many of how many electrodes are done.
 
     Returns
     -------
@@ -42,26 +41,27 @@ def known_lead_fields(
     InputError
         If the lead fields are not those of this heart, and there is no torso to compute others in.
     """
-    if heart.lead_fields is not None and is_up_to_date(heart, conduction):
-        return heart.lead_fields
-    if heart.torso is None and heart.lead_fields is None:
+    found, torso = heart.lead_fields, heart.torso
+    if found is None and torso is None:
         return None
-    if heart.torso is None:
+    key, body = key_of(heart, conduction), torso_key(torso)
+    if found is not None and found.key == key and (torso is None or found.torso == body):
+        return found
+    if torso is None:
         raise InputError(
             f"{heart.name}: its lead fields are for other electrodes, fibres or conductivities, "
             "and there is no torso to compute new ones in; build the heart again with a torso"
         )
-    values = lead_fields(heart, heart.torso, conduction, told)
-    return LeadFields(values, key_of(heart, conduction), torso_key(heart.torso))
+    return LeadFields(lead_fields(heart, torso, conduction, progress), key, body)
 
 
 def is_up_to_date(heart: Heart, conduction: Conduction) -> bool:
     """Whether a heart's own lead fields are those of its electrodes, fibres, torso and tissues."""
-    known = heart.lead_fields
+    found = heart.lead_fields
     return (
-        known is not None
-        and known.key == key_of(heart, conduction)
-        and (heart.torso is None or known.torso == torso_key(heart.torso))
+        found is not None
+        and found.key == key_of(heart, conduction)
+        and (heart.torso is None or found.torso == torso_key(heart.torso))
     )
 
 

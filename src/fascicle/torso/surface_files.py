@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import turned_outwards
 from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
@@ -67,7 +67,7 @@ def _closed_surface(path: Path, purpose: str, extent: tuple[float, float], edge:
     return surface
 
 
-def _outer_surface(mesh: Mesh, name: str) -> Surface:
+def _outer_surface(mesh: MeshFile, name: str) -> Surface:
     """The triangles of a file, or the boundary of its tetrahedra, welded and turned outwards."""
     if len(mesh.cells.get(TETRAHEDRON, ())):
         triangles, _ = boundary_triangles(mesh.require(TETRAHEDRON, "tetrahedra"))

@@ -231,7 +231,7 @@ def test_a_missing_label_is_named(missing, named):
 def test_progress_is_told_to_the_end():
     told: list[tuple[int, int]] = []
     rule_based_fibres(
-        slab(thickness=8, layers=2), told=lambda done, total: told.append((done, total))
+        slab(thickness=8, layers=2), progress=lambda done, total: told.append((done, total))
     )
     assert told[0][0] == 0
     assert told[-1][0] == told[-1][1]

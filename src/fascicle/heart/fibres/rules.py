@@ -27,7 +27,6 @@ Piersanti et al. 2021, Comput Methods Appl Mech Eng 373:113468.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from math import radians
@@ -36,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.fibres.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.heart.fibres.longitudinal import apex_to_base
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
@@ -51,10 +51,7 @@ OUT_OF_VENTRICLE = np.array([-1.0, -1.0, 1.0])
 # ventricle see the septum from opposite sides.
 SEEN_FROM = np.array([(1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, 1.0)])
 LEAST = 1e-6  # a potential, next to a surface where it is 0
-STEPS = 3
-
-# Told how many of how many steps are done
-Told = Callable[[int, int], None]
+STEPS = 3  # of the progress
 
 
 @dataclass(frozen=True)
@@ -154,7 +151,7 @@ class Fibres:
 
 
 def rule_based_fibres(
-    mesh: LabelledMesh, angles: FibreAngles | None = None, told: Told | None = None
+    mesh: LabelledMesh, angles: FibreAngles | None = None, progress: StageProgress = no_progress
 ) -> Fibres:
     """Fibres and sheets in each tetrahedron of one or two ventricles.
 
@@ -169,8 +166,8 @@ def rule_based_fibres(
         are labelled, fibres turn towards them on the endocardium and around them outside.
     angles : FibreAngles, optional
         α and β on the surfaces; the published ones when not given.
-    told : callable, optional
-        Told how many of the steps are done.
+    progress : callable, optional
+        Called with how many of how many steps are done.
 
     Raises
     ------
@@ -178,16 +175,15 @@ def rule_based_fibres(
         When the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
-    tell = told if told is not None else lambda done, total: None
     _check_labels(mesh)
-    tell(0, STEPS)
+    progress(0, STEPS)
     space = quadratic_space(mesh.vertices, mesh.tetrahedra)
     potentials, gradients = wall_potentials(space, mesh)
-    tell(1, STEPS)
+    progress(1, STEPS)
     baseward, outflow = apex_to_base(space, mesh)
-    tell(2, STEPS)
+    progress(2, STEPS)
     fibres = by_rule(potentials, gradients, baseward, outflow, angles)
-    tell(STEPS, STEPS)
+    progress(STEPS, STEPS)
     return fibres
 
 

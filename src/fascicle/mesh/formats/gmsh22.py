@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, printable
-from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile
 
 HEADER = re.compile(rb"\$MeshFormat\s+2(?:\.\d+)?\s+([01])\s+8\s*\n")
 # Gmsh's number of an element type: its name and how many nodes it has
@@ -88,12 +88,12 @@ def is_gmsh22(content: bytes) -> bool:
     return HEADER.match(content) is not None
 
 
-def read_gmsh22(path: Path, content: bytes) -> Mesh:
+def read_gmsh22(path: Path, content: bytes) -> MeshFile:
     """Read a Gmsh file of format 2, text or binary.
 
     Returns
     -------
-    Mesh
+    MeshFile
         Physical groups are in the cell array `GROUP` and in ``groups``. Element data are cell
         arrays of the kinds that have any, not a number where an element has none.
 
@@ -111,7 +111,7 @@ def read_gmsh22(path: Path, content: bytes) -> Mesh:
         ) from None
 
 
-def _parsed(path: Path, content: bytes) -> Mesh:
+def _parsed(path: Path, content: bytes) -> MeshFile:
     header = HEADER.match(content)
     if header is None:
         raise ValueError("no header of format 2")
@@ -222,7 +222,7 @@ def _assembled(
     elements: dict[int, _Elements],
     groups: dict[str, tuple[int, int]],
     data: dict[str, dict[str, NDArray[np.float64]]],
-) -> Mesh:
+) -> MeshFile:
     ids = nodes[:, 0].astype(np.int64)
     cells, cell_data, others = {}, {}, {}
     for kind, block in elements.items():
@@ -242,7 +242,7 @@ def _assembled(
         cell_data[USED[kind]] = arrays
     found = {name: _values(table, ids) for name, table in data["NodeData"].items()}
     point_data = {name: values for name, values in found.items() if values is not None}
-    return Mesh(path, nodes[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
+    return MeshFile(path, nodes[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
 
 
 def _places(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:

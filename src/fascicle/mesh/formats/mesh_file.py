@@ -20,7 +20,7 @@ GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical gro
 
 
 @dataclass(frozen=True)
-class Mesh:
+class MeshFile:
     """Points and cells of a file, whatever its format.
 
     Attributes

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, one_line
-from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, Mesh
+from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile
 
 MESHIO_CELLS = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
 
 
-def read_meshio(path: Path) -> Mesh:
+def read_meshio(path: Path) -> MeshFile:
     """Read a Gmsh or PLY file by meshio."""
     import meshio
 
@@ -57,7 +57,7 @@ def read_meshio(path: Path) -> Mesh:
         if block.type not in MESHIO_CELLS and block.type != "vertex"
     }
     groups = {name: (int(of), int(number)) for name, (number, of) in data.field_data.items()}
-    return Mesh(path, points, cells, dict(data.point_data), cell_data, others, groups=groups)
+    return MeshFile(path, points, cells, dict(data.point_data), cell_data, others, groups=groups)
 
 
 def _read_ply(path: Path) -> Any:

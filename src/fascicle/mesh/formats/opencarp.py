@@ -21,7 +21,7 @@ from fascicle.mesh.formats.mesh_file import (
     OPENCARP_FORMATS,
     TETRAHEDRON,
     TRIANGLE,
-    Mesh,
+    MeshFile,
 )
 
 MICROMETRES = 1000.0  # per mm
@@ -58,7 +58,7 @@ def opencarp_file(path: Path | str, suffix: str) -> Path:
     return path.with_name(path.name + suffix)
 
 
-def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
+def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read `.pts` and `.elem`, and `.lon` where there is one.
 
     Coordinates are in µm and become mm; those that span less than 3000 are taken to be in mm
@@ -73,7 +73,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
 
     Returns
     -------
-    Mesh
+    MeshFile
         Tetrahedra, triangles and lines, with the cell arrays ``region`` (the tags), ``fibre`` and
         ``sheet`` where the files have them; points in mm.
 
@@ -95,7 +95,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
         if block.tags is not None:
             arrays["region"] = block.tags.astype(float)
         cell_data[kind] = arrays
-    return Mesh(elements, points, cells, {}, cell_data, others)
+    return MeshFile(elements, points, cells, {}, cell_data, others)
 
 
 def _read_points(path: Path, purpose: str) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.mesh.formats.gmsh22 import is_gmsh22, read_gmsh22
-from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, Mesh
+from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile
 from fascicle.mesh.formats.meshio_files import read_meshio
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
 from fascicle.mesh.formats.vtk import is_ascii_vtk, read_vtk
@@ -25,7 +25,7 @@ HEAD, TAIL = 512, 1024  # bytes
 STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
 
 
-def read_mesh(path: Path | str, purpose: str = "mesh") -> Mesh:
+def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read a mesh file of any supported format.
 
     Raises
@@ -88,6 +88,6 @@ def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:
     return (fits and any(tail)) or b"endsolid" in tail.lower()
 
 
-def _read_gmsh(path: Path) -> Mesh:
+def _read_gmsh(path: Path) -> MeshFile:
     content = path.read_bytes()
     return read_gmsh22(path, content) if is_gmsh22(content) else read_meshio(path)

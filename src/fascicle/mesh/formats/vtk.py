@@ -19,11 +19,11 @@ from fascicle.mesh.formats.mesh_file import (
     TETRAHEDRON,
     TRIANGLE,
     VTK_IGNORED,
-    Mesh,
+    MeshFile,
 )
 
 
-def read_vtk(path: Path) -> Mesh:
+def read_vtk(path: Path) -> MeshFile:
     """Read a VTK, VTU, VTP, OBJ or STL file by VTK's own reader."""
     import pyvista as pv
 
@@ -58,7 +58,7 @@ def read_vtk(path: Path) -> Mesh:
     points = np.asarray(data.points, dtype=float)
     lines = index.get(LINE, np.empty(0))
     has_polylines = np.unique(lines).size < lines.size
-    return Mesh(path, points, cells, point_data, cell_data, others, has_polylines)
+    return MeshFile(path, points, cells, point_data, cell_data, others, has_polylines)
 
 
 def _vtk_reader(path: Path) -> Any:
