@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = Path(sys.executable).with_name("fascicle")
-HEAVY = ("torch", "vtkmodules", "pyvista", "matplotlib", "arviz", "numba", "scipy", "meshio")
+HEAVY = ("vtkmodules", "pyvista", "matplotlib", "arviz", "numba", "scipy", "meshio")
 
 
 def start(*arguments):

@@ -1,10 +1,11 @@
-"""The Gaussian process against NumPy and against GPyTorch."""
+"""The Gaussian process against NumPy and against scikit-learn."""
 
-import gpytorch
 import numpy as np
 import pytest
-import torch
+from differences import central_differences
 from scipy.spatial.distance import cdist
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from fascicle.inference.surrogate import exponential
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
@@ -61,30 +62,43 @@ def test_fast_mean_equals_mean(data):
     assert np.abs(nearness - np.exp(-distance)).max() < 1e-11
 
 
-def gpytorch_likelihood(points, outputs, hyper):
-    """Log marginal likelihood and gradient with respect to the logarithms, by GPyTorch."""
-    x, y = torch.tensor(points), torch.tensor(outputs)
-    matern = gpytorch.kernels.MaternKernel(nu=0.5, ard_num_dims=x.shape[1])
-    logs = torch.tensor(hyper.to_logarithms(), requires_grad=True)
-    scaled = x / logs[:-2].exp()
-    matern.lengthscale = torch.ones(1, x.shape[1], dtype=torch.float64)
-    covariance = logs[-2].exp() * matern(scaled).to_dense()
-    covariance = covariance + logs[-1].exp() * torch.eye(len(x), dtype=torch.float64)
-    normal = gpytorch.distributions.MultivariateNormal(torch.zeros_like(y), covariance)
-    value = normal.log_prob(y)
-    value.backward()
-    return value.item(), logs.grad.numpy()
+def scikit_learn_likelihood(points, outputs, hyper):
+    """Log marginal likelihood and gradient with respect to the logarithms, by scikit-learn."""
+    kernel = ConstantKernel(hyper.variance) * Matern(hyper.length_scales, nu=0.5)
+    process = GaussianProcessRegressor(kernel + WhiteKernel(hyper.noise), alpha=0, optimizer=None)
+    process.fit(points, outputs)
+    logarithms = process.kernel_.theta  # variance, length scales, noise
+    value, gradient = process.log_marginal_likelihood(logarithms, eval_gradient=True)
+    return value, np.concatenate([gradient[1:-1], gradient[:1], gradient[-1:]])
 
 
-def test_likelihood_and_gradient_equal_gpytorch(data):
+def test_likelihood_and_gradient_equal_scikit_learn(data):
     points, outputs, _ = data
-    value, gradient = exponential.log_marginal_likelihood(
-        torch.tensor(points), torch.tensor(outputs), HYPER
-    )
-    expected_value, expected_gradient = gpytorch_likelihood(points, outputs, HYPER)
-    # GPyTorch expands squared distances, so its kernel is good to about 1e-8.
-    assert value == pytest.approx(expected_value, abs=1e-6)
-    np.testing.assert_allclose(gradient, expected_gradient, rtol=1e-6, atol=1e-7)
+    value, gradient = exponential.log_marginal_likelihood(points, outputs, HYPER)
+    expected_value, expected_gradient = scikit_learn_likelihood(points, outputs, HYPER)
+    assert value == pytest.approx(expected_value, rel=1e-11)
+    np.testing.assert_allclose(gradient, expected_gradient, rtol=1e-9)
+
+
+def test_gradients_of_a_prediction(data):
+    points, outputs, targets = data
+    gp = ExponentialGP.condition(points, outputs, HYPER)
+    for target in targets[:5]:
+        mean, variance, by_mean, by_variance = gp.moments_and_gradients(target)
+        expected = [moment[0] for moment in gp.predict(target[None])]
+        assert [mean, variance] == pytest.approx(expected, rel=1e-11)
+        for k, gradient in enumerate((by_mean, by_variance)):
+            slopes = central_differences(lambda x, k=k: gp.predict(x)[k], target)
+            np.testing.assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-7)
+
+
+def test_gradients_at_a_data_point_are_those_of_the_other_points(data):
+    points, outputs, _ = data
+    gp = ExponentialGP.condition(points, outputs, HYPER)
+    *_, by_mean, _ = gp.moments_and_gradients(points[0])
+    step = np.array([1e-6, -2e-6, 1e-6])
+    ends = gp.predict(np.array([points[0] + step, points[0] - step]))[0]
+    assert by_mean @ (2 * step) == pytest.approx(ends[0] - ends[1], rel=1e-4)
 
 
 def test_fit_recovers_length_scales():

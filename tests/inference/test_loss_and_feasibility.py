@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from differences import central_differences
 
 from fascicle.inference.surrogate.exponential import Hyperparameters
 from fascicle.inference.surrogate.feasibility import FeasibilityGP
@@ -33,7 +34,9 @@ def test_predictions_are_in_the_units_of_the_loss():
 def test_believer_keeps_the_mean_and_loses_the_variance():
     known = observations()
     gp, point = LossGP.condition(known, HYPER), np.array([0.21, 0.83])
-    before, after = gp.predict(point[None]), gp.with_guess(known, point).predict(point[None])
+    believer, grown = gp.with_guess(known, point)
+    before, after = gp.predict(point[None]), believer.predict(point[None])
+    assert grown.losses[-1] == before[0][0]
     assert after[0][0] == pytest.approx(before[0][0], rel=1e-6)
     assert after[1][0] < 0.01 * before[1][0]
 
@@ -63,3 +66,12 @@ def test_probability_of_feasibility_is_calibrated():
     assert feasible[probability < 0.1].mean() < 0.05
     assert (probability > 0.9).sum() > 500
     assert (probability < 0.1).sum() > 300
+
+
+def test_gradient_of_the_probability():
+    gp = FeasibilityGP.fit(observations(), None, 20)
+    for point in np.array([[0.2, 0.4], [0.69, 0.5], [0.95, 0.1]]):
+        value, gradient = gp.log_probability_and_gradient(point)
+        assert np.exp(value) == pytest.approx(gp.probability(point[None])[0], rel=1e-9)
+        slopes = central_differences(gp.log_probability, point)
+        np.testing.assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-7)

@@ -1,7 +1,10 @@
 """Bayesian optimisation on functions whose minimum is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from differences import central_differences
 
 from fascicle.inference.optimisation.acquisition import FeasibleLogImprovement, perturbed
 from fascicle.inference.optimisation.design import latin_hypercube
@@ -78,19 +81,33 @@ def test_state_survives_text():
     assert state.feasibility is not None
 
 
-def test_acquisition_equals_monte_carlo():
-    import torch
-
+@pytest.fixture
+def acquisition():
     points = latin_hypercube(np.random.default_rng(7), 30, 3)
     _, gp, feasibility = refit(State(Observations(points, loss(points))))
-    targets = np.random.default_rng(5).random((6, 3))
-    mean, variance = gp.gp.predict(targets)
-    best = 0.1
+    return FeasibleLogImprovement(gp.gp, feasibility, best=0.1)
+
+
+TARGETS = np.random.default_rng(5).random((6, 3))
+
+
+def test_acquisition_equals_monte_carlo(acquisition):
+    mean, variance = acquisition.gp.predict(TARGETS)
     draws = mean + np.sqrt(variance) * np.random.default_rng(0).standard_normal((400_000, 6))
-    expected = np.maximum(best - draws, 0).mean(0) * feasibility.probability(targets)
-    acquisition = FeasibleLogImprovement(gp, feasibility, best)
-    value = acquisition(torch.tensor(targets)[:, None, :]).detach().numpy()
-    np.testing.assert_allclose(np.exp(value), expected, rtol=0.02, atol=1e-5)
+    improvement = np.maximum(acquisition.best - draws, 0).mean(0)
+    expected = improvement * acquisition.feasibility.probability(TARGETS)
+    np.testing.assert_allclose(np.exp(acquisition(TARGETS)), expected, rtol=0.02, atol=1e-5)
+
+
+@pytest.mark.parametrize("best", [3.0, 0.1, -5.0, -3000.0])
+def test_gradient_of_the_acquisition(acquisition, best):
+    """With improvement certain, likely, unlikely and out of the question."""
+    acquisition = replace(acquisition, best=best)
+    for target in TARGETS:
+        value, gradient = acquisition.negative(target)
+        assert -value == pytest.approx(acquisition(target[None])[0], rel=1e-9)
+        slopes = central_differences(acquisition, target)
+        np.testing.assert_allclose(-gradient, slopes, rtol=1e-6, atol=1e-6)
 
 
 def test_perturbations_stay_in_the_cube_and_move():

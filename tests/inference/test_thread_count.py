@@ -1,38 +1,54 @@
 """The number of threads changes no bit."""
 
 import numpy as np
-import torch
+from threadpoolctl import threadpool_limits
 
+from fascicle.inference.optimisation.step import State, step
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
-from fascicle.inference.surrogate.threads import in_chunks, one_thread
+from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.threads import blas_threads, in_chunks, one_thread
+
+
+def with_threads(answers):
+    """Bytes of each answer with one, two and three threads of BLAS."""
+    results = []
+    for threads in (1, 2, 3):
+        with threadpool_limits(threads, user_api="blas"):
+            results.append([answer.tobytes() for answer in answers()])
+            assert blas_threads() == threads  # as it was before
+    return results
 
 
 def test_predictions_do_not_depend_on_the_threads():
     rng = np.random.default_rng(0)
     points, targets = rng.random((70, 3)), rng.random((7777, 3))
     gp = ExponentialGP.condition(points, points.sum(1), Hyperparameters((1.0,) * 3, 1.0, 1e-3))
-    before = torch.get_num_threads()
-    results = []
-    try:
-        for threads in (1, 2, 3):
-            torch.set_num_threads(threads)
-            answers = (*gp.predict(targets), *gp.mean_many(targets))
-            results.append([answer.tobytes() for answer in answers])
-            assert torch.get_num_threads() == threads
-    finally:
-        torch.set_num_threads(before)
-    assert results[0] == results[1] == results[2]
+    one, two, three = with_threads(lambda: (*gp.predict(targets), *gp.mean_many(targets)))
+    assert one == two == three
+
+
+def test_proposals_do_not_depend_on_the_threads():
+    """With so many points that BLAS and LAPACK would share out the work."""
+    points = np.random.default_rng(0).random((300, 4))
+    losses = np.where(points[:, 0] > 0.8, np.nan, ((points - 0.4) ** 2).sum(1))
+
+    def proposed():
+        state, new = step(np.random.default_rng(1), State(Observations(points, losses)), 2)
+        return new, state.loss.to_logarithms(), state.feasibility.to_logarithms()
+
+    one, two, three = with_threads(proposed)
+    assert one == two == three
 
 
 def test_chunks_cover_everything_once():
     seen = np.zeros(1003)
 
     def work(part):
-        assert torch.get_num_threads() == 1
-        assert not torch.is_grad_enabled()
+        assert blas_threads() == 1
         seen[part] += 1
 
-    in_chunks(work, 1003, 100)
+    with threadpool_limits(2, user_api="blas"):
+        in_chunks(work, 1003, 100)
     assert (seen == 1).all()
 
 
@@ -44,7 +60,6 @@ def test_no_points_give_no_predictions():
 
 
 def test_one_thread_is_undone():
-    before = torch.get_num_threads()
-    with one_thread():
-        assert torch.get_num_threads() == 1
-    assert torch.get_num_threads() == before
+    with threadpool_limits(2, user_api="blas"):
+        assert one_thread(blas_threads)() == 1
+        assert blas_threads() == 2

@@ -315,8 +315,8 @@ def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
     assert summary(again, again.run(narrow, silent)) == expected
 
 
-def test_importing_the_study_loads_no_torch():
-    heavy = "('torch', 'sklearn')"
+def test_importing_the_study_loads_no_surrogate():
+    heavy = "('scipy.stats', 'fascicle.inference.surrogate.exponential')"
     code = f"import sys, fascicle.study.study; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-import torch
-from botorch.acquisition import LogExpectedImprovement
-from botorch.exceptions.warnings import OptimizationWarning
-from botorch.generation.gen import gen_candidates_scipy
-from botorch.models.model import Model
 from numpy.typing import NDArray
-from torch import Tensor
+from scipy.optimize import minimize
 
-from fascicle.inference.surrogate.exponential import ExponentialGP, to_tensor
+from fascicle.inference.optimisation.log_improvement import (
+    log_expected_improvement,
+    log_expected_improvement_slopes,
+)
+from fascicle.inference.surrogate.exponential import ExponentialGP
 from fascicle.inference.surrogate.feasibility import FeasibilityGP
-from fascicle.inference.surrogate.loss_gp import LossGP
 
 RAW_UNIFORM = 2000
 RAW_LOCAL = 1000  # perturbations of the best points: the kernel has a cusp there
@@ -26,44 +21,45 @@ LOCAL_CENTRES = 5
 LOCAL_SPREAD = (1e-3, 0.3)  # of the unit cube, log-uniform
 RESTARTS = 4  # of each kind of raw point
 ITERATIONS = 40
-NEAREST = 1e-4  # a proposal nearer to a known point (any coordinate's range is 1) tells nothing
-
-
-class _Surrogate(Model):  # type: ignore[misc]
-    """What BoTorch's analytic acquisition functions ask of a model: marginal moments."""
-
-    num_outputs = 1
-
-    def __init__(self, gp: ExponentialGP) -> None:
-        super().__init__()
-        self.gp = gp
-
-    def posterior(self, X: Tensor, **_: Any) -> SimpleNamespace:
-        """Mean and variance at X (b, 1, d), shape (b, 1, 1) each."""
-        mean, variance = self.gp.moments(X[:, 0, :])
-        return SimpleNamespace(mean=mean[:, None, None], variance=variance[:, None, None])
-
-
-class FeasibleLogImprovement(LogExpectedImprovement):  # type: ignore[misc]
-    """log EI(x) + log P(x is feasible), after Gardner et al. (ICML 2014).
-
-    log EI is the numerically safe one of Ament et al. (NeurIPS 2023), of the standardised loss
-    below the least posterior mean at a data point.
-    """
-
-    def __init__(self, loss: LossGP, feasibility: FeasibilityGP, best: float) -> None:
-        super().__init__(_Surrogate(loss.gp), best_f=best, maximize=False)
-        self.feasibility = feasibility
-
-    def forward(self, X: Tensor) -> Tensor:
-        """Value at X (b, 1, d), shape (b,)."""
-        improvement: Tensor = super().forward(X)
-        return improvement + self.feasibility.log_probability(X[:, 0, :])
+NEAREST = 1e-4  # a proposal nearer to a known point (any coordinate's range is 1) adds nothing
 
 
 @dataclass(frozen=True)
-class Region:
-    """A box inside the unit cube.
+class FeasibleLogImprovement:
+    """log EI(x) + log P(x is feasible), after Gardner et al. (ICML 2014).
+
+    Attributes
+    ----------
+    gp : ExponentialGP
+        Of the standardised loss.
+    feasibility : FeasibilityGP
+    best : float
+        The standardised loss to improve on.
+    """
+
+    gp: ExponentialGP
+    feasibility: FeasibilityGP
+    best: float
+
+    def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value at `points` (m, d), shape (m,)."""
+        mean, variance = self.gp.predict(points)
+        improvement = log_expected_improvement(mean, variance, self.best)
+        return improvement + self.feasibility.log_probability(points)
+
+    def negative(self, point: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Negative value at one `point` (d,), and its gradient (d,), for minimisers."""
+        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(point)
+        improvement = float(log_expected_improvement(mean, variance, self.best))
+        per_mean, per_variance = log_expected_improvement_slopes(mean, variance, self.best)
+        feasible, gradient = self.feasibility.log_probability_and_gradient(point)
+        gradient = gradient + per_mean * by_mean + per_variance * by_variance
+        return -(improvement + feasible), -gradient
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-parallel box inside the unit cube.
 
     Attributes
     ----------
@@ -75,12 +71,12 @@ class Region:
     upper: NDArray[np.float64]
 
     @classmethod
-    def everywhere(cls, dimension: int) -> Region:
+    def everywhere(cls, dimension: int) -> Box:
         """Take the whole cube."""
         return cls(np.zeros(dimension), np.ones(dimension))
 
     @classmethod
-    def around(cls, centre: NDArray[np.float64], radius: float) -> Region:
+    def around(cls, centre: NDArray[np.float64], radius: float) -> Box:
         """Take what of the cube is within `radius` of `centre` in every coordinate."""
         return cls(np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0))
 
@@ -99,32 +95,48 @@ def maximise(
     acquisition: FeasibleLogImprovement,
     best_points: NDArray[np.float64],
     known: NDArray[np.float64],
-    region: Region,
+    box: Box,
 ) -> NDArray[np.float64]:
-    """Find the best point of a region for an acquisition function, shape (d,).
+    """Find the best point of a box for an acquisition function, shape (d,).
 
-    Uniform raw points and perturbations of `best_points` (k, d), the best few of each polished by
-    L-BFGS-B; the winner keeps away from the `known` points (n, d).
+    Uniform raw points and perturbations of the best points, the best few of each polished by
+    L-BFGS-B.
+
+    Parameters
+    ----------
+    rng : Generator
+        The only source of randomness.
+    acquisition : FeasibleLogImprovement
+    best_points : (k, d) array
+        What is perturbed.
+    known : (n, d) array
+        The result keeps `NEAREST` away from these.
+    box : Box
     """
-    uniform = region.draw(rng, RAW_UNIFORM)
-    local = region.clip(perturbed(rng, best_points, RAW_LOCAL))
-    starts = np.vstack([_best(acquisition, uniform), _best(acquisition, local)])
-    with warnings.catch_warnings(record=True) as caught:  # BoTorch overrides any filter
-        polished, _ = gen_candidates_scipy(
-            to_tensor(starts)[:, None, :],
-            acquisition,
-            lower_bounds=to_tensor(region.lower),
-            upper_bounds=to_tensor(region.upper),
-            options={"maxiter": ITERATIONS},
-        )
-    for told in caught:
-        # a line search that ends early leaves a point that is judged with the others below
-        if not issubclass(told.category, OptimizationWarning):
-            warnings.warn_explicit(told.message, told.category, told.filename, told.lineno)
-    candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])
-    gap = np.abs(candidates[:, None, :] - known[None, :, :]).max(2).min(1)
-    allowed = candidates[gap > NEAREST]
-    return np.array(allowed[np.argmax(_values(acquisition, allowed))])
+    uniform = box.draw(rng, RAW_UNIFORM)
+    local = box.clip(perturbed(rng, best_points, RAW_LOCAL))
+    raw, values = [uniform, local], [acquisition(uniform), acquisition(local)]
+    starts = np.vstack([x[_descending(v)[:RESTARTS]] for x, v in zip(raw, values, strict=True)])
+    polished = np.array([_polished(acquisition, start, box) for start in starts])
+    candidates = np.vstack([polished, *raw])
+    order = _descending(np.concatenate([acquisition(polished), *values]))
+    return next(x for x in candidates[order] if np.abs(known - x).max(1).min() > NEAREST)
+
+
+def _descending(values: NDArray[np.float64]) -> NDArray[np.intp]:
+    return np.argsort(-values, kind="stable")
+
+
+def _polished(
+    acquisition: FeasibleLogImprovement, start: NDArray[np.float64], box: Box
+) -> NDArray[np.float64]:
+    """End of a search from `start`; one that stops early is judged by its value like the others."""
+    bounds = np.column_stack([box.lower, box.upper])
+    options = {"maxiter": ITERATIONS}
+    result = minimize(
+        acquisition.negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
+    )
+    return box.clip(result.x)
 
 
 def perturbed(
@@ -139,15 +151,3 @@ def perturbed(
     points = centres[rng.integers(len(centres), size=count)]
     shifted = points + moved * spread * rng.standard_normal((count, dimension))
     return np.asarray(np.clip(shifted, 0.0, 1.0))
-
-
-def _values(
-    acquisition: FeasibleLogImprovement, points: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    with torch.no_grad():
-        return np.array(acquisition(to_tensor(points)[:, None, :]).numpy())
-
-
-def _best(acquisition: FeasibleLogImprovement, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    order = np.argsort(-_values(acquisition, points), kind="stable")
-    return points[order[:RESTARTS]]

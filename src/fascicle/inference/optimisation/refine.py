@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.inference.evaluation import Evaluation, Objective
 
 POPULATION = 20
@@ -23,7 +24,7 @@ def refine(
     known: Sequence[Evaluation],
     objective: Objective,
     generations: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: StageProgress = no_progress,
 ) -> None:
     """Improve on the best known points by differential evolution.
 
@@ -43,7 +44,7 @@ def refine(
     generations : int
         How many; each costs up to `POPULATION` evaluations. Fewer than `SMALLEST` feasible points
         that are apart cannot breed, and nothing is done.
-    progress : callable
+    progress : StageProgress
         Called with the generations done, and `generations`.
     """
     population = spread(known)

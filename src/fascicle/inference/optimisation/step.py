@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fascicle.inference.optimisation.acquisition import (
     LOCAL_CENTRES,
+    Box,
     FeasibleLogImprovement,
-    Region,
     maximise,
 )
 from fascicle.inference.surrogate.exponential import Hyperparameters
@@ -69,7 +69,7 @@ def refit(state: State) -> tuple[State, LossGP, FeasibilityGP]:
     return fitted, loss, feasibility
 
 
-@one_thread()
+@one_thread
 def step(
     rng: np.random.Generator, state: State, batch: int = 1
 ) -> tuple[State, NDArray[np.float64]]:
@@ -96,14 +96,12 @@ def step(
         In the unit cube.
     """
     fitted, loss, feasibility = refit(state)
-    believed = state.observations
+    known = state.observations
     proposals: list[NDArray[np.float64]] = []
     for _ in range(batch):
-        point = _propose(rng, believed, loss, feasibility)
-        proposals.append(point)
-        guess = float(loss.predict(point[None, :])[0][0])
-        loss = loss.with_guess(believed, point)
-        believed = believed.with_guess(point, guess)
+        if proposals:
+            loss, known = loss.with_guess(known, proposals[-1])
+        proposals.append(_propose(rng, known, loss, feasibility))
     return fitted, np.array(proposals)
 
 
@@ -117,12 +115,12 @@ def _propose(
     points = observations.points[observations.feasible]
     mean, _ = loss.gp.predict(points)
     order = np.argsort(mean, kind="stable")
-    acquisition = FeasibleLogImprovement(loss, feasibility, float(mean[order[0]]))
+    acquisition = FeasibleLogImprovement(loss.gp, feasibility, float(mean[order[0]]))
     centres = points[order[:LOCAL_CENTRES]]
-    return maximise(rng, acquisition, centres, observations.points, _region(rng, centres[0]))
+    return maximise(rng, acquisition, centres, observations.points, _box(rng, centres[0]))
 
 
-def _region(rng: np.random.Generator, best: NDArray[np.float64]) -> Region:
+def _box(rng: np.random.Generator, best: NDArray[np.float64]) -> Box:
     """Where to look for the next point: near the best one, or everywhere.
 
     In twelve dimensions expected improvement everywhere is mostly that of corners far from all
@@ -130,6 +128,6 @@ def _region(rng: np.random.Generator, best: NDArray[np.float64]) -> Region:
     (Eriksson et al., NeurIPS 2019), is what finds improvements.
     """
     if rng.random() >= LOCAL_SHARE:
-        return Region.everywhere(len(best))
+        return Box.everywhere(len(best))
     low, high = np.log(LOCAL_RADIUS)
-    return Region.around(best, float(np.exp(rng.uniform(low, high))))
+    return Box.around(best, float(np.exp(rng.uniform(low, high))))

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from scipy.special import log_ndtr
 
-from fascicle.inference.surrogate.exponential import (
-    CHUNK,
-    ExponentialGP,
-    Hyperparameters,
-    fit,
-    to_tensor,
-)
+from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters, fit
 from fascicle.inference.surrogate.observations import Observations
-from fascicle.inference.surrogate.threads import in_chunks
 
 
 @dataclass(frozen=True)
@@ -67,21 +60,30 @@ class FeasibilityGP:
         """Those of the process; None as long as every known point is feasible."""
         return self.gp.hyperparameters if self.gp is not None else None
 
-    def log_probability(self, points: Tensor) -> Tensor:
-        """Logarithm of the probability at `points` (m, d), shape (m,); differentiable."""
+    def log_probability(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Logarithm of the probability that each of `points` (m, d) gives a tree, shape (m,)."""
         if self.gp is None:
-            return torch.zeros(len(points), dtype=points.dtype)
-        mean, variance = self.gp.moments(points)
-        z = (self.offset + mean) / torch.sqrt(variance + self.gp.hyperparameters.noise)
-        logarithm: Tensor = torch.special.log_ndtr(z)
-        return logarithm
+            return np.zeros(len(points))
+        mean, variance = self.gp.predict(points)
+        z = (self.offset + mean) / np.sqrt(variance + self.gp.hyperparameters.noise)
+        return np.asarray(log_ndtr(z))
+
+    def log_probability_and_gradient(
+        self, point: NDArray[np.float64]
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Logarithm of the probability at one `point` (d,), and its gradient (d,).
+
+        With z = (b + m) / s and s² = v + σₙ²: ∇ log Φ(z) = φ(z)/Φ(z) · (∇m − z ∇v / 2s) / s.
+        """
+        if self.gp is None:
+            return 0.0, np.zeros_like(point)
+        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(point)
+        s = math.sqrt(variance + self.gp.hyperparameters.noise)
+        z = (self.offset + mean) / s
+        logarithm = float(log_ndtr(z))
+        ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - logarithm)
+        return logarithm, ratio * (by_mean - z * by_variance / (2 * s)) / s
 
     def probability(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Probability that each of `points` (m, d) gives a tree, shape (m,)."""
-        result = np.empty(len(points))
-
-        def work(part: slice) -> None:
-            result[part] = self.log_probability(to_tensor(points[part])).exp().numpy()
-
-        in_chunks(work, len(points), CHUNK)
-        return result
+        return np.exp(self.log_probability(points))

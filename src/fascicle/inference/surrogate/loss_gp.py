@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters, fit
 from fascicle.inference.surrogate.observations import Observations
 
+EQUAL = 1e-12  # losses whose standard deviation is this small a part of their mean are equal
+
 
 @dataclass(frozen=True)
 class LossGP:
@@ -41,17 +43,18 @@ class LossGP:
         points, z, offset, scale = _standardised(observations)
         return cls(ExponentialGP.condition(points, z, hyperparameters), offset, scale)
 
-    def with_guess(self, observations: Observations, point: NDArray[np.float64]) -> LossGP:
-        """Believe the mean at a pending `point` (d,) (kriging believer).
+    def with_guess(
+        self, observations: Observations, point: NDArray[np.float64]
+    ) -> tuple[LossGP, Observations]:
+        """Believe the mean at a pending `point` (d,) (kriging believer), and count it as known.
 
         Hyper-parameters, offset and scale stay.
         """
-        mean, _ = self.predict(point[None, :])
-        grown = observations.with_guess(point, float(mean[0]))
-        known = grown.feasible
-        z = (grown.losses[known] - self.offset) / self.scale
-        gp = ExponentialGP.condition(grown.points[known], z, self.gp.hyperparameters)
-        return LossGP(gp, self.offset, self.scale)
+        grown = observations.with_guess(point, float(self.predict(point[None, :])[0][0]))
+        feasible = grown.feasible
+        z = (grown.losses[feasible] - self.offset) / self.scale
+        gp = ExponentialGP.condition(grown.points[feasible], z, self.gp.hyperparameters)
+        return LossGP(gp, self.offset, self.scale), grown
 
     def predict(
         self, points: NDArray[np.float64]
@@ -76,9 +79,8 @@ def _standardised(
     observations: Observations,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
     """Feasible points, their standardised losses, and the mean and deviation taken out."""
-    known = observations.feasible
-    losses = observations.losses[known]
+    feasible = observations.feasible
+    losses = observations.losses[feasible]
     offset, scale = float(losses.mean()), float(losses.std())
-    # Equal losses have no scale of their own.
-    scale = scale if scale > 1e-12 * max(abs(offset), 1e-300) else 1.0
-    return observations.points[known], (losses - offset) / scale, offset, scale
+    scale = scale if scale > EQUAL * abs(offset) else 1.0  # equal losses have none of their own
+    return observations.points[feasible], (losses - offset) / scale, offset, scale

@@ -2,48 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 
-import torch
+import numpy as np  # noqa: F401 - NumPy and SciPy each bring a BLAS, both are found below
+import scipy.linalg  # noqa: F401
+from threadpoolctl import ThreadpoolController
+
+_BLAS = ThreadpoolController().select(user_api="blas")
+
+# Decorator: keep BLAS and LAPACK to one thread within a function. The matrices of a fit are small,
+# so that more threads mostly wait; and sums are then always taken in the same order, so the result
+# has the same bits whatever the number of cores.
+one_thread = _BLAS.wrap(limits=1)
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep PyTorch to one thread within the block.
-
-    The matrices of a fit are small: with two threads it takes two to five times as long as with
-    one. And sums are then always taken in the same order, so the result has the same bits
-    whatever the number of cores.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+def blas_threads() -> int:
+    """Count the threads that BLAS may use now, by default one a core."""
+    return max((int(library["num_threads"]) for library in _BLAS.info()), default=1)
 
 
 def in_chunks(work: Callable[[slice], None], count: int, size: int) -> None:
-    """Call `work` on consecutive slices of `size` out of `count`, on all of PyTorch's threads.
+    """Call `work` on consecutive slices, on as many threads as BLAS may use.
 
-    Each slice is worked on by one thread from beginning to end, without gradients. That gives the
-    same bits whatever the number of threads, and no thread waits for another at every operation,
-    which on a busy machine costs far more than the work.
+    Each slice is worked on by one thread from beginning to end. That gives the same bits whatever
+    the number of threads, and no thread waits for another at every operation, which on a busy
+    machine costs far more than the work.
+
+    Parameters
+    ----------
+    work : callable
+        Called with each slice; writes its result where no other call does.
+    count, size : int
+        What is sliced has length `count`, a slice at most `size`.
     """
     slices = [slice(start, min(start + size, count)) for start in range(0, count, size)]
-    workers = max(1, min(torch.get_num_threads(), len(slices)))
-
-    def share(first: int) -> None:
-        torch.set_num_threads(1)  # a property of the calling thread
-        with torch.no_grad():
-            for part in slices[first::workers]:
-                work(part)
-
-    with one_thread():
+    workers = max(1, min(blas_threads(), len(slices)))
+    with _BLAS.limit(limits=1):
         if workers == 1:
-            share(0)
+            for part in slices:
+                work(part)
             return
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(share, range(workers)))
+            list(pool.map(work, slices))

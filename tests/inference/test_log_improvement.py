@@ -1,0 +1,92 @@
+"""Expected improvement against numerical integration, from likely to next to impossible."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from fascicle.inference.optimisation.log_improvement import (
+    log_expected_improvement,
+    log_expected_improvement_slopes,
+    log_h,
+    log_h_slopes,
+)
+
+REGIMES = (-1e6, -2e4, -1001.0, -999.0, -40.0, -5.0, -1.001, -0.999, 0.0, 2.0, 9.0)
+
+
+def integrated_log_h(u):
+    """h(u) = ∫₀^∞ t φ(t − u) dt."""
+    if u > -1:
+        h, _ = quad(lambda t: t * np.exp(-0.5 * (t - u) ** 2), 0, u + 40, points=[max(u, 0.5)])
+        return np.log(h / np.sqrt(2 * np.pi))
+    # φ(t − u) = φ(u) exp(ut − t²/2); with s = |u| t the rest is of order one
+    rest, _ = quad(lambda s: s * np.exp(-s - 0.5 * (s / u) ** 2), 0, 60, epsabs=0, epsrel=1e-12)
+    return -0.5 * u * u - 0.5 * np.log(2 * np.pi) + np.log(rest) - 2 * np.log(-u)
+
+
+@pytest.mark.parametrize("u", REGIMES)
+def test_log_h_equals_numerical_integration(u):
+    assert float(log_h(u)) == pytest.approx(integrated_log_h(u), rel=1e-12, abs=2e-10)
+
+
+@pytest.mark.parametrize("u", REGIMES)
+def test_slopes_of_log_h(u):
+    """Differences lose digits far below zero; there h ≈ φ/u² says what the ratios are."""
+    probability_ratio, density_ratio = log_h_slopes(u)
+    assert density_ratio + u * probability_ratio == pytest.approx(1, abs=1e-15 * u * u + 1e-12)
+    if u > -100:
+        step = 1e-5
+        slope = (integrated_log_h(u + step) - integrated_log_h(u - step)) / (2 * step)
+        assert probability_ratio == pytest.approx(slope, rel=1e-6)
+    else:
+        assert density_ratio == pytest.approx(u * u + 3, rel=1e-8)
+        assert probability_ratio == pytest.approx(-u - 2 / u, rel=1e-8)
+
+
+def test_scales_with_the_deviation():
+    mean, variance = np.array([0.3, -2.0]), np.array([4.0, 0.01])
+    for best in (1.0, -3.0):
+        value = log_expected_improvement(mean, variance, best)
+        larger = log_expected_improvement(10 * mean, 100 * variance, 10 * best)
+        np.testing.assert_allclose(larger, value + np.log(10), rtol=1e-13)
+
+
+@pytest.mark.parametrize("best", [2.0, 0.0, -1.0, -20.0])
+def test_slopes_of_expected_improvement(best):
+    mean, variance, step = 0.3, 0.6, 1e-6
+    by_mean, by_variance = log_expected_improvement_slopes(mean, variance, best)
+
+    def value(m, v):
+        return float(log_expected_improvement(m, v, best))
+
+    expected_mean = (value(mean + step, variance) - value(mean - step, variance)) / (2 * step)
+    expected_variance = (value(mean, variance + step) - value(mean, variance - step)) / (2 * step)
+    assert by_mean == pytest.approx(expected_mean, rel=1e-6)
+    assert by_variance == pytest.approx(expected_variance, rel=1e-6)
+
+
+def test_equals_botorch():
+    reason = "BoTorch is not installed: pip install '.[reference]'"
+    torch = pytest.importorskip("torch", reason=reason)
+    acquisition = pytest.importorskip("botorch.acquisition", reason=reason)
+    from types import SimpleNamespace
+
+    from botorch.models.model import Model
+
+    class Predictions(Model):
+        num_outputs = 1
+
+        def posterior(self, X, **_):
+            """The input holds the mean and the variance."""
+            return SimpleNamespace(mean=X[..., :1], variance=X[..., 1:])
+
+    moments = np.array([[0.3, 0.6], [2.0, 0.1], [-1.0, 4.0], [50.0, 0.01], [1e3, 1e-4]])
+    for best in (1.0, -3.0):
+        points = torch.tensor(moments, requires_grad=True)
+        reference = acquisition.LogExpectedImprovement(Predictions(), best, maximize=False)
+        values = reference(points[:, None, :])
+        (gradients,) = torch.autograd.grad(values.sum(), points)
+        ours = log_expected_improvement(*moments.T, best)
+        np.testing.assert_allclose(ours, values.detach().numpy(), rtol=1e-9)
+        slopes = [log_expected_improvement_slopes(m, v, best) for m, v in moments]
+        np.testing.assert_allclose(slopes, gradients.numpy(), rtol=1e-4)

@@ -1,0 +1,64 @@
+"""How much a plain install takes on the disk: fascicle and all that it needs, no extra.
+
+    python tools/installed_size.py
+
+Sums the files of every distribution that `pip install .` would bring, found by walking the
+requirements of those installed here, and lists the largest. It fails if PyTorch is among them,
+which on Linux may bring gigabytes of CUDA packages.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+
+from packaging.requirements import Requirement
+
+UNWANTED = "torch"
+LISTED = 12  # of the largest
+MEGABYTE = 1e6
+
+
+def needed(name: str) -> dict[str, Distribution]:
+    """Distributions that one needs, itself included, by normalised name."""
+    found: dict[str, Distribution] = {}
+    names = [name]
+    while names:
+        current = names.pop()
+        key = re.sub(r"[-_.]+", "-", current).lower()
+        if key in found:
+            continue
+        try:
+            found[key] = distribution(current)
+        except PackageNotFoundError:
+            sys.exit(f"{current} is not installed; run pip install . first")
+        names += required(found[key])
+    return found
+
+
+def required(package: Distribution) -> Iterator[str]:
+    for requirement in map(Requirement, package.requires or []):
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            yield requirement.name
+
+
+def size(package: Distribution) -> float:
+    """Megabytes of its files."""
+    paths = {path.locate() for path in package.files or []}
+    return sum(path.stat().st_size for path in paths if path.is_file()) / MEGABYTE
+
+
+def main() -> None:
+    packages = needed("fascicle")
+    sizes = {name: size(package) for name, package in packages.items()}
+    for name in sorted(sizes, key=sizes.__getitem__, reverse=True)[:LISTED]:
+        print(f"{name:<20}{sizes[name]:8.0f} MB")
+    print(f"{f'all {len(sizes)}':<20}{sum(sizes.values()):8.0f} MB")
+    if UNWANTED in sizes:
+        sys.exit(f"a plain install brings {UNWANTED}; only the extra `reference` may")
+
+
+if __name__ == "__main__":
+    main()
