@@ -1,0 +1,270 @@
+"""Whether the optimisation finds as much with its own acquisition function as with BoTorch's.
+
+    python -m benchmarks.proposals --data CRTDEMO_FOLDER [--seeds 10] [--initial 60] [--steps 60]
+
+Ten seeds each of two standard functions, Hartmann in 6 dimensions and Levy in 12 (Surjanovic &
+Bingham, "Virtual library of simulation experiments", Simon Fraser University), and of a synthetic
+ECG of a known network on the crtdemo heart. Both sides begin with the same Latin hypercube, use the
+same Gaussian processes (fascicle's) of the logarithm of the loss, and draw the same raw points;
+then they go their own ways:
+
+- ours: log expected improvement and its gradient in closed form, by NumPy, each restart polished by
+  SciPy's L-BFGS-B;
+- the baseline: BoTorch's LogExpectedImprovement with PyTorch's gradients, polished by BoTorch's
+  `gen_candidates_scipy`.
+
+Printed are the lowest loss of each seed on both sides (of the standard functions above their
+minimum), the medians, and how much longer the baseline takes to choose a proposal, from one process
+run with one thread each. Needs ``pip install '.[reference]'``; without it only our side is run, and
+without --data only the standard functions. Run from the root of the repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import numpy as np
+import numpy.typing as npt
+
+from fascicle.inference.optimisation import acquisition as own
+from fascicle.inference.optimisation.design import latin_hypercube
+from fascicle.inference.optimisation.step import State, step
+from fascicle.inference.surrogate.observations import Observations
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Array = npt.NDArray[np.float64]
+Maximise = Callable[[np.random.Generator, own.FeasibleLogImprovement, Array, Array, own.Box], Array]
+
+HARTMANN_WEIGHTS = np.array([1.0, 1.2, 3.0, 3.2])
+HARTMANN_SHAPES = np.array(
+    [
+        [10.0, 3.0, 17.0, 3.5, 1.7, 8.0],
+        [0.05, 10.0, 17.0, 0.1, 8.0, 14.0],
+        [3.0, 3.5, 1.7, 10.0, 17.0, 8.0],
+        [17.0, 8.0, 0.05, 10.0, 0.1, 14.0],
+    ]
+)
+HARTMANN_CENTRES = 1e-4 * np.array(
+    [
+        [1312, 1696, 5569, 124, 8283, 5886],
+        [2329, 4135, 8307, 3736, 1004, 9991],
+        [2348, 1451, 3522, 2883, 3047, 6650],
+        [4047, 8828, 8732, 5743, 1091, 381],
+    ]
+)
+HARTMANN_MINIMUM = -3.32236801141551
+LEVY_RANGE = 10.0  # on either side of 0, in every coordinate
+MINIMUM_VARIANCE = 1e-12  # of the unit of the output; as BoTorch's
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is minimised: losses (m,) of points (m, d) of the unit cube, NaN where there is none."""
+
+    name: str
+    dimension: int
+    losses: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The lowest loss found, and the mean time to choose a proposal (s), fits excluded."""
+
+    best: float
+    seconds: float
+
+
+def hartmann(points: Array) -> Array:
+    """Hartmann's function of six variables above its minimum."""
+    squares = (points[:, None, :] - HARTMANN_CENTRES) ** 2
+    value = -np.exp(-(HARTMANN_SHAPES * squares).sum(2)) @ HARTMANN_WEIGHTS
+    return np.asarray(value - HARTMANN_MINIMUM)
+
+
+def levy(points: Array) -> Array:
+    """Levy's function, whose minimum is 0, on ±`LEVY_RANGE`."""
+    w = 1 + (LEVY_RANGE * (2 * points - 1) - 1) / 4
+    inner, last = w[:, :-1], w[:, -1]
+    middle = (inner - 1) ** 2 * (1 + 10 * np.sin(np.pi * inner + 1) ** 2)
+    end = (last - 1) ** 2 * (1 + np.sin(2 * np.pi * last) ** 2)
+    return np.asarray(np.sin(np.pi * w[:, 0]) ** 2 + middle.sum(1) + end)
+
+
+def heart_task(folder: Path) -> Task:
+    """Find a known network of the crtdemo heart again from its ECG."""
+    from benchmarks.forward import _heart, build_case
+    from examples.recover_known_network import TRUTH
+    from fascicle.core.parameters import NETWORK_SPACE
+    from fascicle.forward.model import ForwardModel
+    from fascicle.recording.synthetic import synthetic_target
+    from fascicle.study.problem import Problem, simulate_valid
+
+    model = ForwardModel(_heart(build_case(folder)))
+    ecg = simulate_valid(model, TRUTH).ecg.to_numpy()
+    problem = Problem(model, synthetic_target(ecg, np.random.default_rng(0)), NETWORK_SPACE)
+
+    def losses(points: Array) -> Array:
+        return np.array([evaluation.loss for evaluation in problem(list(points))])
+
+    return Task("crtdemo (mV²)", len(NETWORK_SPACE), losses)
+
+
+def tasks(folder: Path | None) -> Iterator[Task]:
+    yield Task("Hartmann-6", 6, hartmann)
+    yield Task("Levy-12", 12, levy)
+    if folder is not None:
+        yield heart_task(folder)
+
+
+def minimise(task: Task, seed: int, initial: int, steps: int, maximise: Maximise) -> Outcome:
+    """Run the optimisation of a study with `maximise` in the place of fascicle's."""
+    seconds: list[float] = []
+
+    def timed(*arguments: Any) -> Array:
+        begin = time.perf_counter()
+        point = maximise(*arguments)
+        seconds.append(time.perf_counter() - begin)
+        return point
+
+    points = latin_hypercube(np.random.default_rng(seed), initial, task.dimension)
+    losses = task.losses(points)
+    state = State(Observations(points, losses).logarithmic())
+    with patch("fascicle.inference.optimisation.step.maximise", timed):
+        for k in range(steps):
+            state, new = step(np.random.default_rng([seed, k]), state)
+            points, losses = np.vstack([points, new]), np.append(losses, task.losses(new))
+            known = Observations(points, losses).logarithmic()
+            state = State(known, state.loss, state.feasibility)
+    return Outcome(float(np.nanmin(losses)), float(np.mean(seconds)))
+
+
+def maximise_by_botorch(
+    rng: np.random.Generator,
+    acquisition: own.FeasibleLogImprovement,
+    best_points: Array,
+    known: Array,
+    box: own.Box,
+) -> Array:
+    """Do as `own.maximise`, by BoTorch."""
+    import torch
+    from botorch.generation.gen import gen_candidates_scipy
+
+    torch.set_num_threads(1)
+    function = botorch_acquisition(acquisition)
+
+    def values(points: Array) -> Array:
+        with torch.no_grad():
+            return np.array(function(torch.tensor(points)[:, None, :]).numpy())
+
+    def best(points: Array) -> Array:
+        return points[np.argsort(-values(points), kind="stable")[: own.RESTARTS]]
+
+    uniform = box.draw(rng, own.RAW_UNIFORM)
+    local = box.clip(own.perturbed(rng, best_points, own.RAW_LOCAL))
+    starts = np.vstack([best(uniform), best(local)])
+    polished, _ = gen_candidates_scipy(
+        torch.tensor(starts)[:, None, :],
+        function,
+        lower_bounds=torch.tensor(box.lower),
+        upper_bounds=torch.tensor(box.upper),
+        options={"maxiter": own.ITERATIONS},
+    )
+    candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])
+    order = np.argsort(-values(candidates), kind="stable")
+    allowed = (x for x in candidates[order] if np.abs(known - x).max(1).min() > own.NEAREST)
+    return np.array(next(allowed))
+
+
+def botorch_acquisition(acquisition: own.FeasibleLogImprovement) -> Any:
+    """Put the same Gaussian processes behind BoTorch's acquisition function."""
+    import torch
+    from botorch.acquisition import LogExpectedImprovement
+    from botorch.models.model import Model
+
+    def moments(gp: own.ExponentialGP) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+        prior = gp.hyperparameters.variance
+        scales = torch.tensor(gp.hyperparameters.length_scales, dtype=torch.float64)
+        centre, scaled = torch.tensor(gp.centre), torch.tensor(gp.scaled)
+        whitener, alpha = torch.tensor(gp.whitener), torch.tensor(gp.alpha)
+
+        def predict(points: Tensor) -> tuple[Tensor, Tensor]:
+            exact = "donot_use_mm_for_euclid_dist"
+            r = torch.cdist((points - centre) / scales, scaled, compute_mode=exact)
+            kernel = prior * torch.exp(-r)
+            white = kernel @ whitener.T
+            return kernel @ alpha, (prior - (white * white).sum(1)).clamp_min(MINIMUM_VARIANCE)
+
+        return predict
+
+    loss, feasibility = moments(acquisition.gp), acquisition.feasibility
+
+    class Surrogate(Model):  # type: ignore[misc]
+        num_outputs = 1
+
+        def posterior(self, X: Tensor, **_: Any) -> SimpleNamespace:
+            mean, variance = loss(X[:, 0, :])
+            return SimpleNamespace(mean=mean[:, None, None], variance=variance[:, None, None])
+
+    improvement = LogExpectedImprovement(Surrogate(), acquisition.best, maximize=False)
+    if feasibility.gp is None:
+        return improvement
+    labels, noise = moments(feasibility.gp), feasibility.gp.hyperparameters.noise
+
+    def feasible_improvement(X: Tensor) -> Tensor:
+        mean, variance = labels(X[:, 0, :])
+        z = (feasibility.offset + mean) / torch.sqrt(variance + noise)
+        value: Tensor = improvement(X) + torch.special.log_ndtr(z)
+        return value
+
+    return feasible_improvement
+
+
+def compare(task: Task, sides: dict[str, Maximise], seeds: int, initial: int, steps: int) -> None:
+    """Print the lowest losses of every seed, and the ratio of the times."""
+    print(f"\n{task.name + ': lowest loss':<30}" + "".join(f"{side:>12}" for side in sides))
+    outcomes: dict[str, list[Outcome]] = {side: [] for side in sides}
+    for seed in range(seeds):
+        for side, maximise in sides.items():
+            outcomes[side].append(minimise(task, seed, initial, steps, maximise))
+        best = "".join(f"{found[-1].best:12.4g}" for found in outcomes.values())
+        print(f"  {f'seed {seed}':<28}" + best, flush=True)
+    medians = [float(np.median([o.best for o in found])) for found in outcomes.values()]
+    print(f"  {'median':<28}" + "".join(f"{median:12.4g}" for median in medians))
+    means = [
+        math.exp(float(np.mean([math.log(o.best) for o in found]))) for found in outcomes.values()
+    ]
+    print(f"  {'geometric mean':<28}" + "".join(f"{mean:12.4g}" for mean in means))
+    if len(sides) > 1:
+        ours, baseline = (sum(o.seconds for o in found) for found in outcomes.values())
+        print(f"  BoTorch takes {baseline / ours:.1f} times as long to choose a proposal")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder of the crtdemo heart")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--initial", type=int, default=60)
+    parser.add_argument("--steps", type=int, default=60)
+    given = parser.parse_args()
+    sides: dict[str, Maximise] = {"ours": own.maximise}
+    if importlib.util.find_spec("botorch") is not None:
+        sides["BoTorch"] = maximise_by_botorch
+    else:
+        print("BoTorch is not installed (pip install '.[reference]'): our side only")
+    for task in tasks(given.data):
+        compare(task, sides, given.seeds, given.initial, given.steps)
+
+
+if __name__ == "__main__":
+    main()
