@@ -8,7 +8,6 @@ from fascicle.inference.optimisation.log_improvement import (
     log_expected_improvement,
     log_expected_improvement_slopes,
     log_h,
-    log_h_slopes,
 )
 
 REGIMES = (-1e6, -2e4, -1001.0, -999.0, -40.0, -5.0, -1.001, -0.999, 0.0, 2.0, 9.0)
@@ -30,17 +29,18 @@ def test_log_h_equals_numerical_integration(u):
 
 
 @pytest.mark.parametrize("u", REGIMES)
-def test_slopes_of_log_h(u):
-    """Differences lose digits far below zero; there h ≈ φ/u² says what the ratios are."""
-    probability_ratio, density_ratio = log_h_slopes(u)
-    assert density_ratio + u * probability_ratio == pytest.approx(1, abs=1e-15 * u * u + 1e-12)
+def test_slopes_in_every_regime(u):
+    """Far below zero differences lose their digits; there h ≈ φ/u² (1 − 3/u²) gives the slopes."""
+    by_mean, by_variance = log_expected_improvement_slopes(0.0, 1.0, u)
+    # h = φ + uΦ, so that φ/h + uΦ/h = 1
+    assert 2 * by_variance - u * by_mean == pytest.approx(1, abs=1e-15 * u * u + 1e-12)
     if u > -100:
         step = 1e-5
         slope = (integrated_log_h(u + step) - integrated_log_h(u - step)) / (2 * step)
-        assert probability_ratio == pytest.approx(slope, rel=1e-6)
+        assert -by_mean == pytest.approx(slope, rel=1e-6)
     else:
-        assert density_ratio == pytest.approx(u * u + 3, rel=1e-8)
-        assert probability_ratio == pytest.approx(-u - 2 / u, rel=1e-8)
+        assert 2 * by_variance == pytest.approx(u * u + 3, rel=1e-8)
+        assert -by_mean == pytest.approx(-u - 2 / u, rel=1e-8)
 
 
 def test_scales_with_the_deviation():

@@ -142,7 +142,16 @@ def _polished(
 def perturbed(
     rng: np.random.Generator, centres: NDArray[np.float64], count: int
 ) -> NDArray[np.float64]:
-    """Gaussian perturbations (count, d) of `centres` (k, d) in a random subset of coordinates."""
+    """Gaussian perturbations (count, d) of some points in a random subset of coordinates.
+
+    Parameters
+    ----------
+    rng : Generator
+        The only source of randomness.
+    centres : (k, d) array
+        Points of the unit cube, each as likely as the others to be perturbed.
+    count : int
+    """
     dimension = centres.shape[1]
     low, high = np.log(LOCAL_SPREAD)
     spread = np.exp(rng.uniform(low, high, (count, 1)))

@@ -10,7 +10,17 @@ from scipy.stats import qmc
 def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> NDArray[np.float64]:
     """Latin hypercube sample of the unit cube, shape (count, dimension).
 
-    Every coordinate has exactly one point in each of `count` equal intervals
-    (McKay, Beckman & Conover 1979).
+    Every coordinate has exactly one point in each of `count` equal intervals.
+
+    Parameters
+    ----------
+    rng : Generator
+        The only source of randomness.
+    count, dimension : int
+
+    References
+    ----------
+    M. D. McKay, R. J. Beckman, W. J. Conover, "A comparison of three methods for selecting values
+    of input variables in the analysis of output from a computer code", Technometrics 21 (1979).
     """
     return np.asarray(qmc.LatinHypercube(d=dimension, rng=rng).random(count), dtype=np.float64)

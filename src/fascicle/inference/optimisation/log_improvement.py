@@ -41,16 +41,6 @@ def log_h(u: NDArray[np.float64] | float) -> NDArray[np.float64]:
     return np.asarray(np.where(u > CANCELLING, direct, safe))
 
 
-def log_h_slopes(u: float) -> tuple[float, float]:
-    """Φ(u)/h(u), which is the derivative of log h, and φ(u)/h(u); neither underflows."""
-    if u > CANCELLING:
-        density, probability = float(_density(u)), float(ndtr(u))
-        h = density + u * probability
-        return probability / h, density / h
-    ratio = float(_h_over_density(u))
-    return float(_mills(-u)) / ratio, 1 / ratio
-
-
 def log_expected_improvement(
     mean: NDArray[np.float64] | float, variance: NDArray[np.float64] | float, best: float
 ) -> NDArray[np.float64]:
@@ -72,7 +62,8 @@ def log_expected_improvement_slopes(
 ) -> tuple[float, float]:
     """Derivatives of `log_expected_improvement` with respect to mean and variance.
 
-    ∂/∂m = −Φ/(s h) and ∂/∂s² = φ/(2 s² h), for one prediction m, s².
+    ∂/∂m = −Φ(u)/(s h) and ∂/∂s² = φ(u)/(2 s² h), for one prediction m, s². Of Φ/h and φ/h neither
+    underflows.
 
     Parameters
     ----------
@@ -80,7 +71,13 @@ def log_expected_improvement_slopes(
         As there.
     """
     deviation = math.sqrt(variance)
-    probability_ratio, density_ratio = log_h_slopes((best - mean) / deviation)
+    u = (best - mean) / deviation
+    if u > CANCELLING:
+        h = math.exp(log_h(u))
+        probability_ratio, density_ratio = float(ndtr(u)) / h, float(_density(u)) / h
+    else:
+        density_ratio = 1 / float(_h_over_density(u))
+        probability_ratio = float(_mills(-u)) * density_ratio
     return -probability_ratio / deviation, density_ratio / (2 * variance)
 
 

@@ -35,8 +35,6 @@ VARIANCE_FLOOR = 1e-12  # of the prior variance; rounding takes posterior ones b
 # Rows of a kernel matrix held at once: so few stay in the cache; the product with L⁻¹ wants more.
 CHUNK, MEAN_CHUNK = 1000, 200
 
-Moments = tuple[NDArray[np.float64], NDArray[np.float64]]  # mean and variance
-
 
 @dataclass(frozen=True)
 class Hyperparameters:
@@ -243,17 +241,6 @@ class ExponentialGP:
         """What rounding cannot push a variance below."""
         return VARIANCE_FLOOR * self.hyperparameters.variance
 
-    def moments(self, points: NDArray[np.float64]) -> Moments:
-        """Posterior mean m and variance v of the latent function at `points` (m, d), (m,) each.
-
-        With the rows k of the kernel matrix: m = kᵀα and v = η² − |L⁻¹k|².
-        """
-        kernel = self.hyperparameters.variance * np.exp(-cdist(self.scale(points), self.scaled))
-        mean = kernel @ self.alpha
-        white = blas.dtrmm(1.0, self.whitener, kernel.T, lower=True, overwrite_b=True)
-        variance = self.hyperparameters.variance - np.einsum("ij,ij->j", white, white)
-        return mean, np.maximum(variance, self._least_variance)
-
     def moments_and_gradients(
         self, point: NDArray[np.float64]
     ) -> tuple[float, float, NDArray[np.float64], NDArray[np.float64]]:
@@ -277,15 +264,24 @@ class ExponentialGP:
             variance, by_variance = self._least_variance, np.zeros_like(by_variance)
         return float(kernel @ self.alpha), variance, by_mean, by_variance
 
-    def predict(self, points: NDArray[np.float64]) -> Moments:
-        """Posterior mean and variance at `points` (m, d), (m,) each, a chunk at a time."""
+    def predict(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Posterior mean m and variance v of the latent function at `points` (m, d), (m,) each.
+
+        With the rows k of the kernel matrix, a chunk of them at a time: m = kᵀα, v = η² − |L⁻¹k|².
+        """
+        prior = self.hyperparameters.variance
         mean, variance = np.empty(len(points)), np.empty(len(points))
 
         def work(part: slice) -> None:
-            mean[part], variance[part] = self.moments(points[part])
+            kernel = prior * np.exp(-cdist(self.scale(points[part]), self.scaled))
+            mean[part] = kernel @ self.alpha
+            white = blas.dtrmm(1.0, self.whitener, kernel.T, lower=True, overwrite_b=True)
+            variance[part] = prior - np.einsum("ij,ij->j", white, white)
 
         in_chunks(work, len(points), CHUNK)
-        return mean, variance
+        return mean, np.maximum(variance, self._least_variance)
 
     def mean_many(
         self, points: NDArray[np.float64]

@@ -36,7 +36,16 @@ class FeasibilityGP:
     def fit(
         cls, observations: Observations, start: Hyperparameters | None, iterations: int
     ) -> FeasibilityGP:
-        """Learn the hyper-parameters, from `start` if given, and condition on the labels."""
+        """Learn the hyper-parameters and condition on the labels.
+
+        Parameters
+        ----------
+        observations : Observations
+        start : Hyperparameters or None
+            Where to start; None starts at the modes of the priors.
+        iterations : int
+            At most so many L-BFGS-B iterations.
+        """
         if observations.feasible.all():
             return cls(None, 1.0)
         labels = np.where(observations.feasible, 1.0, -1.0)

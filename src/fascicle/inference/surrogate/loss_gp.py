@@ -33,7 +33,16 @@ class LossGP:
     def fit(
         cls, observations: Observations, start: Hyperparameters | None, iterations: int
     ) -> LossGP:
-        """Learn the hyper-parameters, from `start` if given, and condition on the losses."""
+        """Learn the hyper-parameters and condition on the losses.
+
+        Parameters
+        ----------
+        observations : Observations
+        start : Hyperparameters or None
+            Where to start; None starts at the modes of the priors.
+        iterations : int
+            At most so many L-BFGS-B iterations.
+        """
         points, z, _, _ = _standardised(observations)
         return cls.condition(observations, fit(points, z, start, iterations))
 
