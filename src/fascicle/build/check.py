@@ -242,9 +242,9 @@ def _size_warnings(
             warnings.append(
                 f"{what}: {value:.3g} {unit}; human adults have {low:g} to {high:g}; {remedy}"
             )
-    if shape.smallest_angle < FLAT:
+    if shape.angles.min() < FLAT:
         warnings.append(
-            f"mesh: smallest dihedral angle {shape.smallest_angle:.1f} degrees; remesh (times and "
+            f"mesh: smallest dihedral angle {shape.angles.min():.1f} degrees; remesh (times and "
             "potentials are poor in elements so flat)"
         )
     for side, chart in charts.items():

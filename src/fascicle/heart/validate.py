@@ -16,7 +16,7 @@ from fascicle.mesh.topology import TETRAHEDRON_FACES
 
 # The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a dog's heart
 # and for a dilated one.
-SMALLEST_EXTENT, LARGEST_EXTENT = 35.0, 400.0  # mm
+HEART_EXTENT = (35.0, 400.0)  # mm
 # A tetrahedron flatter than this fraction of a regular one with its mean edge counts as flat.
 FLATNESS = 1e-9
 SMALLEST_ENDOCARDIUM = 0.2  # of the largest extent of the tissue
@@ -26,18 +26,39 @@ FURTHEST_ELECTRODE = 1500.0  # mm
 
 def check_units(name: str, points: NDArray[np.float64]) -> None:
     """Refuse a heart whose size says that it is not in mm."""
+    check_extent(name, points, HEART_EXTENT)
+
+
+def check_extent(name: str, points: NDArray[np.float64], limits: tuple[float, float]) -> None:
+    """Refuse an anatomy whose size says that it is not in mm.
+
+    Parameters
+    ----------
+    name : str
+        What to call it in an error.
+    points : (n, 3) array
+        Its points.
+    limits : (low, high)
+        The largest extent that such an anatomy has (mm).
+
+    Raises
+    ------
+    InputError
+        If its largest extent is outside the limits.
+    """
     extent = float(np.ptp(points, axis=0).max())
-    if SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+    low, high = limits
+    if low <= extent <= high:
         return
     for unit, factor in (("metres", 1e3), ("centimetres", 10.0), ("micrometres", 1e-3)):
-        if SMALLEST_EXTENT <= extent * factor <= LARGEST_EXTENT:
+        if low <= extent * factor <= high:
             raise InputError(
                 f"{name}: the largest extent is {extent:.3g}, so it seems to be in {unit}; "
                 f"multiply the coordinates by {factor:g} to get mm"
             )
     raise InputError(
-        f"{name}: the largest extent is {extent:.3g}; ventricles in mm have "
-        f"{SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g}; check the units"
+        f"{name}: the largest extent is {extent:.3g}; in mm it would be {low:g} to {high:g}; "
+        "check the units"
     )
 
 

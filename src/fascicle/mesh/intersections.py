@@ -15,7 +15,9 @@ FOLDED = np.cos(np.radians(1.0))
 
 
 def self_intersections(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    surface: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int64]:
     """Pairs of triangles that cut through or lie folded on one another.
 
@@ -29,6 +31,9 @@ def self_intersections(
         Positions (mm).
     triangles : (m, 3) array
         Vertex indices.
+    surface : (m,) array, optional
+        Number of the surface that each triangle belongs to; only pairs of two different surfaces
+        are then looked for.
 
     Returns
     -------
@@ -54,6 +59,8 @@ def self_intersections(
             axis=1
         )
         keep = smaller & overlap
+        if surface is not None:
+            keep &= surface[first] != surface[second]
         pairs = np.sort(np.column_stack([first[keep], second[keep]]), axis=1)
         found.append(pairs[_cut(vertices, triangles, pairs)])
     return np.unique(np.concatenate(found), axis=0)

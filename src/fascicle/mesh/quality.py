@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 
+TETRAHEDRON = 10  # VTK's number of that cell
 SHARP = 10.0  # degrees; tetrahedra with a smaller dihedral angle count as sharp
-# Corners of the face opposite each corner of a tetrahedron, seen from outside counter-clockwise.
-FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+MM3_PER_ML = 1000.0
 
 
 @dataclass(frozen=True)
@@ -21,47 +21,47 @@ class Quality:
 
     Attributes
     ----------
-    vertices, tetrahedra : int
+    vertices : int
         How many there are.
-    volume : float
-        Of all tetrahedra (mm³).
-    smallest_angle, median_angle : float
-        The smallest dihedral angle of a tetrahedron: the least and the median (degrees). That of
-        a regular tetrahedron is 70.5.
-    sharp : float
-        Share of tetrahedra with a dihedral angle below 10 degrees.
-    worst_radius_ratio, mean_radius_ratio : float
+    volumes : (m,) array
+        Volume of each tetrahedron (mm³).
+    angles : (m,) array
+        Smallest dihedral angle of each (degrees). That of a regular tetrahedron is 70.5.
+    radius_ratios : (m,) array
         Three times the inscribed sphere's radius over the circumscribed one's: 1 for a regular
         tetrahedron, 0 for a flat one.
-    mean_edge, shortest_edge, longest_edge : float
+    edges : (e,) array
         Lengths (mm).
     """
 
     vertices: int
-    tetrahedra: int
-    volume: float
-    smallest_angle: float
-    median_angle: float
-    sharp: float
-    worst_radius_ratio: float
-    mean_radius_ratio: float
-    mean_edge: float
-    shortest_edge: float
-    longest_edge: float
+    volumes: NDArray[np.float64]
+    angles: NDArray[np.float64]
+    radius_ratios: NDArray[np.float64]
+    edges: NDArray[np.float64]
+
+    @property
+    def sharp(self) -> float:
+        """Share of tetrahedra with a dihedral angle below 10 degrees."""
+        return float((self.angles < SHARP).mean())
 
     def __str__(self) -> str:
         """One line for the reader."""
         return (
-            f"{self.vertices} vertices, {self.tetrahedra} tetrahedra, {self.volume / 1000:.1f} ml, "
-            f"edges {self.mean_edge:.2f} mm ({self.shortest_edge:.2f} to {self.longest_edge:.2f}), "
-            f"smallest dihedral angle {self.smallest_angle:.1f} degrees (median "
-            f"{self.median_angle:.1f}; {self.sharp:.2%} below {SHARP:g}), radius ratio "
-            f"{self.mean_radius_ratio:.2f} (worst {self.worst_radius_ratio:.2f})"
+            f"{self.vertices} vertices, {len(self.volumes)} tetrahedra, "
+            f"{self.volumes.sum() / MM3_PER_ML:.1f} ml, edges {self.edges.mean():.2f} mm "
+            f"({self.edges.min():.2f} to {self.edges.max():.2f}), smallest dihedral angle "
+            f"{self.angles.min():.1f} degrees (median {np.median(self.angles):.1f}; "
+            f"{self.sharp:.2%} below {SHARP:g}), radius ratio {self.radius_ratios.mean():.2f} "
+            f"(worst {self.radius_ratios.min():.2f})"
         )
 
 
 def quality(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> Quality:
     """Measure the tetrahedra of a mesh.
+
+    Radius ratios are VTK's, dihedral angles libigl's: VTK's ``min_angle`` looks at four of the six
+    edges only.
 
     Parameters
     ----------
@@ -70,59 +70,15 @@ def quality(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> Qua
     tetrahedra : (m, 4) array
         Vertex indices, positively oriented.
     """
-    angles = _smallest_dihedral_angles(vertices, tetrahedra)
-    ratios = _radius_ratios(vertices, tetrahedra)
-    edges = np.asarray(igl.edges(tetrahedra))
-    lengths = edge_lengths(vertices, edges)
+    import pyvista as pv
+
+    grid = pv.UnstructuredGrid({TETRAHEDRON: tetrahedra}, vertices)
+    angles, _ = igl.dihedral_angles(vertices, tetrahedra)
     return Quality(
         vertices=len(vertices),
-        tetrahedra=len(tetrahedra),
-        volume=float(signed_volumes(vertices, tetrahedra).sum()),
-        smallest_angle=float(angles.min()),
-        median_angle=float(np.median(angles)),
-        sharp=float((angles < SHARP).mean()),
-        worst_radius_ratio=float(ratios.min()),
-        mean_radius_ratio=float(ratios.mean()),
-        mean_edge=float(lengths.mean()),
-        shortest_edge=float(lengths.min()),
-        longest_edge=float(lengths.max()),
+        volumes=signed_volumes(vertices, tetrahedra),
+        angles=np.degrees(angles).min(axis=1),
+        # VTK's is the inverse: 1 for a regular tetrahedron, larger for worse ones
+        radius_ratios=1 / np.asarray(grid.cell_quality("radius_ratio")["radius_ratio"]),
+        edges=edge_lengths(vertices, np.asarray(igl.edges(tetrahedra))),
     )
-
-
-def _face_normals(
-    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Normals (m, 4, 3) of the faces opposite each corner, as long as twice the face's area."""
-    a, b, c = (vertices[tetrahedra[:, FACES[:, k]]] for k in range(3))
-    return np.asarray(np.cross(b - a, c - a))
-
-
-def _smallest_dihedral_angles(
-    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """The smallest angle between two faces of each tetrahedron (degrees), shape (m,)."""
-    normals = _face_normals(vertices, tetrahedra)
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    one, other = np.triu_indices(4, 1)
-    cosines = -np.einsum("mij,mij->mi", normals[:, one], normals[:, other])
-    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))).min(axis=1))
-
-
-def _radius_ratios(
-    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Three times the inscribed radius over the circumscribed one, shape (m,).
-
-    With edges a, b, c from one corner the circumscribed radius is
-    ‖a²(b×c) + b²(c×a) + c²(a×b)‖ / 12V, the inscribed one 3V over the area of the faces.
-    """
-    a, b, c = (vertices[tetrahedra[:, k]] - vertices[tetrahedra[:, 0]] for k in (1, 2, 3))
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
-    area = np.linalg.norm(_face_normals(vertices, tetrahedra), axis=2).sum(axis=1) / 2
-    square_a, square_b, square_c = (
-        np.einsum("ij,ij->i", edge, edge)[:, None] for edge in (a, b, c)
-    )
-    centre = square_a * np.cross(b, c) + square_b * np.cross(c, a) + square_c * np.cross(a, b)
-    inscribed = 3 * volume / area
-    circumscribed = np.linalg.norm(centre, axis=1) / (12 * volume)
-    return np.asarray(3 * inscribed / circumscribed)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.validate import check_extent
+from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.topology import directed_edges, unique_edges
 from fascicle.torso.surfaces import Surface, signed_distance
 
@@ -44,7 +45,7 @@ def check_within(
     """
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
-        check_extent(name, surface, TORSO_EXTENT if surface is skin else LUNG_EXTENT)
+        check_extent(name, surface.vertices, TORSO_EXTENT if surface is skin else LUNG_EXTENT)
         check_closed(name, surface)
         _check_not_crossing_itself(name, surface)
     heart = Surface(mesh.vertices, mesh.triangles)
@@ -55,24 +56,6 @@ def check_within(
         _check_apart(names[k + 1], lung, mesh.name, heart)
         for other in range(k):
             _check_apart(names[k + 1], lung, names[other + 1], lungs[other])
-
-
-def check_extent(name: str, surface: Surface, limits: tuple[float, float]) -> None:
-    """Refuse a surface whose size says that it is not in mm."""
-    extent = float(np.ptp(surface.vertices, axis=0).max())
-    low, high = limits
-    if low <= extent <= high:
-        return
-    for unit, factor in (("metres", 1e3), ("centimetres", 10.0)):
-        if low <= extent * factor <= high:
-            raise InputError(
-                f"{name}: its largest extent is {extent:.3g}, so it seems to be in {unit}; "
-                f"multiply the coordinates by {factor:g} to get mm"
-            )
-    raise InputError(
-        f"{name}: its largest extent is {extent:.3g}; in mm it would have {low:g} to {high:g}; "
-        "check the units"
-    )
 
 
 def check_closed(name: str, surface: Surface) -> None:
@@ -148,55 +131,14 @@ def _place(point: NDArray[np.float64]) -> str:
 
 
 def crossing(one: Surface, other: Surface) -> NDArray[np.float64] | None:
-    """A place (3,) where two surfaces, or one given twice, pass through each other, if any.
-
-    They do where an edge of one passes through a triangle of the other, corners they share not
-    counting.
-    """
-    for a, b in ((one, other), (other, one)):
-        edges, _ = unique_edges(a.triangles)
-        pairs = _near_pairs(a.vertices[edges], b.corners)
-        if one is other:
-            edge, triangle = edges[pairs[:, 0]], b.triangles[pairs[:, 1]]
-            pairs = pairs[~(edge[:, :, None] == triangle[:, None, :]).any(axis=(1, 2))]
-        ends, corners = a.vertices[edges[pairs[:, 0]]], b.corners[pairs[:, 1]]
-        through = _passes_through(ends, corners)
-        if through.any():
-            return np.asarray(corners[through][0].mean(axis=0))
-    return None
-
-
-def _near_pairs(ends: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Pairs (k, 2) of an edge (n, 2, 3) and a triangle (m, 3, 3) whose boxes meet."""
-    middle, centre = ends.mean(axis=1), corners.mean(axis=1)
-    reach = np.linalg.norm(ends - middle[:, None], axis=2).max(axis=1)
-    radius = np.linalg.norm(corners - centre[:, None], axis=2).max()
-    found = cKDTree(centre).query_ball_point(middle, reach + radius, return_sorted=False)
-    edge = np.repeat(np.arange(len(ends)), [len(near) for near in found])
-    triangle = np.concatenate([np.empty(0), *found]).astype(np.int64)
-    a, b = ends[edge], corners[triangle]
-    meet = (a.min(axis=1) <= b.max(axis=1)) & (b.min(axis=1) <= a.max(axis=1))
-    return np.asarray(np.stack([edge, triangle], axis=1)[meet.all(axis=1)])
-
-
-def _passes_through(ends: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether segments (k, 2, 3) pass through triangles (k, 3, 3).
-
-    The ends lie on different sides of the plane, and the segment passes all sides of the triangle
-    on the same side, by the signs of volumes (Segura and Feito 2001, WSCG).
-    """
-    start, end = ends[:, 0], ends[:, 1]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    opposite = _volume(a, b, c, start) * _volume(a, b, c, end) < 0
-    sides = np.stack([_volume(p, q, end, start) for p, q in ((a, b), (b, c), (c, a))])
-    return np.asarray(opposite & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)))
-
-
-def _volume(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-    d: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Six times the signed volume between points (k, 3)."""
-    return np.asarray(np.einsum("ij,ij->i", a - d, np.cross(b - d, c - d)))
+    """A place (3,) where two surfaces, or one given twice, pass through each other, if any."""
+    if one is other:
+        corners, pairs = one.corners, self_intersections(*one)
+    else:
+        corners = np.concatenate([one.corners, other.corners])
+        triangles = np.concatenate([one.triangles, len(one.vertices) + other.triangles])
+        surface = np.repeat([0, 1], [len(one.triangles), len(other.triangles)])
+        pairs = self_intersections(
+            np.concatenate([one.vertices, other.vertices]), triangles, surface
+        )
+    return np.asarray(corners[pairs[0, 0]].mean(axis=0)) if len(pairs) else None
