@@ -53,7 +53,7 @@ def default_model(default_heart: Heart) -> ForwardModel:
 @pytest.fixture(scope="session")
 def crtdemo(data_folder: Path) -> Heart:
     """A patient's heart, imported as `fascicle heart import` does, with the published seeds."""
-    from fascicle.heart.folder import assemble_heart
+    from fascicle.heart.assembly import assemble_heart
     from fascicle.mesh.formats.read import read_mesh
 
     folder = data_folder / "hearts" / "crtdemo"

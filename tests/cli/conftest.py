@@ -216,7 +216,8 @@ def import_refused(materials, outside, refused):
 @pytest.fixture(scope="session")
 def small_heart(tmp_path_factory):
     """Folder of the small heart."""
-    from fascicle.heart.folder import assemble_heart, write_heart
+    from fascicle.heart.assembly import assemble_heart
+    from fascicle.heart.folder import write_heart
     from fascicle.mesh.formats.read import read_mesh
 
     materials = Materials(tmp_path_factory.mktemp("materials"))

@@ -13,7 +13,8 @@ from fascicle.build.opencarp import ONE_REGION, write_opencarp
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.folder import LEAD_FIELD, REGION, SHEET
+from fascicle.heart.assembly import REGION, SHEET
+from fascicle.heart.folder import LEAD_FIELD
 from fascicle.heart.heart import Heart
 from fascicle.heart.label_names import SURFACE_NAMES
 from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fascicle.build.surface_label_arrays import label_boundary
 from fascicle.core.errors import InputError
+from fascicle.heart.assembly import FIBRE_NAMES
 from fascicle.heart.fibres.directions import average_to_tetrahedra
-from fascicle.heart.folder import FIBRE_NAMES
 from fascicle.heart.label_names import Names
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units

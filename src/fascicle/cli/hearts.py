@@ -191,7 +191,8 @@ def heart_import(
     points may come in another order. Without seeds, sensible ones are found on the septal side of
     the base, pointing to the apex. The volume conductor is unbounded; **heart build** adds a torso.
     """
-    from fascicle.heart.folder import assemble_heart, check_heart_folder
+    from fascicle.heart.assembly import assemble_heart
+    from fascicle.heart.folder import check_heart_folder
     from fascicle.mesh.formats.read import read_mesh
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])

@@ -30,8 +30,19 @@ BASAL = (Label.BASE, Label.MITRAL, Label.AORTIC, Label.TRICUSPID, Label.PULMONAR
 NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
 
 
+class _Labelled:
+    """A boundary with a label for every triangle."""
+
+    triangles: NDArray[np.int64]
+    labels: NDArray[np.int64]
+
+    def having(self, *labels: Label) -> NDArray[np.int64]:
+        """Triangles of the boundary with any of these labels, shape (k, 3)."""
+        return self.triangles[np.isin(self.labels, labels)]
+
+
 @dataclass(frozen=True)
-class LabelledSurface:
+class LabelledSurface(_Labelled):
     """The boundary of the ventricular myocardium.
 
     Attributes
@@ -51,13 +62,9 @@ class LabelledSurface:
     labels: NDArray[np.int64]
     name: str = "surface"
 
-    def having(self, *labels: Label) -> NDArray[np.int64]:
-        """Triangles with any of these labels, shape (k, 3)."""
-        return self.triangles[np.isin(self.labels, labels)]
-
 
 @dataclass(frozen=True)
-class LabelledMesh:
+class LabelledMesh(_Labelled):
     """Tetrahedra of the ventricular myocardium and its labelled boundary, in register.
 
     Attributes
@@ -82,7 +89,3 @@ class LabelledMesh:
     labels: NDArray[np.int64]
     regions: NDArray[np.int64] | None = None
     name: str = "mesh"
-
-    def having(self, *labels: Label) -> NDArray[np.int64]:
-        """Boundary triangles with any of these labels, shape (k, 3)."""
-        return self.triangles[np.isin(self.labels, labels)]

@@ -52,6 +52,11 @@ class MeshFile:
     has_polylines: bool = False
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
 
+    def cell_array(self, kind: int, name: str) -> NDArray[np.float64] | None:
+        """Values of an array on cells of one kind, if there is one of that name."""
+        values = self.cell_data.get(kind, {}).get(name)
+        return None if values is None else np.asarray(values, dtype=float)
+
     def require(self, kind: int, name: str) -> NDArray[np.int64]:
         """Cells of one kind.
 
