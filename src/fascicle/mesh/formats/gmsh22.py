@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.errors import InputError, printable
-from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.core.errors import one_line
+from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 HEADER = re.compile(rb"\$MeshFormat\s+2(?:\.\d+)?\s+([01])\s+8\s*\n")
 # Gmsh's number of an element type: its name and how many nodes it has
@@ -30,12 +29,8 @@ INT, FLOAT = 4, 8  # bytes
 LARGEST_VALUE = 9  # components of a tensor
 
 
-class _Elements(NamedTuple):
-    """Elements of one type: number, physical group (0: none) and node numbers of each."""
-
-    ids: NDArray[np.int64]
-    groups: NDArray[np.int64]
-    nodes: NDArray[np.int64]
+# Elements by Gmsh's number of their type; a row each: number, physical group (0: none), nodes
+_Elements = dict[int, NDArray[np.int64]]
 
 
 class _Content:
@@ -105,10 +100,7 @@ def read_gmsh22(path: Path, content: bytes) -> MeshFile:
     try:
         return _parsed(path, content)
     except (ValueError, IndexError, OverflowError, MemoryError) as error:
-        found = printable(str(error)[:160])
-        raise InputError(
-            f"{path}: truncated or damaged ({found}); export or copy it again"
-        ) from None
+        raise damaged(path, one_line(error)) from None
 
 
 def _parsed(path: Path, content: bytes) -> MeshFile:
@@ -121,7 +113,7 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
         raise ValueError("byte order of another machine")
     reader.end("MeshFormat")
     nodes: NDArray[np.float64] | None = None
-    elements: dict[int, _Elements] = {}
+    elements: _Elements = {}
     groups: dict[str, tuple[int, int]] = {}
     data: dict[str, dict[str, NDArray[np.float64]]] = {"NodeData": {}, "ElementData": {}}
     while content[reader.at :].strip():
@@ -156,7 +148,7 @@ def _read_groups(reader: _Content) -> dict[str, tuple[int, int]]:
     return groups
 
 
-def _text_elements(reader: _Content, count: int) -> dict[int, _Elements]:
+def _text_elements(reader: _Content, count: int) -> _Elements:
     by_shape: dict[tuple[int, int], list[str]] = {}
     for _ in range(count):
         line = reader.line()
@@ -170,7 +162,7 @@ def _text_elements(reader: _Content, count: int) -> dict[int, _Elements]:
     return _joined(parts)
 
 
-def _binary_elements(reader: _Content, count: int) -> dict[int, _Elements]:
+def _binary_elements(reader: _Content, count: int) -> _Elements:
     parts = []
     while count > 0:
         kind, rows, tags = map(int, reader.ints(3))
@@ -188,19 +180,14 @@ def _corners(kind: int) -> int:
     return TYPES[kind][1]
 
 
-def _joined(parts: list[tuple[int, int, NDArray[np.int64]]]) -> dict[int, _Elements]:
-    """Elements by type, from tables of number, tags and nodes."""
-    elements = {}
-    for kind in {kind for kind, _, _ in parts}:
-        tables = [(tags, table) for of, tags, table in parts if of == kind]
-        elements[kind] = _Elements(
-            np.concatenate([table[:, 0] for _, table in tables]),
-            np.concatenate(
-                [table[:, 1] if tags else np.zeros(len(table), np.int64) for tags, table in tables]
-            ),
-            np.concatenate([table[:, 1 + tags :] for tags, table in tables]),
-        )
-    return elements
+def _joined(parts: list[tuple[int, int, NDArray[np.int64]]]) -> _Elements:
+    """Elements by type, from tables of number, tags and nodes; the first tag is the group."""
+    tables: dict[int, list[NDArray[np.int64]]] = {}
+    for kind, tags, table in parts:
+        group = table[:, 1] if tags else np.zeros(len(table), np.int64)
+        rows = np.column_stack([table[:, 0], group, table[:, 1 + tags :]])
+        tables.setdefault(kind, []).append(rows)
+    return {kind: np.concatenate(of_kind) for kind, of_kind in tables.items()}
 
 
 def _read_data(reader: _Content) -> tuple[str, NDArray[np.float64]]:
@@ -218,31 +205,26 @@ def _read_data(reader: _Content) -> tuple[str, NDArray[np.float64]]:
 
 def _assembled(
     path: Path,
-    nodes: NDArray[np.float64],
-    elements: dict[int, _Elements],
+    points: NDArray[np.float64],
+    elements: _Elements,
     groups: dict[str, tuple[int, int]],
     data: dict[str, dict[str, NDArray[np.float64]]],
 ) -> MeshFile:
-    ids = nodes[:, 0].astype(np.int64)
+    ids = points[:, 0].astype(np.int64)
     cells, cell_data, others = {}, {}, {}
-    for kind, block in elements.items():
+    for kind, table in elements.items():
         if kind not in USED:
             if kind != POINT:
-                others[TYPES[kind][0]] = len(block.ids)
+                others[TYPES[kind][0]] = len(table)
             continue
-        place = _places(block.nodes, ids)
+        number, group, nodes = table[:, 0], table[:, 1], table[:, 2:]
+        place = _places(nodes, ids)
         if (place < 0).any():
-            raise ValueError(f"no node {block.nodes[place < 0][0]}")
+            raise ValueError(f"no node {nodes[place < 0][0]}")
         cells[USED[kind]] = place
-        arrays = {GROUP: block.groups.astype(float)}
-        for name, table in data["ElementData"].items():
-            values = _values(table, block.ids)
-            if values is not None:
-                arrays[name] = values
-        cell_data[USED[kind]] = arrays
-    found = {name: _values(table, ids) for name, table in data["NodeData"].items()}
-    point_data = {name: values for name, values in found.items() if values is not None}
-    return MeshFile(path, nodes[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
+        cell_data[USED[kind]] = {GROUP: group.astype(float)} | _arrays(data["ElementData"], number)
+    point_data = _arrays(data["NodeData"], ids)
+    return MeshFile(path, points[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
 
 
 def _places(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -253,12 +235,14 @@ def _places(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np
     return np.where(numbers[place] == wanted, place, -1)
 
 
-def _values(table: NDArray[np.float64], ids: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Rows of a table in the order of these numbers; None if it has none of them."""
-    if not len(table):
-        return None
-    place = _places(ids, table[:, 0].astype(np.int64))
-    if (place < 0).all():
-        return None
-    values = np.where((place >= 0)[:, None], table[place, 1:], np.nan)
-    return values[:, 0] if values.shape[1] == 1 else values
+def _arrays(
+    tables: dict[str, NDArray[np.float64]], ids: NDArray[np.int64]
+) -> dict[str, NDArray[np.float64]]:
+    """Values of each table in the order of these numbers, without tables that have none of them."""
+    arrays = {}
+    for name, table in tables.items():
+        place = _places(ids, table[:, 0].astype(np.int64)) if len(table) else np.full(len(ids), -1)
+        if (place >= 0).any():
+            values = np.where((place >= 0)[:, None], table[place, 1:], np.nan)
+            arrays[name] = values[:, 0] if values.shape[1] == 1 else values
+    return arrays

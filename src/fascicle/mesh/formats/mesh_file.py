@@ -19,6 +19,11 @@ VTK_IGNORED = (0, 1, 2)  # empty cells and lone vertices
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 
+def damaged(path: Path, found: object) -> InputError:
+    """The error of a file that ends early or contradicts itself."""
+    return InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
+
+
 @dataclass(frozen=True)
 class MeshFile:
     """Points and cells of a file, whatever its format.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, one_line
-from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 MESHIO_CELLS = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
 
@@ -31,13 +31,9 @@ def read_meshio(path: Path) -> MeshFile:
         meshio.ReadError, ValueError, LookupError, ArithmeticError, AssertionError, OSError,
         EOFError, TypeError, AttributeError, RuntimeError, MemoryError, struct.error,
     ) as error:  # fmt: skip
-        found = one_line(error)
-        raise InputError(
-            f"{path}: truncated or damaged ({found}); export or copy it again"
-        ) from None
+        raise damaged(path, one_line(error)) from None
     if "not closed" in printed.getvalue():  # of a section of a Gmsh file
-        found = one_line(printed.getvalue())
-        raise InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
+        raise damaged(path, one_line(printed.getvalue()))
     cells: dict[int, NDArray[np.int64]] = {}
     cell_data: dict[int, dict[str, NDArray[np.float64]]] = {}
     for name, kind in MESHIO_CELLS.items():

@@ -22,6 +22,7 @@ from fascicle.mesh.formats.mesh_file import (
     TETRAHEDRON,
     TRIANGLE,
     MeshFile,
+    damaged,
 )
 
 MICROMETRES = 1000.0  # per mm
@@ -223,9 +224,7 @@ def _lines(path: Path, purpose: str) -> list[str]:
     if not text.strip():
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not text.endswith("\n"):  # the last number may have lost digits
-        raise InputError(
-            f"{path}: truncated or damaged (no line end at its end); export or copy it again"
-        )
+        raise damaged(path, "no line end at its end")
     return text.rstrip().split("\n")
 
 
@@ -258,10 +257,7 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> NDArray[np
     try:
         table = np.loadtxt(lines, ndmin=2, comments=None)
     except ValueError as error:
-        raise InputError(
-            f"{path}: truncated or damaged ({_shown(str(error).split(';')[0])}); export or copy it "
-            "again"
-        ) from None
+        raise damaged(path, _shown(str(error).split(";")[0])) from None
     if len(table) != len(lines) or table.shape[1] not in columns:
         wanted = " or ".join(map(str, columns))
         raise InputError(

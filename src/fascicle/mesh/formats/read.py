@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.mesh.formats.gmsh22 import is_gmsh22, read_gmsh22
-from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile
+from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile, damaged
 from fascicle.mesh.formats.meshio_files import read_meshio
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
 from fascicle.mesh.formats.vtk import is_ascii_vtk, read_vtk
@@ -77,9 +77,7 @@ def _check_complete(path: Path) -> None:
     if size == 0:
         raise InputError(f"{path}: the file is empty; export or copy it again")
     if not complete:
-        raise InputError(
-            f"{path}: truncated or damaged (no {end} at its end); export or copy it again"
-        )
+        raise damaged(path, f"no {end} at its end")
 
 
 def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:

@@ -20,7 +20,11 @@ from fascicle.mesh.formats.mesh_file import (
     TRIANGLE,
     VTK_IGNORED,
     MeshFile,
+    damaged,
 )
+
+VERTICES, STRIP, POLYGON = 2, 6, 7  # VTK's numbers of cells that are not used
+OTHER_NAMES = {POLYGON: "polygons", STRIP: "triangle strips"}
 
 
 def read_vtk(path: Path) -> MeshFile:
@@ -32,28 +36,21 @@ def read_vtk(path: Path) -> MeshFile:
         reader.Update()
         output = reader.GetOutput()
     if complaints or output is None:
-        found = complaints[0] if complaints else "nothing could be read"
-        raise InputError(f"{path}: truncated or damaged ({found}); export or copy it again")
+        raise damaged(path, complaints[0] if complaints else "nothing could be read")
     data: Any = pv.wrap(output)
-    others: dict[str, int] = {}
+    if not isinstance(data, pv.PolyData | pv.UnstructuredGrid):
+        raise InputError(
+            f"{path}: holds a {type(data).__name__}, not a mesh of triangles, tetrahedra or "
+            "lines; export it as an unstructured grid or polydata"
+        )
     try:
-        if isinstance(data, pv.PolyData):
-            cells, index = _polydata_cells(data, others)
-        elif isinstance(data, pv.UnstructuredGrid):
-            cells, index = _grid_cells(data, others)
-        else:
-            raise InputError(
-                f"{path}: holds a {type(data).__name__}, not a mesh of triangles, tetrahedra or "
-                "lines; export it as an unstructured grid or polydata"
-            )
+        cells, index, others = _cells(*_listed(data))
         cell_data = {
             kind: {name: np.asarray(data.cell_data[name])[rows] for name in data.cell_data}
             for kind, rows in index.items()
         }
-    except IndexError:
-        raise InputError(
-            f"{path}: damaged (its list of cells contradicts itself); export or copy it again"
-        ) from None
+    except (IndexError, ValueError):
+        raise damaged(path, "its list of cells contradicts itself") from None
     point_data = {name: np.asarray(data.point_data[name]) for name in data.point_data}
     points = np.asarray(data.points, dtype=float)
     lines = index.get(LINE, np.empty(0))
@@ -115,74 +112,56 @@ def _vtk_complaints() -> Iterator[list[str]]:
                 complaints.append(one_line(re.sub(r"^\s*\w+ \(0x\w+\): ", "", text)))
 
 
-Cells = tuple[dict[int, NDArray[np.int64]], dict[int, NDArray[np.int64]]]
+def _listed(data: Any) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """VTK's number of the kind of each cell (m,), where its points start (m + 1,), all points."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    is_grid = hasattr(data, "celltypes")
+    lists = {0: data.GetCells()} if is_grid else {
+        VERTICES: data.GetVerts(), POLY_LINE: data.GetLines(),
+        POLYGON: data.GetPolys(), STRIP: data.GetStrips(),
+    }  # fmt: skip
+    none = np.empty(0, np.int64)
+    kinds, sizes, points = [none], [none], [none]
+    for number, cells in lists.items():
+        if cells is not None and cells.GetNumberOfCells():  # a file may hold points alone
+            sizes.append(np.diff(vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)))
+            points.append(vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64))
+            kinds.append(np.full(len(sizes[-1]), number))
+    kind, size = np.concatenate(kinds), np.concatenate(sizes)
+    kind[(kind == POLYGON) & (size == 3)] = TRIANGLE
+    start = np.concatenate([[0], np.cumsum(size)])
+    return np.asarray(data.celltypes) if is_grid else kind, start, np.concatenate(points)
 
 
-def _polydata_cells(data: Any, others: dict[str, int]) -> Cells:
-    """Triangles and line segments of a polydata, and the cell that each stands for."""
-    cells, index = {}, {}
-    lines = data.n_lines
-    if lines:
-        cells[LINE], index[LINE] = _segments(*_offsets(data.GetLines()), data.n_verts)
-    if data.GetPolys().GetNumberOfCells():
-        offsets, connectivity = _offsets(data.GetPolys())
-        first = data.n_verts + lines
-        is_triangle = np.diff(offsets) == 3
-        index[TRIANGLE] = first + np.flatnonzero(is_triangle)
-        cells[TRIANGLE] = connectivity[offsets[:-1][is_triangle][:, None] + np.arange(3)]
-        if not is_triangle.all():
-            others["polygons"] = int((~is_triangle).sum())
-    if data.GetStrips().GetNumberOfCells():
-        others["triangle strips"] = data.GetStrips().GetNumberOfCells()
-    return cells, index
+def _cells(
+    kinds: NDArray[np.int64], start: NDArray[np.int64], points: NDArray[np.int64]
+) -> tuple[dict[int, NDArray[np.int64]], dict[int, NDArray[np.int64]], dict[str, int]]:
+    """Cells of the kinds used here, the cell of the file that each stands for, and other kinds.
 
-
-def _grid_cells(data: Any, others: dict[str, int]) -> Cells:
+    A line of several points becomes as many segments as it has.
+    """
     from vtkmodules.vtkCommonDataModel import vtkCellTypes
 
     cells, index = {}, {}
-    if not data.n_cells:  # a file of points alone, as fibres often are
-        return {}, {}
-    offsets, connectivity = _offsets(data.GetCells())
-    kinds = np.asarray(data.celltypes)
     for kind, corners in ((TRIANGLE, 3), (TETRAHEDRON, 4)):
         rows = np.flatnonzero(kinds == kind)
         if rows.size:
-            cells[kind] = connectivity[offsets[rows][:, None] + np.arange(corners)]
+            cells[kind] = points[start[rows][:, None] + np.arange(corners)]
             index[kind] = rows
-    rows = np.flatnonzero((kinds == LINE) | (kinds == POLY_LINE))
-    if rows.size:
-        sizes = np.diff(offsets)[rows]
-        local = np.concatenate([[0], np.cumsum(sizes)])
-        flat = np.concatenate([connectivity[offsets[r] : offsets[r + 1]] for r in rows])
-        cells[LINE], which = _segments(local, flat, 0)
-        index[LINE] = rows[which]
+    is_line = np.isin(kinds, (LINE, POLY_LINE))
+    if is_line.any():
+        cell = np.repeat(np.arange(len(kinds)), np.diff(start))
+        inside = (cell[:-1] == cell[1:]) & is_line[cell[:-1]]
+        cells[LINE] = np.column_stack([points[:-1], points[1:]])[inside]
+        index[LINE] = cell[:-1][inside]
     used = (LINE, POLY_LINE, TRIANGLE, TETRAHEDRON, *VTK_IGNORED)
-    for kind, count in zip(
-        *np.unique(kinds[~np.isin(kinds, used)], return_counts=True), strict=True
-    ):
-        name = vtkCellTypes.GetClassNameFromTypeId(int(kind)).removeprefix("vtk")
-        others[name] = int(count)
-    return cells, index
-
-
-def _offsets(array: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    return (
-        vtk_to_numpy(array.GetOffsetsArray()).astype(np.int64),
-        vtk_to_numpy(array.GetConnectivityArray()).astype(np.int64),
-    )
-
-
-def _segments(
-    offsets: NDArray[np.int64], connectivity: NDArray[np.int64], first: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Polylines as segments of two points, and the number of the polyline each came from."""
-    pairs = np.column_stack([connectivity[:-1], connectivity[1:]])
-    line = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    inside = line[:-1] == line[1:]
-    return pairs[inside], first + line[:-1][inside]
+    found, counts = np.unique(kinds[~np.isin(kinds, used)], return_counts=True)
+    names = (OTHER_NAMES.get(k, vtkCellTypes.GetClassNameFromTypeId(k)) for k in found.tolist())
+    others = {
+        name.removeprefix("vtk"): int(count) for name, count in zip(names, counts, strict=True)
+    }
+    return cells, index, others
 
 
 def write_grid(
