@@ -46,7 +46,7 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
     """Give a temporary folder that takes the place of `folder` on success.
 
     A folder that stands there already is replaced only once the new one is complete, and only if
-    the new one has every file that the old one has: what somebody else put there is not lost.
+    the new one has every file that the old one has: what others put there is not lost.
     Files whose names are `disposable` may go.
 
     Raises
@@ -120,7 +120,17 @@ PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
 
 
 def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
-    """Refuse a path that is missing, a folder, a pickle or of another format, in one line."""
+    """Refuse a path that is missing, a folder, a pickle or of another format, in one line.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    formats : iterable of str
+        The suffixes that are read, such as ``".csv"``.
+    purpose : str
+        What the file holds, for the message.
+    """
     formats = tuple(formats)
     suffix = path.suffix.lower()
     if suffix in PICKLE_FORMATS and suffix not in formats:

@@ -21,7 +21,7 @@ class Progress(Protocol):
 
 
 def no_progress(done: int, total: int) -> None:
-    """Stand in for the progress callback of a stage that nobody watches."""
+    """Stand in for the progress callback of a stage that is not watched."""
 
 
 def stage_progress(progress: Progress | None, stage: str, message: str = "") -> StageProgress:

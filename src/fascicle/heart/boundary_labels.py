@@ -15,13 +15,13 @@ from fascicle.mesh.topology import boundary_loops
 ON_ENDOCARDIUM = 0.35  # mean edges; a triangle whose middle is no further from one lies on it
 SAME_WAY = 0.5  # cosine; it faces the way the endocardium does
 FACING_BASE = 0.5  # cosine; a triangle that faces so much away from the apex may be base
-BELOW_RIM = 0.15  # of the way from base to apex; none further down is
+BELOW_OPENING = 0.15  # of the distance from base to apex; none further down is
 
 
 def labelled_mesh(heart: Heart) -> LabelledMesh:
-    """Tell base, epicardium and endocardia apart on a heart whose endocardia are known.
+    """Labels of base, epicardium and endocardia, for a heart whose endocardia are known.
 
-    The base is what faces away from the apex, at the level of the endocardia's rims.
+    The base is what faces away from the apex, at the level of the endocardia's openings.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
 def _basal(
     heart: Heart, middle: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Which triangles face away from the apex near the rims of the endocardia."""
-    rims = [e.vertices[boundary_loops(e.triangles)[0]] for e in heart.endocardia]
+    """Which triangles face away from the apex near the openings of the endocardia."""
+    loops = [e.vertices[boundary_loops(e.triangles)[0]] for e in heart.endocardia]
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
     length = float(np.linalg.norm(base - apex))
     up = (base - apex) / length
-    lowest = min(float(((rim - apex) @ up).min()) for rim in rims)
-    high = (middle - apex) @ up > lowest - BELOW_RIM * length
+    lowest = min(float(((loop - apex) @ up).min()) for loop in loops)
+    high = (middle - apex) @ up > lowest - BELOW_OPENING * length
     return np.asarray(high & (normals @ up > FACING_BASE))

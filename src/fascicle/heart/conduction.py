@@ -161,6 +161,19 @@ class Conduction:
 def transversely_isotropic(
     fibres: NDArray[np.float64], along: float, across: float
 ) -> NDArray[np.float64]:
-    """Tensor `across`·I + (`along` − `across`)·f⊗f, shape (m, 3, 3)."""
+    """Tensors `across`·I + (`along` − `across`)·f⊗f.
+
+    Parameters
+    ----------
+    fibres : (m, 3) array
+        Unit directions f.
+    along, across : float
+        Values along the fibre and across it, in any unit.
+
+    Returns
+    -------
+    (m, 3, 3) array
+        In that unit.
+    """
     dyads = fibres[:, :, None] * fibres[:, None, :]
     return np.asarray(across * np.eye(3) + (along - across) * dyads)

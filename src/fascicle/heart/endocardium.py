@@ -29,7 +29,7 @@ class Endocardium:
         Vertex where the bundle starts, and one that it heads for.
     valves : (m,) array, optional
         Which triangles span a valve opening within the surface; no tissue lies under them, and
-        trees end at their rim.
+        trees end at its edge.
     """
 
     side: str

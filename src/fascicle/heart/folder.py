@@ -110,7 +110,7 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
     Raises
     ------
     InputError
-        If something of somebody else's would be lost, or nothing can be written there.
+        If a file that is not part of a heart would be lost, or nothing can be written there.
     """
     check_folder(folder)
     for path in inputs:

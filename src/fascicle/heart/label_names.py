@@ -114,7 +114,17 @@ def array_of_labels(arrays: Mapping[str, NDArray[Any]], array: str | None) -> st
 
 
 def no_such_array(path: Path, array: str, known: Iterable[str]) -> InputError:
-    """What to say if neither triangles nor points have the array of labels."""
+    """The error for a file in which neither triangles nor points have the array of labels.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    array : str
+        The array that was asked for.
+    known : iterable of str
+        Names of the arrays that are there.
+    """
     listed = ", ".join(sorted(known)) or "none"
     return InputError(
         f"{path}: no array '{array}' on triangles or points; there are: {listed}; name one of "

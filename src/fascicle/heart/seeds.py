@@ -69,7 +69,7 @@ def choose_seeds(
     surface: tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_] | None],
     opposite: NDArray[np.float64],
 ) -> tuple[int, int]:
-    """Root and direction as somebody chose them, or as the anatomy suggests.
+    """Root and direction as the user chose them, or as the anatomy suggests.
 
     Parameters
     ----------

@@ -65,7 +65,15 @@ def check_extent(name: str, points: NDArray[np.float64], limits: tuple[float, fl
 def check_tetrahedra(
     name: str, vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
 ) -> None:
-    """Refuse flat, inverted or overlapping tetrahedra and tissue in several pieces."""
+    """Refuse flat, inverted or overlapping tetrahedra and tissue in several pieces.
+
+    Parameters
+    ----------
+    name : str
+        What to call it in an error.
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        The mesh (mm); every vertex belongs to a tetrahedron.
+    """
     volumes = signed_volumes(vertices, tetrahedra)
     size = float(np.abs(volumes).mean())
     for kind, bad in (
@@ -127,7 +135,15 @@ def check_fibres(name: str, fibres: NDArray[np.float64]) -> None:
 def check_endocardium_in_place(
     name: str, surface: NDArray[np.float64], vertices: NDArray[np.float64]
 ) -> None:
-    """Refuse an endocardium that does not lie on the tissue, or is of another size."""
+    """Refuse an endocardium that does not lie on the tissue, or is of another size.
+
+    Parameters
+    ----------
+    name : str
+        What to call it in an error.
+    surface, vertices : (k, 3) and (n, 3) arrays
+        Points of the endocardium and of the tissue (mm).
+    """
     extent, whole = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
     if extent < SMALLEST_ENDOCARDIUM * whole:
         raise InputError(
@@ -143,7 +159,17 @@ def check_endocardium_in_place(
 
 
 def check_electrodes(name: str, electrodes: NDArray[np.float64], heart: Heart) -> None:
-    """Refuse electrodes inside the tissue, or far from any torso."""
+    """Refuse electrodes inside the tissue, or far from any torso.
+
+    Parameters
+    ----------
+    name : str
+        What to call them in an error.
+    electrodes : (9, 3) array
+        Positions in the order of `fascicle.core.leads.ELECTRODES` (mm).
+    heart : Heart
+        The tissue.
+    """
     import igl
 
     tree = igl.AABB()

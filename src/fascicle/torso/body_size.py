@@ -21,6 +21,10 @@ SQUARENESS = 2.4  # exponent of the superellipse that is the outline; 2 is an el
 
 V1_LEVEL = 0.735  # of the height
 
+MM_PER_M, MM_PER_CM = 1000, 10
+OUTLINE_POINTS = 721  # on which its length is measured
+LEAST_HEIGHT = 1e-3  # m; whatever is wrong is refused by its range
+
 
 @dataclass(frozen=True)
 class BodySize:
@@ -62,17 +66,17 @@ class BodySize:
         """Girth of the chest (cm)."""
         if self.chest is not None:
             return self.chest
-        return GIRTH * float(np.sqrt(max(self.weight, 0) / max(self.height, 1e-3)))
+        return GIRTH * float(np.sqrt(max(self.weight, 0) / max(self.height, LEAST_HEIGHT)))
 
     @cached_property
     def half_width(self) -> float:
         """Of the chest's outline at the level of V1 (mm)."""
-        angle = np.linspace(0, 2 * np.pi, 721)
+        angle = np.linspace(0, 2 * np.pi, OUTLINE_POINTS)
         outline = np.stack([np.cos(angle), np.sin(angle)])
         outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
         outline[1] *= DEPTH_TO_WIDTH
         perimeter = np.linalg.norm(np.diff(outline), axis=0).sum()
-        return float(10 * self.girth / perimeter)
+        return float(MM_PER_CM * self.girth / perimeter)
 
     @property
     def half_depth(self) -> float:
@@ -81,4 +85,4 @@ class BodySize:
 
     def level(self, fraction: float) -> float:
         """Height z in the body frame (mm) of a fraction of the standing height."""
-        return 1000 * self.height * (fraction - V1_LEVEL)
+        return MM_PER_M * self.height * (fraction - V1_LEVEL)

@@ -11,7 +11,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import unit
-from fascicle.torso.body_size import BodySize
+from fascicle.torso.body_size import MM_PER_M, BodySize
 from fascicle.torso.heart_pose import surface_middle
 from fascicle.torso.surfaces import Surface
 
@@ -36,7 +36,7 @@ NEAREST, FURTHEST_CHEST = 10.0, 350.0  # mm from the heart; ribs lie between, a 
 FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso do not belong together
 
 
-def standard_electrodes(build: BodySize, skin: Surface) -> Floats:
+def standard_electrodes(body: BodySize, skin: Surface) -> Floats:
     """Put the nine electrodes onto the skin of an idealised torso.
 
     V1 and V2 lie in the fourth intercostal space at the borders of the sternum, V4 in the fifth at
@@ -45,7 +45,7 @@ def standard_electrodes(build: BodySize, skin: Surface) -> Floats:
 
     Parameters
     ----------
-    build : Build
+    body : BodySize
         What the torso is scaled by.
     skin : Surface
         Its skin in the body frame (mm).
@@ -55,15 +55,15 @@ def standard_electrodes(build: BodySize, skin: Surface) -> Floats:
     (9, 3) array
         In the order of `fascicle.core.leads.ELECTRODES` (mm).
     """
-    width, metre = build.half_width, 1000 * build.height
-    low = -INTERCOSTAL * metre
+    width, height = body.half_width, MM_PER_M * body.height
+    low = -INTERCOSTAL * height
     axillary = np.array([np.sin(AXILLARY), -np.cos(AXILLARY)])
     front = np.array([0.0, -1.0])
-    # a place within the trunk, (x, z), and the way from there to the skin, (x, y)
+    # a place within the trunk, (x, z), and the direction from there to the skin, (x, y)
     rays = {
-        RA: (-SHOULDER * width, SHOULDER_LEVEL * metre, front),
-        LA: (SHOULDER * width, SHOULDER_LEVEL * metre, front),
-        LL: (HIP * width, HIP_LEVEL * metre, front),
+        RA: (-SHOULDER * width, SHOULDER_LEVEL * height, front),
+        LA: (SHOULDER * width, SHOULDER_LEVEL * height, front),
+        LL: (HIP * width, HIP_LEVEL * height, front),
         V1: (-STERNAL * width, 0.0, front),
         V2: (STERNAL * width, 0.0, front),
         V3: ((STERNAL + MIDCLAVICULAR) / 2 * width, low / 2, front),
@@ -73,16 +73,16 @@ def standard_electrodes(build: BodySize, skin: Surface) -> Floats:
     }
     return np.array(
         [
-            _on_skin(skin, np.array([x, 0.0, z]), np.append(way, 0.0))
-            for _, (x, z, way) in sorted(rays.items())
+            _on_skin(skin, np.array([x, 0.0, z]), np.append(direction, 0.0))
+            for _, (x, z, direction) in sorted(rays.items())
         ]
     )
 
 
-def _on_skin(skin: Surface, start: Floats, way: Floats) -> Floats:
+def _on_skin(skin: Surface, start: Floats, direction: Floats) -> Floats:
     """Where a ray from within leaves the skin."""
-    hits = igl.ray_mesh_intersect(start, way, *skin)
-    return np.asarray(start + max(distance for _, distance, *_ in hits) * way)
+    hits = igl.ray_mesh_intersect(start, direction, *skin)
+    return np.asarray(start + max(distance for _, distance, *_ in hits) * direction)
 
 
 def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:

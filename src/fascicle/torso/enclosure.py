@@ -14,7 +14,7 @@ from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.topology import directed_edges, unique_edges
 from fascicle.torso.surfaces import Surface, signed_distance
 
-# Largest extents; those of a child are above the first, nobody's above the second.
+# Largest extents; a child's is above the first, no adult's above the second.
 TORSO_EXTENT = (200.0, 2500.0)  # mm
 LUNG_EXTENT = (70.0, 450.0)  # mm
 LEAST_GAP = 0.5  # mm, between one surface and another

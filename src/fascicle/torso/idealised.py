@@ -35,7 +35,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import signed_volumes, triangle_normals, turned_outwards
 from fascicle.mesh.topology import without_unused_vertices
-from fascicle.torso.body_size import SQUARENESS, BodySize
+from fascicle.torso.body_size import MM_PER_M, SQUARENESS, BodySize
 from fascicle.torso.electrode_sites import standard_electrodes
 from fascicle.torso.enclosure import check_within
 from fascicle.torso.heart_pose import BodyFrame, Pose, body_frame, opening
@@ -61,6 +61,8 @@ SECTIONS = np.array(
 )
 BOTTOM, TOP = 0.495, 0.850  # where the trunk is cut off
 ROUNDING = 30.0  # mm, of the edges there
+WIDEST = 1.2  # beyond every section above (of the half-width)
+LEAST_RATIO = 1e-9  # of the distance from the trunk's axis to that of the outline
 
 # Ribs and all within, as the sections above; level, half-width and half-depth
 CAGE = np.array(
@@ -75,10 +77,14 @@ CAGE = np.array(
 )
 LUNG_TOP = 0.822
 DOMES = {1: 0.710, -1: 0.717}  # level of the diaphragm's top on the left and on the right
+DOME_MIDDLE = 0.4  # of the dome's top: from the midplane (of the chest's half-width)
+DOME_REACH = (0.6, 0.9)  # from there to the ribs: of half-width and half-depth
 DOME_DROP = 0.055  # and how much lower it is at the ribs (of the height)
 DOME_TILT = 0.012  # and further down at the back, up at the front
 MEDIASTINUM = (0.13, 0.26)  # its half-width in front and at the spine (of the chest's half-width)
+MEDIASTINUM_STEEPNESS, MEDIASTINUM_MIDDLE = 6.0, 0.1  # of its widening (by half-depths)
 ATRIA = 45.0  # mm, how far behind the ventricles' base the lungs keep clear
+NEAR_BASE = 3  # the atria continue what lies within a third of that from the base
 CLEARANCE = 6.0  # mm, of the lungs around the heart
 BLEND = 20.0  # mm, of the edges of the lungs
 
@@ -88,12 +94,13 @@ SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
 SMALLEST_LUNG = 0.3  # litres; the girth of the thinnest adult leaves more
 
 SKIN_GRID, LUNG_GRID = 12.0, 8.0  # mm, of the level sets
+GRID_MARGIN = 3  # steps of the grid around the box
 LEAST_LEVEL = 0.05  # of that spacing
 SKIN_EDGE, LUNG_EDGE = 11.0, 9.0  # mm, of the triangles
 
 
 def idealised_torso(
-    mesh: LabelledMesh, build: BodySize | None = None, pose: Pose = "standard"
+    mesh: LabelledMesh, body: BodySize | None = None, pose: Pose = "standard"
 ) -> TorsoSurfaces:
     """Put an idealised adult torso around a heart, which stays where it is.
 
@@ -101,7 +108,7 @@ def idealised_torso(
     ----------
     mesh : LabelledMesh
         The heart (mm).
-    build : BodySize, optional
+    body : BodySize, optional
         Height, weight and girth; those of a standard adult if not given.
     pose : {"standard", "ras", "lps"}
         Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
@@ -111,14 +118,14 @@ def idealised_torso(
     InputError
         If the heart does not fit into that torso, leaves no room for the lungs, or is not closed.
     """
-    build = build if build is not None else BodySize()
-    frame = frame_around(mesh, build, pose)
+    body = body if body is not None else BodySize()
+    frame = frame_around(mesh, body, pose)
     heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
-    skin = trunk(build)
+    skin = trunk(body)
     _check_fits(mesh.name, heart, skin)
     base = frame.to_body(np.stack([opening(side) for side in _endocardia(mesh)]))
-    lungs = _lungs(mesh.name, build, _kept_clear(heart, base))
-    electrodes = standard_electrodes(build, skin)
+    lungs = _lungs(mesh.name, body, _kept_clear(heart, base))
+    electrodes = standard_electrodes(body, skin)
     surfaces = TorsoSurfaces(
         Surface(frame.to_heart(skin.vertices), skin.triangles),
         tuple(Surface(frame.to_heart(lung.vertices), lung.triangles) for lung in lungs),
@@ -128,14 +135,21 @@ def idealised_torso(
     return surfaces
 
 
-def frame_around(mesh: LabelledMesh, build: BodySize, pose: Pose = "standard") -> BodyFrame:
+def frame_around(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") -> BodyFrame:
     """Where the axes of an idealised body lie around a heart.
 
-    See `idealised_torso` for the parameters, and `fascicle.torso.heart_pose.body_frame`.
+    Parameters
+    ----------
+    mesh : LabelledMesh
+        The heart (mm).
+    body : BodySize
+        Height, weight and girth.
+    pose : {"standard", "ras", "lps"}
+        Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
     """
     centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
     centroid = np.average(centres, axis=0, weights=signed_volumes(mesh.vertices, mesh.tetrahedra))
-    place = np.array([HEART_LEFT, -HEART_FRONT * build.half_depth, -HEART_BELOW])
+    place = np.array([HEART_LEFT, -HEART_FRONT * body.half_depth, -HEART_BELOW])
     return body_frame(*_endocardia(mesh), centroid, place, pose)
 
 
@@ -147,39 +161,60 @@ def _endocardia(mesh: LabelledMesh) -> tuple[Surface, Surface]:
     )
 
 
-def trunk(build: BodySize) -> Surface:
+def trunk(body: BodySize) -> Surface:
     """Skin of the trunk in the body frame (mm)."""
-    lower, upper = build.level(BOTTOM), build.level(TOP)
-    widest = 1.2 * build.half_width
+    lower, upper = body.level(BOTTOM), body.level(TOP)
+    widest = WIDEST * body.half_width
 
     def outside(points: Floats) -> Floats:
         ends = np.maximum(lower - points[:, 2], points[:, 2] - upper)
-        return smooth_max(_beyond_sections(build, SECTIONS, points), ends, ROUNDING)
+        return smooth_max(_beyond_sections(body, SECTIONS, points), ends, ROUNDING)
 
     box = np.array([[-widest, -widest, lower], [widest, widest, upper]])
     return remeshed(level_set(outside, box, SKIN_GRID), SKIN_EDGE)
 
 
-def _beyond_sections(build: BodySize, sections: Floats, points: Floats) -> Floats:
+def _beyond_sections(body: BodySize, sections: Floats, points: Floats) -> Floats:
     """About the distance (mm) of points to a stack of superellipses, negative inside."""
-    level = np.array([build.level(fraction) for fraction in sections[:, 0]])
-    half = PchipInterpolator(level, sections[:, 1:] * (build.half_width, build.half_depth))
+    level = np.array([body.level(fraction) for fraction in sections[:, 0]])
+    half = PchipInterpolator(level, sections[:, 1:] * (body.half_width, body.half_depth))
     half = half(np.clip(points[:, 2], level[0], level[-1]))
     relative = (np.abs(points[:, :2] / half) ** SQUARENESS).sum(axis=1) ** (1 / SQUARENESS)
     # exact along x and along y, where the outline is that far away
-    reach = np.linalg.norm(points[:, :2], axis=1) / np.maximum(relative, 1e-9)
+    reach = np.linalg.norm(points[:, :2], axis=1) / np.maximum(relative, LEAST_RATIO)
     return np.asarray((relative - 1) * np.clip(reach, half.min(axis=1), half.max(axis=1)))
 
 
 def smooth_max(a: Floats, b: Floats, width: float) -> Floats:
-    """The larger of two distances, rounded off where they differ by less than the width."""
+    """The larger of two distances, rounded off where they are nearly equal.
+
+    Parameters
+    ----------
+    a, b : (n,) arrays
+        The distances (mm).
+    width : float
+        Difference below which the result is rounded off (mm).
+    """
     overlap = np.maximum(width - np.abs(a - b), 0) / width
     return np.asarray(np.maximum(a, b) + overlap**2 * width / 4)
 
 
 def level_set(outside: Callable[[Floats], Floats], box: Floats, spacing: float) -> Surface:
-    """Surface on which a function of points (n, 3) vanishes, by marching cubes on a grid."""
-    axes = [np.arange(low - 3 * spacing, high + 4 * spacing, spacing) for low, high in box.T]
+    """Surface on which a function vanishes, by marching cubes on a grid.
+
+    Parameters
+    ----------
+    outside : callable
+        The function: points (n, 3) to values (n,), negative inside.
+    box : (2, 3) array
+        Opposite corners of a box around the surface (mm).
+    spacing : float
+        Of the grid (mm).
+    """
+    axes = [
+        np.arange(low - GRID_MARGIN * spacing, high + (GRID_MARGIN + 1) * spacing, spacing)
+        for low, high in box.T
+    ]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
     values = outside(points)
@@ -208,7 +243,7 @@ def _kept_clear(heart: Floats, base: Floats) -> Surface:
     """Convex hull of the ventricles and of room for the atria behind them."""
     towards_atria = base.mean(axis=0) - heart.mean(axis=0)
     towards_atria *= ATRIA / np.linalg.norm(towards_atria)
-    near_base = heart[(heart - base.mean(axis=0)) @ towards_atria > -ATRIA * ATRIA / 3]
+    near_base = heart[(heart - base.mean(axis=0)) @ towards_atria > -ATRIA * ATRIA / NEAR_BASE]
     points = np.concatenate([heart, near_base + towards_atria])
     hull = ConvexHull(points)
     vertices, triangles = without_unused_vertices(points, hull.simplices)
@@ -218,11 +253,11 @@ def _kept_clear(heart: Floats, base: Floats) -> Surface:
     return Surface(vertices, triangles)
 
 
-def _lungs(name: str, build: BodySize, clear: Surface) -> tuple[Surface, Surface]:
+def _lungs(name: str, body: BodySize, clear: Surface) -> tuple[Surface, Surface]:
     """Left and right lung in the body frame (mm)."""
     lungs = []
     for side, which in ((1, "left"), (-1, "right")):
-        lung = _lung(build, clear, side)
+        lung = _lung(body, clear, side)
         if lung is None or lung.litres < SMALLEST_LUNG:
             raise InputError(
                 f"{name}: leaves no room for the {which} lung in the idealised torso; check pose "
@@ -232,28 +267,29 @@ def _lungs(name: str, build: BodySize, clear: Surface) -> tuple[Surface, Surface
     return lungs[0], lungs[1]
 
 
-def _lung(build: BodySize, clear: Surface, side: int) -> Surface | None:
+def _lung(body: BodySize, clear: Surface, side: int) -> Surface | None:
     """One lung: within the ribs, beside the mediastinum and the heart, above the diaphragm."""
-    half_width, half_depth = build.half_width, build.half_depth
-    metre = 1000 * build.height
+    half_width, half_depth = body.half_width, body.half_depth
+    height = MM_PER_M * body.height
 
     def outside(points: Floats) -> Floats:
         x, y, z = side * points[:, 0], points[:, 1] / half_depth, points[:, 2]
-        ribs = _beyond_sections(build, CAGE, points)
+        ribs = _beyond_sections(body, CAGE, points)
         front, back = MEDIASTINUM
-        middle = half_width * (front + (back - front) / (1 + np.exp(-6 * (y - 0.1))))
-        radius = np.hypot((x / half_width - 0.4) / 0.6, y / 0.9)
-        dome = build.level(DOMES[side]) - metre * (DOME_DROP * radius**2 + DOME_TILT * y)
+        widening = 1 + np.exp(-MEDIASTINUM_STEEPNESS * (y - MEDIASTINUM_MIDDLE))
+        middle = half_width * (front + (back - front) / widening)
+        radius = np.hypot((x / half_width - DOME_MIDDLE) / DOME_REACH[0], y / DOME_REACH[1])
+        dome = body.level(DOMES[side]) - height * (DOME_DROP * radius**2 + DOME_TILT * y)
         beyond = smooth_max(ribs, middle - x, BLEND)
         beyond = smooth_max(beyond, dome - z, BLEND)
-        beyond = smooth_max(beyond, z - build.level(LUNG_TOP), BLEND)
+        beyond = smooth_max(beyond, z - body.level(LUNG_TOP), BLEND)
         inside = beyond < 2 * LUNG_GRID  # elsewhere the heart makes no difference
         heart = CLEARANCE - signed_distance(points[inside], clear)
         beyond[inside] = smooth_max(beyond[inside], heart, BLEND)
         return beyond
 
     reach = np.array([half_width, half_depth])
-    lower, upper = build.level(CAGE[0, 0]), build.level(LUNG_TOP)
+    lower, upper = body.level(CAGE[0, 0]), body.level(LUNG_TOP)
     box = np.stack([np.append(-reach, lower), np.append(reach, upper)])
     surface = level_set(outside, box, LUNG_GRID)
     return remeshed(surface, LUNG_EDGE) if len(surface.triangles) else None

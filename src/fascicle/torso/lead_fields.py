@@ -162,11 +162,19 @@ def place_electrodes(
 
 
 def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> NDArray[np.float64]:
-    """σ (mS/cm) of the heart's tetrahedra, then of the torso's: Gᵢ + Gₑ, then isotropic.
+    """σ of the heart's tetrahedra, Gᵢ + Gₑ, then of the torso's, which is isotropic.
+
+    Parameters
+    ----------
+    heart, torso : Heart, Torso
+        The myocardium and what is around it.
+    conduction : Conduction
+        Conductivities of all of them.
 
     Returns
     -------
     (m, 3, 3) array
+        In mS/cm.
     """
     of_tissue = np.zeros(max(TorsoTissue) + 1)
     of_tissue[[TorsoTissue.BODY, TorsoTissue.LUNG, TorsoTissue.BLOOD]] = (

@@ -42,7 +42,7 @@ def mesh_torso(
     Tetrahedra are blood if their centre is enclosed by an endocardium and a lid over each of its
     openings: if the surface's winding number there is above one half (Jacobson, Kavan and
     Sorkine-Hornung 2013, ACM Trans Graph 32:33). The lid itself is no surface of the mesh: where
-    blood ends is known no better than to the size of the tetrahedra there, and the rim of a real
+    blood ends is known no better than to the size of the tetrahedra there, and the edge of a real
     heart's opening is too rough to hold a lid that nowhere cuts the tissue.
 
     Parameters
@@ -87,9 +87,9 @@ def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
     """An endocardium with a lid over each of its openings, a fan; normals out of the cavity."""
     endocardium = mesh.having(label)
     vertices, triangles = [mesh.vertices], [endocardium]
-    for number, rim in enumerate(boundary_loops(endocardium), start=len(mesh.vertices)):
-        vertices.append(mesh.vertices[rim].mean(axis=0, keepdims=True))
-        triangles.append(fan(rim, number))
+    for number, loop in enumerate(boundary_loops(endocardium), start=len(mesh.vertices)):
+        vertices.append(mesh.vertices[loop].mean(axis=0, keepdims=True))
+        triangles.append(fan(loop, number))
     kept, inwards = without_unused_vertices(np.concatenate(vertices), np.concatenate(triangles))
     return Surface(kept, np.ascontiguousarray(inwards[:, ::-1]))
 

@@ -22,6 +22,18 @@ def match_by_position(
 ) -> NDArray[np.int64]:
     """For every wanted position, the row of `given` at the same place.
 
+    Parameters
+    ----------
+    name, what : str
+        For an error: the file of the given positions, and what the wanted ones are.
+    given, wanted : (n, 3) and (k, 3) arrays
+        Positions (mm).
+
+    Returns
+    -------
+    (k,) array
+        Rows of `given`.
+
     Raises
     ------
     InputError

@@ -191,7 +191,7 @@ def _multigrid(
         smooth=("jacobi", {"weighting": "local"}),
     )
     fine = MultilevelSolver([quadratic, *coarse.levels], coarse_solver="pinv")
-    forth, back = (("gauss_seidel", {"sweep": way}) for way in ("forward", "backward"))
+    forth, back = (("gauss_seidel", {"sweep": order}) for order in ("forward", "backward"))
     change_smoothers(fine, presmoother=forth, postsmoother=back)
     return fine, coarse
 

@@ -48,14 +48,14 @@ def apex_to_base(
 def lv_apex(mesh: LabelledMesh) -> NDArray[np.int64]:
     """The vertices at the apex of the LV: the endocardial and the epicardial one, shape (2,).
 
-    Those that lie furthest from the endocardium's rim along the long axis, which runs from the
-    rim's middle to the endocardial vertex that is furthest from it. Of the epicardium, only what
+    Those that lie furthest from the endocardium's opening along the long axis, which runs from
+    its middle to the endocardial vertex that is furthest from it. Of the epicardium, only what
     is nearer to the LV than to the RV: the RV's apex may reach as low.
     """
     endocardium = np.unique(mesh.having(Label.LV_ENDOCARDIUM))
-    rim = mesh.vertices[np.intersect1d(endocardium, mesh.having(*BASAL))].mean(axis=0)
-    way = mesh.vertices[endocardium] - rim
-    axis = way[np.argmax(np.linalg.norm(way, axis=1))]
+    opening = mesh.vertices[np.intersect1d(endocardium, mesh.having(*BASAL))].mean(axis=0)
+    offset = mesh.vertices[endocardium] - opening
+    axis = offset[np.argmax(np.linalg.norm(offset, axis=1))]
     epicardium = np.unique(mesh.having(Label.EPICARDIUM))
     right = np.unique(mesh.having(Label.RV_ENDOCARDIUM))
     if len(right):

@@ -303,7 +303,17 @@ COORDINATE, DIRECTION = "%.6f", "%.15f"  # 1e-6 µm
 def write_vtx(
     path: Path, indices: NDArray[np.int64], domain: Literal["intra", "extra"] = "intra"
 ) -> None:
-    """Write vertex numbers (k,) as a `.vtx` file of a domain, whole or not at all."""
+    """Write vertex numbers as a `.vtx` file, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    indices : (k,) array
+        Point indices.
+    domain : {"intra", "extra"}
+        Which of openCARP's domains they belong to.
+    """
     write_text(path, f"{len(indices)}\n{domain}\n" + rows("%d", indices))
 
 

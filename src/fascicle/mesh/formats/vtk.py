@@ -59,7 +59,7 @@ def read_vtk(path: Path) -> MeshFile:
 
 
 def _vtk_reader(path: Path) -> Any:
-    """VTK's own reader: pyvista's would log complaints where nobody can collect them."""
+    """VTK's own reader: pyvista's would log complaints where they cannot be collected."""
     from vtkmodules.vtkIOGeometry import vtkOBJReader, vtkSTLReader
     from vtkmodules.vtkIOLegacy import vtkDataSetReader
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
@@ -107,7 +107,7 @@ def _vtk_complaints() -> Iterator[list[str]]:
             printed = printed.decode(errors="replace")
         # "ERROR: In vtkX.cxx, line 7", then "vtkX (0x55aa): what happened"
         for text in re.split(r"^\w+: In .*, line \d+$", printed, flags=re.MULTILINE):
-            # the range of an array with an inf in it cannot be read back; nobody needs it
+            # the range of an array with an inf in it cannot be read back; it is not needed
             if text.strip() and "InformationKey" not in text:
                 complaints.append(one_line(re.sub(r"^\s*\w+ \(0x\w+\): ", "", text)))
 
@@ -172,7 +172,21 @@ def write_grid(
     point_data: dict[str, NDArray[np.float64]] | None = None,
     cell_data: dict[str, NDArray[np.float64]] | None = None,
 ) -> None:
-    """Write cells of one kind as a compressed VTU file, whole or not at all."""
+    """Write cells of one kind as a compressed VTU file, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    points : (n, 3) array
+        Positions (mm).
+    cells : (m, k) array
+        Point indices.
+    kind : int
+        VTK's number of that kind of cell, such as `TETRAHEDRON`.
+    point_data, cell_data : dict of name to array, optional
+        Arrays with one row a point, or a cell.
+    """
     import pyvista as pv
 
     grid = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
@@ -189,7 +203,19 @@ def write_surface(
     triangles: NDArray[np.int64],
     cell_data: dict[str, NDArray[np.generic]] | None = None,
 ) -> None:
-    """Write a triangle surface as VTP, whole or not at all."""
+    """Write a triangle surface as VTP, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    points : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Point indices.
+    cell_data : dict of name to array, optional
+        Arrays with one row a triangle.
+    """
     import pyvista as pv
 
     surface = pv.PolyData.from_regular_faces(np.asarray(points), triangles)
