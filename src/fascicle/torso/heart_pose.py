@@ -88,7 +88,7 @@ def heart_axes(lv: Surface, rv: Surface) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def opening(surface: Surface) -> NDArray[np.float64]:
-    """Middle of the openings of a surface, each point of the boundary loops counting by length; (3,), mm."""
+    """Middle of the openings of a surface (3,), mm: the mean along its boundary loops."""
     loops = boundary_loops(surface.triangles)
     start = np.concatenate([surface.vertices[loop] for loop in loops])
     end = np.concatenate([surface.vertices[np.roll(loop, -1)] for loop in loops])
