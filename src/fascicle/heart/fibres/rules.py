@@ -126,29 +126,6 @@ class Fibres:
     depth: NDArray[np.float64]
     wall: NDArray[np.int64]
 
-    @property
-    def normal(self) -> NDArray[np.float64]:
-        """Normal of the sheet, shape (m, 3): sheet × fibre."""
-        return np.cross(self.sheet, self.fibre)
-
-    def helix_angle(self, fibre: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Angle of the fibres, or of others on the same tetrahedra, to the circumference.
-
-        Parameters
-        ----------
-        fibre : (m, 3) array, optional
-            Directions of either sign; these fibres when not given.
-
-        Returns
-        -------
-        (m,) array
-            In (-π/2, π/2] (rad), of the part within the wall.
-        """
-        directions = self.fibre if fibre is None else fibre
-        around = np.cross(self.longitudinal, self.outward)
-        angle = np.arctan2(_dot(directions, self.longitudinal), _dot(directions, around))
-        return np.asarray(np.pi / 2 - (np.pi / 2 - angle) % np.pi)
-
 
 def rule_based_fibres(
     mesh: LabelledMesh, angles: FibreAngles | None = None, progress: StageProgress = no_progress
