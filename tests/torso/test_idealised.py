@@ -111,11 +111,11 @@ def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, body: TorsoSurf
     moved[v1] += 25 * to_the_front
     expected = np.where(np.arange(9) == v1, 25, 0)  # the chest is nearly flat there
     assert distances_to_skin(moved, body.skin) == pytest.approx(expected, abs=1)
-    check_on_skin("e.csv", moved, body.skin)
+    check_on_skin("e.csv", distances_to_skin(moved, body.skin))
     moved[v1] += 25 * to_the_front
     message = r"^e\.csv: electrode V1 is (49|50) mm from the skin, more than 30; .*--torso FILE"
     with pytest.raises(InputError, match=message):
-        check_on_skin("e.csv", moved, body.skin)
+        check_on_skin("e.csv", distances_to_skin(moved, body.skin))
 
 
 def test_refuses_a_heart_that_is_open(mesh: LabelledMesh) -> None:

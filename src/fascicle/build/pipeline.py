@@ -22,7 +22,7 @@ from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.seeds import ChosenSeed, choose_seeds
 from fascicle.heart.validate import check_electrodes, check_tetrahedra
 from fascicle.torso.body_size import BodySize
-from fascicle.torso.electrode_sites import check_not_mirrored, check_on_skin
+from fascicle.torso.electrode_sites import check_not_mirrored, check_on_skin, distances_to_skin
 from fascicle.torso.heart_pose import Pose
 from fascicle.torso.idealised import idealised_torso
 from fascicle.torso.mesh import mesh_torso
@@ -220,7 +220,7 @@ def in_body(
     check_not_mirrored(source, heart)
     if surfaces is None:
         return heart
-    check_on_skin(source, heart.electrodes, surfaces.skin)
+    check_on_skin(source, distances_to_skin(heart.electrodes, surfaces.skin))
     torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
     heart = replace(heart, torso=torso)
     fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 LEADS: tuple[str, ...] = (
     "I", "II", "III", "aVR", "aVL", "aVF", "V1", "V2", "V3", "V4", "V5", "V6",
@@ -16,7 +17,7 @@ INDEPENDENT_ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
 ELECTRODES: tuple[str, ...] = ("RA", "LA", "LL", "V1", "V2", "V3", "V4", "V5", "V6")
 
 
-def lead_matrix() -> NDArray[np.float64]:
+def lead_matrix() -> Floats:
     """Matrix that turns electrode potentials into leads.
 
     Returns
@@ -32,7 +33,7 @@ def lead_matrix() -> NDArray[np.float64]:
     return np.array([*limb, *augmented, *(electrode - wilson for electrode in chest)])
 
 
-def limb_leads_from(recorded: Collection[str]) -> NDArray[np.float64] | None:
+def limb_leads_from(recorded: Collection[str]) -> Floats | None:
     """Matrix that computes the six limb leads from two that were recorded.
 
     Two potential differences determine all six, by Einthoven's and Goldberger's laws.
@@ -58,7 +59,7 @@ def limb_leads_from(recorded: Collection[str]) -> NDArray[np.float64] | None:
     return matrix
 
 
-def measured_rows(present: NDArray[np.bool_]) -> NDArray[np.int64]:
+def measured_rows(present: Booleans) -> Integers:
     """Rows of leads that are no combination of one another, of those that are present.
 
     Parameters

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
@@ -96,7 +96,7 @@ def assemble_heart(
 
 
 def _check_two_surfaces(
-    surfaces: dict[str, MeshFile], opened: dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
+    surfaces: dict[str, MeshFile], opened: dict[str, tuple[Floats, Integers]]
 ) -> None:
     apart = cKDTree(opened["rv"][0]).query(opened["lv"][0])[0]
     if float(np.median(apart)) == 0:
@@ -106,7 +106,7 @@ def _check_two_surfaces(
         )
 
 
-def _surface(side: str, surface: MeshFile) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _surface(side: str, surface: MeshFile) -> tuple[Floats, Integers]:
     """Points and triangles of an endocardium, facing its cavity.
 
     Point indices stay as in the file, since seeds refer to them; points that no triangle uses
@@ -123,9 +123,7 @@ def _surface(side: str, surface: MeshFile) -> tuple[NDArray[np.float64], NDArray
     return surface.points, oriented_into_cavity(surface.points, triangles, name)
 
 
-def _fibres_per_tetrahedron(
-    mesh: MeshFile, tetrahedra: NDArray[np.int64], source: MeshFile
-) -> NDArray[np.float64]:
+def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFile) -> Floats:
     """Find the unit fibre of each tetrahedron, matched by position if the order differs."""
     name = str(source.path)
     values, per_cell = _fibre_array(source)
@@ -148,7 +146,7 @@ def _fibres_per_tetrahedron(
     return average_to_tetrahedra(at_vertex, tetrahedra)
 
 
-def _regions(mesh: MeshFile) -> NDArray[np.int64] | None:
+def _regions(mesh: MeshFile) -> Integers | None:
     """Labels of the tetrahedra, if the mesh has the cell array `region`."""
     values = mesh.cell_array(TETRAHEDRON, REGION)
     if values is None:
@@ -161,7 +159,7 @@ def _regions(mesh: MeshFile) -> NDArray[np.int64] | None:
     return values.astype(np.int64)
 
 
-def _sheets(mesh: MeshFile) -> NDArray[np.float64] | None:
+def _sheets(mesh: MeshFile) -> Floats | None:
     """Sheet directions of the tetrahedra, if the mesh has the cell array `sheet`."""
     values = mesh.cell_array(TETRAHEDRON, SHEET)
     if values is None:
@@ -170,13 +168,13 @@ def _sheets(mesh: MeshFile) -> NDArray[np.float64] | None:
     return values
 
 
-def _valves(surface: MeshFile) -> NDArray[np.bool_] | None:
+def _valves(surface: MeshFile) -> Booleans | None:
     """Which triangles span a valve opening, if the surface has the cell array `valve`."""
     values = surface.cell_array(TRIANGLE, VALVE)
     return None if values is None else values != 0
 
 
-def _fibre_array(source: MeshFile) -> tuple[NDArray[np.float64], bool]:
+def _fibre_array(source: MeshFile) -> tuple[Floats, bool]:
     """Find the array of directions in a file, and whether it is one per tetrahedron."""
     candidates: dict[str, tuple[Any, bool]] = {}
     for arrays, per_cell in (

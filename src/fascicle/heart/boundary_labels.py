@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart, outward_triangles
 from fascicle.heart.labelled_surface import Label, LabelledMesh
@@ -48,9 +48,7 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
     )
 
 
-def _basal(
-    heart: Heart, middle: NDArray[np.float64], normals: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _basal(heart: Heart, middle: Floats, normals: Floats) -> Booleans:
     """Which triangles face away from the apex near the openings of the endocardia."""
     loops = [e.vertices[boundary_loops(e.triangles)[0]] for e in heart.endocardia]
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)

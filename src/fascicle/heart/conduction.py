@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
 
@@ -39,7 +39,7 @@ class Region:
     radius: float | None = None
     source: str | None = field(default=None, repr=False, compare=False)
 
-    def elements(self, heart: Heart) -> NDArray[np.bool_]:
+    def elements(self, heart: Heart) -> Booleans:
         """Which tetrahedra belong to it, shape (m,).
 
         Raises
@@ -114,7 +114,7 @@ class Conduction:
     blood: float = 7.0
     regions: tuple[Region, ...] = ()
 
-    def scale(self, heart: Heart) -> NDArray[np.float64]:
+    def scale(self, heart: Heart) -> Floats:
         """Factor on all conductivities of each tetrahedron, shape (m,); 0 where none conducts."""
         scale = np.ones(len(heart.tetrahedra))
         for region in self.regions:
@@ -140,11 +140,11 @@ class Conduction:
         )
         return along, across
 
-    def intracellular(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+    def intracellular(self, fibres: Floats) -> Floats:
         """Gᵢ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
         return transversely_isotropic(fibres, self.intracellular_l, self.intracellular_t)
 
-    def bulk(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+    def bulk(self, fibres: Floats) -> Floats:
         """Gᵢ + Gₑ (mS/cm) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
         return transversely_isotropic(
             fibres,
@@ -152,15 +152,13 @@ class Conduction:
             self.intracellular_t + self.extracellular_t,
         )
 
-    def metric(self, fibres: NDArray[np.float64]) -> NDArray[np.float64]:
+    def metric(self, fibres: Floats) -> Floats:
         """D⁻¹ (ms²/mm²) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
         along, across = self._squared_speeds()
         return transversely_isotropic(fibres, 1 / along, 1 / across)
 
 
-def transversely_isotropic(
-    fibres: NDArray[np.float64], along: float, across: float
-) -> NDArray[np.float64]:
+def transversely_isotropic(fibres: Floats, along: float, across: float) -> Floats:
     """Tensors `across`·I + (`along` − `across`)·f⊗f.
 
     Parameters

@@ -8,14 +8,14 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, write_text
 from fascicle.core.leads import ELECTRODES
 
 
-def read_electrodes(path: Path | str) -> NDArray[np.float64]:
+def read_electrodes(path: Path | str) -> Floats:
     """Read the nine electrode positions.
 
     Returns
@@ -97,7 +97,7 @@ def _position(path: Path, name: str, values: list[object]) -> list[float]:
     return position
 
 
-def write_electrodes(path: Path, electrodes: NDArray[np.float64]) -> None:
+def write_electrodes(path: Path, electrodes: Floats) -> None:
     """Write electrode positions (9, 3) as CSV or, by the path's suffix, JSON (mm)."""
     if path.suffix.lower() == ".json":
         positions = dict(zip(ELECTRODES, np.asarray(electrodes).tolist(), strict=True))

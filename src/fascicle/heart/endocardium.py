@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import enclosed_volume, triangle_areas
 from fascicle.mesh.topology import boundary_loops, unique_edges
@@ -33,11 +33,11 @@ class Endocardium:
     """
 
     side: str
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    vertices: Floats
+    triangles: Integers
     root: int
     direction: int
-    valves: NDArray[np.bool_] | None = None
+    valves: Booleans | None = None
 
     @property
     def area(self) -> float:
@@ -45,9 +45,7 @@ class Endocardium:
         return float(triangle_areas(self.vertices, self.triangles).sum())
 
 
-def oriented_into_cavity(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], name: str
-) -> NDArray[np.int64]:
+def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> Integers:
     """Check that a surface is an endocardium and turn its triangles to face the cavity.
 
     Parameters
@@ -82,7 +80,7 @@ def oriented_into_cavity(
     return np.ascontiguousarray(oriented, dtype=np.int64)
 
 
-def _check_manifold(triangles: NDArray[np.int64], name: str) -> None:
+def _check_manifold(triangles: Integers, name: str) -> None:
     edges, count = unique_edges(triangles)
     bad = np.flatnonzero(count > 2)
     if bad.size:
@@ -93,7 +91,7 @@ def _check_manifold(triangles: NDArray[np.int64], name: str) -> None:
         )
 
 
-def _check_disk(triangles: NDArray[np.int64], name: str) -> None:
+def _check_disk(triangles: Integers, name: str) -> None:
     loops = boundary_loops(triangles)
     if len(loops) != 1:
         found = "no boundary loop (it is closed)" if not loops else f"{len(loops)} boundary loops"
@@ -110,9 +108,7 @@ def _check_disk(triangles: NDArray[np.int64], name: str) -> None:
         )
 
 
-def long_axis(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def long_axis(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
     """Middle of an endocardium's opening, and its apex: the vertex furthest from there (mm)."""
     base = vertices[boundary_loops(triangles)[0]].mean(axis=0)
     apex = vertices[np.argmax(np.linalg.norm(vertices - base, axis=1))]

@@ -13,6 +13,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.torso import LeadFields, Torso
 from fascicle.mesh.measures import edge_lengths, signed_volumes
@@ -50,15 +51,15 @@ class Heart:
         Where what is computed from it once is kept: mostly, where it was read from.
     """
 
-    vertices: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    fibres: NDArray[np.float64]
+    vertices: Floats
+    tetrahedra: Integers
+    fibres: Floats
     lv: Endocardium
     rv: Endocardium
-    electrodes: NDArray[np.float64]
+    electrodes: Floats
     name: str = "heart"
-    regions: NDArray[np.int64] | None = None
-    sheets: NDArray[np.float64] | None = None
+    regions: Integers | None = None
+    sheets: Floats | None = None
     torso: Torso | None = None
     lead_fields: LeadFields | None = None
     folder: Path | None = None
@@ -70,17 +71,17 @@ class Heart:
         yield self.rv
 
     @cached_property
-    def volumes(self) -> NDArray[np.float64]:
+    def volumes(self) -> Floats:
         """Volume of each tetrahedron (mm³), shape (m,)."""
         return signed_volumes(self.vertices, self.tetrahedra)
 
     @cached_property
-    def boundary(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def boundary(self) -> tuple[Integers, Integers]:
         """Boundary triangles (b, 3) and the tetrahedron each belongs to (b,)."""
         return boundary_triangles(self.tetrahedra)
 
     @cached_property
-    def edges(self) -> NDArray[np.int64]:
+    def edges(self) -> Integers:
         """The vertices at the ends of each edge, shape (e, 2)."""
         return np.asarray(igl.edges(self.tetrahedra), dtype=np.int64)
 
@@ -116,6 +117,6 @@ def digest_of(*arrays: NDArray[np.generic]) -> str:
     return digest.hexdigest()
 
 
-def outward_triangles(heart: Heart) -> NDArray[np.int64]:
+def outward_triangles(heart: Heart) -> Integers:
     """Boundary triangles (b, 3), counter-clockwise seen from outside the tissue."""
     return heart.boundary[0]

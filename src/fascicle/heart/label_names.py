@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError, printable
 from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.formats.mesh_file import GROUP
@@ -132,7 +133,7 @@ def no_such_array(path: Path, array: str, known: Iterable[str]) -> InputError:
     )
 
 
-def whole_numbers(source: str, values: NDArray[Any]) -> NDArray[np.int64]:
+def whole_numbers(source: str, values: NDArray[Any]) -> Integers:
     """Values of an array of labels, shape (k,).
 
     Raises
@@ -153,9 +154,7 @@ def whole_numbers(source: str, values: NDArray[Any]) -> NDArray[np.int64]:
     return numbers.astype(np.int64)
 
 
-def labels_of(
-    source: str, numbers: NDArray[np.int64], names: Names, groups: Mapping[int, str]
-) -> NDArray[np.int64]:
+def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int, str]) -> Integers:
     """Label that each number means: the caller's, that of its group's name, or the `Label` itself.
 
     Parameters

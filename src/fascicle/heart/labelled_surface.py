@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Floats, Integers
 
 
 class Label(IntEnum):
@@ -33,10 +34,10 @@ NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDI
 class _Labelled:
     """A boundary with a label for every triangle."""
 
-    triangles: NDArray[np.int64]
-    labels: NDArray[np.int64]
+    triangles: Integers
+    labels: Integers
 
-    def having(self, *labels: Label) -> NDArray[np.int64]:
+    def having(self, *labels: Label) -> Integers:
         """Triangles of the boundary with any of these labels, shape (k, 3)."""
         return self.triangles[np.isin(self.labels, labels)]
 
@@ -57,9 +58,9 @@ class LabelledSurface(_Labelled):
         What to call it in messages; usually the file.
     """
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
-    labels: NDArray[np.int64]
+    vertices: Floats
+    triangles: Integers
+    labels: Integers
     name: str = "surface"
 
 
@@ -83,9 +84,9 @@ class LabelledMesh(_Labelled):
         What to call it in messages; usually the file.
     """
 
-    vertices: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    triangles: NDArray[np.int64]
-    labels: NDArray[np.int64]
-    regions: NDArray[np.int64] | None = None
+    vertices: Floats
+    tetrahedra: Integers
+    triangles: Integers
+    labels: Integers
+    regions: Integers | None = None
     name: str = "mesh"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import long_axis
 from fascicle.mesh.measures import unit
@@ -23,10 +23,7 @@ ChosenSeed = int | tuple[float, float, float] | None
 
 
 def septal_seeds(
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    opposite: NDArray[np.float64],
-    valves: NDArray[np.bool_] | None = None,
+    vertices: Floats, triangles: Integers, opposite: Floats, valves: Booleans | None = None
 ) -> tuple[int, int]:
     """Root near the base and direction towards the apex, both in the middle of the septum.
 
@@ -66,8 +63,8 @@ def septal_seeds(
 def choose_seeds(
     name: str,
     given: tuple[ChosenSeed, ChosenSeed],
-    surface: tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_] | None],
-    opposite: NDArray[np.float64],
+    surface: tuple[Floats, Integers, Booleans | None],
+    opposite: Floats,
 ) -> tuple[int, int]:
     """Root and direction as the user chose them, or as the anatomy suggests.
 
@@ -99,9 +96,7 @@ def choose_seeds(
     return root, direction
 
 
-def _chosen(
-    name: str, seed: int | tuple[float, float, float], vertices: NDArray[np.float64]
-) -> int:
+def _chosen(name: str, seed: int | tuple[float, float, float], vertices: Floats) -> int:
     if isinstance(seed, int):
         if not 0 <= seed < len(vertices):
             raise InputError(
@@ -120,12 +115,7 @@ def _chosen(
     return nearest
 
 
-def _nearest_in(
-    band: tuple[float, float],
-    depth: NDArray[np.float64],
-    score: NDArray[np.float64],
-    allowed: NDArray[np.bool_],
-) -> int:
+def _nearest_in(band: tuple[float, float], depth: Floats, score: Floats, allowed: Booleans) -> int:
     beyond = np.maximum(np.maximum(band[0] - depth, depth - band[1]), 0)
     nearest = float(beyond[allowed].min())
     # a coarse surface may have no vertex in the band: then those next to it

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-from numpy.typing import NDArray
+from fascicle.core.arrays import Floats, Integers
 
 
 class TorsoTissue(IntEnum):
@@ -31,9 +30,9 @@ class Torso:
         A `TorsoTissue` for each.
     """
 
-    vertices: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    tissues: NDArray[np.int64]
+    vertices: Floats
+    tetrahedra: Integers
+    tissues: Integers
 
 
 @dataclass(frozen=True)
@@ -50,6 +49,6 @@ class LeadFields:
         `fascicle.torso.resolve.torso_key` of the body they were computed in.
     """
 
-    values: NDArray[np.float64]
+    values: Floats
     key: str
     torso: str

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
@@ -24,12 +24,12 @@ FURTHEST_ENDOCARDIUM = 5.0  # mm, median distance of an endocardium to the tissu
 FURTHEST_ELECTRODE = 1500.0  # mm
 
 
-def check_units(name: str, points: NDArray[np.float64]) -> None:
+def check_units(name: str, points: Floats) -> None:
     """Refuse a heart whose size says that it is not in mm."""
     check_extent(name, points, HEART_EXTENT)
 
 
-def check_extent(name: str, points: NDArray[np.float64], limits: tuple[float, float]) -> None:
+def check_extent(name: str, points: Floats, limits: tuple[float, float]) -> None:
     """Refuse an anatomy whose size says that it is not in mm.
 
     Parameters
@@ -62,9 +62,7 @@ def check_extent(name: str, points: NDArray[np.float64], limits: tuple[float, fl
     )
 
 
-def check_tetrahedra(
-    name: str, vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> None:
+def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
     """Refuse flat, inverted or overlapping tetrahedra and tissue in several pieces.
 
     Parameters
@@ -103,7 +101,7 @@ def check_tetrahedra(
         )
 
 
-def _check_no_overlap(name: str, tetrahedra: NDArray[np.int64]) -> None:
+def _check_no_overlap(name: str, tetrahedra: Integers) -> None:
     """Refuse tetrahedra that are there twice, or lie within one another: they would count twice."""
     faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
     order = np.lexsort(faces.T)
@@ -116,7 +114,7 @@ def _check_no_overlap(name: str, tetrahedra: NDArray[np.int64]) -> None:
         )
 
 
-def check_fibres(name: str, fibres: NDArray[np.float64]) -> None:
+def check_fibres(name: str, fibres: Floats) -> None:
     """Refuse fibre directions that are not finite or have no length."""
     bad = np.flatnonzero(~np.isfinite(fibres).all(axis=1))
     if bad.size:
@@ -132,9 +130,7 @@ def check_fibres(name: str, fibres: NDArray[np.float64]) -> None:
         )
 
 
-def check_endocardium_in_place(
-    name: str, surface: NDArray[np.float64], vertices: NDArray[np.float64]
-) -> None:
+def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> None:
     """Refuse an endocardium that does not lie on the tissue, or is of another size.
 
     Parameters
@@ -158,7 +154,7 @@ def check_endocardium_in_place(
         )
 
 
-def check_electrodes(name: str, electrodes: NDArray[np.float64], heart: Heart) -> None:
+def check_electrodes(name: str, electrodes: Floats, heart: Heart) -> None:
     """Refuse electrodes inside the tissue, or far from any torso.
 
     Parameters

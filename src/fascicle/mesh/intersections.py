@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 CHUNK = 1 << 13  # triangles looked at a time, which bounds the memory
 # Relative, of the volumes that an edge and the sides of a triangle span, and of the distance of its
@@ -15,10 +16,8 @@ FOLDED = np.cos(np.radians(1.0))
 
 
 def self_intersections(
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    surface: NDArray[np.int64] | None = None,
-) -> NDArray[np.int64]:
+    vertices: Floats, triangles: Integers, surface: Integers | None = None
+) -> Integers:
     """Pairs of triangles that cut through or lie folded on one another.
 
     Two triangles cut through one another where an edge of one passes through the other. Touching
@@ -66,9 +65,7 @@ def self_intersections(
     return np.unique(np.concatenate(found), axis=0)
 
 
-def _cut(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], pairs: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _cut(vertices: Floats, triangles: Integers, pairs: Integers) -> Booleans:
     """Whether the two triangles of each pair cut through, or lie on, one another."""
     one, other = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
     shared = (one[:, :, None] == other[:, None, :]).any(axis=2).sum(axis=1)
@@ -86,16 +83,12 @@ def _cut(
     return cut
 
 
-def _pierces(
-    vertices: NDArray[np.float64], edge: NDArray[np.int64], triangle: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _pierces(vertices: Floats, edge: Integers, triangle: Integers) -> Booleans:
     """Whether each edge passes through its triangle: signs of the volumes that they span."""
     p, q = vertices[edge[:, 0]], vertices[edge[:, 1]]
     a, b, c = (vertices[triangle[:, k]] for k in range(3))
 
-    def side(
-        u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def side(u: Floats, v: Floats, w: Floats) -> Floats:
         return np.asarray(np.einsum("ij,ij->i", u, np.cross(v, w)))
 
     normal = np.cross(b - a, c - a)
@@ -115,9 +108,7 @@ def _pierces(
     return np.asarray(across & inside)
 
 
-def _folded(
-    vertices: NDArray[np.float64], one: NDArray[np.int64], other: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _folded(vertices: Floats, one: Integers, other: Integers) -> Booleans:
     """Whether two triangles with a common edge lie on one another."""
     common = (one[:, :, None] == other[:, None, :]).any(axis=2)
     common_other = (other[:, :, None] == one[:, None, :]).any(axis=2)

@@ -6,6 +6,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.topology import boundary_loops
 
 # Quadrature of degree 2 on a tetrahedron (Hammer and Stroud, 1956): four points of equal weight,
@@ -14,41 +15,35 @@ _NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
 HAMMER_STROUD_POINTS = _FAR + (_NEAR - _FAR) * np.eye(4)
 
 
-def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit(vectors: Floats) -> Floats:
     """Vectors (..., d) at length 1; zero ones stay zero."""
     axis = -1 if np.ndim(vectors) > 1 else None
     length = np.linalg.norm(vectors, axis=axis, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
-def edge_lengths(vertices: NDArray[np.float64], edges: NDArray[np.integer]) -> NDArray[np.float64]:
+def edge_lengths(vertices: Floats, edges: NDArray[np.integer]) -> Floats:
     """Length of each edge (e, 2), shape (e,)."""
     return np.asarray(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1))
 
 
-def mean_edge_length(vertices: NDArray[np.float64], cells: NDArray[np.int64]) -> float:
+def mean_edge_length(vertices: Floats, cells: Integers) -> float:
     """Mean edge length of triangles (m, 3) or tetrahedra (m, 4)."""
     return float(edge_lengths(vertices, np.asarray(igl.edges(cells))).mean())
 
 
-def triangle_normals(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def triangle_normals(vertices: Floats, triangles: Integers) -> Floats:
     """Give normals whose length is the triangle's area, shape (m, 3)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return np.asarray(np.cross(b - a, c - a) / 2)
 
 
-def triangle_areas(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def triangle_areas(vertices: Floats, triangles: Integers) -> Floats:
     """Area of each triangle, shape (m,)."""
     return np.asarray(np.linalg.norm(triangle_normals(vertices, triangles), axis=1))
 
 
-def signed_volumes(
-    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def signed_volumes(vertices: Floats, tetrahedra: Integers) -> Floats:
     """Signed volume of each tetrahedron, shape (m,)."""
     origin, a, b, c = (vertices[tetrahedra[:, k]] for k in range(4))
     return np.asarray(
@@ -56,13 +51,13 @@ def signed_volumes(
     )
 
 
-def closed_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+def closed_volume(vertices: Floats, triangles: Integers) -> float:
     """Signed volume within a closed surface (mm³), positive where normals point outwards."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def enclosed_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+def enclosed_volume(vertices: Floats, triangles: Integers) -> float:
     """Signed volume of an open surface closed by a fan over its opening (mm³).
 
     Negative where the normals point into the cavity, as an `Endocardium`'s do.
@@ -72,18 +67,14 @@ def enclosed_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int64])
     return closed_volume(vertices - loop.mean(axis=0), triangles)
 
 
-def turned_outwards(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def turned_outwards(vertices: Floats, triangles: Integers) -> Integers:
     """Triangles of a closed surface, all reversed if their normals point inwards."""
     if closed_volume(vertices, triangles) < 0:
         triangles = triangles[:, ::-1]
     return np.ascontiguousarray(triangles, dtype=np.int64)
 
 
-def barycentric_gradients(
-    vertices: NDArray[np.float64], corners: NDArray[np.integer]
-) -> NDArray[np.float64]:
+def barycentric_gradients(vertices: Floats, corners: NDArray[np.integer]) -> Floats:
     """Gradients of the four barycentric coordinates of each tetrahedron (1/mm), (m, 4, 3)."""
     edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
     inner = np.swapaxes(np.linalg.inv(edges), 1, 2)

@@ -12,6 +12,7 @@ from typing import IO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_volume, signed_volumes
 
@@ -34,8 +35,8 @@ class Interface(NamedTuple):
         Numbers of the domains inside and outside, 1 and up without gaps, or `NOTHING`.
     """
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    vertices: Floats
+    triangles: Integers
     inner: int
     outer: int
 
@@ -59,9 +60,9 @@ class DomainMesh(NamedTuple):
         The domain that each lies in.
     """
 
-    vertices: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    domains: NDArray[np.int64]
+    vertices: Floats
+    tetrahedra: Integers
+    domains: Integers
 
 
 def tetrahedralise(
@@ -136,11 +137,8 @@ def _kept_quiet() -> Iterator[IO[bytes]]:
 
 
 def remeshed_triangles(
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    labels: NDArray[np.int64],
-    **options: float,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    vertices: Floats, triangles: Integers, labels: Integers, **options: float
+) -> tuple[Floats, Integers, Integers]:
     """Triangulate a labelled surface anew by Mmg, which keeps the borders between labels.
 
     Parameters
@@ -175,11 +173,11 @@ def remeshed_triangles(
     )
 
 
-def as_int32(array: NDArray[np.int64]) -> NDArray[np.int32]:
+def as_int32(array: Integers) -> NDArray[np.int32]:
     """As the meshers must have it: of another type or in another order Mmg reads it wrongly."""
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
-def as_float64(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def as_float64(array: Floats) -> Floats:
     """As the meshers must have it."""
     return np.ascontiguousarray(array, dtype=np.float64)

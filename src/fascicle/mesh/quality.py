@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 
 TETRAHEDRON = 10  # VTK's number of that cell
@@ -35,10 +35,10 @@ class Quality:
     """
 
     vertices: int
-    volumes: NDArray[np.float64]
-    angles: NDArray[np.float64]
-    radius_ratios: NDArray[np.float64]
-    edges: NDArray[np.float64]
+    volumes: Floats
+    angles: Floats
+    radius_ratios: Floats
+    edges: Floats
 
     @property
     def sharp(self) -> float:
@@ -57,7 +57,7 @@ class Quality:
         )
 
 
-def quality(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> Quality:
+def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
     """Measure the tetrahedra of a mesh.
 
     Radius ratios are VTK's, dihedral angles libigl's: VTK's ``min_angle`` looks at four of the six

@@ -6,18 +6,20 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
+
 # Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside
 TETRAHEDRON_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 TETRAHEDRON_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 
 
-def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+def directed_edges(triangles: Integers) -> Integers:
     """Edges of triangles (m, 3) as each runs around it, shape (3m, 2)."""
     return np.asarray(triangles[:, TRIANGLE_EDGES].reshape(-1, 2))
 
 
-def unique_edges(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def unique_edges(triangles: Integers) -> tuple[Integers, Integers]:
     """Edges (e, 2) of triangles (m, 3), and how many triangles share each (e,).
 
     Edges are sorted, their smaller vertex first.
@@ -26,20 +28,18 @@ def unique_edges(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArr
     return np.unique(edges, axis=0, return_counts=True)
 
 
-def boundary_loops(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def boundary_loops(triangles: Integers) -> list[Integers]:
     """Boundary loops of a surface, each in the direction of its triangles' edges."""
     return [np.asarray(loop, dtype=np.int64) for loop in igl.boundary_loop_all(triangles)]
 
 
-def fan(loop: NDArray[np.int64], centre: int) -> NDArray[np.int64]:
+def fan(loop: Integers, centre: int) -> Integers:
     """Triangles (k, 3) from a boundary loop (k,) to a vertex, which continue its surface."""
     # the loop runs along the surface's edges, so the fan's edges run against it
     return np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), centre)])
 
 
-def boundary_triangles(
-    tetrahedra: NDArray[np.integer],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def boundary_triangles(tetrahedra: NDArray[np.integer]) -> tuple[Integers, Integers]:
     """Triangles (b, 3) that belong to one tetrahedron only, and which one (b,).
 
     Seen from outside they run counter-clockwise, if the tetrahedra are positively oriented.
@@ -48,9 +48,7 @@ def boundary_triangles(
     return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
 
 
-def interior_edges(
-    triangles: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def interior_edges(triangles: Integers) -> tuple[Integers, Integers, Integers]:
     """Edges (e, 2) between two triangles, these triangles (e, 2), and each edge's row there."""
     neighbours, _ = igl.triangle_triangle_adjacency(triangles)
     triangle, side = np.nonzero(np.asarray(neighbours) > np.arange(len(triangles))[:, None])
@@ -59,9 +57,7 @@ def interior_edges(
     return edges.astype(np.int64), across.astype(np.int64), side
 
 
-def without_unused_vertices(
-    vertices: NDArray[np.float64], cells: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def without_unused_vertices(vertices: Floats, cells: Integers) -> tuple[Floats, Integers]:
     """Vertices (n, 3) that some cell (m, k) has, in their order, and the cells renumbered."""
     used, renumbered = np.unique(cells, return_inverse=True)
     return vertices[used], renumbered.reshape(cells.shape).astype(np.int64)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
@@ -15,7 +15,6 @@ from fascicle.torso.body_size import MM_PER_M, BodySize
 from fascicle.torso.heart_pose import surface_middle
 from fascicle.torso.surfaces import Surface
 
-Floats = NDArray[np.float64]
 RA, LA, LL, V1, V2, V3, V4, V5, V6 = range(len(ELECTRODES))
 
 # Sites: Kligfield et al. 2007, Circulation 115:1306-1324. Limb electrodes on the trunk, where the
@@ -93,28 +92,21 @@ def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
     return np.asarray(np.sqrt(squared))
 
 
-def check_on_skin(name: str, electrodes: Floats, skin: Surface) -> None:
-    """Refuse electrodes that are not on the skin, before the torso is meshed.
+def check_on_skin(name: str, distances: Floats) -> None:
+    """Refuse electrodes that are not on the skin.
 
     Parameters
     ----------
     name : str
         What they come from, for the message.
-    electrodes : (9, 3) array
-        Positions in the order of `fascicle.core.leads.ELECTRODES` (mm).
-    skin : Surface
-        The torso's (mm).
+    distances : (9,) array
+        Their distances from it (mm), in the order of `fascicle.core.leads.ELECTRODES`.
 
     Raises
     ------
     InputError
         If one is more than `FARTHEST` away.
     """
-    check_distances(name, distances_to_skin(electrodes, skin))
-
-
-def check_distances(name: str, distances: Floats) -> None:
-    """Refuse electrodes, as `check_on_skin` does, by their distances from the skin (9,), mm."""
     worst = int(np.argmax(distances))
     if distances[worst] > FARTHEST:
         raise InputError(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_extent
@@ -21,10 +21,7 @@ LEAST_GAP = 0.5  # mm, between one surface and another
 
 
 def check_within(
-    mesh: LabelledMesh,
-    skin: Surface,
-    lungs: Sequence[Surface] = (),
-    names: Sequence[str] = (),
+    mesh: LabelledMesh, skin: Surface, lungs: Sequence[Surface] = (), names: Sequence[str] = ()
 ) -> None:
     """Refuse surfaces between which no tetrahedra fit.
 
@@ -47,7 +44,12 @@ def check_within(
     for name, surface in zip(names, (skin, *lungs), strict=True):
         check_extent(name, surface.vertices, TORSO_EXTENT if surface is skin else LUNG_EXTENT)
         check_closed(name, surface)
-        _check_not_crossing_itself(name, surface)
+        where = crossing(surface, surface)
+        if where is not None:
+            raise InputError(
+                f"{name}: the surface crosses itself at {_place(where)}; repair it or smooth it "
+                "there"
+            )
     heart = Surface(mesh.vertices, mesh.triangles)
     check_closed(mesh.name, heart)
     _check_inside(mesh.name, mesh.vertices[np.unique(mesh.triangles)], skin)
@@ -78,15 +80,7 @@ def check_closed(name: str, surface: Surface) -> None:
         raise InputError(f"{name}: the surface is inside out; reverse its triangles")
 
 
-def _check_not_crossing_itself(name: str, surface: Surface) -> None:
-    where = crossing(surface, surface)
-    if where is not None:
-        raise InputError(
-            f"{name}: the surface crosses itself at {_place(where)}; repair it or smooth it there"
-        )
-
-
-def _check_inside(name: str, points: NDArray[np.float64], skin: Surface) -> None:
+def _check_inside(name: str, points: Floats, skin: Surface) -> None:
     beyond = signed_distance(points, skin)
     worst = int(np.argmax(beyond))
     if beyond.min() > 0:
@@ -126,11 +120,11 @@ def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> No
         )
 
 
-def _place(point: NDArray[np.float64]) -> str:
+def _place(point: Floats) -> str:
     return "({:.1f}, {:.1f}, {:.1f})".format(*point)
 
 
-def crossing(one: Surface, other: Surface) -> NDArray[np.float64] | None:
+def crossing(one: Surface, other: Surface) -> Floats | None:
     """A place (3,) where two surfaces, or one given twice, pass through each other, if any."""
     if one is other:
         corners, pairs = one.corners, self_intersections(*one)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
@@ -28,7 +28,7 @@ ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
 
 # Body axes in the patient axes of images: columns are x, y and z. NIfTI's RAS+ counts to the right,
 # to the front and up, DICOM's LPS+ to the left, to the back and up.
-_PATIENT_AXES: dict[Pose, NDArray[np.float64]] = {
+_PATIENT_AXES: dict[Pose, Floats] = {
     "ras": np.diag([-1.0, -1.0, 1.0]),
     "lps": np.eye(3),
 }
@@ -46,19 +46,19 @@ class BodyFrame:
         The body frame's origin in the heart's coordinates (mm).
     """
 
-    rotation: NDArray[np.float64]
-    origin: NDArray[np.float64]
+    rotation: Floats
+    origin: Floats
 
-    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_body(self, points: Floats) -> Floats:
         """Body coordinates of points (..., 3) given in the heart's."""
         return np.asarray((points - self.origin) @ self.rotation)
 
-    def to_heart(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_heart(self, points: Floats) -> Floats:
         """Heart coordinates of points (..., 3) given in the body's."""
         return np.asarray(points @ self.rotation.T + self.origin)
 
 
-def heart_axes(lv: Surface, rv: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def heart_axes(lv: Surface, rv: Surface) -> tuple[Floats, Floats]:
     """Anatomical axes of a heart, from the shape of its endocardia.
 
     The long axis runs from the LV apex, the point furthest from the opening, to the middle of the
@@ -87,7 +87,7 @@ def heart_axes(lv: Surface, rv: Surface) -> tuple[NDArray[np.float64], NDArray[n
     return base, np.stack([across, np.cross(long_axis, across), long_axis], axis=1)
 
 
-def opening(surface: Surface) -> NDArray[np.float64]:
+def opening(surface: Surface) -> Floats:
     """Middle of the openings of a surface (3,), mm: the mean along its boundary loops."""
     loops = boundary_loops(surface.triangles)
     start = np.concatenate([surface.vertices[loop] for loop in loops])
@@ -96,13 +96,13 @@ def opening(surface: Surface) -> NDArray[np.float64]:
     return np.asarray(np.average((start + end) / 2, axis=0, weights=length))
 
 
-def surface_middle(surface: Surface) -> NDArray[np.float64]:
+def surface_middle(surface: Surface) -> Floats:
     """Centroid of a surface; (3,), mm."""
     centres = surface.corners.mean(axis=1)
     return np.asarray(np.average(centres, axis=0, weights=triangle_areas(*surface)))
 
 
-def standard_axes() -> NDArray[np.float64]:
+def standard_axes() -> Floats:
     """The axes of `heart_axes` in the body frame, for a heart in the standard pose; (3, 3)."""
     ce, se, ca, sa = np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH), np.sin(AZIMUTH)
     apex_to_base = np.array([-ce * sa, ce * ca, se])
@@ -111,11 +111,7 @@ def standard_axes() -> NDArray[np.float64]:
 
 
 def body_frame(
-    lv: Surface,
-    rv: Surface,
-    centroid: NDArray[np.float64],
-    place: NDArray[np.float64],
-    pose: Pose = "standard",
+    lv: Surface, rv: Surface, centroid: Floats, place: Floats, pose: Pose = "standard"
 ) -> BodyFrame:
     """Lay the body's axes around a heart, which itself stays where it is.
 
@@ -148,7 +144,7 @@ def body_frame(
     return BodyFrame(rotation, centroid - rotation @ place)
 
 
-def _check_pose(pose: Pose, towards_apex: NDArray[np.float64]) -> None:
+def _check_pose(pose: Pose, towards_apex: Floats) -> None:
     """Refuse image axes in which the apex points two of these ways: right, back, up.
 
     Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal

@@ -27,10 +27,10 @@ from collections.abc import Callable
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial import ConvexHull
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import signed_volumes, triangle_normals, turned_outwards
@@ -40,9 +40,6 @@ from fascicle.torso.electrode_sites import standard_electrodes
 from fascicle.torso.enclosure import check_within
 from fascicle.torso.heart_pose import BodyFrame, Pose, body_frame, opening
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, remeshed, signed_distance
-
-Floats = NDArray[np.float64]
-
 
 # Level (of the height), then half-width and half-depth of the outline (of those at V1's level)
 SECTIONS = np.array(

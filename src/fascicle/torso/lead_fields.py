@@ -18,18 +18,18 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.topology import boundary_triangles
-from fascicle.torso.electrode_sites import check_distances
+from fascicle.torso.electrode_sites import check_on_skin
 
 MM_PER_CM = 10.0
 # Residual relative to the current; ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
@@ -51,11 +51,11 @@ class Contacts:
         Distance (mm) from the electrode as given.
     """
 
-    triangles: NDArray[np.int64]
-    weights: NDArray[np.float64]
-    moved: NDArray[np.float64]
+    triangles: Integers
+    weights: Floats
+    moved: Floats
 
-    def currents(self, vertices: int) -> NDArray[np.float64]:
+    def currents(self, vertices: int) -> Floats:
         """Unit current into each electrode, out through all alike: (e, vertices), in µA."""
         inflow = np.zeros((len(self.triangles), vertices))
         np.add.at(inflow, (np.arange(len(inflow))[:, None], self.triangles), self.weights)
@@ -63,11 +63,8 @@ class Contacts:
 
 
 def lead_fields(
-    heart: Heart,
-    torso: Torso,
-    conduction: Conduction,
-    progress: StageProgress = no_progress,
-) -> NDArray[np.float64]:
+    heart: Heart, torso: Torso, conduction: Conduction, progress: StageProgress = no_progress
+) -> Floats:
     """Lead fields of the heart's electrodes, at the heart's vertices.
 
     Scar (`Conduction.regions`) does not count: tissue that does not activate still conducts
@@ -96,19 +93,19 @@ def lead_fields(
     """
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrodes)
-    check_distances(heart.name, contacts.moved)
+    check_on_skin(heart.name, contacts.moved)
     conductivity = total_conductivity(heart, torso, conduction)
     fields = solve_lead_fields(torso.vertices, tetrahedra, conductivity, contacts, progress)
     return fields[:, : len(heart.vertices)].copy()
 
 
 def solve_lead_fields(
-    vertices: NDArray[np.float64],
-    tetrahedra: NDArray[np.int64],
-    conductivity: NDArray[np.float64],
+    vertices: Floats,
+    tetrahedra: Integers,
+    conductivity: Floats,
     contacts: Contacts,
     progress: StageProgress = no_progress,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Lead fields of electrodes on any conductor.
 
     Parameters
@@ -137,11 +134,7 @@ def solve_lead_fields(
     return solve_neumann(stiffness, contacts.currents(len(vertices)), progress)
 
 
-def place_electrodes(
-    vertices: NDArray[np.float64],
-    tetrahedra: NDArray[np.int64],
-    electrodes: NDArray[np.float64],
-) -> Contacts:
+def place_electrodes(vertices: Floats, tetrahedra: Integers, electrodes: Floats) -> Contacts:
     """The points of the skin nearest to the electrodes.
 
     Parameters
@@ -161,7 +154,7 @@ def place_electrodes(
     return Contacts(triangles, weights, np.sqrt(squared))
 
 
-def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> NDArray[np.float64]:
+def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Floats:
     """σ of the heart's tetrahedra, Gᵢ + Gₑ, then of the torso's, which is isotropic.
 
     Parameters
@@ -184,11 +177,7 @@ def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> ND
     return np.concatenate([conduction.bulk(heart.fibres), around])
 
 
-def assemble_stiffness(
-    vertices: NDArray[np.float64],
-    tetrahedra: NDArray[np.int64],
-    conductivity: NDArray[np.float64],
-) -> csr_matrix:
+def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Floats) -> csr_matrix:
     """Kᵢⱼ = ∫ ∇λᵢ·σ∇λⱼ dx for the hat functions λ of linear elements.
 
     Parameters
@@ -233,10 +222,8 @@ def assemble_stiffness(
 
 
 def solve_neumann(
-    stiffness: csr_matrix,
-    currents: NDArray[np.float64],
-    progress: StageProgress = no_progress,
-) -> NDArray[np.float64]:
+    stiffness: csr_matrix, currents: Floats, progress: StageProgress = no_progress
+) -> Floats:
     """Potentials for currents into the vertices of an insulated conductor.
 
     Conjugate gradients, preconditioned by smoothed aggregation (Vaněk, Mandel and Brezina,
@@ -273,7 +260,7 @@ def solve_neumann(
     earthed = csr_matrix(stiffness + earth)
     preconditioner = _multigrid(earthed)
 
-    def solve(current: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(current: Floats) -> Floats:
         potential, failed = cg(
             earthed, current, rtol=TOLERANCE, maxiter=MOST_ITERATIONS, M=preconditioner
         )
@@ -306,9 +293,7 @@ def _multigrid(stiffness: csr_matrix) -> LinearOperator:
     return hierarchy.aspreconditioner(cycle="V")
 
 
-def _outer_boundary(
-    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _outer_boundary(vertices: Floats, tetrahedra: Integers) -> Integers:
     """Triangles of the boundary, without those of holes inside."""
     triangles, _ = boundary_triangles(tetrahedra)
     count, piece = igl.facet_components(triangles)

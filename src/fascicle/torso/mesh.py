@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledMesh
@@ -94,13 +94,13 @@ def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
     return Surface(kept, np.ascontiguousarray(inwards[:, ::-1]))
 
 
-def _in_box(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _in_box(points: Floats, corners: Floats) -> Booleans:
     low, high = corners.min(axis=0), corners.max(axis=0)
     return np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
 
 def _fill(
-    mesh: LabelledMesh, used: NDArray[np.int64], skin: Surface, lungs: Sequence[Surface]
+    mesh: LabelledMesh, used: Integers, skin: Surface, lungs: Sequence[Surface]
 ) -> DomainMesh:
     """Fill the domains; the vertices begin with those of the heart's surface, the `used` ones."""
     compact = np.empty(len(mesh.vertices), dtype=np.int64)

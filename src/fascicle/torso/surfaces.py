@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.measures import closed_volume
 from fascicle.mesh.meshing import remeshed_triangles
 
@@ -27,11 +27,11 @@ class Surface(NamedTuple):
         Vertex indices; of a closed surface, counter-clockwise seen from outside.
     """
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    vertices: Floats
+    triangles: Integers
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Floats:
         """Corners of every triangle (mm), shape (m, 3, 3)."""
         return np.asarray(self.vertices[self.triangles])
 
@@ -41,7 +41,7 @@ class Surface(NamedTuple):
         return closed_volume(*self) / MM3_PER_LITRE
 
 
-def signed_distance(points: NDArray[np.float64], surface: Surface) -> NDArray[np.float64]:
+def signed_distance(points: Floats, surface: Surface) -> Floats:
     """Distance to a closed surface (mm), negative inside, shape (n,)."""
     distance = igl.signed_distance(np.ascontiguousarray(points), *surface)[0]
     return np.asarray(distance, dtype=float)
@@ -73,4 +73,4 @@ class TorsoSurfaces:
 
     skin: Surface
     lungs: tuple[Surface, ...]
-    electrodes: NDArray[np.float64] | None = None
+    electrodes: Floats | None = None

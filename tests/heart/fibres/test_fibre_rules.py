@@ -163,7 +163,12 @@ def test_fibres_are_a_right_handed_helix_inside_and_a_left_handed_one_outside(sp
 
 def test_directions_are_unit_vectors_and_orthogonal(biventricular):
     _, fibres = biventricular
-    for directions in (fibres.fibre, fibres.sheet, np.cross(fibres.sheet, fibres.fibre), fibres.longitudinal):
+    for directions in (
+        fibres.fibre,
+        fibres.sheet,
+        np.cross(fibres.sheet, fibres.fibre),
+        fibres.longitudinal,
+    ):
         np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
     np.testing.assert_allclose(np.sum(fibres.fibre * fibres.sheet, axis=1), 0, atol=1e-12)
 

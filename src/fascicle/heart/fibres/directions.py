@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import unit
 
@@ -14,12 +14,7 @@ from fascicle.mesh.measures import unit
 MATCH = 1e-5
 
 
-def match_by_position(
-    name: str,
-    given: NDArray[np.float64],
-    wanted: NDArray[np.float64],
-    what: str,
-) -> NDArray[np.int64]:
+def match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> Integers:
     """For every wanted position, the row of `given` at the same place.
 
     Parameters
@@ -50,9 +45,7 @@ def match_by_position(
     return np.asarray(row, dtype=np.int64)
 
 
-def average_to_tetrahedra(
-    fibres: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
     """Mean axis of each tetrahedron's four vertex fibres, shape (m, 3).
 
     Fibres have no sign, so the mean is the principal axis of Σ f⊗f.

@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.measures import HAMMER_STROUD_POINTS, signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_EDGES, TETRAHEDRON_FACES, unique_edges
 
@@ -42,10 +42,10 @@ class QuadraticSpace:
         Of each tetrahedron: its corners, then the middles of its `TETRAHEDRON_EDGES`.
     """
 
-    vertices: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    edges: NDArray[np.int64]
-    nodes: NDArray[np.int64]
+    vertices: Floats
+    tetrahedra: Integers
+    edges: Integers
+    nodes: Integers
 
     @property
     def size(self) -> int:
@@ -53,7 +53,7 @@ class QuadraticSpace:
         return len(self.vertices) + len(self.edges)
 
     @cached_property
-    def gradients(self) -> NDArray[np.float64]:
+    def gradients(self) -> Floats:
         """Gradients of the barycentric coordinates (1/mm), shape (m, 4, 3)."""
         x = self.vertices[self.tetrahedra]
         a, b, c = (x[:, TETRAHEDRON_FACES[:, k]] for k in range(3))
@@ -90,15 +90,13 @@ class QuadraticSpace:
         )
         return sparse.vstack([sparse.identity(vertices), middles]).tocsr()
 
-    def on(self, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    def on(self, triangles: Integers) -> Integers:
         """Nodes of some triangles of the mesh: their corners and the middles of their edges."""
         keys = _keys(unique_edges(triangles)[0], len(self.vertices))
         middles = np.searchsorted(_keys(self.edges, len(self.vertices)), keys)
         return np.concatenate([np.unique(triangles), len(self.vertices) + middles])
 
-    def at_centroids(
-        self, values: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at_centroids(self, values: Floats) -> tuple[Floats, Floats]:
         """A function, by its values at the nodes, in the middle of each tetrahedron.
 
         Returns
@@ -112,7 +110,7 @@ class QuadraticSpace:
         return local @ _basis(centre), np.asarray(np.einsum("mi,mix->mx", slopes, self.gradients))
 
 
-def quadratic_space(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> QuadraticSpace:
+def quadratic_space(vertices: Floats, tetrahedra: Integers) -> QuadraticSpace:
     """Number the nodes of a mesh of tetrahedra.
 
     Parameters
@@ -128,9 +126,7 @@ def quadratic_space(vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
     return QuadraticSpace(vertices, tetrahedra, edges, nodes)
 
 
-def solve_laplace(
-    space: QuadraticSpace, fixed: NDArray[np.int64], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def solve_laplace(space: QuadraticSpace, fixed: Integers, values: Floats) -> Floats:
     """Solve ∇²u = 0, u given at some nodes, no flux through the rest of the boundary.
 
     Conjugate gradients, preconditioned by multigrid: quadratic functions, then linear ones on the
@@ -174,7 +170,7 @@ def solve_laplace(
 
 
 def _multigrid(
-    space: QuadraticSpace, inner: sparse.csr_matrix, free: NDArray[np.int64]
+    space: QuadraticSpace, inner: sparse.csr_matrix, free: Integers
 ) -> tuple[MultilevelSolver, MultilevelSolver]:
     """Solvers on the free nodes, symmetric: of all levels, and of those below the quadratic."""
     from pyamg import smoothed_aggregation_solver
@@ -196,13 +192,13 @@ def _multigrid(
     return fine, coarse
 
 
-def _basis(point: NDArray[np.float64]) -> NDArray[np.float64]:
+def _basis(point: Floats) -> Floats:
     """The ten basis functions at a point in barycentric coordinates λ: λ(2λ−1), then 4λᵢλⱼ."""
     i, j = TETRAHEDRON_EDGES.T
     return np.concatenate([point * (2 * point - 1), 4 * point[i] * point[j]])
 
 
-def _basis_gradients(point: NDArray[np.float64]) -> NDArray[np.float64]:
+def _basis_gradients(point: Floats) -> Floats:
     """Their derivatives by each barycentric coordinate there, shape (10, 4)."""
     i, j = TETRAHEDRON_EDGES.T
     derivatives = np.zeros((NODES, 4))
@@ -212,6 +208,6 @@ def _basis_gradients(point: NDArray[np.float64]) -> NDArray[np.float64]:
     return derivatives
 
 
-def _keys(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _keys(edges: Integers, count: int) -> Integers:
     """One number for each edge (..., 2), in the order of the edges."""
     return np.asarray(edges[..., 0].astype(np.int64) * count + edges[..., 1], dtype=np.int64)

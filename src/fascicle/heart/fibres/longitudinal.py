@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.fibres.laplace import QuadraticSpace, solve_laplace
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
 
 ARTERIAL = (Label.AORTIC, Label.PULMONARY)
 
 
-def apex_to_base(
-    space: QuadraticSpace, mesh: LabelledMesh
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
     """Which way the base is, and how much of an outflow tract this is.
 
     The way to the base is the gradient of the potential that is 1 on all that is basal, the
@@ -45,7 +43,7 @@ def apex_to_base(
     return baseward, np.clip(2 * due_to_arteries - 1, 0, 1) ** 2
 
 
-def lv_apex(mesh: LabelledMesh) -> NDArray[np.int64]:
+def lv_apex(mesh: LabelledMesh) -> Integers:
     """The vertices at the apex of the LV: the endocardial and the epicardial one, shape (2,).
 
     Those that lie furthest from the endocardium's opening along the long axis, which runs from

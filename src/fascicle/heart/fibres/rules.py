@@ -32,8 +32,8 @@ from enum import IntEnum
 from math import radians
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.fibres.laplace import QuadraticSpace, quadratic_space, solve_laplace
@@ -119,12 +119,12 @@ class Fibres:
         A `Wall` for each.
     """
 
-    fibre: NDArray[np.float64]
-    sheet: NDArray[np.float64]
-    outward: NDArray[np.float64]
-    longitudinal: NDArray[np.float64]
-    depth: NDArray[np.float64]
-    wall: NDArray[np.int64]
+    fibre: Floats
+    sheet: Floats
+    outward: Floats
+    longitudinal: Floats
+    depth: Floats
+    wall: Integers
 
 
 def rule_based_fibres(
@@ -164,9 +164,7 @@ def rule_based_fibres(
     return fibres
 
 
-def wall_potentials(
-    space: QuadraticSpace, mesh: LabelledMesh
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
     """The harmonic potentials of the three `SURFACES` in the middle of each tetrahedron.
 
     Returns
@@ -195,11 +193,7 @@ def wall_potentials(
 
 
 def by_rule(
-    potentials: NDArray[np.float64],
-    gradients: NDArray[np.float64],
-    baseward: NDArray[np.float64],
-    outflow: NDArray[np.float64],
-    angles: FibreAngles,
+    potentials: Floats, gradients: Floats, baseward: Floats, outflow: Floats, angles: FibreAngles
 ) -> Fibres:
     """Fibres and sheets, given where in the wall each tetrahedron is.
 
@@ -243,9 +237,7 @@ def by_rule(
     return Fibres(fibre, sheet, outward, along, depth, wall)
 
 
-def _on_surfaces(
-    potentials: NDArray[np.float64], outflow: NDArray[np.float64], angles: FibreAngles
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tuple[Floats, Floats]:
     """α and β of the surfaces, as each tetrahedron sees them, shape (3, m)."""
     # The epicardium's passes from the left ventricle's to the right one's along their junction.
     endocardial = np.maximum(potentials[LV] + potentials[RV], np.finfo(float).tiny)
@@ -279,23 +271,21 @@ def _check_labels(mesh: LabelledMesh) -> None:
             )
 
 
-def _frame(
-    out: NDArray[np.float64], baseward: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _frame(out: Floats, baseward: Floats) -> tuple[Floats, Floats]:
     """Directions around the ventricle, e_c, and along it, e_l, for the one out of it, e_t."""
     along = unit(baseward - _dot(baseward, out)[:, None] * out)
     return np.cross(along, out), along
 
 
-def _principal(tensors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _principal(tensors: Floats) -> Floats:
     """Direction of the largest eigenvalue of each symmetric tensor (m, 3, 3)."""
     return np.asarray(np.linalg.eigh(tensors)[1][:, :, -1])
 
 
-def _lines(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lines(vectors: Floats) -> Floats:
     """Tensors v⊗v of the lines along vectors (m, 3), for which the sign does not matter."""
     return vectors[:, :, None] * vectors[:, None, :]
 
 
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("mx,mx->m", a, b))

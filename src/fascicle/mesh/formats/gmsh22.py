@@ -11,8 +11,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import one_line
 from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
@@ -30,7 +30,7 @@ LARGEST_VALUE = 9  # components of a tensor
 
 
 # Elements by Gmsh's number of their type; a row each: number, physical group (0: none), nodes
-_Elements = dict[int, NDArray[np.int64]]
+_Elements = dict[int, Integers]
 
 
 class _Content:
@@ -52,14 +52,14 @@ class _Content:
             raise ValueError(f"announces {count} items")
         return count
 
-    def ints(self, count: int) -> NDArray[np.int64]:
+    def ints(self, count: int) -> Integers:
         if count < 0 or self.at + INT * count > len(self.content):
             raise ValueError("ends within a section")
         values = np.frombuffer(self.content, "<i4", count, self.at)
         self.at += INT * count
         return values.astype(np.int64)
 
-    def table(self, rows: int, columns: int) -> NDArray[np.float64]:
+    def table(self, rows: int, columns: int) -> Floats:
         """Rows of a whole number and so many others."""
         if not self.is_binary:
             lines = [self.line() for _ in range(rows)]
@@ -112,10 +112,10 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
     if is_binary and reader.ints(1)[0] != 1:
         raise ValueError("byte order of another machine")
     reader.end("MeshFormat")
-    nodes: NDArray[np.float64] | None = None
+    nodes: Floats | None = None
     elements: _Elements = {}
     groups: dict[str, tuple[int, int]] = {}
-    data: dict[str, dict[str, NDArray[np.float64]]] = {"NodeData": {}, "ElementData": {}}
+    data: dict[str, dict[str, Floats]] = {"NodeData": {}, "ElementData": {}}
     while content[reader.at :].strip():
         section = reader.line()
         if not section:
@@ -180,9 +180,9 @@ def _corners(kind: int) -> int:
     return TYPES[kind][1]
 
 
-def _joined(parts: list[tuple[int, int, NDArray[np.int64]]]) -> _Elements:
+def _joined(parts: list[tuple[int, int, Integers]]) -> _Elements:
     """Elements by type, from tables of number, tags and nodes; the first tag is the group."""
-    tables: dict[int, list[NDArray[np.int64]]] = {}
+    tables: dict[int, list[Integers]] = {}
     for kind, tags, table in parts:
         group = table[:, 1] if tags else np.zeros(len(table), np.int64)
         rows = np.column_stack([table[:, 0], group, table[:, 1 + tags :]])
@@ -190,7 +190,7 @@ def _joined(parts: list[tuple[int, int, NDArray[np.int64]]]) -> _Elements:
     return {kind: np.concatenate(of_kind) for kind, of_kind in tables.items()}
 
 
-def _read_data(reader: _Content) -> tuple[str, NDArray[np.float64]]:
+def _read_data(reader: _Content) -> tuple[str, Floats]:
     """Name of an array, and its rows: number of the node or element, and the values."""
     names = [reader.line().strip('"') for _ in range(reader.count())]
     for _ in range(reader.count()):
@@ -205,10 +205,10 @@ def _read_data(reader: _Content) -> tuple[str, NDArray[np.float64]]:
 
 def _assembled(
     path: Path,
-    points: NDArray[np.float64],
+    points: Floats,
     elements: _Elements,
     groups: dict[str, tuple[int, int]],
-    data: dict[str, dict[str, NDArray[np.float64]]],
+    data: dict[str, dict[str, Floats]],
 ) -> MeshFile:
     ids = points[:, 0].astype(np.int64)
     cells, cell_data, others = {}, {}, {}
@@ -227,7 +227,7 @@ def _assembled(
     return MeshFile(path, points[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
 
 
-def _places(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def _places(wanted: Integers, numbers: Integers) -> Integers:
     """Where each number stands among others; -1 where it does not."""
     order = np.argsort(numbers, kind="stable")
     at = np.searchsorted(numbers[order], wanted)
@@ -235,9 +235,7 @@ def _places(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np
     return np.where(numbers[place] == wanted, place, -1)
 
 
-def _arrays(
-    tables: dict[str, NDArray[np.float64]], ids: NDArray[np.int64]
-) -> dict[str, NDArray[np.float64]]:
+def _arrays(tables: dict[str, Floats], ids: Integers) -> dict[str, Floats]:
     """Values of each table in the order of these numbers, without tables that have none of them."""
     arrays = {}
     for name, table in tables.items():

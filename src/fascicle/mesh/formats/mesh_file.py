@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 
 OPENCARP_FORMATS = (".pts", ".elem")  # either stands for both, and for the `.lon`
@@ -49,20 +49,20 @@ class MeshFile:
     """
 
     path: Path
-    points: NDArray[np.float64]
-    cells: dict[int, NDArray[np.int64]]
-    point_data: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    cell_data: dict[int, dict[str, NDArray[np.float64]]] = field(default_factory=dict)
+    points: Floats
+    cells: dict[int, Integers]
+    point_data: dict[str, Floats] = field(default_factory=dict)
+    cell_data: dict[int, dict[str, Floats]] = field(default_factory=dict)
     others: dict[str, int] = field(default_factory=dict)
     has_polylines: bool = False
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
 
-    def cell_array(self, kind: int, name: str) -> NDArray[np.float64] | None:
+    def cell_array(self, kind: int, name: str) -> Floats | None:
         """Values of an array on cells of one kind, if there is one of that name."""
         values = self.cell_data.get(kind, {}).get(name)
         return None if values is None else np.asarray(values, dtype=float)
 
-    def require(self, kind: int, name: str) -> NDArray[np.int64]:
+    def require(self, kind: int, name: str) -> Integers:
         """Cells of one kind.
 
         Raises

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
@@ -34,8 +34,8 @@ def read_meshio(path: Path) -> MeshFile:
         raise damaged(path, one_line(error)) from None
     if "not closed" in printed.getvalue():  # of a section of a Gmsh file
         raise damaged(path, one_line(printed.getvalue()))
-    cells: dict[int, NDArray[np.int64]] = {}
-    cell_data: dict[int, dict[str, NDArray[np.float64]]] = {}
+    cells: dict[int, Integers] = {}
+    cell_data: dict[int, dict[str, Floats]] = {}
     for name, kind in MESHIO_CELLS.items():
         blocks = [i for i, block in enumerate(data.cells) if block.type == name]
         if blocks:

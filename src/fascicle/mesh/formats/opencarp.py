@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, printable
 from fascicle.core.files import check_file, write_text
 from fascicle.mesh.formats.mesh_file import (
@@ -46,9 +46,9 @@ DOMAINS = ("intra", "extra")
 class _Block(NamedTuple):
     """Elements of one type: their place in the file, nodes, and tags if there are any."""
 
-    rows: NDArray[np.int64]
-    nodes: NDArray[np.int64]
-    tags: NDArray[np.int64] | None
+    rows: Integers
+    nodes: Integers
+    tags: Integers | None
 
 
 def opencarp_file(path: Path | str, suffix: str) -> Path:
@@ -86,7 +86,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     points = _read_points(opencarp_file(path, ".pts"), purpose)
     elements = opencarp_file(path, ".elem")
     blocks, others, count = _read_elements(elements, purpose, len(points))
-    directions: dict[str, NDArray[np.float64]] = {}
+    directions: dict[str, Floats] = {}
     if opencarp_file(path, ".lon").exists():
         directions = _read_directions(opencarp_file(path, ".lon"), count)
     cells, cell_data = {}, {}
@@ -99,7 +99,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     return MeshFile(elements, points, cells, {}, cell_data, others)
 
 
-def _read_points(path: Path, purpose: str) -> NDArray[np.float64]:
+def _read_points(path: Path, purpose: str) -> Floats:
     points = _table(path, _counted_lines(path, purpose), (3,))
     extent = float(np.ptp(points, axis=0).max())
     return points if extent < LARGEST_IN_MM else points / MICROMETRES
@@ -133,7 +133,7 @@ def _read_elements(
     return blocks, others, len(lines)
 
 
-def _read_directions(path: Path, count: int) -> dict[str, NDArray[np.float64]]:
+def _read_directions(path: Path, count: int) -> dict[str, Floats]:
     """Fibres and sheets of all elements from a `.lon` file."""
     header, *lines = _lines(path, "fibres")
     if header.strip() not in ("1", "2"):
@@ -152,7 +152,7 @@ def _read_directions(path: Path, count: int) -> dict[str, NDArray[np.float64]]:
     return {name: table[:, 3 * k : 3 * k + 3] for k, name in enumerate(names)}
 
 
-def read_surf(path: Path, points: int) -> NDArray[np.int64]:
+def read_surf(path: Path, points: int) -> Integers:
     """Read the triangles of a `.surf` file, as indices of the mesh's points.
 
     Parameters
@@ -186,7 +186,7 @@ def read_surf(path: Path, points: int) -> NDArray[np.int64]:
     return np.ascontiguousarray(triangles)
 
 
-def read_vtx(path: Path | str) -> tuple[NDArray[np.int64], str]:
+def read_vtx(path: Path | str) -> tuple[Integers, str]:
     """Read the vertex numbers of a `.vtx` file, and its domain (``"intra"`` or ``"extra"``).
 
     Raises
@@ -207,7 +207,7 @@ def read_vtx(path: Path | str) -> tuple[NDArray[np.int64], str]:
     return indices, domain
 
 
-def read_lengths(path: Path) -> NDArray[np.float64]:
+def read_lengths(path: Path) -> Floats:
     """Read a `.dat` file of one length (µm) an element, as mm."""
     lengths = _table(path, _lines(path, "lengths"), (1,))[:, 0] / MICROMETRES
     return np.asarray(lengths, dtype=float)
@@ -250,7 +250,7 @@ def _checked_count(path: Path, header: str, lines: list[str]) -> list[str]:
     return lines
 
 
-def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> NDArray[np.float64]:
+def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
     empty = next((row for row, line in enumerate(lines) if not line.strip()), None)
     if empty is not None:
         raise InputError(f"{path}: entry {empty + 1} has no numbers; export or copy it again")
@@ -273,7 +273,7 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> NDArray[np
     return np.asarray(table, dtype=float)
 
 
-def _whole(path: Path, table: NDArray[np.float64]) -> NDArray[np.int64]:
+def _whole(path: Path, table: Floats) -> Integers:
     # beyond 2^53 a float cannot tell whole numbers apart, nor an index be meant
     bad = np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))
     if len(bad):
@@ -283,7 +283,7 @@ def _whole(path: Path, table: NDArray[np.float64]) -> NDArray[np.int64]:
     return table.astype(np.int64)
 
 
-def _check_range(path: Path, nodes: NDArray[np.int64], points: int) -> None:
+def _check_range(path: Path, nodes: Integers, points: int) -> None:
     bad = nodes[(nodes < 0) | (nodes >= points)]
     if bad.size:
         raise InputError(
@@ -300,9 +300,7 @@ def _shown(text: str) -> str:
 COORDINATE, DIRECTION = "%.6f", "%.15f"  # 1e-6 µm
 
 
-def write_vtx(
-    path: Path, indices: NDArray[np.int64], domain: Literal["intra", "extra"] = "intra"
-) -> None:
+def write_vtx(path: Path, indices: Integers, domain: Literal["intra", "extra"] = "intra") -> None:
     """Write vertex numbers as a `.vtx` file, whole or not at all.
 
     Parameters
@@ -318,11 +316,7 @@ def write_vtx(
 
 
 def write_opencarp_mesh(
-    stem: Path,
-    points: NDArray[np.float64],
-    code: str,
-    cells: NDArray[np.int64],
-    tags: NDArray[np.int64],
+    stem: Path, points: Floats, code: str, cells: Integers, tags: Integers
 ) -> None:
     """Write ``<stem>.pts`` and ``<stem>.elem``, each whole or not at all.
 
@@ -345,13 +339,13 @@ def write_opencarp_mesh(
     write_text(opencarp_file(stem, ".elem"), f"{len(cells)}\n{text}")
 
 
-def write_directions(path: Path, axes: list[NDArray[np.float64]]) -> None:
+def write_directions(path: Path, axes: list[Floats]) -> None:
     """Write one or more unit vectors (m, 3) a cell as a `.lon` file, whole or not at all."""
     text = rows(" ".join([DIRECTION] * (3 * len(axes))), np.hstack(axes))
     write_text(path, f"{len(axes)}\n{text}")
 
 
-def rows(form: str, values: NDArray[np.float64] | NDArray[np.int64]) -> str:
+def rows(form: str, values: Floats | Integers) -> str:
     """One line a row of `values`, in this printf form."""
     text = io.StringIO()
     np.savetxt(text, values, fmt=form)

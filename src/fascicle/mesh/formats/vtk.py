@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
 from fascicle.mesh.formats.mesh_file import (
@@ -112,7 +113,7 @@ def _vtk_complaints() -> Iterator[list[str]]:
                 complaints.append(one_line(re.sub(r"^\s*\w+ \(0x\w+\): ", "", text)))
 
 
-def _listed(data: Any) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _listed(data: Any) -> tuple[Integers, Integers, Integers]:
     """VTK's number of the kind of each cell (m,), where its points start (m + 1,), all points."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
@@ -135,8 +136,8 @@ def _listed(data: Any) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np
 
 
 def _cells(
-    kinds: NDArray[np.int64], start: NDArray[np.int64], points: NDArray[np.int64]
-) -> tuple[dict[int, NDArray[np.int64]], dict[int, NDArray[np.int64]], dict[str, int]]:
+    kinds: Integers, start: Integers, points: Integers
+) -> tuple[dict[int, Integers], dict[int, Integers], dict[str, int]]:
     """Cells of the kinds used here, the cell of the file that each stands for, and other kinds.
 
     A line of several points becomes as many segments as it has.
@@ -166,11 +167,11 @@ def _cells(
 
 def write_grid(
     path: Path,
-    points: NDArray[np.float64],
-    cells: NDArray[np.int64],
+    points: Floats,
+    cells: Integers,
     kind: int,
-    point_data: dict[str, NDArray[np.float64]] | None = None,
-    cell_data: dict[str, NDArray[np.float64]] | None = None,
+    point_data: dict[str, Floats] | None = None,
+    cell_data: dict[str, Floats] | None = None,
 ) -> None:
     """Write cells of one kind as a compressed VTU file, whole or not at all.
 
@@ -199,8 +200,8 @@ def write_grid(
 
 def write_surface(
     path: Path,
-    points: NDArray[np.float64],
-    triangles: NDArray[np.int64],
+    points: Floats,
+    triangles: Integers,
     cell_data: dict[str, NDArray[np.generic]] | None = None,
 ) -> None:
     """Write a triangle surface as VTP, whole or not at all.
