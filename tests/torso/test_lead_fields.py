@@ -21,7 +21,6 @@ from fascicle.torso.lead_fields import (
     assemble_stiffness,
     lead_fields,
     place_electrodes,
-    solve_lead_fields,
     solve_neumann,
     total_conductivity,
 )
@@ -45,7 +44,10 @@ def mesh():
     tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
     sigma = total_conductivity(heart, torso, Conduction())
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrodes)
-    fields = solve_lead_fields(torso.vertices, tetrahedra, sigma, contacts)
+    fields = solve_neumann(
+        assemble_stiffness(torso.vertices, tetrahedra, sigma),
+        contacts.currents(len(torso.vertices)),
+    )
     return torso.vertices, tetrahedra, sigma, fields
 
 
@@ -154,7 +156,9 @@ class TestCurrents:
         electrodes = RADIUS * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
         sigma = isotropic(np.ones(len(tetrahedra)))
         contacts = place_electrodes(vertices, tetrahedra, electrodes)
-        fields = solve_lead_fields(vertices, tetrahedra, sigma, contacts)
+        fields = solve_neumann(
+            assemble_stiffness(vertices, tetrahedra, sigma), contacts.currents(len(vertices))
+        )
         slopes = nodal_gradients(
             fields[:1], tetrahedra, barycentric_gradients(vertices, tetrahedra)
         )[0]

@@ -24,7 +24,6 @@ from fascicle.torso.lead_fields import (
     assemble_stiffness,
     lead_fields,
     place_electrodes,
-    solve_lead_fields,
     solve_neumann,
 )
 
@@ -37,7 +36,9 @@ SPREAD = 10.0  # mm: radius of a dipole, two layers; it stays in its shell
 def solved_at(vertices, tetrahedra, sigma, electrodes):
     """Lead fields of electrodes that touch the nearest points of the skin."""
     contacts = place_electrodes(vertices, tetrahedra, electrodes)
-    return solve_lead_fields(vertices, tetrahedra, sigma, contacts)
+    return solve_neumann(
+        assemble_stiffness(vertices, tetrahedra, sigma), contacts.currents(len(vertices))
+    )
 
 
 @pytest.fixture(scope="module")

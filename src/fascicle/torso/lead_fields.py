@@ -24,6 +24,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
@@ -95,43 +96,10 @@ def lead_fields(
     contacts = place_electrodes(torso.vertices, tetrahedra, heart.electrodes)
     check_on_skin(heart.name, contacts.moved)
     conductivity = total_conductivity(heart, torso, conduction)
-    fields = solve_lead_fields(torso.vertices, tetrahedra, conductivity, contacts, progress)
+    progress(0, len(ELECTRODES))
+    stiffness = assemble_stiffness(torso.vertices, tetrahedra, conductivity)
+    fields = solve_neumann(stiffness, contacts.currents(len(torso.vertices)), progress)
     return fields[:, : len(heart.vertices)].copy()
-
-
-def solve_lead_fields(
-    vertices: Floats,
-    tetrahedra: Integers,
-    conductivity: Floats,
-    contacts: Contacts,
-    progress: StageProgress = no_progress,
-) -> Floats:
-    """Lead fields of electrodes on any conductor.
-
-    Parameters
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The mesh (mm).
-    conductivity : (m, 3, 3) array
-        σ of each tetrahedron (mS/cm).
-    contacts : Contacts
-        Where the current enters, from `place_electrodes`.
-    progress : callable, optional
-        Called with how many of how many electrodes are done.
-
-    Returns
-    -------
-    (e, n) array
-        Z (kΩ) for unit current that leaves through all electrodes alike, of mean zero.
-
-    Raises
-    ------
-    InputError
-        If the mesh falls into pieces, or the solver gets stuck.
-    """
-    progress(0, len(contacts.moved))
-    stiffness = assemble_stiffness(vertices, tetrahedra, conductivity)
-    return solve_neumann(stiffness, contacts.currents(len(vertices)), progress)
 
 
 def place_electrodes(vertices: Floats, tetrahedra: Integers, electrodes: Floats) -> Contacts:

@@ -238,32 +238,25 @@ def _checked_count(path: Path, header: str, lines: list[str]) -> list[str]:
     try:
         count = int(header)
     except ValueError:
-        raise InputError(
-            f"{path}: the first line is '{_shown(header)}'; it must be the number of lines that "
-            "follow"
-        ) from None
+        found = f"the first line is '{_shown(header)}', not the number of lines that follow"
+        raise damaged(path, found) from None
     if count != len(lines) or not lines:
-        raise InputError(
-            f"{path}: the first line announces {count}, but {len(lines)} follow; export or copy it "
-            "again"
-        )
+        raise damaged(path, f"the first line announces {count}, but {len(lines)} follow")
     return lines
 
 
 def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
     empty = next((row for row, line in enumerate(lines) if not line.strip()), None)
     if empty is not None:
-        raise InputError(f"{path}: entry {empty + 1} has no numbers; export or copy it again")
+        raise damaged(path, f"entry {empty + 1} has no numbers")
     try:
         table = np.loadtxt(lines, ndmin=2, comments=None)
     except ValueError as error:
         raise damaged(path, _shown(str(error).split(";")[0])) from None
     if len(table) != len(lines) or table.shape[1] not in columns:
         wanted = " or ".join(map(str, columns))
-        raise InputError(
-            f"{path}: {len(table)} lines with {table.shape[1]} numbers; need {len(lines)} with "
-            f"{wanted}; export or copy it again"
-        )
+        found = f"{len(table)} lines with {table.shape[1]} numbers"
+        raise damaged(path, f"{found}; need {len(lines)} with {wanted}")
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if bad.size:
         raise InputError(
