@@ -12,8 +12,8 @@ Ament et al.:
     −1000 < u ≤ −1    log φ(u) + log(1 − |u| M(|u|)),    M(x) = Φ(−x)/φ(x) = √(π/2) erfcx(x/√2)
     u ≤ −1000         log φ(u) + log((1 − 3/u²)/u²)
 
-M is Mills' ratio; the last line takes the first two terms of its asymptotic series, and their
-switch is where the cancellation in the second line loses as much as the series leaves out (1e-10).
+M is Mills' ratio. The last line has the first two terms of its asymptotic series; what these leave
+out at u = −1000, and what the cancellation in the second line loses there, is about 1e-10.
 
 References
 ----------
