@@ -16,13 +16,18 @@ then they go their own ways:
 
 Printed are the lowest loss of each seed on both sides (of the standard functions above their
 minimum), the medians, and how much longer the baseline takes to choose a proposal, from one process
-run with one thread each. Needs ``pip install '.[reference]'``; without it only our side is run, and
-without --data only the standard functions. Run from the root of the repository.
+run with one thread each. Rounding alone makes two runs part after some steps; so both sides also
+choose from the same states, those that ours passes through with the first seed, and their proposals
+and acquisition values are compared.
+
+Needs ``pip install '.[reference]'``; without it only our side is run, and without --data only the
+standard functions. Run from the root of the repository.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import importlib.util
 import math
 import time
@@ -67,6 +72,7 @@ HARTMANN_CENTRES = 1e-4 * np.array(
 )
 HARTMANN_MINIMUM = -3.32236801141551
 LEVY_RANGE = 10.0  # on either side of 0, in every coordinate
+SAME = 1e-5  # of the unit cube: how far apart proposals may be that rounding alone sets apart
 MINIMUM_VARIANCE = 1e-12  # of the unit of the output; as BoTorch's
 
 
@@ -235,6 +241,30 @@ def botorch_acquisition(acquisition: own.FeasibleLogImprovement) -> Any:
     return feasible_improvement
 
 
+def compare_choices(task: Task, initial: int, steps: int) -> None:
+    """Print how far both sides' proposals from the same states are apart, and which are better."""
+    apart, gains = [], []
+
+    def both(
+        rng: np.random.Generator, acquisition: own.FeasibleLogImprovement, *rest: Any
+    ) -> Array:
+        twin = copy.deepcopy(rng)
+        ours = own.maximise(rng, acquisition, *rest)
+        theirs = maximise_by_botorch(twin, acquisition, *rest)
+        value, other = acquisition(np.array([ours, theirs]))
+        apart.append(float(np.abs(ours - theirs).max()))
+        gains.append(float(value - other))
+        return ours
+
+    minimise(task, 0, initial, steps, both)
+    different = [gain for gap, gain in zip(apart, gains, strict=True) if gap > SAME]
+    print(
+        f"  from the same state: {steps - len(different)} of {steps} proposals within {SAME:g}; "
+        f"log acquisition, ours less BoTorch's: {min(gains):.1e} to {max(gains):.1e}, "
+        f"mean {np.mean(gains):.1e}"
+    )
+
+
 def compare(task: Task, sides: dict[str, Maximise], seeds: int, initial: int, steps: int) -> None:
     """Print the lowest losses of every seed, and the ratio of the times."""
     print(f"\n{task.name + ': lowest loss':<30}" + "".join(f"{side:>12}" for side in sides))
@@ -253,6 +283,7 @@ def compare(task: Task, sides: dict[str, Maximise], seeds: int, initial: int, st
     if len(sides) > 1:
         ours, baseline = (sum(o.seconds for o in found) for found in outcomes.values())
         print(f"  BoTorch takes {baseline / ours:.1f} times as long to choose a proposal")
+        compare_choices(task, initial, steps)
 
 
 def main() -> None:
