@@ -257,9 +257,9 @@ def compare_choices(task: Task, initial: int, steps: int) -> None:
         return ours
 
     minimise(task, 0, initial, steps, both)
-    different = [gain for gap, gain in zip(apart, gains, strict=True) if gap > SAME]
+    same = sum(gap <= SAME for gap in apart)
     print(
-        f"  from the same state: {steps - len(different)} of {steps} proposals within {SAME:g}; "
+        f"  from the same state: {same} of {steps} proposals within {SAME:g}; "
         f"log acquisition, ours less BoTorch's: {min(gains):.1e} to {max(gains):.1e}, "
         f"mean {np.mean(gains):.1e}"
     )
