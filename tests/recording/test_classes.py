@@ -6,24 +6,26 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
-from fascicle.core.leads import measured_rows
+from fascicle.core.leads import independent_rows
 from fascicle.recording.choices import Choices
-from fascicle.recording.classes import sort_by_shape
+from fascicle.recording.classes import noise_energy, sort_by_shape
+from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.resampling import resample
-from fascicle.recording.sorted_beats import prepared, sort_beats, without_spikes
 
 
 def synthetic(rhythm, seed, noise_db=None, **more):
     recording, truth = synthetic_recording(
         np.random.default_rng(seed), Synthesis(rhythm=rhythm, noise_db=noise_db, **more)
     )
-    signal = resample(recording.signal, recording.sampling_rate)[measured_rows(recording.recorded)]
+    signal = resample(recording.signal, recording.sampling_rate)[
+        independent_rows(recording.recorded)
+    ]
     return recording, truth, signal
 
 
 def found_beats(recording):
-    clean, spikes = without_spikes(recording)
-    return sort_beats(prepared(clean, Choices()), 1000 * spikes // int(recording.sampling_rate))
+    (found,) = lead_groups(recording, Choices())
+    return found
 
 
 @pytest.mark.parametrize("noise_db", [None, 25.0, 15.0, 8.0])
@@ -32,7 +34,9 @@ def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
     """Given the true R peaks, every class holds one kind, and every kind is one class."""
     for seed in range(4):
         _, truth, signal = synthetic(rhythm, seed, noise_db)
-        classes, _ = sort_by_shape(signal, np.round(1000 * truth.r_times).astype(np.int64))
+        classes, _ = sort_by_shape(
+            signal, np.round(1000 * truth.r_times).astype(np.int64), noise_energy(signal)
+        )
         kinds = np.array(truth.kinds)
         assert len(set(classes)) == len(set(kinds))
         for kind in set(kinds):
@@ -43,7 +47,7 @@ def test_marks_that_are_off_are_put_right():
     _, truth, signal = synthetic("sinus", 5, 20.0)
     peaks = np.round(1000 * truth.r_times).astype(np.int64)
     off = peaks + np.random.default_rng(1).integers(-30, 31, len(peaks))
-    _, aligned = sort_by_shape(signal, off)
+    _, aligned = sort_by_shape(signal, off, noise_energy(signal))
     difference = aligned - peaks
     assert np.abs(difference - np.median(difference)).max() <= 3
 
@@ -79,6 +83,6 @@ def test_paced_beats_are_described():
 
 def test_pure_noise_makes_classes_that_end():
     noise = 0.1 * np.random.default_rng(0).normal(size=(8, 5000))
-    classes, aligned = sort_by_shape(noise, np.arange(400, 4800, 500))
+    classes, aligned = sort_by_shape(noise, np.arange(400, 4800, 500), noise_energy(noise))
     assert set(classes) == set(range(classes.max() + 1))
     assert np.abs(aligned - np.arange(400, 4800, 500)).max() <= 60

@@ -1,4 +1,4 @@
-"""Recordings whose leads take turns, made of recordings whose leads are all there."""
+"""Recordings whose leads were recorded one group after another, made of complete ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.lead_groups import turns
+from fascicle.recording.choices import Choices
+from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.recording import Recording
 
@@ -41,7 +42,7 @@ def whole(seed, **more):
 @pytest.mark.parametrize("strip", [None, "II"])
 def test_stretches_are_found(strip):
     paper = on_paper(whole(0), strip)
-    parts = turns(paper)
+    parts = lead_groups(paper, Choices())
     assert [part.start for part in parts] == [0, 1250, 2500, 3750]
     for part, group in zip(parts, GROUPS, strict=True):
         there = {lead for lead, r in zip(LEADS, part.recording.recorded, strict=True) if r}
@@ -68,7 +69,7 @@ def test_the_mean_is_that_of_all_leads_at_once(strip, tolerance):
             assert abs(best) <= tolerance + 3, (seed, LEADS[lead])
             assert min(misfit) < 0.1 * np.sum(template**2) + 0.02
         assert paper.qrs_duration == pytest.approx(target.qrs_duration, abs=25)
-        assert "in turns" in paper.provenance["warnings"]
+        assert "one group after another" in paper.provenance["warnings"]
 
 
 def test_beats_are_numbered_through():
@@ -81,7 +82,7 @@ def test_beats_are_numbered_through():
     assert np.isfinite(analysis.signal[LEADS.index("V4")]).sum() == 2500
 
 
-def test_a_gap_in_one_lead_is_no_turn():
+def test_a_gap_in_one_lead_makes_no_group():
     signal = whole(2).signal.copy()
     signal[7, 4000:] = np.nan
     with pytest.raises(InputError, match="lead V2 lacks 1000 samples"):
@@ -96,7 +97,7 @@ def test_groups_digitised_with_ragged_edges_stay_groups():
         first, stop = paper.spans[row]
         signal[row, first : first + rng.integers(0, 9)] = np.nan
         signal[row, stop - rng.integers(1, 9) : stop] = np.nan
-    parts = turns(replace(paper, signal=signal))
+    parts = lead_groups(replace(paper, signal=signal), Choices())
     assert len(parts) == 4
     assert [int(part.recording.recorded.sum()) for part in parts] == [3, 3, 3, 3]
 
@@ -106,12 +107,14 @@ def test_beats_of_several_shapes_are_not_matched_by_chance():
         np.random.default_rng(5),
         Synthesis(rhythm="bigeminy", heart_rate=70.0, seconds=16.0, noise_db=30.0),
     )
-    with pytest.raises(InputError, match="in turns and the beats are of several shapes"):
+    with pytest.raises(
+        InputError, match="one group after another and the beats are of several shapes"
+    ):
         make_target(on_paper(recording))
 
 
-def test_surplus_beats_of_a_group_are_told():
+def test_surplus_beats_of_a_group_are_not_used():
     analysis = analyse(on_paper(whole(1)))
     used = sum(beat.used for beat in analysis.beats)
     assert used == 4 * len(analysis.target.beats)
-    assert analysis.target.onset_sd > 10  # the doubt of the alignment is in it
+    assert analysis.target.onset_sd > 10  # the standard deviation of the alignment is in it

@@ -88,7 +88,7 @@ def test_spikes_are_narrow_and_lie_about_the_pulse():
     assert (np.diff(spikes, axis=1) <= 8).all()
 
 
-def test_leads_recorded_in_turns():
+def test_leads_recorded_one_group_after_another():
     recording, truth = synthetic_recording(
         np.random.default_rng(6), Synthesis(rhythm="paced", rate=500.0, spike_size=10.0)
     )

@@ -8,7 +8,7 @@ from matplotlib.colors import same_color, to_hex
 from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Analysis, Beat, BeatClass
+from fascicle.recording.analysis import Analysis, Beat, BeatClass, Unused
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 from fascicle.report.beat_panels import MOST_DRAWN
@@ -42,10 +42,15 @@ def synthetic(
         signal += scale * HEIGHTS[:, None] * np.exp(-0.5 * ((time - peak / 1e3) / 0.02) ** 2)
     named = [labels[k % len(labels)] for k in range(len(peaks))]
     beats = tuple(
-        Beat(k + 1, peak / 1e3, label, interval * 1e3, label == chosen and k + 1 not in unused,
-             "" if label == chosen and k + 1 not in unused else f"class {label}")
+        Beat(
+            k + 1,
+            peak / 1e3,
+            label,
+            interval * 1e3,
+            None if label == chosen and k + 1 not in unused else Unused.OTHER_CLASS,
+        )
         for k, (peak, label) in enumerate(zip(peaks, named, strict=True))
-    )  # fmt: skip
+    )
     cut = [
         signal[:, p - BEFORE : p + AFTER + 1] for p, b in zip(peaks, beats, strict=True) if b.used
     ]

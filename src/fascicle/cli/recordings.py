@@ -132,6 +132,8 @@ def target(
 
 def print_analysis(analysis: Analysis) -> None:
     """Print what was found in a recording, every check with its figure, and the warnings."""
+    from fascicle.recording.analysis import Unused
+
     recording = analysis.recording
     _line(
         "recording",
@@ -155,8 +157,11 @@ def print_analysis(analysis: Analysis) -> None:
         notable = f": {group.description}" if group.description else ""
         _line(f"class {group.label}", f"{group.count} beats{notable}")
     for beat in analysis.beats:
-        if not beat.used and not beat.reason.startswith("class "):
-            _line(f"beat {beat.number}", f"at {beat.time:.2f} s, class {beat.label}: {beat.reason}")
+        if beat.unused not in (None, Unused.OTHER_CLASS):
+            _line(
+                f"beat {beat.number}",
+                f"at {beat.time:.2f} s, class {beat.label}: {beat.why_unused}",
+            )
     _print_target(analysis.target)
 
 

@@ -59,8 +59,12 @@ def limb_leads_from(recorded: Collection[str]) -> Floats | None:
     return matrix
 
 
-def measured_rows(present: Booleans) -> Integers:
+def independent_rows(present: Booleans) -> Integers:
     """Rows of leads that are no combination of one another, of those that are present.
+
+    For sums of energies, in which no direction may count twice. Means over leads, such as the root
+    mean square, take `fascicle.recording.detection.complete_leads`, which keeps all limb leads
+    where I or II is missing.
 
     Parameters
     ----------

@@ -14,22 +14,27 @@ BLOCK = 64  # beats that are shifted at a time, which bounds the memory
 def cut(
     signal: NDArray[np.float64], peaks: NDArray[np.int64], before: int, after: int
 ) -> NDArray[np.float64]:
-    """Windows of `before` to `after` samples around each peak, shape (n_beats, n_leads, n_time).
+    """Windows around peaks; beyond its ends the signal stays as it is there.
 
-    Beyond its ends the signal stays as it is there.
+    Parameters
+    ----------
+    signal : (n_leads, n) array
+        Potential (mV).
+    peaks : (n_beats,) array
+        R peaks (samples).
+    before, after : int
+        Samples before and after each peak.
+
+    Returns
+    -------
+    (n_beats, n_leads, before + after + 1) array
+        Potential (mV).
     """
     within = np.clip(peaks[:, None] + np.arange(-before, after + 1), 0, signal.shape[1] - 1)
     return np.stack([signal[:, samples] for samples in within])
 
 
-def complete(
-    peaks: NDArray[np.int64], n_samples: int, before: int, after: int
-) -> NDArray[np.bool_]:
-    """Tell around which peaks the whole window is recorded."""
-    return np.asarray((peaks >= before) & (peaks + after < n_samples))
-
-
-def levelled(beats: NDArray[np.float64]) -> NDArray[np.float64]:
+def detrended(beats: NDArray[np.float64]) -> NDArray[np.float64]:
     """Beats (..., n_time) less the straight line that fits each lead of each beat best.
 
     Neither level nor drift then enters a comparison of two beats.
@@ -47,7 +52,7 @@ def best_shifts(wide: NDArray[np.float64], template: NDArray[np.float64]) -> NDA
     wide : (n_beats, n_leads, 2·REACH + 1) array
         Beats (mV) with room to shift.
     template : (n_leads, 2·HALF_WIDTH + 1) array
-        Levelled beat (mV).
+        Detrended beat (mV).
 
     Returns
     -------
@@ -66,8 +71,8 @@ def best_shifts(wide: NDArray[np.float64], template: NDArray[np.float64]) -> NDA
 
 
 def shifted(wide: NDArray[np.float64], shifts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Levelled beats (n_beats, n_leads, 2·HALF_WIDTH + 1) at the given shifts of `wide` ones."""
+    """Detrended beats (n_beats, n_leads, 2·HALF_WIDTH + 1) at the given shifts of `wide` ones."""
     first = LARGEST_SHIFT + shifts
-    return levelled(
+    return detrended(
         np.stack([w[:, f : f + 2 * HALF_WIDTH + 1] for w, f in zip(wide, first, strict=True)])
     )

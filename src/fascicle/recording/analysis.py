@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,22 @@ from numpy.typing import NDArray
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
+
+
+class Unused(Enum):
+    """Why a beat is not one of the target's."""
+
+    CUT_OFF_START = "cut off by the start of the recording"
+    CUT_OFF_END = "cut off by the end of the recording"
+    EXCLUDED = "excluded"
+    NOT_CHOSEN = "not chosen"
+    OTHER_CLASS = "of another class"
+    SURPLUS = "the other groups of leads have no more beats"
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether a part of the beat was not recorded."""
+        return self in (Unused.CUT_OFF_START, Unused.CUT_OFF_END)
 
 
 @dataclass(frozen=True)
@@ -26,18 +43,27 @@ class Beat:
         Its class: A is the one with the most beats, then B and so on.
     interval : float
         Time since the beat before (ms); NaN for the first.
-    used : bool
-        Whether it is one of the target's beats.
-    reason : str
-        Why it is not; empty where it is.
+    unused : Unused, optional
+        Why it is not one of the target's beats; None where it is.
     """
 
     number: int
     time: float
     label: str
     interval: float
-    used: bool
-    reason: str = ""
+    unused: Unused | None = None
+
+    @property
+    def used(self) -> bool:
+        """Whether it is one of the target's beats."""
+        return self.unused is None
+
+    @property
+    def why_unused(self) -> str:
+        """The reason in words; empty where the beat is used."""
+        if self.unused is Unused.OTHER_CLASS:
+            return f"class {self.label}"
+        return "" if self.unused is None else self.unused.value
 
 
 @dataclass(frozen=True)
@@ -68,8 +94,8 @@ class Analysis:
     recording : Recording
         With the user's corrections.
     signal : (12, n) array
-        Potential (mV) every `fascicle.recording.target.SAMPLING_STEP`, as shown on the strip; NaN
-        where a lead was not recorded.
+        Potential (mV) as recorded, every `fascicle.recording.target.SAMPLING_STEP`; NaN where a
+        lead was not recorded.
     beats : tuple of Beat
         Every beat that was found.
     classes : tuple of BeatClass

@@ -28,7 +28,7 @@ class Choices:
     exclude : tuple of int
         Numbers of beats to leave out.
     noise : float, optional
-        Standard deviation of a single beat (mV), which cannot tell it itself.
+        Standard deviation of a single beat (mV), which does not show it itself.
     lowpass : float, optional
         Cutoff of a zero-phase low-pass (Hz).
     notch : float, optional

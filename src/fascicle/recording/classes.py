@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.recording.alignment import HALF_WIDTH, REACH, best_shifts, cut, levelled, shifted
+from fascicle.recording.alignment import HALF_WIDTH, REACH, best_shifts, cut, detrended, shifted
 
 ALIKE = 0.2  # of a beat's energy; two beats of one class, correlation 0.9 or more, differ by less
 MOST_CANDIDATES = 40  # beats among which the centre of a class is looked for
@@ -15,7 +15,7 @@ QUIET = 0.1  # quantile of the energy of all stretches that is taken as noise al
 
 
 def sort_by_shape(
-    signal: NDArray[np.float64], peaks: NDArray[np.int64]
+    signal: NDArray[np.float64], peaks: NDArray[np.int64], noise: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Sort beats into classes of one shape and align each with its class.
 
@@ -29,6 +29,8 @@ def sort_by_shape(
         Recorded leads (mV) every `fascicle.recording.target.SAMPLING_STEP`.
     peaks : (n_beats,) array
         R peaks, at least one.
+    noise : float
+        Energy of noise alone, see `noise_energy`.
 
     Returns
     -------
@@ -38,7 +40,6 @@ def sort_by_shape(
         The peaks, moved to where each beat correlates best with its class, all leads together.
     """
     wide = cut(signal, peaks, REACH, REACH)
-    noise = noise_energy(signal)
     classes = np.full(len(peaks), -1, dtype=np.int64)
     shifts = np.zeros(len(peaks), dtype=np.int64)
     while (left := np.flatnonzero(classes < 0)).size:
@@ -59,7 +60,7 @@ def noise_energy(signal: NDArray[np.float64]) -> float:
     if not len(starts):
         return 0.0
     starts = starts[:: max(len(starts) // 2000, 1)]  # enough of a long recording for a quantile
-    stretches = levelled(np.stack([signal[:, s : s + length] for s in starts]))
+    stretches = detrended(np.stack([signal[:, s : s + length] for s in starts]))
     return float(np.quantile((stretches**2).sum(axis=(1, 2)), QUIET))
 
 

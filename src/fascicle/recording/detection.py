@@ -31,7 +31,10 @@ def magnitude(signal: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def complete_leads(signal: NDArray[np.float64]) -> list[int]:
-    """Rows to work on: the independent leads, or all when I or II is not there.
+    """Rows to average over: the independent leads, or all when I or II is not there.
+
+    Without I or II no two of the other limb leads see the whole frontal plane equally, so a mean
+    takes them all; `fascicle.core.leads.independent_rows` never takes more than two.
 
     Parameters
     ----------

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 
+CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
 HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
 SHORTEST = 0.4  # s; less does not hold a beat
-_OVERLAP = 0.1  # s by which leads recorded in turns may overlap
+_OVERLAP = 0.1  # s by which leads recorded one group after another may overlap
 LONGEST, MOST_SAMPLES = 1800.0, 5_000_000  # s and of each lead; they bound the memory it takes
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Filters that the recorder has applied, as far as the file tells (Hz)."""
+    """Filters that the recorder has applied, as far as the file says (Hz)."""
 
     highpass: float | None = None
     lowpass: float | None = None
@@ -155,11 +156,11 @@ def _check_gaps(
     """Refuse missing samples, unless they come from recording one group of leads after another."""
     present = np.flatnonzero(spans[:, 1] > 0)
     first, stop = spans[present].T
-    in_turns = stop.min() <= first.max() + rate * _OVERLAP
+    one_by_one = stop.min() <= first.max() + rate * _OVERLAP
     for lead, begin, end in zip(present, first, stop, strict=True):
-        bad = ~np.isfinite(signal[lead, begin:end] if in_turns else signal[lead])
+        bad = ~np.isfinite(signal[lead, begin:end] if one_by_one else signal[lead])
         if bad.any():
-            sample = int(np.argmax(bad)) + (int(begin) if in_turns else 0)
+            sample = int(np.argmax(bad)) + (int(begin) if one_by_one else 0)
             raise InputError(
                 f"{source}: lead {LEADS[lead]} lacks {int(bad.sum())} samples (first: sample "
                 f"{sample}, at {sample / rate:.3f} s); cut the recording to a part without gaps"

@@ -45,19 +45,34 @@ def block_means(signal: NDArray[np.float64], factor: int) -> NDArray[np.float64]
     return np.asarray(signal[..., :whole].reshape(*signal.shape[:-1], -1, factor).mean(axis=-1))
 
 
-def lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
-    """Butterworth low-pass of a signal every `SAMPLING_STEP`, without delay.
+def filtered(
+    signal: NDArray[np.float64], lowpass_cutoff: float | None, mains: float | None
+) -> NDArray[np.float64]:
+    """Signal with the filters that a user may ask for, without delay.
 
-    It runs forward and backward, so that amplitudes are halved at `cutoff` Hz.
+    Parameters
+    ----------
+    signal : (n_leads, n) array
+        Potential (mV) every `SAMPLING_STEP`; leads that are NaN throughout stay so.
+    lowpass_cutoff : float, optional
+        Frequency (Hz) at which a low-pass halves amplitudes.
+    mains : float, optional
+        Frequency (Hz) of the hum that a notch filter removes.
     """
+    if lowpass_cutoff is not None:
+        signal = _lowpass(signal, lowpass_cutoff)
+    return signal if mains is None else _notch(signal, mains)
+
+
+def _lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
+    """Butterworth low-pass, forward and backward."""
     from scipy.signal import butter, sosfiltfilt
 
     sections = butter(FILTER_ORDER, cutoff, fs=TARGET_RATE, output="sos")
     return np.asarray(sosfiltfilt(sections, signal, axis=-1))
 
 
-def notch(signal: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
-    """Remove mains hum of `frequency` Hz from a signal every `SAMPLING_STEP`, without delay."""
+def _notch(signal: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
     from scipy.signal import filtfilt, iirnotch
 
     b, a = iirnotch(frequency, NOTCH_QUALITY, fs=TARGET_RATE)

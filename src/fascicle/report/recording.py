@@ -199,11 +199,8 @@ def _unused_text(analysis: Analysis) -> str:
     reasons: dict[str, list[str]] = {}
     for beat in analysis.beats:
         if not beat.used:
-            reasons.setdefault(beat.reason, []).append(str(beat.number))
-    parts = [
-        f"{', '.join(numbers)} ({reason})" if reason else ", ".join(numbers)
-        for reason, numbers in reasons.items()
-    ]
+            reasons.setdefault(beat.why_unused, []).append(str(beat.number))
+    parts = [f"{', '.join(numbers)} ({reason})" for reason, numbers in reasons.items()]
     return shortened(f"not used: {'; '.join(parts)}", SMALL, TEXT_WIDTH) if parts else ""
 
 

@@ -23,7 +23,7 @@ from fascicle.recording.readers.wfdb_files import (
     hash_note,
 )
 from fascicle.recording.readers.wfdb_header import FLAC_FORMATS, Header, SignalLine, read_header
-from fascicle.recording.recording import check_extent
+from fascicle.recording.recording import CHECKSUMS_AGREE, check_extent
 
 
 @dataclass(frozen=True)
@@ -243,4 +243,4 @@ def _checksum_note(signals: Iterable[_Signal]) -> dict[str, str]:
     wrong = [signal.name for signal in known if not signal.sum_agrees]
     if not known:
         return {}
-    return {"checksums": f"differ for {', '.join(wrong)}" if wrong else "agree"}
+    return {"checksums": f"differ for {', '.join(wrong)}" if wrong else CHECKSUMS_AGREE}

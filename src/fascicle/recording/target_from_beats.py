@@ -1,4 +1,4 @@
-"""The target of cut beats: their QRS window, what is suspicious, where they came from."""
+"""The target of aligned beats: their QRS window, what is suspicious, where they came from."""
 
 from __future__ import annotations
 
@@ -7,40 +7,39 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
+from fascicle.recording.aligned_beats import AlignedBeats
 from fascicle.recording.analysis import Beat
-from fascicle.recording.beats import CutBeats
+from fascicle.recording.beat_selection import FEW_ALIKE
 from fascicle.recording.choices import Choices, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.quality.finding import Finding, Severity
-from fascicle.recording.recording import Recording
+from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.target import SAMPLING_STEP, Target
 from fascicle.recording.window import qrs_window, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
-LARGEST_DOUBT = 40.0  # ms
+LARGEST_END_SD = 40.0  # ms
 NOISY = 0.2  # beat-to-beat spread over QRS height
-FEW_ALIKE = 0.7  # share of the beats that should be alike
 
 
-def whole_target(
+def target_from_beats(
     recording: Recording,
-    cut: CutBeats,
+    aligned: AlignedBeats,
     beats: Sequence[Beat],
     choices: Choices,
     label: str,
     findings: Sequence[Finding],
 ) -> Target:
-    """Make the target of beats that were cut out.
+    """Make a target.
 
     Parameters
     ----------
     recording : Recording
         Where they are from.
-    cut : CutBeats
-        Those that are used.
+    aligned : AlignedBeats
+        The beats that are used.
     beats : sequence of Beat
         All beats of the recording.
     choices : Choices
@@ -55,19 +54,18 @@ def whole_target(
     InputError
         When a single beat has no stated noise, or the window is impossible or cannot be found.
     """
-    _check_noise(len(cut.beats), label, choices, recording.source)
-    mean = cut.beats.mean(axis=0)
-    onset, offset = _window(mean, cut, choices, recording.source)
-    ends = window_uncertainty(cut.beats, SAMPLING_STEP, cut.not_before, noise=choices.noise)
-    onset_sd, offset_sd = (math.hypot(sd, cut.doubt) for sd in ends)
-    _check_doubt(onset_sd, offset_sd, choices, recording.source)
+    _check_noise(len(aligned.beats), label, choices, recording.source)
+    onset, offset = _window(aligned, choices, recording.source)
+    ends = window_uncertainty(aligned.beats, SAMPLING_STEP, aligned.not_before, noise=choices.noise)
+    onset_sd, offset_sd = (math.hypot(sd, aligned.alignment_sd) for sd in ends)
+    _check_ends(onset_sd, offset_sd, choices, recording.source)
     target = Target(
-        beats=cut.beats,
-        time=cut.time,
+        beats=aligned.beats,
+        time=aligned.time,
         qrs_onset=onset,
         qrs_offset=offset,
         heart_rate=_heart_rate(beats),
-        provenance=_provenance(recording, beats, len(cut.beats), choices),
+        provenance=_provenance(recording, beats, len(aligned.beats), choices),
         onset_sd=onset_sd if choices.onset is None else 0.0,
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
@@ -88,33 +86,31 @@ def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
     """Ask for the noise of a single beat, and only of one."""
     if count == 1 and choices.noise is None:
         raise InputError(
-            f"{source}: a single beat (class {label}) cannot tell how beats vary; state its noise, "
-            "such as --noise 0.04 (mV), or give a recording with more beats of one shape"
+            f"{source}: a single beat (class {label}) does not show how beats vary; state its "
+            "noise, such as --noise 0.04 (mV), or give a recording with more beats of one shape"
         )
     if count > 1 and choices.noise is not None:
         raise InputError(
-            f"{source}: {count} beats tell how they vary; --noise is for a single beat"
+            f"{source}: {count} beats show how they vary; --noise is for a single beat"
         )
 
 
-def _check_doubt(onset_sd: float, offset_sd: float, choices: Choices, source: str) -> None:
+def _check_ends(onset_sd: float, offset_sd: float, choices: Choices, source: str) -> None:
     """Refuse ends that may be anywhere, unless the user has given them."""
     for name, sd, given in (
         ("onset", onset_sd, choices.onset), ("offset", offset_sd, choices.offset)
     ):  # fmt: skip
-        if sd > LARGEST_DOUBT and given is None:
+        if sd > LARGEST_END_SD and given is None:
             raise InputError(
                 f"{source}: QRS {name} found to within {sd:.0f} ms only (at most "
-                f"{LARGEST_DOUBT:.0f}); give it by --{name}, or a cleaner recording"
+                f"{LARGEST_END_SD:.0f}); give it by --{name}, or a cleaner recording"
             )
 
 
-def _window(
-    mean: NDArray[np.float64], cut: CutBeats, choices: Choices, source: str
-) -> tuple[float, float]:
+def _window(aligned: AlignedBeats, choices: Choices, source: str) -> tuple[float, float]:
     """QRS window (ms from R): what is given, otherwise what is found."""
-    first, last = qrs_window(mean, SAMPLING_STEP, cut.not_before)
-    time = cut.time
+    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before)
+    time = aligned.time
     start = float(time[first]) if choices.onset is None else float(choices.onset)
     end = float(time[last]) if choices.offset is None else float(choices.offset)
     check_window(start, end, source)
@@ -168,18 +164,18 @@ def _warnings(
     warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
     if not recording.simultaneous:
         warnings.append(
-            "leads were recorded in turns: beats of different groups are put together, and aligned "
-            "to within some 10 ms unless they share a lead"
+            "leads were recorded one group after another: beats of different groups are put "
+            "together, and aligned to within some 10 ms unless they share a lead"
         )
     notes = recording.provenance
-    if notes.get("checksums", "").startswith("differ"):
+    if notes.get("checksums", CHECKSUMS_AGREE) != CHECKSUMS_AGREE:
         warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
     if "remarks" in notes:
         warnings.append(notes["remarks"])
     if not LOWEST_RATE <= target.heart_rate <= HIGHEST_RATE:
         warnings.append(f"{target.heart_rate:.0f} beats per minute; is the sampling rate right?")
     if len(target.beats) == 2:
-        warnings.append("two beats tell little of how beats vary; give a longer recording")
+        warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)
     if alike < FEW_ALIKE * len(beats) and choices.beats is None:
         warnings.append(
