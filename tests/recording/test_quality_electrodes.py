@@ -10,9 +10,8 @@ import pytest
 from quality_recordings import REAL, beating, real, warned
 
 from fascicle.recording.detection import r_peaks
-from fascicle.recording.quality.electrodes import check_limb_electrodes
+from fascicle.recording.quality.electrodes import check_limb_electrodes, median_beat
 from fascicle.recording.quality.finding import Finding
-from fascicle.recording.quality.typical import typical_beat
 from fascicle.recording.recording import Recording
 
 # What the six limb leads become when two electrodes are exchanged.
@@ -32,7 +31,7 @@ def limb(recording: Recording, exchange: tuple[list[int], list[int]] | None = No
         order, sign = exchange
         signal[:6] = np.array(sign)[:, None] * signal[order]
     changed = replace(recording, signal=signal)
-    (finding,) = check_limb_electrodes(changed, typical_beat(changed, peaks))
+    (finding,) = check_limb_electrodes(changed, median_beat(changed, peaks))
     return finding
 
 
@@ -62,10 +61,10 @@ def test_an_axis_to_the_right_is_no_exchange() -> None:
     # lead I is negative in the QRS, but not in the P wave
     made = beating()
     peaks = r_peaks(made.signal, made.sampling_rate)
-    typical = typical_beat(made, peaks)
+    median = median_beat(made, peaks)
     qrs = slice(round((0.26 - 0.06) * 500), round((0.26 + 0.08) * 500))
-    turned = typical.copy()
-    turned[0, qrs] = 2 * typical[0, qrs.start] - typical[0, qrs]
+    turned = median.copy()
+    turned[0, qrs] = 2 * median[0, qrs.start] - median[0, qrs]
     (finding,) = check_limb_electrodes(made, turned)
     assert -0.2 < finding.value < 0.2
     assert warned([finding]) == []
@@ -76,6 +75,6 @@ def test_absent_leads() -> None:
     signal = made.signal.copy()
     signal[11] = np.nan
     without_v6 = replace(made, signal=signal)
-    typical = typical_beat(without_v6, r_peaks(made.signal, made.sampling_rate))
-    (finding,) = check_limb_electrodes(without_v6, typical)
+    median = median_beat(without_v6, r_peaks(made.signal, made.sampling_rate))
+    (finding,) = check_limb_electrodes(without_v6, median)
     assert finding.value > 0.8  # V5 serves

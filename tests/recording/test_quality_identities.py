@@ -34,7 +34,7 @@ def disturbed(good: Recording) -> Recording:
 
 def test_one_figure_per_law_and_none_is_broken(good: Recording, disturbed: Recording) -> None:
     clean = check_identities(good)
-    assert [finding.check.split(" ", 1)[1] for finding in clean] == [
+    assert [finding.check.name.split(" ", 1)[1] for finding in clean] == [
         "I + III - II", "aVR + (I + II)/2", "aVL - (I - III)/2", "aVF - (II + III)/2",
     ]  # fmt: skip
     assert max(finding.value for finding in clean) < 1e-12
@@ -134,14 +134,14 @@ def test_computed_leads_prove_nothing(good: Recording) -> None:
     assert finding.message == "not checked: no three limb leads were recorded at the same time"
 
 
-def test_leads_in_turns_are_compared_where_they_overlap(good: Recording) -> None:
+def test_lead_groups_are_compared_where_they_overlap(good: Recording) -> None:
     signal, quarter = good.signal.copy(), good.signal.shape[1] // 4
     for group in range(4):
         rows = slice(3 * group, 3 * group + 3)
         signal[rows, : group * quarter] = np.nan
         signal[rows, (group + 1) * quarter :] = np.nan
-    turns = replace(good, signal=signal)
-    assert [finding.check for finding in check_identities(turns)] == [
+    groups = replace(good, signal=signal)
+    assert [finding.check.name for finding in check_identities(groups)] == [
         "Einthoven I + III - II", "identity aVF from aVR and aVL",
     ]  # fmt: skip
     signal[4] *= 3
@@ -162,5 +162,5 @@ def test_real_headers_with_wrong_gains(data_folder: Path, record: str) -> None:
     wrong = check_identities(read_recording(folder / f"{record}.hea"))
     assert "--shared-gain" in fatal(wrong)[0]
     right = check_identities(read_recording(folder / f"{record}_common.hea"))
-    assert max(finding.value for finding in right if finding.unit == "mV") < 0.002
+    assert max(finding.value for finding in right if finding.check.unit == "mV") < 0.002
     assert fatal(right) == []

@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 from quality_recordings import beating, fatal, row, warned, with_lead
 
-from fascicle.recording.quality.clipping import check_clipping
-from fascicle.recording.quality.duplicates import check_duplicates
-from fascicle.recording.quality.extent import check_extent_in_time
-from fascicle.recording.quality.filtering import check_filters
+from fascicle.recording.quality.acquisition import check_extent_in_time, check_filters
+from fascicle.recording.quality.digits import check_clipping, check_resolution
+from fascicle.recording.quality.disturbances import check_mains, check_noise, check_wander
+from fascicle.recording.quality.empty_leads import check_duplicates, check_flatness
 from fascicle.recording.quality.finding import Severity
-from fascicle.recording.quality.flatness import check_flatness
-from fascicle.recording.quality.mains import check_mains
-from fascicle.recording.quality.noise import check_noise
-from fascicle.recording.quality.resolution import check_resolution
-from fascicle.recording.quality.wander import check_wander
 from fascicle.recording.recording import Filters, Recording
 
 

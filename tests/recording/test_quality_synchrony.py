@@ -13,7 +13,6 @@ from quality_recordings import REAL, beating, fatal, real, row, warned, with_lea
 from scipy.signal import resample_poly
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.quality.activity import activity
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.quality.synchrony import check_synchrony
 from fascicle.recording.recording import Recording
@@ -25,7 +24,7 @@ def patients(data_folder: Path) -> dict[str, Recording]:
 
 
 def check(recording: Recording) -> list[Finding]:
-    return check_synchrony(recording, activity(recording))
+    return check_synchrony(recording)
 
 
 def irregular(seed: int, mean: float = 0.8, spread: float = 0.03) -> NDArray[np.float64]:
@@ -100,7 +99,7 @@ def test_lead_that_shows_the_t_wave_only() -> None:
     assert fatal(found) + warned(found) == []
 
 
-def test_absent_leads_and_leads_in_turns() -> None:
+def test_absent_leads_and_lead_groups() -> None:
     good = beating(irregular(0))
     signal, quarter = good.signal.copy(), good.signal.shape[1] // 4
     for group in range(4):

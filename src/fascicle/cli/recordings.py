@@ -150,8 +150,8 @@ def print_analysis(analysis: Analysis) -> None:
     print(f"{'checks':<{_WIDTH}}{'':<34}{'found':>8}{'limit':>10}")
     for finding in analysis.findings:
         print(
-            f"{'':<{_WIDTH}}{finding.check:<34}{_figure(finding.value):>8}"
-            f"{_limit(finding):>10} {finding.unit:<3} {finding.severity.value}"
+            f"{'':<{_WIDTH}}{finding.check.name:<34}{_figure(finding.value):>8}"
+            f"{_limit(finding):>10} {finding.check.unit:<3} {finding.severity.value}"
         )
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
@@ -194,11 +194,12 @@ def _figure(value: float) -> str:
 
 def _limit(finding: Finding) -> str:
     """The limit, and on which side of it all is fine."""
-    if math.isnan(finding.limit):
+    limit = finding.check.limit
+    if math.isnan(limit):
         return "-"
-    below, fine = finding.value < finding.limit, finding.severity.value == "ok"
+    below, fine = finding.value < limit, finding.severity.value == "ok"
     unknown = math.isnan(finding.value)
-    return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(finding.limit)
+    return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(limit)
 
 
 def _line(what: str, text: str) -> None:

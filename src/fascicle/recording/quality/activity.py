@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.quality.stretches import coarse, measured, steady
+from fascicle.recording.quality.lead_signals import coarse, measured, steady
 from fascicle.recording.recording import Recording
 
 QRS_WIDTH = 0.06  # s; moving average of the slope
@@ -26,7 +26,7 @@ class Activity:
     ----------
     wave : (12, n) array
         Potential (mV) without baseline; NaN for leads that are absent, computed or flat, and
-        outside the time of leads recorded in turns.
+        outside the time in which it was recorded.
     speed : (12, n) array
         Mean absolute slope over the time that a QRS takes, over its median, so that 1 is usual
         between beats; NaN where `wave` is.
@@ -62,14 +62,14 @@ def activity(recording: Recording) -> Activity:
     return found
 
 
-def together(speed: NDArray[np.float64]) -> NDArray[np.float64]:
+def mean_activity(speed: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean over leads of their activity (m, n), NaN where none is recorded."""
     there = np.isfinite(speed)
     total = np.where(there, np.minimum(speed, LARGEST_WEIGHT), 0.0).sum(axis=0)
     return np.where(there.any(axis=0), total / np.maximum(there.sum(axis=0), 1), np.nan)
 
 
-def beats(speed: NDArray[np.float64], rate: float) -> tuple[NDArray[np.int64], float]:
+def beats_of(speed: NDArray[np.float64], rate: float) -> tuple[NDArray[np.int64], float]:
     """Samples at which one activity (n,) is strong, and how far above the usual it is there."""
     from scipy.signal import find_peaks
 

@@ -6,18 +6,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
-from fascicle.recording.quality.finding import Finding, Severity
-from fascicle.recording.quality.typical import BEFORE
+from fascicle.recording.quality.finding import Check, Finding, Severity
 from fascicle.recording.recording import Recording
 
 P_WAVE = (-0.26, -0.10)  # s from R
 QRS = (-0.06, 0.08)  # s from R
-LEAST_LIKENESS = -0.4  # of lead I or II with V6
+LIKENESS = Check("lead I, II against V6", "", -0.4)
 EDGE = 0.01  # s at each end of a wave that is taken as its level
+BEFORE, AFTER = 0.26, 0.10  # s around R of the median beat
+MOST_BEATS = 100
+FEWEST_BEATS = 2
+LEFT_LEADS = (LEADS.index("V6"), LEADS.index("V5"))  # the first that is there
 PAIRS = (("RA", "LA"), ("RA", "LL"))
 
 
-def check_limb_electrodes(recording: Recording, typical: NDArray[np.float64]) -> list[Finding]:
+def median_beat(recording: Recording, peaks: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Median over the beats of each lead, at the rate of the recording.
+
+    Leads recorded at other times give their own beats: all are taken from the same time around R.
+
+    Parameters
+    ----------
+    recording : Recording
+        Twelve leads.
+    peaks : (n_beats,) array
+        R peaks (samples).
+
+    Returns
+    -------
+    (12, n) array
+        Potential (mV) from `BEFORE` before R to `AFTER` after it; NaN for leads with fewer than
+        `FEWEST_BEATS` whole beats.
+    """
+    before = round(BEFORE * recording.sampling_rate)
+    after = round(AFTER * recording.sampling_rate)
+    median = np.full((len(LEADS), before + after + 1), np.nan)
+    for row, (start, stop) in enumerate(recording.spans):
+        own = peaks[(peaks - before >= start) & (peaks + after < stop)]
+        own = own[:: max(len(own) // MOST_BEATS, 1)]
+        if len(own) >= FEWEST_BEATS:
+            cut = [recording.signal[row, peak - before : peak + after + 1] for peak in own]
+            median[row] = np.median(cut, axis=0)
+    return median
+
+
+def check_limb_electrodes(recording: Recording, median: NDArray[np.float64]) -> list[Finding]:
     """Suspect the right arm's electrode of having been exchanged with another limb's.
 
     Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
@@ -30,8 +63,8 @@ def check_limb_electrodes(recording: Recording, typical: NDArray[np.float64]) ->
     ----------
     recording : Recording
         Twelve leads.
-    typical : (12, n) array
-        As `typical.typical_beat` gives it.
+    median : (12, n) array
+        As `median_beat` gives it.
 
     Returns
     -------
@@ -43,25 +76,24 @@ def check_limb_electrodes(recording: Recording, typical: NDArray[np.float64]) ->
     V. N. Batchvarov, M. Malik, A. J. Camm, Europace 9:1081 (2007); K. K. Ho, S. K. Ho, J.
     Electrocardiol. 34:161 (2001), on the P wave.
     """
-    check = "lead I, II against V6"
-    left = [row for row in (11, 10) if np.isfinite(typical[row]).all()]
-    if not left or not np.isfinite(typical[:2]).all():
+    left = [row for row in LEFT_LEADS if np.isfinite(median[row]).all()]
+    if not left or not np.isfinite(median[:2]).all():
         message = "not checked: needs leads I, II and V6 or V5, and two beats"
-        return [Finding(check, np.nan, "", LEAST_LIKENESS, Severity.FINE, message)]
+        return [LIKENESS.found(np.nan, message, Severity.FINE)]
     rate = recording.sampling_rate
-    reference = typical[left[0]]
-    now = _likeness(typical[:2], reference, rate)
-    if min(now) >= LEAST_LIKENESS:
-        return [Finding(check, min(now), "", LEAST_LIKENESS, Severity.FINE)]
-    after = {pair: _likeness(_exchanged(typical[:2], *pair), reference, rate) for pair in PAIRS}
+    reference = median[left[0]]
+    now = _likeness(median[:2], reference, rate)
+    if min(now) >= LIKENESS.limit:
+        return [LIKENESS.found(min(now))]
+    after = {pair: _likeness(_exchanged(median[:2], *pair), reference, rate) for pair in PAIRS}
     pair = max(after, key=lambda p: sum(after[p]))
-    turned = "I" if now[0] < now[1] else "II"
+    inverted = "I" if now[0] < now[1] else "II"
     message = (
-        f"lead {turned} runs against {LEADS[left[0]]} in P wave and QRS: electrodes "
+        f"lead {inverted} runs against {LEADS[left[0]]} in P wave and QRS: electrodes "
         f"{pair[0]} and {pair[1]} are probably exchanged (or the heart lies on the right, or the "
         f"rhythm is not from the sinus node); to undo it: --swap {pair[0]}-{pair[1]}"
     )
-    return [Finding(check, min(now), "", LEAST_LIKENESS, Severity.WARNING, message)]
+    return [LIKENESS.found(min(now), message)]
 
 
 def _likeness(
@@ -83,12 +115,12 @@ def _correlation(
 ) -> float:
     """Correlation of two leads (n,) over a wave, each less the line between its ends."""
     start, stop = (round((BEFORE + end) * rate) for end in wave)
-    a, b = (_levelled(lead[start : stop + 1], max(round(EDGE * rate), 1)) for lead in (x, y))
+    a, b = (_detrended(lead[start : stop + 1], max(round(EDGE * rate), 1)) for lead in (x, y))
     scale = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / scale if scale > 0 else 0.0
 
 
-def _levelled(x: NDArray[np.float64], edge: int) -> NDArray[np.float64]:
+def _detrended(x: NDArray[np.float64], edge: int) -> NDArray[np.float64]:
     line = np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
     return np.asarray(x - line - (x - line).mean())
 

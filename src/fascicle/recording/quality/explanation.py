@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.leads import LIMB_LEADS
-from fascicle.recording.quality.finding import Severity
-from fascicle.recording.quality.relations import height, limit_of, misfits, thinned
-from fascicle.recording.quality.wording import leave_out
+from fascicle.recording.quality.finding import Severity, leave_out
 from fascicle.recording.recording import Recording
 
+LARGEST_MISFIT = 0.05  # mV
+LARGEST_SHARE = 0.05  # of the limb leads' height
+PERCENTILE = 99.0
+ENOUGH = 30_000  # samples that give the percentile
 LARGEST_MISFIT_OF_DIGITS = 3.0  # digits; each lead was rounded
 LARGEST_SHARE_OF_DIGITS = 0.01  # of the limb leads' height
 SAME_GAIN = 0.01  # relative difference up to which gains are one
@@ -33,9 +35,9 @@ def explain(
 ) -> tuple[Severity, str]:
     """Find the simplest change of the leads that makes their relations hold.
 
-    Tried in turn: the digits of the file without its gains; one lead upside down or two exchanged;
-    one lead with another gain, or wrong altogether; each lead with a gain of its own. Exchanged
-    electrodes are not among them: they leave every relation intact.
+    Tried in this order: the digits of the file without its gains; one lead upside down or two
+    exchanged; one lead with another gain, or wrong altogether; each lead with a gain of its own.
+    Exchanged electrodes are not among them: they leave every relation intact.
 
     Parameters
     ----------
@@ -55,7 +57,7 @@ def explain(
     str
         The explanation and what to do.
     """
-    leads = thinned(leads)
+    leads = _thinned(leads)
     gains = recording.digits_per_millivolt
     if gains is not None and digits_fit(leads, zeros, gains[rows]):
         return Severity.FATAL, SHARED_GAIN
@@ -82,15 +84,62 @@ def explain(
     )
 
 
+def misfits(leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far each relation is from zero.
+
+    Parameters
+    ----------
+    leads : (m, n) array
+        Potential (mV).
+    zeros : (k, m) array
+        Coefficients: ``zeros @ leads`` should be constant.
+
+    Returns
+    -------
+    (k,) array
+        99th percentile of the absolute value less its median (mV).
+    """
+    rest = zeros @ _thinned(leads)
+    rest = np.abs(rest - np.median(rest, axis=1, keepdims=True))
+    return np.asarray(np.percentile(rest, PERCENTILE, axis=1))
+
+
+def height(leads: NDArray[np.float64]) -> float:
+    """99th percentile of the largest absolute value among leads (m, n), each less its median."""
+    leads = _thinned(leads)
+    centred = np.abs(leads - np.median(leads, axis=1, keepdims=True))
+    return float(np.percentile(centred.max(axis=0), PERCENTILE))
+
+
+def limit_of(leads: NDArray[np.float64]) -> float:
+    """Misfit (mV) up to which a relation between leads (m, n) holds."""
+    return max(LARGEST_MISFIT, LARGEST_SHARE * height(leads))
+
+
+def _thinned(leads: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Evenly spread samples of leads (m, n), which serve as relations hold at each sample."""
+    return leads[:, :: max(leads.shape[1] // ENOUGH, 1)]
+
+
 def _holds(before: float, leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> bool:
-    """Tell whether all relations hold now, and better than before (worst misfit in mV)."""
+    """Whether all relations hold now, and better than before (worst misfit in mV)."""
     return float(misfits(leads, zeros).max()) <= min(limit_of(leads), REMAINING * before)
 
 
 def digits_fit(
     leads: NDArray[np.float64], zeros: NDArray[np.float64], gains: NDArray[np.float64]
 ) -> bool:
-    """Tell whether leads times their different gains satisfy the relations."""
+    """Whether leads times their different gains satisfy the relations.
+
+    Parameters
+    ----------
+    leads : (m, n) array
+        Potential (mV).
+    zeros : (k, m) array
+        Relations, see `misfits`.
+    gains : (m,) array
+        Digits per mV.
+    """
     if not (gains > 0).all() or gains.max() <= (1 + SAME_GAIN) * gains.min():
         return False
     digits = gains[:, None] * leads

@@ -1,9 +1,13 @@
-"""The outcome of one check of a recording."""
+"""The outcome of one check of a recording, and how its message names leads."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum
+
+from fascicle.core.leads import CHEST_LEADS, LEADS, LIMB_LEADS
+from fascicle.recording.recording import Recording
 
 
 class Severity(Enum):
@@ -15,34 +19,93 @@ class Severity(Enum):
 
 
 @dataclass(frozen=True)
+class Check:
+    """What is looked at.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``Einthoven I + III - II``.
+    unit : str
+        Unit of its figure; empty for counts and shares.
+    limit : float
+        The figure from which on it is no longer fine.
+    """
+
+    name: str
+    unit: str
+    limit: float
+
+    def found(
+        self, value: float, message: str = "", severity: Severity = Severity.WARNING
+    ) -> Finding:
+        """Outcome of the check.
+
+        Parameters
+        ----------
+        value : float
+            The figure found.
+        message : str
+            See `Finding`; where it is empty, all is fine.
+        severity : Severity
+            What follows where there is a message.
+        """
+        return Finding(self, value, severity if message else Severity.FINE, message)
+
+    def worst_lead(
+        self, figures: Mapping[str, float], message: str, per_unit: float = 1.0
+    ) -> Finding:
+        """Outcome where each lead has a figure: the largest, a warning if it is over the limit.
+
+        Parameters
+        ----------
+        figures : mapping of str to float
+            Figure of each lead.
+        message : str
+            With ``{leads}`` for those over the limit and ``{largest}`` for the largest figure.
+        per_unit : float
+            Size of the figures' unit in that of the check, 1000 for mV in uV.
+        """
+        over = [lead for lead, figure in figures.items() if figure > self.limit / per_unit]
+        largest = per_unit * max(figures.values())
+        text = message.format(leads=listed(over), largest=largest) if over else ""
+        return self.found(largest, text)
+
+
+@dataclass(frozen=True)
 class Finding:
     """One check with its figure.
 
     Attributes
     ----------
-    check : str
-        What was checked, such as ``Einthoven I + III - II``.
+    check : Check
+        What was checked.
     value : float
-        The figure found.
-    unit : str
-        Its unit; empty for counts and shares.
-    limit : float
-        The figure from which on it is no longer fine.
+        The figure found; NaN where the recording does not allow the check.
     severity : Severity
         What follows.
     message : str
-        One line that says what was found and what to do; empty where all is fine.
+        One line that says what was found and what to do; empty where there is nothing to say.
     """
 
-    check: str
+    check: Check
     value: float
-    unit: str
-    limit: float
     severity: Severity
     message: str = ""
 
 
-def warning_if(message: str, check: str, value: float, unit: str, limit: float) -> Finding:
-    """Outcome of a check: a warning where there is a message, fine where it is empty."""
-    severity = Severity.WARNING if message else Severity.FINE
-    return Finding(check, value, unit, limit, severity, message)
+def listed(leads: Collection[str]) -> str:
+    """Names in the usual order: ``lead V2``, ``leads I and V1``, ``leads V1 to V6``."""
+    names = [lead for lead in LEADS if lead in leads]
+    if len(names) == 1:
+        return f"lead {names[0]}"
+    for group in (LIMB_LEADS, CHEST_LEADS, LEADS):
+        if names == list(group):
+            return f"leads {group[0]} to {group[-1]}"
+    return f"leads {', '.join(names[:-1])} and {names[-1]}"
+
+
+def leave_out(recording: Recording, leads: Collection[str]) -> str:
+    """Option that uses every recorded lead but these."""
+    kept = [lead for lead in recording.measured_leads if lead not in leads]
+    return f"--leads {','.join(kept)}"

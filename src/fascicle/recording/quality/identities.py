@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.leads import LIMB_LEADS, limb_leads_from
-from fascicle.recording.quality.explanation import SAME_GAIN, SHARED_GAIN, digits_fit, explain
-from fascicle.recording.quality.finding import Finding, Severity
-from fascicle.recording.quality.relations import LARGEST_MISFIT, height, limit_of, misfits
-from fascicle.recording.quality.stretches import coarse, steady
+from fascicle.recording.quality.explanation import (
+    LARGEST_MISFIT,
+    SAME_GAIN,
+    SHARED_GAIN,
+    digits_fit,
+    explain,
+    height,
+    limit_of,
+    misfits,
+)
+from fascicle.recording.quality.finding import Check, Finding, Severity
+from fascicle.recording.quality.lead_signals import coarse, steady
 from fascicle.recording.recording import Recording
 
+LIMB_LEADS_CHECK = Check("limb leads", "mV", LARGEST_MISFIT)
+GAINS = Check("gains of limb leads, ratio", "", 1 + SAME_GAIN)
 SHORTEST_OVERLAP = 1.0  # s; one beat at least
 CLEARLY_WORSE = 3.0  # how many times the misfit in mV must exceed that in digits to blame the gains
 SAME_TIME = 0.9  # share of a lead's time that another must cover to be compared with it
@@ -42,13 +52,13 @@ def check_identities(recording: Recording) -> list[Finding]:
     The figure of an identity is the 99th percentile of \|what should be zero\| less its median,
     after the baseline and what is faster than about 37 Hz have been taken off each lead, so that
     neither drift nor noise of single leads counts. It is fine up to `LARGEST_MISFIT` mV, or up to
-    `relations.LARGEST_SHARE` of the limb leads' height where that is more.
+    `explanation.LARGEST_SHARE` of the limb leads' height where that is more.
 
     Parameters
     ----------
     recording : Recording
         Twelve leads. Those in ``derived`` satisfy the identities by construction and do not count.
-        Leads that were recorded in turns are compared where they overlap.
+        Leads that were recorded one group after another are compared where they overlap.
 
     Returns
     -------
@@ -64,7 +74,7 @@ def check_identities(recording: Recording) -> list[Finding]:
     together = _together(recording)
     if not together:
         message = "not checked: no three limb leads were recorded at the same time"
-        return [Finding("limb leads", np.nan, "mV", LARGEST_MISFIT, Severity.FINE, message)]
+        return [LIMB_LEADS_CHECK.found(np.nan, message, Severity.FINE)]
     return [finding for group in together for finding in _check_group(recording, group)]
 
 
@@ -94,28 +104,19 @@ def _check_group(recording: Recording, group: _Together) -> list[Finding]:
     labels, zeros = _identities(rows)
     found, limit = misfits(leads, zeros), limit_of(leads)
     broken = np.flatnonzero(found > limit)
-    if not broken.size:
-        fine = [
-            Finding(label, float(value), "mV", limit, Severity.FINE)
-            for label, value in zip(labels, found, strict=True)
-        ]
-        return [*_check_gains(recording, rows, leads, zeros), *fine]
-    worst = int(broken[0])
-    severity, reason = explain(recording, rows, leads, zeros)
-    what = f"{labels[worst].split(' ', 1)[1]} is off by {found[worst]:.2f} mV"
-    return [
-        Finding(label, float(value), "mV", limit, Severity.FINE)
-        if k not in broken
-        else Finding(
-            label,
-            float(value),
-            "mV",
-            limit,
-            severity,
-            f"{what}: {reason}" if k == worst else "",  # one fault breaks several
-        )
-        for k, (label, value) in enumerate(zip(labels, found, strict=True))
+    findings = [
+        Check(label, "mV", limit).found(float(value))
+        for label, value in zip(labels, found, strict=True)
     ]
+    if not broken.size:
+        return [*_check_gains(recording, rows, leads, zeros), *findings]
+    severity, reason = explain(recording, rows, leads, zeros)
+    for k in broken:
+        findings[k] = replace(findings[k], severity=severity)
+    first = int(broken[0])  # one fault breaks several identities, and is explained once
+    what = f"{labels[first].split(' ', 1)[1]} is off by {found[first]:.2f} mV"
+    findings[first] = replace(findings[first], message=f"{what}: {reason}")
+    return findings
 
 
 def _check_gains(
@@ -137,8 +138,7 @@ def _check_gains(
     share_of_digits = float(misfits(digits, zeros).max()) / max(height(digits), 1.0)
     wrong = digits_fit(leads, zeros, gains[rows]) and share > CLEARLY_WORSE * share_of_digits
     message = f"the gains differ {ratio:.2f}-fold: {SHARED_GAIN}" if wrong else ""
-    severity = Severity.FATAL if wrong else Severity.FINE
-    return [Finding("gains of limb leads, ratio", ratio, "", 1 + SAME_GAIN, severity, message)]
+    return [GAINS.found(ratio, message, Severity.FATAL)]
 
 
 def _identities(rows: list[int]) -> tuple[list[str], NDArray[np.float64]]:

@@ -8,19 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.quality.activity import Activity, beats, together
-from fascicle.recording.quality.finding import Finding, Severity
-from fascicle.recording.quality.wording import leave_out, listed
+from fascicle.recording.quality.activity import Activity, activity, beats_of, mean_activity
+from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
 from fascicle.recording.recording import Recording
 
-_CHECK = "agreement of the leads' beats"
-LEAST_CONTRAST = 4.0  # activity of a beat over the usual, below which a lead does not tell
+AGREEMENT = Check("agreement of the leads' beats", "", 0.75)  # 0.5 is chance, 0.9 one heart
+JITTER = Check("limb against chest, jitter", "ms", 12.0)  # in one heart it is a few ms
+LEAST_CONTRAST = 4.0  # activity of a beat over the usual; leads with less are not judged
 FEWEST_BEATS = 3
 FEWEST_FOR_STEP = 6  # beats, of which three could not be equally far apart by chance
 TOLERANCE = 0.08  # s between the beats of two leads of one heart
-LEAST_AGREEMENT = 0.75  # 0.5 is chance, 0.9 is one heart
 CLEARLY_APART = 0.65  # a single lead between this and the limit may only be disturbed
-LARGEST_JITTER = 12.0  # ms; in one heart, limb and chest leads keep their distance to a few ms
 LEAST_SAMENESS = 0.7  # correlation of the beats of one lead; chance gives 0.5
 HALF_BEAT, LARGEST_SHIFT = 0.1, 0.024  # s compared each side of a beat, and by which it may move
 FEW_BEATS = 15  # that are compared
@@ -32,7 +30,7 @@ QUARTILES = 1.349  # standard deviations that hold half of a normal distribution
 MINUTE = 60.0  # s
 
 
-def check_synchrony(recording: Recording, moving: Activity) -> list[Finding]:
+def check_synchrony(recording: Recording) -> list[Finding]:
     """Find leads that beat at other times than the others.
 
     Two leads agree when one moves more than usual at the beats of the other: the agreement is the
@@ -43,45 +41,37 @@ def check_synchrony(recording: Recording, moving: Activity) -> list[Finding]:
     from the rest show the T wave more than the QRS, and are fine. As two hearts may beat in step
     for a while, the time between the beats of the limb and the chest leads must also be steady.
 
-    Parameters
-    ----------
-    recording : Recording
-        Twelve leads.
-    moving : Activity
-        As `activity.activity` gives it.
-
     Returns
     -------
     list of Finding
         The agreement of each group with the largest one, or of all leads where there is one group
         only; and the jitter (ms) between limb and chest leads.
     """
-    telling = _telling(moving)
-    agreement = _agreement(moving, telling)
-    groups, lowest = _groups(list(telling), agreement)
+    moving = activity(recording)
+    clear = _clear_beats(moving)
+    agreement = _agreement(moving, clear)
+    groups, lowest = _groups(list(clear), agreement)
     findings = [
         _apart(recording, group, groups[0], agreement, moving)
         for group in groups[1:]
         if len(group) > MOST_LEFT_OUT or not _in_step(moving, group, groups[0])
     ]
     if not findings:
-        findings = [Finding(_CHECK, lowest, "", LEAST_AGREEMENT, Severity.FINE)]
+        findings = [AGREEMENT.found(lowest)]
     jitter = _jitter(moving)
     message = ""
-    if jitter > LARGEST_JITTER and len(groups) < 2:
+    if jitter > JITTER.limit and len(groups) < 2:
         rates = " and ".join(f"{_rate(moving, rows):.0f}" for rows in (range(6), range(6, 12)))
         message = (
             f"limb and chest leads do not beat in step ({rates} per minute): two recordings in one "
             "file? Give leads of one recording"
         )
-    severity = Severity.FATAL if message else Severity.FINE
-    name = "limb against chest, jitter"
-    return [*findings, Finding(name, jitter, "ms", LARGEST_JITTER, severity, message)]
+    return [*findings, JITTER.found(jitter, message, Severity.FATAL)]
 
 
-def _telling(moving: Activity) -> dict[int, NDArray[np.int64]]:
+def _clear_beats(moving: Activity) -> dict[int, NDArray[np.int64]]:
     """Leads with clear beats of one shape, and these."""
-    found = {row: beats(moving.speed[row], moving.rate) for row in range(len(LEADS))}
+    found = {row: beats_of(moving.speed[row], moving.rate) for row in range(len(LEADS))}
     return {
         row: times
         for row, (times, contrast) in found.items()
@@ -106,17 +96,17 @@ def _sameness(wave: NDArray[np.float64], times: NDArray[np.int64], rate: float) 
     return float(np.nanmedian(alike, axis=1).max())
 
 
-def _agreement(moving: Activity, telling: dict[int, NDArray[np.int64]]) -> NDArray[np.float64]:
+def _agreement(moving: Activity, clear: dict[int, NDArray[np.int64]]) -> NDArray[np.float64]:
     """Agreement of each pair of leads (12, 12); NaN where they cannot be compared."""
     from scipy.ndimage import maximum_filter1d
 
     ranks = np.full((len(LEADS), len(LEADS)), np.nan)
     speed, width = moving.speed, 2 * round(TOLERANCE * moving.rate) + 1
-    for row in telling:
+    for row in clear:
         there = np.isfinite(speed[row])
         near = maximum_filter1d(np.where(there, speed[row], -1.0), width)
         ordered = np.sort(near[there])
-        for other, times in telling.items():
+        for other, times in clear.items():
             common = times[there[times]]
             if len(common) >= FEWEST_BEATS:
                 ranks[row, other] = np.searchsorted(ordered, near[common]).mean() / len(ordered)
@@ -134,7 +124,7 @@ def _groups(rows: list[int], agreement: NDArray[np.float64]) -> tuple[list[list[
     distance = 1 - np.where(np.isfinite(agreement), agreement, 1.0)[np.ix_(rows, rows)]
     np.fill_diagonal(distance, 0.0)
     tree = linkage(squareform(np.maximum(distance, 0.0), checks=False), method="average")
-    label = fcluster(tree, 1 - LEAST_AGREEMENT, criterion="distance")
+    label = fcluster(tree, 1 - AGREEMENT.limit, criterion="distance")
     groups = [[row for row, own in zip(rows, label, strict=True) if own == k] for k in set(label)]
     return sorted(groups, key=lambda group: (-len(group), group)), 1 - float(tree[-1, 2])
 
@@ -146,7 +136,7 @@ def _apart(
     agreement: NDArray[np.float64],
     moving: Activity,
 ) -> Finding:
-    """Tell of a group of leads that beats at other times than the largest one."""
+    """Finding on a group of leads that beats at other times than the largest one."""
     between = agreement[np.ix_(group, largest)]
     found = float(between[np.isfinite(between)].mean())
     names, others = ([LEADS[row] for row in rows] for rows in (group, largest))
@@ -165,17 +155,17 @@ def _apart(
             f"{leave_out(recording, names)}"
         )
         severity = Severity.FATAL if found < CLEARLY_APART else Severity.WARNING
-    return Finding(_CHECK, found, "", LEAST_AGREEMENT, severity, message)
+    return AGREEMENT.found(found, message, severity)
 
 
 def _in_step(moving: Activity, group: list[int], largest: list[int]) -> bool:
-    """Tell whether two groups beat at a steady distance, as T waves do from QRS."""
-    own, theirs = (beats(together(moving.speed[rows]), moving.rate)[0] for rows in (group, largest))
+    """Whether two groups beat at a steady distance, as T waves do from QRS."""
+    own, theirs = (_beats(moving, rows)[0] for rows in (group, largest))
     if min(len(own), len(theirs)) < FEWEST_FOR_STEP:
         return False
     distance = own[:, None] - theirs
     nearest = distance[np.arange(len(own)), np.argmin(np.abs(distance), axis=1)]
-    return _spread(1e3 * nearest / moving.rate) <= LARGEST_JITTER
+    return _spread(1e3 * nearest / moving.rate) <= JITTER.limit
 
 
 def _spread(lags: NDArray[np.float64]) -> float:
@@ -184,15 +174,19 @@ def _spread(lags: NDArray[np.float64]) -> float:
     return float((ordered[half - 1 :] - ordered[: len(lags) - half + 1]).min()) / QUARTILES
 
 
+def _beats(moving: Activity, rows: Iterable[int]) -> tuple[NDArray[np.int64], float]:
+    return beats_of(mean_activity(moving.speed[list(rows)]), moving.rate)
+
+
 def _rate(moving: Activity, rows: Iterable[int]) -> float:
     """Beats per minute of some leads together."""
-    times, _ = beats(together(moving.speed[list(rows)]), moving.rate)
+    times, _ = _beats(moving, rows)
     return MINUTE * moving.rate / float(np.median(np.diff(times))) if len(times) > 1 else np.nan
 
 
 def _jitter(moving: Activity) -> float:
     """Spread (ms) of the time from limb to chest beats; NaN where unclear."""
-    limb, chest = together(moving.speed[:6]), together(moving.speed[6:])
+    limb, chest = mean_activity(moving.speed[:6]), mean_activity(moving.speed[6:])
     there = np.isfinite(limb) & np.isfinite(chest)
     lags = _lags(limb[there], chest[there], moving.rate)
     return np.nan if lags is None else _spread(lags)
@@ -202,8 +196,8 @@ def _lags(
     limb: NDArray[np.float64], chest: NDArray[np.float64], rate: float
 ) -> NDArray[np.float64] | None:
     """Time (ms) from each beat of one activity (n,) to the other's, by their correlation."""
-    times, contrast = beats(limb, rate)
-    _, contrast_of_chest = beats(chest, rate)
+    times, contrast = beats_of(limb, rate)
+    _, contrast_of_chest = beats_of(chest, rate)
     reach = round(LONGEST_LAG * rate)
     times = times[(times >= 2 * reach) & (times + 2 * reach < len(limb))]
     times = times[:: max(len(times) // MOST_BEATS, 1)]

@@ -1,4 +1,4 @@
-"""Leads as they were recorded, without the time at which they were not."""
+"""Leads over the time in which they were recorded."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import block_means
 
+UV_PER_MV = 1e3
 COARSE_RATE = 250.0  # Hz; enough to see the QRS
 BASELINE_WIDTH = 0.5  # s; moving average, applied twice, that is taken as baseline
 SMOOTH_WIDTH = 0.012  # s; moving average against noise, -3 dB at 37 Hz
@@ -24,48 +25,28 @@ def measured(recording: Recording) -> dict[str, NDArray[np.float64]]:
 
 
 def coarse(signal: NDArray[np.float64], rate: float) -> tuple[NDArray[np.float64], float]:
-    """Means over as many samples as leave at least `COARSE_RATE`.
-
-    Parameters
-    ----------
-    signal : (..., n) array
-        Potential (mV), without NaN.
-    rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    (..., m) array
-        The means (mV).
-    float
-        Their rate (Hz).
-    """
+    """Block means (mV) of a signal (..., n), and their rate (Hz), not below `COARSE_RATE`."""
     factor = max(int(rate / COARSE_RATE), 1)
     return block_means(signal, factor), rate / factor
 
 
+def smoothed(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+    """Signal (..., n) with less noise: its moving average over `SMOOTH_WIDTH`."""
+    from scipy.ndimage import uniform_filter1d
+
+    width = max(round(SMOOTH_WIDTH * rate), 1)
+    return np.asarray(uniform_filter1d(signal, width, axis=-1, mode="nearest"))
+
+
 def steady(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-    """Signal without baseline and with less noise, about 0.6 to 37 Hz.
+    """Signal (..., n), mV, without baseline and with less noise, about 0.6 to 37 Hz.
 
     Moving averages cost the same at any width, so that half an hour takes a moment; they are
     linear, so that whatever holds between leads still holds.
-
-    Parameters
-    ----------
-    signal : (..., n) array
-        Potential (mV), without NaN.
-    rate : float
-        Samples per second (Hz).
-
-    Returns
-    -------
-    (..., n) array
-        Potential (mV).
     """
     from scipy.ndimage import uniform_filter1d
 
     width = max(round(BASELINE_WIDTH * rate), 1)
     baseline = uniform_filter1d(signal, width, axis=-1, mode="nearest")
     baseline = uniform_filter1d(baseline, width, axis=-1, mode="nearest")
-    smooth = max(round(SMOOTH_WIDTH * rate), 1)
-    return np.asarray(uniform_filter1d(signal - baseline, smooth, axis=-1, mode="nearest"))
+    return smoothed(signal - baseline, rate)
