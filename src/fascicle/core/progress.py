@@ -1,4 +1,4 @@
-"""Progress callbacks: how what takes long says how far it is."""
+"""Progress callbacks: how a long computation reports how far it is."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_loops
 
-ON_ENDOCARDIUM = 0.35  # mean edges; a triangle whose middle is no further from one lies on it
-SAME_WAY = 0.5  # cosine; it faces the way the endocardium does
+ON_ENDOCARDIUM = 0.35  # mean edges; a triangle whose centre is nearer than that lies on it
+SAME_WAY = 0.5  # cosine between the normals of a triangle and the endocardium it lies on
 FACING_BASE = 0.5  # cosine; a triangle that faces so much away from the apex may be base
 BELOW_OPENING = 0.15  # of the distance from base to apex; none further down is
 

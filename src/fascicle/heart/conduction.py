@@ -16,7 +16,7 @@ MM2_PER_CM2 = 100.0
 
 @dataclass(frozen=True)
 class Region:
-    """Part of the myocardium that conducts otherwise; give a label, or a sphere.
+    """Part of the myocardium that conducts differently; give a label, or a sphere.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Conduction:
         Conductivities (mS/cm); 0.389 and 7.0 are those of inflated lung and of blood at 10 Hz in
         the parametric model of Gabriel, Lau and Gabriel (Phys. Med. Biol. 41, 1996, 2271-2293).
     regions : tuple of Region
-        Where the myocardium conducts otherwise; where they overlap the last one counts.
+        Where the myocardium conducts differently; where they overlap the last one counts.
     """
 
     intracellular_l: float = 3.0

@@ -22,7 +22,7 @@ def self_intersections(
 
     Two triangles cut through one another where an edge of one passes through the other. Touching
     in a vertex or an edge is no cut; nor are two triangles without a common edge that lie in one
-    plane, as near as rounding lets one tell.
+    plane, as far as rounding can decide.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ def mean_edge_length(vertices: Floats, cells: Integers) -> float:
 
 
 def triangle_normals(vertices: Floats, triangles: Integers) -> Floats:
-    """Give normals whose length is the triangle's area, shape (m, 3)."""
+    """Normals whose length is the triangle's area, shape (m, 3)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return np.asarray(np.cross(b - a, c - a) / 2)
 

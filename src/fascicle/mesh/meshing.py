@@ -1,4 +1,4 @@
-"""Triangles by Mmg and tetrahedra by Netgen: from arrays to arrays, quietly."""
+"""Triangles by Mmg and tetrahedra by Netgen: arrays in, arrays out, nothing printed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_volume, signed_volumes
 
-NOTHING = 0  # Netgen's number of a space that it leaves empty
+NOTHING = 0  # Netgen's number for what stays empty
 VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
 PRINTED = (1, 2)  # standard output and standard error
 FAILURE = re.compile(r"failed with error: (?:Stop meshing since )?(.+)")  # as Netgen prints it
@@ -109,7 +109,7 @@ def tetrahedralise(
         failure = FAILURE.search(printed.read().decode(errors="replace"))
     elements = mesh.Elements3D().NumPy()
     corners = elements["nodes"] if len(elements) else np.empty((0, 4))
-    tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen's are wound the other way
+    tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen orients otherwise
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     volume = float(signed_volumes(vertices, tetrahedra).sum())
     missing = 1 - volume / sum(interface.enclosed for interface in interfaces)
@@ -161,7 +161,7 @@ def remeshed_triangles(
     """
     import mmgpy
 
-    # made with its triangles, then given them once more: only the second way takes their labels
+    # triangles are set twice, as only the second call takes their labels
     mesh = mmgpy.MmgMeshS(as_float64(vertices), as_int32(triangles))
     mesh.set_triangles(as_int32(triangles), as_int32(labels))
     mesh.remesh(**options, verbose=-1)
@@ -174,10 +174,10 @@ def remeshed_triangles(
 
 
 def as_int32(array: Integers) -> NDArray[np.int32]:
-    """As the meshers must have it: of another type or in another order Mmg reads it wrongly."""
+    """Copy in the type and memory order that the meshers need; Mmg misreads any other."""
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
 def as_float64(array: Floats) -> Floats:
-    """As the meshers must have it."""
+    """Likewise for positions."""
     return np.ascontiguousarray(array, dtype=np.float64)

@@ -8,9 +8,9 @@ import igl
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 
-TETRAHEDRON = 10  # VTK's number of that cell
 SHARP = 10.0  # degrees; tetrahedra with a smaller dihedral angle count as sharp
 MM3_PER_ML = 1000.0
 

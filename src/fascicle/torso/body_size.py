@@ -23,7 +23,7 @@ V1_LEVEL = 0.735  # of the height
 
 MM_PER_M, MM_PER_CM = 1000, 10
 OUTLINE_POINTS = 721  # on which its length is measured
-LEAST_HEIGHT = 1e-3  # m; whatever is wrong is refused by its range
+LEAST_HEIGHT = 1e-3  # m, against division by zero; the range refuses such heights
 
 
 @dataclass(frozen=True)

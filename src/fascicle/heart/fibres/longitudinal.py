@@ -13,11 +13,11 @@ ARTERIAL = (Label.AORTIC, Label.PULMONARY)
 
 
 def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
-    """Which way the base is, and how much of an outflow tract this is.
+    """Direction to the base, and how far into an outflow tract each tetrahedron lies.
 
-    The way to the base is the gradient of the potential that is 1 on all that is basal, the
+    The direction to the base is the gradient of the potential that is 1 on all that is basal, the
     arterial openings among it, and 0 at the two ends of the LV's apex (`lv_apex`). The part h of
-    that potential that is due to the arterial openings alone tells the outflow tracts: they are
+    that potential that is due to the arterial openings alone gives the outflow tracts: they are
     where h exceeds one half, so where their opening rather than the rest of the base is at hand,
     and the measure (2h − 1)² rises to 1 at the opening. Doste et al. 2019 (Int J Numer Methods
     Biomed Eng 35:e3185) use such a potential between the two openings of each ventricle.

@@ -1,4 +1,4 @@
-"""Reading Gmsh files of format 2.
+"""Gmsh files of format 2.
 
 meshio mixes up element data beside cells of several kinds in this format, and takes no data of some
 elements only, as Gmsh writes fibres of tetrahedra that lie beside triangles. The format is that of
@@ -60,7 +60,7 @@ class _Content:
         return values.astype(np.int64)
 
     def table(self, rows: int, columns: int) -> Floats:
-        """Rows of a whole number and so many others."""
+        """Rows of one whole number and so many others (rows, 1 + columns)."""
         if not self.is_binary:
             lines = [self.line() for _ in range(rows)]
             numbers = np.array(" ".join(lines).split(), dtype=float)

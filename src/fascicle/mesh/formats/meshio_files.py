@@ -57,13 +57,13 @@ def read_meshio(path: Path) -> MeshFile:
 
 
 def _read_ply(path: Path) -> Any:
-    """Read a PLY file by meshio, which has to be helped with some."""
+    """Read a PLY file by meshio, after two corrections that it needs."""
     import meshio
 
     content = path.read_bytes()
     if b"end_header" not in content:  # meshio would look for it forever
         raise ValueError("no end_header")
-    # half the world writes vertex_index, which meshio does not know
+    # many programs write vertex_index, which meshio does not know
     content = re.sub(rb" vertex_index(?=\s)", b" vertex_indices", content, count=1)
     data = meshio.ply.read(io.BytesIO(content))
     announced = dict(re.findall(rb"element (vertex|face) (\d+)", content.split(b"end_header")[0]))

@@ -1,4 +1,4 @@
-"""Reading the text files of openCARP: `.pts`, `.elem`, `.lon`, `.surf` and `.vtx`.
+"""The text files of openCARP: `.pts`, `.elem`, `.lon`, `.surf` and `.vtx`.
 
 The formats are those of the openCARP user manual (Plank et al., Comput. Methods Programs Biomed.
 208, 106223, 2021): every file but `.lon` starts with the number of lines that follow, indices count
@@ -267,7 +267,7 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
 
 
 def _whole(path: Path, table: Floats) -> Integers:
-    # beyond 2^53 a float cannot tell whole numbers apart, nor an index be meant
+    # beyond 2^53 not every whole number is a float, and no index is so large
     bad = np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))
     if len(bad):
         raise InputError(
@@ -339,7 +339,7 @@ def write_directions(path: Path, axes: list[Floats]) -> None:
 
 
 def rows(form: str, values: Floats | Integers) -> str:
-    """One line a row of `values`, in this printf form."""
+    """Text with one line for each row of `values`, in this printf format."""
     text = io.StringIO()
     np.savetxt(text, values, fmt=form)
     return text.getvalue()

@@ -60,7 +60,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
 
 
 def _check_complete(path: Path) -> None:
-    """Refuse files without the end that their format promises."""
+    """Refuse files that lack the end which their format requires."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(HEAD)

@@ -75,8 +75,8 @@ def _vtk_reader(path: Path) -> Any:
     reader = kinds[path.suffix.lower()]()
     content = path.read_bytes() if path.suffix.lower() == ".vtk" else b""
     if is_ascii_vtk(content):
-        # VTK takes a file that ends within an array as whole; with an empty array after it the
-        # end of the other is noticed
+        # VTK accepts a file that ends within its last array; with an empty array after that one it
+        # notices
         content += b"\n\nFIELD end 0\n"
         reader.ReadFromInputStringOn()
         reader.SetBinaryInputString(content, len(content))
@@ -90,7 +90,7 @@ def _vtk_reader(path: Path) -> Any:
 
 @contextlib.contextmanager
 def _vtk_complaints() -> Iterator[list[str]]:
-    """Collect the errors and warnings of VTK, which prints them where others raise."""
+    """Collect the errors and warnings of VTK, which prints them and raises nothing."""
     from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
 
     window, before = vtkStringOutputWindow(), vtkOutputWindow.GetInstance()
@@ -226,7 +226,7 @@ def write_surface(
 
 
 def _save(data: Any, path: Path) -> None:
-    """Let VTK write into memory: on a full disk it crashes, Python says so."""
+    """Write by way of memory: on a full disk VTK crashes, and Python raises an error."""
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
     is_surface = path.suffix == ".vtp"
