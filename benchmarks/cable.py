@@ -22,7 +22,8 @@ from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import simulate_cable
 from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, make_template, template_of
 from fascicle.forward.ecg.action_potential import ActionPotential, Upstroke
-from fascicle.forward.model import ForwardModel, Simulation
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart
 
 CHANGES: dict[str, dict[str, float]] = {

@@ -6,7 +6,7 @@ Computed minus exact (or finer) time at the vertices of the mesh in question, in
 early. Measured are
 
 - a point source in a cube of 40 mm with straight oblique fibres, where the straight line is the
-  geodesic and every time is known; with straight ways, and first-order updates alone, from exact
+  geodesic and every time is known; with rays, and first-order updates alone, from exact
   times at the corners of the source's element;
 - twelve sources at unequal times in the same cube, where fronts collide;
 - a point source in a slab of 24 x 24 x 12 mm whose fibres turn by 120° from bottom to top, against
@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
-from fascicle.forward.eikonal.myocardium import Tissue, build_tissue
+from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.heart.conduction import MM2_PER_CM2, Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
@@ -147,26 +147,29 @@ def refined(heart: Heart) -> Heart:
     )
 
 
-def fired(tissue: Tissue, points: Array, times: npt.ArrayLike) -> Array:
+def fired(myocardium: Myocardium, points: Array, times: npt.ArrayLike) -> Array:
     """Times (ms) at the vertices after stimuli in the myocardium."""
     return solve(
-        tissue, attach(tissue, (), points), (), CV, stimuli=np.asarray(times, float).tolist()
+        attach(myocardium, (), points),
+        (),
+        CV,
+        stimuli=np.asarray(times, float).tolist(),
     ).myocardium
 
 
-def first_order(tissue: Tissue, point: Array) -> Array:
+def first_order(myocardium: Myocardium, point: Array) -> Array:
     """Times (ms) at the vertices after a source at 0, from those at its element's corners."""
-    element = tissue.inside(point[None]).elements[0]
-    corners = tissue.mesh.corners[element]
-    offset = tissue.mesh.vertices[corners] - point
-    times = np.full(len(tissue.order), np.inf)
-    times[tissue.order[corners]] = np.sqrt(
-        np.einsum("ci,ij,cj->c", offset, tissue.mesh.metric[element], offset)
+    element = myocardium.inside(point[None]).elements[0]
+    corners = myocardium.mesh.corners[element]
+    offset = myocardium.mesh.vertices[corners] - point
+    times = np.full(len(myocardium.order), np.inf)
+    times[myocardium.order[corners]] = np.sqrt(
+        np.einsum("ci,ij,cj->c", offset, myocardium.mesh.metric[element], offset)
     )
-    return solve_from_vertices(tissue, times)
+    return solve_from_vertices(myocardium, times)
 
 
-def straight_ways(vertices: Array, points: Array, times: npt.ArrayLike, fibre: Array) -> Array:
+def straight_times(vertices: Array, points: Array, times: npt.ArrayLike, fibre: Array) -> Array:
     """Exact times (ms) where fibres are straight and the tissue convex: √(dᵀD⁻¹d)."""
     offset = vertices[:, None] - points
     along = offset @ fibre
@@ -175,35 +178,35 @@ def straight_ways(vertices: Array, points: Array, times: npt.ArrayLike, fibre: A
 
 
 def cube_errors(cell: float) -> Iterator[tuple[str, Array]]:
-    """One source with straight ways and without, then many, against the exact times."""
+    """One source with rays and without, then many, against the exact times."""
     heart = block(CUBE, cell, straight)
-    tissue, fibre = build_tissue(heart, conduction()), straight(np.zeros((1, 3)))[0]
+    myocardium, fibre = build_myocardium(heart, conduction()), straight(np.zeros((1, 3)))[0]
     rng = np.random.default_rng(1)
     many, moments = rng.uniform(0, CUBE, (SOURCES, 3)), rng.uniform(0, LATEST, SOURCES)
     source = CUBE * [0.43, 0.55, 0.48]
-    exact = straight_ways(heart.vertices, source[None], [0.0], fibre)
-    yield f"cube, point source, {cell:g} mm", fired(tissue, source, [0.0]) - exact
-    yield f"cube, point source, first order, {cell:g} mm", first_order(tissue, source) - exact
-    exact = straight_ways(heart.vertices, many, moments, fibre)
-    yield f"cube, {SOURCES} sources, {cell:g} mm", fired(tissue, many, moments) - exact
+    exact = straight_times(heart.vertices, source[None], [0.0], fibre)
+    yield f"cube, point source, {cell:g} mm", fired(myocardium, source, [0.0]) - exact
+    yield f"cube, point source, first order, {cell:g} mm", first_order(myocardium, source) - exact
+    exact = straight_times(heart.vertices, many, moments, fibre)
+    yield f"cube, {SOURCES} sources, {cell:g} mm", fired(myocardium, many, moments) - exact
 
 
 def turning_errors() -> Iterator[tuple[str, Array]]:
-    """A source in turning fibres, with straight ways and without, against the finest mesh.
+    """A source in turning fibres, with rays and without, against the finest mesh.
 
     Vertices stand on the grid, so that those of a coarse mesh are vertices of the finest as well.
     """
     source = SLAB * [0.43, 0.55, 0.48]
     tissues = {
-        cell: build_tissue(block(SLAB, cell, turning, jitter=0.0), conduction())
+        cell: build_myocardium(block(SLAB, cell, turning, jitter=0.0), conduction())
         for cell in (*CELLS, FINEST)
     }
     finest = fired(tissues[FINEST], source, [0.0])
     finest = finest.reshape(np.round(SLAB[::-1] / FINEST).astype(int) + 1)
     for label, first in (("", False), (", first order", True)):
         for cell in CELLS:
-            tissue, step = tissues[cell], round(cell / FINEST)
-            solved = first_order(tissue, source) if first else fired(tissue, source, [0.0])
+            myocardium, step = tissues[cell], round(cell / FINEST)
+            solved = first_order(myocardium, source) if first else fired(myocardium, source, [0.0])
             reference = finest[::step, ::step, ::step].ravel()
             yield f"turning slab{label}, {cell:g} mm", solved - reference
 
@@ -211,7 +214,7 @@ def turning_errors() -> Iterator[tuple[str, Array]]:
 def coupling_errors(cell: float) -> tuple[str, Array]:
     """Myocardium fires one leaf, the bundle the other end: against the closed form."""
     heart = block(BAR, cell, lengthwise, jitter=0.0)
-    tissue = build_tissue(heart, conduction())
+    myocardium = build_myocardium(heart, conduction())
     x = np.arange(0.0, BAR[0] + 1, 2.0)
     nodes = np.column_stack([x, np.full_like(x, BAR[1] / 2), np.full_like(x, BAR[2])])
     middle = len(x) // 2
@@ -220,12 +223,12 @@ def coupling_errors(cell: float) -> tuple[str, Array]:
     lengths = np.where(parents >= 0, 2.0, 0.0)
     tree = PurkinjeTree("lv", nodes, parents.astype(np.int64), lengths)
     source = np.array([[3.3, 5.2, 1.1]])
-    coupling = attach(tissue, [tree], source)
-    activation = solve(tissue, coupling, [np.inf], CV, stimuli=[0.0])
+    coupling = attach(myocardium, [tree], source)
+    activation = solve(coupling, [np.inf], CV, stimuli=[0.0])
     fibre = np.array([1.0, 0.0, 0.0])
-    entered = straight_ways(nodes[:1], source, [0.0], fibre)[0]
+    entered = straight_times(nodes[:1], source, [0.0], fibre)[0]
     points = np.concatenate([source, nodes[-1:]])
-    exact = straight_ways(heart.vertices, points, [0.0, entered + BAR[0] / CV], fibre)
+    exact = straight_times(heart.vertices, points, [0.0, entered + BAR[0] / CV], fibre)
     in_tree = entered + x / CV
     error = np.concatenate([activation.myocardium - exact, activation.trees[0] - in_tree])
     return f"bundle on a slab, {cell:g} mm", error
@@ -248,11 +251,11 @@ def heart_errors(folder: Path) -> Iterator[tuple[str, Array]]:
     rhythms = {"sinus rhythm": (max(0.0, late), max(0.0, -late)), "left block": (np.inf, 0.0)}
     count, solved = len(model.heart.vertices), []
     for heart in hearts:
-        tissue = build_tissue(heart, model.conduction)
-        coupling = attach(tissue, trees)
+        myocardium = build_myocardium(heart, model.conduction)
+        coupling = attach(myocardium, trees)
         solved.append(
             {
-                rhythm: solve(tissue, coupling, roots, PARAMETERS["cv"]).myocardium[:count]
+                rhythm: solve(coupling, roots, PARAMETERS["cv"]).myocardium[:count]
                 for rhythm, roots in rhythms.items()
             }
         )

@@ -162,12 +162,13 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         return parameters | {name: parameters[name] + 1e-12 * next(anew)}
 
     def couple() -> Array:
-        return solve(model.tissue, attach(model.tissue, trees), roots, parameters["cv"]).myocardium
+        coupling = attach(model.myocardium, trees)
+        return solve(coupling, roots, parameters["cv"]).myocardium
 
     def eikonal_alone() -> Array:
         times = np.full(len(case["vertices"]), np.inf)
         times[case["source_vertices"]] = case["source_times"]
-        return solve_from_vertices(model.tissue, times)
+        return solve_from_vertices(model.myocardium, times)
 
     activation = couple()
     stages: dict[str, Callable[[], object]] = {

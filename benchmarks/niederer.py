@@ -42,7 +42,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import least_squares
 
 from fascicle.forward.eikonal.activation import attach, solve
-from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import MM2_PER_CM2, Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
@@ -134,7 +134,7 @@ def exact_times(points: Array, along: float, across: float, start: float) -> Arr
     """Exact eikonal times of the slab (ms), at `points` of shape (n, 3).
 
     T = start + √((dx/along)² + (dy² + dz²)/across²), with (dx, dy, dz) from the nearest point of
-    the cube: the straight line is the fastest way, as slab and cube are convex.
+    the cube: the straight line is the fastest path, as slab and cube are convex.
     """
     beyond = np.maximum(points - CUBE, 0.0)
     return np.asarray(start + np.linalg.norm(beyond / [along, across, across], axis=1))
@@ -153,10 +153,10 @@ def fit_speeds(monodomain: Array) -> tuple[float, float]:
 def eikonal_times(spacing: float, along: float, across: float, start: float) -> Array:
     """Times by fascicle's solver (ms) at the nodes of a grid; axes x (fibre), y, z."""
     heart = slab(spacing)
-    tissue = build_tissue(heart, conduction(along, across))
+    myocardium = build_myocardium(heart, conduction(along, across))
     stimuli = heart.vertices[(heart.vertices <= CUBE + TOLERANCE).all(axis=1)]
-    coupling = attach(tissue, (), points=stimuli)
-    activation = solve(tissue, coupling, (), 1.0, stimuli=np.full(len(stimuli), start).tolist())
+    coupling = attach(myocardium, (), points=stimuli)
+    activation = solve(coupling, (), 1.0, stimuli=np.full(len(stimuli), start).tolist())
     return activation.myocardium.reshape(_cells(spacing) + 1)
 
 
@@ -178,12 +178,12 @@ def slab(spacing: float) -> Heart:
     nodes = np.stack(np.meshgrid(*(np.arange(n + 1) for n in cells), indexing="ij"), axis=-1)
     strides = np.array([(cells[1] + 1) * (cells[2] + 1), cells[2] + 1, 1])
     lowest = nodes[:-1, :-1, :-1].reshape(-1, 3) @ strides
-    ways = []
+    rays = []
     for first, second, third in permutations(range(3)):
         steps = [0, *np.cumsum(strides[[first, second, third]])]
         even = (second - first) % 3 == 1  # an odd order of axes is turned inside out
-        ways.append(steps if even else [steps[k] for k in (1, 0, 2, 3)])
-    tetrahedra = (lowest[:, None, None] + np.array(ways)).reshape(-1, 4).astype(np.int64)
+        rays.append(steps if even else [steps[k] for k in (1, 0, 2, 3)])
+    tetrahedra = (lowest[:, None, None] + np.array(rays)).reshape(-1, 4).astype(np.int64)
     vertices = nodes.reshape(-1, 3) * (SIZE / cells)
     fibres = np.tile([1.0, 0.0, 0.0], (len(tetrahedra), 1))
     face = Endocardium("lv", vertices[:3], np.array([[0, 1, 2]]), 0, 1)

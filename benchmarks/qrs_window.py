@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 import fascicle
 from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
-from fascicle.forward.model import Simulation
+from fascicle.forward.simulation import Simulation
 from fascicle.recording.resampling import resample
 from fascicle.recording.window import qrs_window, spatial_velocity, window_uncertainty
 

@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 
 from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
-from fascicle.forward.eikonal.myocardium import Tissue, build_tissue
+from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
 from fascicle.heart.heart import Heart
+from fascicle.kernels.arrays import RayMedium
 from fascicle.kernels.ray import ray_time
 from fascicle.mesh.measures import signed_volumes
 from fascicle.purkinje.tree import PurkinjeTree
@@ -80,31 +81,29 @@ def conduction_for(along, across) -> Conduction:
     return Conduction(3.0, transverse, 3.0, transverse, alpha)
 
 
-def box_tissue(size, cells, *, conduction=None, **options) -> Tissue:
+def box_tissue(size, cells, *, conduction=None, **options) -> Myocardium:
     conduction = conduction if conduction is not None else Conduction()
-    return build_tissue(box(size, cells, **options), conduction)
+    return build_myocardium(box(size, cells, **options), conduction)
 
 
-def straight_times(tissue: Tissue, points, times, at=None) -> np.ndarray:
+def straight_times(myocardium: Myocardium, points, times, at=None) -> np.ndarray:
     """Exact times (ms) in a convex block with straight fibres: least t + √(dᵀD⁻¹d).
 
     At the points `at`, or else at the heart's vertices.
     """
-    at = heart_vertices(tissue) if at is None else np.reshape(at, (-1, 3))
+    at = heart_vertices(myocardium) if at is None else np.reshape(at, (-1, 3))
     offset = at[:, None] - np.reshape(points, (-1, 3))
-    metric = tissue.mesh.metric[0]
-    ways = np.sqrt(np.einsum("npi,ij,npj->np", offset, metric, offset))
-    return (ways + np.asarray(times)).min(axis=1)
+    metric = myocardium.mesh.metric[0]
+    travel = np.sqrt(np.einsum("npi,ij,npj->np", offset, metric, offset))
+    return (travel + np.asarray(times)).min(axis=1)
 
 
-def ray_ways(tissue: Tissue, start, element, goals, *, longest=np.inf) -> np.ndarray:
-    """Time (ms) along the straight way from a point in an element to each goal, traced."""
-    mesh = tissue.mesh
-    ways = [
-        ray_time(*start, element, *goal, longest, mesh.slowness, mesh.cells, mesh.across)
-        for goal in goals
-    ]
-    return np.array(ways)
+def ray_times(myocardium: Myocardium, start, element, goals, *, longest=np.inf) -> np.ndarray:
+    """Time (ms) along the straight line from a point in an element to each goal, traced."""
+    mesh = myocardium.mesh
+    medium = RayMedium(mesh.cells, mesh.neighbours, mesh.slowness)
+    times = [ray_time(tuple(start), element, tuple(goal), longest, medium) for goal in goals]
+    return np.array(times)
 
 
 def vertex_at(vertices, point) -> int:
@@ -151,23 +150,23 @@ def line_tree(points, *, root=0, side="lv") -> PurkinjeTree:
     return PurkinjeTree(side, points, parents.astype(np.int64), lengths)
 
 
-def activate(tissue: Tissue, trees, root_times, cv, *, stimuli=(), times=(), **options):
+def activate(myocardium: Myocardium, trees, root_times, cv, *, stimuli=(), times=(), **options):
     """Attach trees and stimuli (positions in mm) and solve."""
-    coupling = attach(tissue, trees, np.reshape(stimuli, (-1, 3)))
-    return solve(tissue, coupling, root_times, cv, stimuli=times, **options)
+    coupling = attach(myocardium, trees, np.reshape(stimuli, (-1, 3)))
+    return solve(coupling, root_times, cv, stimuli=times, **options)
 
 
-def solve_without_trees(tissue: Tissue, vertex_times) -> np.ndarray:
+def solve_without_trees(myocardium: Myocardium, vertex_times) -> np.ndarray:
     """Myocardium alone, from a mapping of the heart's vertices to their times (ms)."""
-    times = np.full(len(tissue.order), np.inf)
+    times = np.full(len(myocardium.order), np.inf)
     times[list(vertex_times)] = list(vertex_times.values())
-    return solve_from_vertices(tissue, times)
+    return solve_from_vertices(myocardium, times)
 
 
-def heart_vertices(tissue: Tissue) -> np.ndarray:
+def heart_vertices(myocardium: Myocardium) -> np.ndarray:
     """Positions (mm) in the heart's own order, which is that of activation times."""
-    vertices = np.empty_like(tissue.mesh.vertices)
-    vertices[tissue.order] = tissue.mesh.vertices
+    vertices = np.empty_like(myocardium.mesh.vertices)
+    vertices[myocardium.order] = myocardium.mesh.vertices
     return vertices
 
 
@@ -222,15 +221,15 @@ def brute_force(gram, t, halvings):
     return min(best, fa, fb)
 
 
-def offers(tissue: Tissue, time, halvings=26) -> np.ndarray:
+def offers(myocardium: Myocardium, time, halvings=26) -> np.ndarray:
     """The earliest time that any tetrahedron offers each of the heart's vertices (ms).
 
     26 golden sections leave 4e-6 of a side, so 1e-10 ms in a smooth minimum.
     """
-    mesh, offered = tissue.mesh, np.empty(len(time))
-    metric = np.ascontiguousarray(tissue.mesh.metric)
-    offered[tissue.order] = lowest_offers(
-        mesh.vertices, mesh.corners, metric, time[tissue.order], halvings
+    mesh, offered = myocardium.mesh, np.empty(len(time))
+    metric = np.ascontiguousarray(myocardium.mesh.metric)
+    offered[myocardium.order] = lowest_offers(
+        mesh.vertices, mesh.corners, metric, time[myocardium.order], halvings
     )
     return offered
 

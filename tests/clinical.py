@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fascicle.core.leads import LEADS
-from fascicle.forward.model import Simulation
+from fascicle.forward.simulation import Simulation
 
 # Bundles and fascicles short enough for a patient's heart (crtdemo); EXAMPLE_PARAMETERS are not
 SHORT_BUNDLES = {

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fascicle.core.errors import InputError
     from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-    from fascicle.forward.model import ForwardModel, Simulation
+    from fascicle.forward.model import ForwardModel
     from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+    from fascicle.forward.simulation import Simulation
     from fascicle.heart.conduction import Conduction, Region
     from fascicle.heart.folder import load_heart
     from fascicle.heart.heart import Heart
@@ -44,7 +45,7 @@ _HOMES = {
     "InvalidTree": "fascicle.purkinje.tree",
     "NETWORK_SPACE": "fascicle.core.parameters",
     "PurkinjeTree": "fascicle.purkinje.tree",
-    "Simulation": "fascicle.forward.model",
+    "Simulation": "fascicle.forward.simulation",
     "Region": "fascicle.heart.conduction",
     "Scenario": "fascicle.forward.scenario",
     "Slowing": "fascicle.forward.scenario",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builders import box, solve_without_trees
 
-from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import signed_volumes
 
@@ -49,7 +49,7 @@ def ecg_error():
 def mesh(ecg_error):
     """A block of oblique fibres, activated from a corner."""
     block = box((36.0, 24.0, 24.0), (9, 6, 6), jitter=0.2, fibre=(1.0, 1.0, 0.3))
-    activation = 5.0 + solve_without_trees(build_tissue(block, Conduction()), {0: 0.0})
+    activation = 5.0 + solve_without_trees(build_myocardium(block, Conduction()), {0: 0.0})
     return ecg_error.ActivatedMesh(block.vertices, block.tetrahedra, block.fibres, activation)
 
 

@@ -1,12 +1,12 @@
 """A source in fibres that turn by 120° through a slab of 24 x 24 x 12 mm, as through a wall.
 
-No straight way is a geodesic here, so none is exact. The exact times are not known; those in cells
+No ray is a geodesic here, so none is exact. The exact times are not known; those in cells
 of 0.5 mm stand in for them, on the same grid, with each element's fibre that of its own depth. Mean
 and maximum of |difference| (ms) measured, and observed order from one to the next; first order is
-without straight ways, from the times at the corners of the source's element:
+without rays, from the times at the corners of the source's element:
 
                          4 mm             2 mm             1 mm         order of mean, max
-    straight ways     1.385 / 7.27     0.636 / 3.67     0.190 / 1.08     1.1, 1.0;  1.7, 1.8
+    rays              1.385 / 7.27     0.636 / 3.67     0.190 / 1.08     1.1, 1.0;  1.7, 1.8
     first order       4.951 / 12.3     1.863 / 5.98     1.202 / 3.34     1.4, 1.0;  0.6, 0.8
 
 The reference has an error of its own, which a first-order one would make the orders 1.2 and 1.6.
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from builders import activate, box_tissue, conduction_for, ray_ways
+from builders import activate, box_tissue, conduction_for, ray_times
 
 from fascicle.forward.eikonal.activation import solve_from_vertices
 
@@ -40,17 +40,17 @@ def turning(centroids):
 def times(cell, *, straight=True):
     """Times (ms) on the grid, axes z, y, x."""
     cells = np.round(SIZE / cell).astype(int)
-    tissue = box_tissue(SIZE, cells, fibre=turning, conduction=conduction_for(0.6, 0.25))
+    myocardium = box_tissue(SIZE, cells, fibre=turning, conduction=conduction_for(0.6, 0.25))
     if straight:
-        solved = activate(tissue, [], [], 1.0, stimuli=SOURCE, times=[0.0]).myocardium
+        solved = activate(myocardium, [], [], 1.0, stimuli=SOURCE, times=[0.0]).myocardium
     else:
-        element = tissue.inside(SOURCE[None]).elements[0]
-        corners = tissue.mesh.corners[element]
-        fired = np.full(len(tissue.order), np.inf)
-        fired[tissue.order[corners]] = ray_ways(
-            tissue, SOURCE, element, tissue.mesh.vertices[corners]
+        element = myocardium.inside(SOURCE[None]).elements[0]
+        corners = myocardium.mesh.corners[element]
+        fired = np.full(len(myocardium.order), np.inf)
+        fired[myocardium.order[corners]] = ray_times(
+            myocardium, SOURCE, element, myocardium.mesh.vertices[corners]
         )
-        solved = solve_from_vertices(tissue, fired)
+        solved = solve_from_vertices(myocardium, fired)
     return solved.reshape(cells[::-1] + 1)
 
 
@@ -59,7 +59,7 @@ def finest():
     return times(FINEST)
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["straight ways", "first order"])
+@pytest.fixture(scope="module", params=[True, False], ids=["rays", "first order"])
 def errors(request, finest):
     differences = []
     for cell in CELLS:
@@ -76,7 +76,7 @@ def test_errors_are_what_was_measured(errors):
 
 
 def test_the_maximum_converges_with_order_one(errors):
-    """Over both halvings together, with straight ways; without them the mean still lags."""
+    """Over both halvings together, with rays; without them the mean still lags."""
     straight, (coarse, _, fine) = errors
     least = 1.2 if straight else 0.85
     assert np.log2(coarse.max() / fine.max()) / 2 > least

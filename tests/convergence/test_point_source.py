@@ -1,6 +1,6 @@
 """Point sources in an anisotropic cube: times against √(dᵀD⁻¹d).
 
-In a convex block with straight fibres the straight line is the geodesic, so straight ways give
+In a convex block with straight fibres the straight line is the geodesic, so rays give
 every time to rounding, wherever the source lies; those of a junction, as far as they reach. One
 thing keeps the times of several sources from being exact: where fronts collide, first-order updates
 interpolate between them and are early. Of 12 sources in a cube of 20 mm, cells of 4 mm, one vertex
@@ -27,7 +27,7 @@ from builders import (
     vertex_at,
 )
 
-from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 
 SIZE = 40.0  # mm
@@ -45,7 +45,7 @@ def cube(cell, *, size=SIZE, speeds=SPEEDS, jitter=0.2, endocardial=False):
     heart = box(size, round(size / cell), jitter=jitter, fibre=OBLIQUE)
     if endocardial:
         heart = replace(heart, lv=face_of(heart, 1, 0.0))
-    return build_tissue(heart, conduction_for(*speeds))
+    return build_myocardium(heart, conduction_for(*speeds))
 
 
 @pytest.fixture(scope="module")
@@ -68,10 +68,10 @@ def test_speeds_are_those_of_the_paper():
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_source_that_is_no_vertex_is_exact(cubes, source, cell):
     """Wanted: mean / max 0.5 / 2 ms at 2 mm and 1.2 / 4 ms at 4 mm. Measured: below 1e-13."""
-    tissue, point = cubes[cell, False], SOURCES[source]
-    assert np.linalg.norm(heart_vertices(tissue) - point, axis=1).min() > 0.1
-    activation = activate(tissue, [], [], 1.0, stimuli=point, times=[3.0])
-    exact = straight_times(tissue, point, [3.0])
+    myocardium, point = cubes[cell, False], SOURCES[source]
+    assert np.linalg.norm(heart_vertices(myocardium) - point, axis=1).min() > 0.1
+    activation = activate(myocardium, [], [], 1.0, stimuli=point, times=[3.0])
+    exact = straight_times(myocardium, point, [3.0])
     np.testing.assert_allclose(activation.myocardium, exact, atol=EXACT, rtol=0)
     assert activation.captured.all()
     assert (activation.origin == 0).all()
@@ -89,13 +89,19 @@ def test_near_a_junction_times_are_exact(cubes, endocardial, cell):
 
     It is read from the table, in single precision, where that face is an endocardium.
     """
-    tissue, point = cubes[cell, endocardial], np.array(SOURCES["on a face"])
-    assert (tissue.table.row[tissue.on_surface(point[None]).triangles] >= 0).all() == endocardial
+    myocardium, point = cubes[cell, endocardial], np.array(SOURCES["on a face"])
+    assert (
+        myocardium.travel_times.row[myocardium.on_surface(point[None]).triangles] >= 0
+    ).all() == endocardial
     tree = line_tree([point - [0, 20.0, 0], point])
-    late = activate(tissue, [tree], [1.0], 4.0).myocardium - straight_times(tissue, point, [6.0])
-    distance = np.linalg.norm(heart_vertices(tissue) - point, axis=1)
-    way = straight_times(tissue, point, [0.0])
-    near = (distance < tissue.table.reach - cell) & (way < tissue.table.longest - cell / SPEEDS[1])
+    late = activate(myocardium, [tree], [1.0], 4.0).myocardium - straight_times(
+        myocardium, point, [6.0]
+    )
+    distance = np.linalg.norm(heart_vertices(myocardium) - point, axis=1)
+    travel = straight_times(myocardium, point, [0.0])
+    near = (distance < myocardium.travel_times.reach - cell) & (
+        travel < myocardium.travel_times.longest - cell / SPEEDS[1]
+    )
     assert near.sum() > 20
     assert np.abs(late[near]).max() < (2e-6 if endocardial else EXACT)
     assert late.min() > -2e-6
@@ -146,12 +152,12 @@ def test_where_fronts_collide_times_are_early(cubes, seed, cell):
 
 @pytest.mark.parametrize("speeds", [SPEEDS, ISOTROPIC])
 def test_no_vertex_is_late(speeds):
-    """300 times twelve sources in a small coarse cube: none hides another's straight ways."""
-    tissue = cube(4.0, size=20.0, speeds=speeds, jitter=0.25)
+    """300 times twelve sources in a small coarse cube: none hides another's rays."""
+    myocardium = cube(4.0, size=20.0, speeds=speeds, jitter=0.25)
     for seed in range(300):
         points, times = many(seed, size=20.0, latest=20.0)
-        activation = activate(tissue, [], [], 1.0, stimuli=points, times=times)
-        late = activation.myocardium - straight_times(tissue, points, times)
+        activation = activate(myocardium, [], [], 1.0, stimuli=points, times=times)
+        late = activation.myocardium - straight_times(myocardium, points, times)
         assert late.max() < EXACT
 
 
@@ -164,10 +170,10 @@ FIRST_ORDER = ((4.2, 8.6), (2.9, 5.9), (1.75, 3.7))
 def first_order_errors():
     errors = []
     for cell in (4.0, 2.0, 1.0):
-        tissue = cube(cell)
-        source = vertex_at(heart_vertices(tissue), [20.0, 20.0, 0.0])
-        time = solve_without_trees(tissue, {source: 0.0})
-        errors.append(time - straight_times(tissue, [20.0, 20.0, 0.0], [0.0]))
+        myocardium = cube(cell)
+        source = vertex_at(heart_vertices(myocardium), [20.0, 20.0, 0.0])
+        time = solve_without_trees(myocardium, {source: 0.0})
+        errors.append(time - straight_times(myocardium, [20.0, 20.0, 0.0], [0.0]))
     return errors
 
 
@@ -189,11 +195,11 @@ def test_first_order_updates_are_first_order_away_from_the_point():
     """
     errors = []
     for cell in (4.0, 2.0, 1.0):
-        tissue = cube(cell)
-        exact = straight_times(tissue, [20.0, 20.0, 0.0], [0.0])
-        near = np.linalg.norm(heart_vertices(tissue) - [20.0, 20.0, 0.0], axis=1) < 10.0
+        myocardium = cube(cell)
+        exact = straight_times(myocardium, [20.0, 20.0, 0.0], [0.0])
+        near = np.linalg.norm(heart_vertices(myocardium) - [20.0, 20.0, 0.0], axis=1) < 10.0
         given = {int(v): float(exact[v]) for v in np.flatnonzero(near)}
-        errors.append((solve_without_trees(tissue, given) - exact)[~near])
+        errors.append((solve_without_trees(myocardium, given) - exact)[~near])
     for coarse, fine in pairwise(errors):
         assert np.log2(coarse.mean() / fine.mean()) > 1.0
         assert np.log2(coarse.max() / fine.max()) > 0.85

@@ -1,7 +1,7 @@
 """A straight bundle above a slab, junctions at both ends: every time has a closed form.
 
 The fibres are parallel to the slab's sides, so the straight line from each site is the geodesic:
-times are exact as far as straight ways reach, which is everywhere from a stimulus and 20 mm from a
+times are exact as far as rays reach, which is everywhere from a stimulus and 20 mm from a
 junction. Wanted: 0.5 ms at edges of 1 mm. Measured: 1e-13 ms within reach and up to 0.45 late
 beyond, but where two fronts collide: early by up to `COLLISION`.
 """
@@ -22,15 +22,20 @@ from builders import (
 
 ALONG, ACROSS, CV = 0.6, 0.25, 3.0  # mm/ms
 LENGTH, WIDTH, DEPTH = 48.0, 12.0, 4.0  # mm; fibres along x
-TISSUE = box_tissue((LENGTH, WIDTH, DEPTH), (48, 12, 4), conduction=conduction_for(ALONG, ACROSS))
-VERTICES = heart_vertices(TISSUE)
+MYOCARDIUM = box_tissue(
+    (LENGTH, WIDTH, DEPTH), (48, 12, 4), conduction=conduction_for(ALONG, ACROSS)
+)
+VERTICES = heart_vertices(MYOCARDIUM)
 ENDS = np.array([[0, WIDTH / 2, DEPTH], [LENGTH, WIDTH / 2, DEPTH]])
 STIMULUS = np.array([3.3, 5.2, 1.1])
 EXACT = 1e-9  # ms
-REACH, LONGEST = TISSUE.table.reach, TISSUE.table.longest  # mm and ms, of ways from a junction
+REACH, LONGEST = (
+    MYOCARDIUM.travel_times.reach,
+    MYOCARDIUM.travel_times.longest,
+)  # mm and ms, of rays from a junction
 LATE = 0.5  # ms, beyond
 COLLISION = 0.5  # ms; see `test_point_source`. Measured 0.40, a quarter of a cell
-TO_LEFT, TO_RIGHT = straight_times(TISSUE, STIMULUS, [0.0], at=ENDS)
+TO_LEFT, TO_RIGHT = straight_times(MYOCARDIUM, STIMULUS, [0.0], at=ENDS)
 
 
 def bundle(root):
@@ -43,13 +48,13 @@ def bundle(root):
 def assert_fronts(times, points, moments):
     """The first of several fronts everywhere: exact but beyond reach, and where two meet."""
     each = np.array(
-        [straight_times(TISSUE, [p], [t]) for p, t in zip(points, moments, strict=True)]
+        [straight_times(MYOCARDIUM, [p], [t]) for p, t in zip(points, moments, strict=True)]
     )
     error = times - each.min(axis=0)
-    ways = each - np.asarray(moments)[:, None]
+    travel = each - np.asarray(moments)[:, None]
     distances = np.linalg.norm(VERTICES - np.asarray(points)[:, None], axis=2)
     stimulus = np.array([[p is STIMULUS] for p in points])
-    reached = stimulus | ((distances < REACH) & (ways < LONGEST))
+    reached = stimulus | ((distances < REACH) & (travel < LONGEST))
     near = np.take_along_axis(reached, each.argmin(axis=0)[None], axis=0)[0]
     assert error[near].max() < EXACT
     assert error.max() < LATE
@@ -64,7 +69,7 @@ def assert_fronts(times, points, moments):
 @pytest.mark.parametrize("root", [12, 5])
 def test_orthodromic(root):
     """From the middle the fronts meet half way; from elsewhere, off it."""
-    activation = activate(TISSUE, [bundle(root)], [1.0], CV)
+    activation = activate(MYOCARDIUM, [bundle(root)], [1.0], CV)
     at_ends = 1.0 + np.array([2.0 * root, LENGTH - 2.0 * root]) / CV
     np.testing.assert_allclose(activation.trees[0][[0, -1]], at_ends, rtol=1e-12)
     assert_fronts(activation.myocardium, ENDS, at_ends)
@@ -76,7 +81,7 @@ def test_orthodromic(root):
 def test_antidromic_while_the_root_is_silent(root_time):
     """Bundle-branch block: in at one end, back through the bundle and out at the other."""
     tree = bundle(12)
-    activation = activate(TISSUE, [tree], [root_time], CV, stimuli=STIMULUS, times=[5.0])
+    activation = activate(MYOCARDIUM, [tree], [root_time], CV, stimuli=STIMULUS, times=[5.0])
     entered = 5.0 + TO_LEFT
     in_tree = entered + tree.nodes[:, 0] / CV
     np.testing.assert_allclose(activation.trees[0], in_tree, atol=EXACT)
@@ -89,7 +94,7 @@ def test_myocardium_fires_a_leaf_before_its_root_does():
     """The root fires later, but before the front is back: both fronts run, and meet in the tree."""
     tree = bundle(12)
     root_time = TO_LEFT + 3.0  # the antidromic front would need 8 ms to the root
-    activation = activate(TISSUE, [tree], [root_time], CV, stimuli=STIMULUS, times=[0.0])
+    activation = activate(MYOCARDIUM, [tree], [root_time], CV, stimuli=STIMULUS, times=[0.0])
     x = tree.nodes[:, 0]
     in_tree = np.minimum(TO_LEFT + x / CV, root_time + np.abs(x - x[12]) / CV)
     np.testing.assert_allclose(activation.trees[0], in_tree, atol=EXACT)
@@ -102,7 +107,7 @@ def test_myocardium_fires_a_leaf_before_its_root_does():
 def test_delays_act_in_their_own_direction_only(orthodromic, antidromic):
     tree = bundle(12)
     activation = activate(
-        TISSUE, [tree], [np.inf], CV, stimuli=STIMULUS, times=[0.0],
+        MYOCARDIUM, [tree], [np.inf], CV, stimuli=STIMULUS, times=[0.0],
         orthodromic_delay=orthodromic, antidromic_delay=antidromic,
     )  # fmt: skip
     entered = TO_LEFT + antidromic
@@ -114,20 +119,20 @@ def test_delays_act_in_their_own_direction_only(orthodromic, antidromic):
 
 def test_every_junction_has_its_own_delays():
     tree = bundle(12)
-    activation = activate(TISSUE, [tree], [0.0], CV, orthodromic_delay=[1.0, 6.0])
+    activation = activate(MYOCARDIUM, [tree], [0.0], CV, orthodromic_delay=[1.0, 6.0])
     assert_fronts(activation.myocardium, ENDS, [9.0, 14.0])
     np.testing.assert_allclose(activation.trees[0][[0, -1]], 8.0)
 
 
 def test_infinite_delays_block_one_way():
-    """No way out: the right end stays silent; no way in: the tree does."""
+    """Blocked outwards the right end stays silent; blocked inwards the tree does."""
     tree = bundle(12)
     options = {"stimuli": STIMULUS, "times": [0.0]}
-    no_way_out = activate(TISSUE, [tree], [np.inf], CV, orthodromic_delay=np.inf, **options)
-    alone = straight_times(TISSUE, STIMULUS, [0.0])
+    no_way_out = activate(MYOCARDIUM, [tree], [np.inf], CV, orthodromic_delay=np.inf, **options)
+    alone = straight_times(MYOCARDIUM, STIMULUS, [0.0])
     np.testing.assert_allclose(no_way_out.myocardium, alone, atol=EXACT)
     np.testing.assert_allclose(no_way_out.trees[0], TO_LEFT + tree.nodes[:, 0] / CV, atol=EXACT)
-    no_way_in = activate(TISSUE, [tree], [np.inf], CV, antidromic_delay=np.inf, **options)
+    no_way_in = activate(MYOCARDIUM, [tree], [np.inf], CV, antidromic_delay=np.inf, **options)
     np.testing.assert_allclose(no_way_in.myocardium, alone, atol=EXACT)
     assert np.isinf(no_way_in.trees[0]).all()
     assert not no_way_in.antidromic[0].any()
@@ -136,13 +141,13 @@ def test_infinite_delays_block_one_way():
 @pytest.mark.parametrize("cells", [12, 24])
 def test_coarser_slabs_are_as_exact(cells):
     """Cells of 4 and 2 mm: what the tree reads does not depend on the mesh."""
-    tissue = box_tissue(
+    myocardium = box_tissue(
         (LENGTH, WIDTH, DEPTH),
         (cells, cells // 4, cells // 12),
         conduction=conduction_for(0.6, 0.25),
     )
     tree = bundle(12)
-    activation = activate(tissue, [tree], [np.inf], CV, stimuli=STIMULUS, times=[0.0])
+    activation = activate(myocardium, [tree], [np.inf], CV, stimuli=STIMULUS, times=[0.0])
     np.testing.assert_allclose(activation.trees[0], TO_LEFT + tree.nodes[:, 0] / CV, atol=EXACT)
-    exact = straight_times(tissue, [STIMULUS, ENDS[1]], [0.0, TO_LEFT + LENGTH / CV])
+    exact = straight_times(myocardium, [STIMULUS, ENDS[1]], [0.0, TO_LEFT + LENGTH / CV])
     assert (activation.myocardium - exact).max() < EXACT

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fascicle.forward.eikonal.activation import solve_from_vertices
-from fascicle.forward.eikonal.myocardium import Tissue, _reach, build_tissue
+from fascicle.forward.eikonal.myocardium import Myocardium, _reach, build_myocardium
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.kernels.coupled import STEEP
@@ -37,12 +37,12 @@ thicknesses = st.sampled_from([1.0, 0.2, 0.02])
 @pytest.mark.parametrize("speeds", SPEEDS)
 @pytest.mark.parametrize("jitter", [0.0, 0.25])
 def test_vertices_of_a_cube_solve_the_discrete_equation(jitter, speeds):
-    """From two stimuli, both ways: no vertex is too late, and none earlier than it can be."""
+    """From two stimuli, both bounds: no vertex is too late, and none earlier than it can be."""
     conduction = conduction_for(*SPEEDS[speeds])
-    tissue = box_tissue(20.0, 10, jitter=jitter, fibre=OBLIQUE, conduction=conduction)
+    myocardium = box_tissue(20.0, 10, jitter=jitter, fibre=OBLIQUE, conduction=conduction)
     stimuli = {0: 0.0, 700: 13.0}
-    time = solve_without_trees(tissue, stimuli)
-    offered = offers(tissue, time)
+    time = solve_without_trees(myocardium, stimuli)
+    offered = offers(myocardium, time)
     assert np.max(time - offered) < TOLERANCE
     reached = np.setdiff1d(np.arange(len(time)), list(stimuli))
     assert np.max(offered[reached] - time[reached]) < TOLERANCE
@@ -50,16 +50,16 @@ def test_vertices_of_a_cube_solve_the_discrete_equation(jitter, speeds):
 
 @pytest.mark.parametrize("speeds", SPEEDS)
 def test_no_vertex_can_be_lowered_after_straight_ways(speeds):
-    """Stimuli inside elements: straight ways beat the mesh's own solution, so one way only."""
+    """Stimuli inside elements: rays beat the mesh's own solution, so only one bound holds."""
     conduction = conduction_for(*SPEEDS[speeds])
-    tissue = box_tissue(20.0, 7, jitter=0.25, fibre=OBLIQUE, conduction=conduction)
+    myocardium = box_tissue(20.0, 7, jitter=0.25, fibre=OBLIQUE, conduction=conduction)
     rng = np.random.default_rng(2)
     activation = activate(
-        tissue, [], [], 1.0, stimuli=rng.uniform(0, 20, (8, 3)), times=rng.uniform(0, 20, 8)
+        myocardium, [], [], 1.0, stimuli=rng.uniform(0, 20, (8, 3)), times=rng.uniform(0, 20, 8)
     )
-    lateness = activation.myocardium - offers(tissue, activation.myocardium)
+    lateness = activation.myocardium - offers(myocardium, activation.myocardium)
     assert np.max(lateness) < TOLERANCE
-    assert np.mean(lateness < -0.01) > 0.2, "no straight way made a difference"
+    assert np.mean(lateness < -0.01) > 0.2, "no ray made a difference"
 
 
 @pytest.mark.parametrize("model", ["default_model", "crtdemo_model"])
@@ -68,14 +68,14 @@ def test_no_vertex_of_a_heart_can_be_lowered(model, root_time, request):
     """After the coupled sweep, with both trees and with the left one entered backwards."""
     model = request.getfixturevalue(model)
     time = model.simulate(SHORT_BUNDLES | {"root_time": root_time}).activation
-    assert np.max(time - offers(model.tissue, time)) < TOLERANCE
+    assert np.max(time - offers(model.myocardium, time)) < TOLERANCE
 
 
 def test_order_of_stimuli_does_not_matter():
-    tissue = box_tissue(20.0, 8, jitter=0.2, fibre=OBLIQUE)
+    myocardium = box_tissue(20.0, 8, jitter=0.2, fibre=OBLIQUE)
     stimuli = {3: 1.0, 200: 0.0, 500: 4.0}
-    forwards = solve_without_trees(tissue, stimuli)
-    backwards = solve_without_trees(tissue, dict(reversed(stimuli.items())))
+    forwards = solve_without_trees(myocardium, stimuli)
+    backwards = solve_without_trees(myocardium, dict(reversed(stimuli.items())))
     np.testing.assert_allclose(forwards, backwards, atol=TOLERANCE, rtol=0)
 
 
@@ -112,7 +112,7 @@ def test_reach_is_the_least_projection_on_directions_of_the_cone(seed, thickness
             assert (least <= reach[:, s, turn] + 0.02 * longest).all()
 
 
-def loose_elements(seed, thickness, speeds, count=100) -> Tissue:
+def loose_elements(seed, thickness, speeds, count=100) -> Myocardium:
     """Tetrahedra far apart from one another, most of them obtuse, each with a fibre of its own."""
     corners, _, rng = random_tetrahedra(seed, thickness, 2 * count)
     fibres = rng.normal(size=(2 * count, 3))
@@ -127,7 +127,7 @@ def loose_elements(seed, thickness, speeds, count=100) -> Tissue:
     tetrahedra[flip] = tetrahedra[flip][:, [1, 0, 2, 3]]
     face = Endocardium("lv", vertices[:3], np.array([[0, 1, 2]]), 0, 1)
     heart = Heart(vertices, tetrahedra, fibres[good], face, face, np.zeros((9, 3)))
-    return build_tissue(heart, conduction_for(*SPEEDS[speeds]))
+    return build_myocardium(heart, conduction_for(*SPEEDS[speeds]))
 
 
 def by_pair(values):
@@ -138,12 +138,12 @@ def by_pair(values):
     return matrix
 
 
-def slopes_and_gains(tissue, time):
+def slopes_and_gains(myocardium, time):
     """Of times at the vertices of loose elements: slope², and how much each could be lowered.
 
     Also where the front comes to each corner through the opposite face, against the gradient.
     """
-    mesh = tissue.mesh
+    mesh = myocardium.mesh
     products, t = by_pair(mesh.solver[:, :6]), time[mesh.corners]
     square = -(products * (t[:, :, None] - t[:, None, :]) ** 2).sum(axis=(1, 2)) / 2
     metric = np.ascontiguousarray(mesh.metric)
@@ -165,18 +165,18 @@ def test_no_corner_can_be_lowered_where_times_rise_no_steeper_than_a_front(
 
     Slopes are from the products that the sweep uses, offers from positions and fibres alone.
     """
-    tissue = loose_elements(seed, thickness, speeds)
-    time = np.random.default_rng(seed).uniform(0, latest, len(tissue.order))
-    square, gain, through = slopes_and_gains(tissue, time)
+    myocardium = loose_elements(seed, thickness, speeds)
+    time = np.random.default_rng(seed).uniform(0, latest, len(myocardium.order))
+    square, gain, through = slopes_and_gains(myocardium, time)
     assert (gain[square <= STEEP] < TOLERANCE).all()
     assert (gain[through & (square > 1.001)[:, None]] > 0).all()
 
 
 def test_slopes_on_both_sides_of_a_front_s_are_common():
     """The property above says something, and the sweep's criterion spares something."""
-    tissue = loose_elements(0, 1.0, "usual", 1000)
-    time = np.random.default_rng(0).uniform(0, 15.0, len(tissue.order))
-    square, gain, through = slopes_and_gains(tissue, time)
+    myocardium = loose_elements(0, 1.0, "usual", 1000)
+    time = np.random.default_rng(0).uniform(0, 15.0, len(myocardium.order))
+    square, gain, through = slopes_and_gains(myocardium, time)
     assert 0.2 < np.mean(square <= STEEP) < 0.8
     assert np.mean((gain > TOLERANCE).any(axis=1)) > 0.2
     assert np.mean(through.any(axis=1) & (square > 1.001)) > 0.05
@@ -188,10 +188,10 @@ def test_times_in_elements_of_any_shape_solve_the_discrete_equation(
     seed, thickness, speeds, latest
 ):
     """All four corners are fired at random: each keeps its time or has what its face offers."""
-    tissue = loose_elements(seed, thickness, speeds)
-    fired = np.random.default_rng(seed).uniform(0, latest, len(tissue.order))
-    time = solve_from_vertices(tissue, fired)
-    offered = offers(tissue, time, HALVINGS)
+    myocardium = loose_elements(seed, thickness, speeds)
+    fired = np.random.default_rng(seed).uniform(0, latest, len(myocardium.order))
+    time = solve_from_vertices(myocardium, fired)
+    offered = offers(myocardium, time, HALVINGS)
     np.testing.assert_allclose(time, np.minimum(fired, offered), rtol=0, atol=TOLERANCE)
 
 
@@ -209,14 +209,15 @@ def test_pruning_bounds_never_exceed_an_update(seed, thickness, speeds, latest):
     reach = _reach(mesh.solver[:, 6:]).min(axis=2)[t, s]
     assert (mesh.least <= reach).all()
     assert (mesh.least >= reach - 1e-6 * np.abs(reach)).all()
-    rng, ways = np.random.default_rng(seed), np.empty((len(t), 3, 3))
+    rng, delays = np.random.default_rng(seed), np.empty((len(t), 3, 3))
     for e in range(len(t)):
         p, q = product[t[e]], square[t[e]]
         for turn, x in enumerate(OTHERS[s[e]]):
             j, k = (c for c in OTHERS[s[e]] if c != x)
             rows, columns = [x, x, x, s[e], s[e], j], [s[e], j, k, j, k, k]
-            given = *p[rows, columns], *q[rows[:5], columns[:5]], *rng.uniform(-latest, latest, 2)
+            products, squares = tuple(p[rows, columns]), tuple(q[rows[:5], columns[:5]])
+            given = products, squares, *rng.uniform(-latest, latest, 2)
             for case, usable in enumerate(((True, True), (True, False), (False, True))):
-                ways[e, turn, case] = from_new_corner(*given, *usable)
-    assert (ways >= mesh.least[:, None, None] - TOLERANCE).all()
-    assert (np.isfinite(ways).mean(axis=(0, 1)) > 0.05).all()
+                delays[e, turn, case] = from_new_corner(*given, *usable)
+    assert (delays >= mesh.least[:, None, None] - TOLERANCE).all()
+    assert (np.isfinite(delays).mean(axis=(0, 1)) > 0.05).all()

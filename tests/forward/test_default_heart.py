@@ -9,7 +9,7 @@ from clinical import assert_left_bundle_branch_block, assert_normal
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-from fascicle.forward.model import Simulation
+from fascicle.forward.simulation import Simulation
 from fascicle.purkinje.tree import InvalidTree
 
 

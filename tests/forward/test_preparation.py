@@ -12,7 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward import compile_kernels, preparation
-from fascicle.forward.compile_kernels import STEPS, Compilation
+from fascicle.forward.compile_kernels import STEPS
 from fascicle.forward.ecg.action_potential import Upstroke
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import KEPT, prepare
@@ -44,12 +44,16 @@ def kept(heart):
 
 
 def assert_same(one, other):
-    for field in one.tissue.mesh._fields:
+    for field in one.myocardium.mesh._fields:
         np.testing.assert_array_equal(
-            getattr(one.tissue.mesh, field), getattr(other.tissue.mesh, field), err_msg=field
+            getattr(one.myocardium.mesh, field),
+            getattr(other.myocardium.mesh, field),
+            err_msg=field,
         )
     for field in ("order", "conducts", "surface", "owner"):
-        np.testing.assert_array_equal(getattr(one.tissue, field), getattr(other.tissue, field))
+        np.testing.assert_array_equal(
+            getattr(one.myocardium, field), getattr(other.myocardium, field)
+        )
     for side in ("lv", "rv"):
         for field in ("points", "neighbours", "metric"):
             ours, theirs = (getattr(p.charts[side], field) for p in (one, other))
@@ -218,16 +222,22 @@ class TestRealHeart:
 
 
 class TestCompilation:
-    def test_says_nothing_where_nothing_is_slow(self, monkeypatch):
-        Compilation(lambda *_: None).run()  # now everything is compiled
-        monkeypatch.setattr(compile_kernels, "PATIENCE", 60.0)
-        told = []
-        Compilation(lambda *what: told.append(what)).run()
-        assert told == []
+    @pytest.fixture(autouse=True)
+    def not_yet(self, monkeypatch):
+        """As in a process that has compiled nothing."""
+        monkeypatch.setattr(compile_kernels, "_compiled", False)
 
-    def test_tells_how_far_it_is_where_it_takes_long(self, monkeypatch):
-        monkeypatch.setattr(compile_kernels, "PATIENCE", 0.0)
-        told, steps = [], compile_kernels._steps
+    def test_says_nothing_where_nothing_is_slow(self, monkeypatch):
+        compile_kernels.compile_kernels(lambda *_: None)  # now everything is compiled
+        monkeypatch.setattr(compile_kernels, "_compiled", False)
+        monkeypatch.setattr(compile_kernels, "SILENCE", 60.0)
+        reports = []
+        compile_kernels.compile_kernels(lambda *what: reports.append(what))
+        assert reports == []
+
+    def test_reports_progress_where_it_takes_long(self, monkeypatch):
+        monkeypatch.setattr(compile_kernels, "SILENCE", 0.0)
+        reports, steps = [], compile_kernels._steps
 
         def slow_steps():
             import time
@@ -236,8 +246,8 @@ class TestCompilation:
             yield from steps()
 
         monkeypatch.setattr(compile_kernels, "_steps", slow_steps)
-        Compilation(lambda *what: told.append(what)).run()
-        assert [what[:3] for what in told] == [
+        compile_kernels.compile_kernels(lambda *what: reports.append(what))
+        assert [what[:3] for what in reports] == [
             ("compilation", done, STEPS) for done in range(STEPS + 1)
         ]
 
@@ -249,11 +259,11 @@ class TestCompilation:
             yield
 
         monkeypatch.setattr(compile_kernels, "_steps", broken)
-        before, told = threading.active_count(), []
+        before, reports = threading.active_count(), []
         with pytest.raises(RuntimeError, match="no compiler"):
-            Compilation(lambda *what: told.append(what)).run()
+            compile_kernels.compile_kernels(lambda *what: reports.append(what))
         for thread in threading.enumerate():
             if isinstance(thread, threading.Timer):
                 thread.join(2.0)
         assert threading.active_count() <= before
-        assert told == []
+        assert reports == []

@@ -269,9 +269,9 @@ class TestTables:
             assert float(row["time_ms"]) == pytest.approx(
                 simulation.coupled.trees[0][node], abs=1e-4
             )
-        ways = [row["fired"] for row in rows[:-2]]
-        assert ways.count("antidromic") == sum(a.sum() for a in simulation.coupled.antidromic)
-        assert ways.count("orthodromic") > 300
+        fired = [row["fired"] for row in rows[:-2]]
+        assert fired.count("antidromic") == sum(a.sum() for a in simulation.coupled.antidromic)
+        assert fired.count("orthodromic") > 300
         assert [row["fired"] for row in rows[-2:]] == ["captured", "came too late"]
         assert [row["time_ms"] for row in rows[-2:]] == ["-10.0000", "400.0000"]
 

@@ -12,7 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
-from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Conduction, Region
@@ -346,8 +346,8 @@ class TestScar:
         reached = ~simulation.unreached
         later = (simulation.activation - normal.activation)[reached]
         assert later.max() > 5
-        # where the straight way is slow the one that bends around the scar can be the better guess:
-        # measured at 3.1 % of the vertices, by 1.6 ms at most
+        # where the straight path is slow, that around the scar can be the better guess: measured
+        # at 3.1 % of the vertices, by 1.6 ms at most
         assert later.min() > -2.0
         assert (later < -1e-9).mean() < 0.05
 
@@ -372,7 +372,7 @@ class TestScar:
 
     def test_junctions_in_it_fire_nothing(self, simulation, scarred):
         site = np.concatenate([tree.nodes[tree.junctions] for tree in simulation.trees])
-        dead = scarred.tissue.on_surface(site).elements < 0
+        dead = scarred.myocardium.on_surface(site).elements < 0
         assert dead.sum() > 3
         assert not np.isin(np.flatnonzero(dead), simulation.coupled.origin).any()
         entered = np.concatenate(simulation.coupled.entered_by)
@@ -403,21 +403,21 @@ class TestScaledConductivity:
         heart = replace(box(20.0, 6, jitter=0.2), regions=np.full(6**3 * 6, 7))
         conduction = conduction_for(0.6, 0.3)
         start = {"stimuli": [[3.1, 4.2, 5.3]], "times": [0.0]}
-        plain = activate(build_tissue(heart, conduction), [], [], 1.0, **start).myocardium
+        plain = activate(build_myocardium(heart, conduction), [], [], 1.0, **start).myocardium
         for factor in (4.0, 0.09):
             scaled = replace(conduction, regions=(Region(factor, label=7),))
-            times = activate(build_tissue(heart, scaled), [], [], 1.0, **start).myocardium
+            times = activate(build_myocardium(heart, scaled), [], [], 1.0, **start).myocardium
             np.testing.assert_allclose(times, plain / np.sqrt(factor), rtol=1e-9)
 
     def test_two_layers_along_the_axis(self):
-        """20 mm at 0.6 mm/ms, then 20 mm at 0.3: straight ahead the way is 33.3 + 66.7 ms."""
+        """20 mm at 0.6 mm/ms, then 20 mm at 0.3: straight ahead it takes 33.3 + 66.7 ms."""
         bar = box((40.0, 8.0, 8.0), (20, 4, 4))
         second = bar.vertices[bar.tetrahedra].mean(axis=1)[:, 0] > 20.0
         heart = replace(bar, regions=second.astype(np.int64))
         conduction = replace(conduction_for(0.6, 0.6), regions=(Region(0.25, label=1),))
-        tissue = build_tissue(heart, conduction)
-        solved = activate(tissue, [], [], 1.0, stimuli=[[0.0, 4.0, 4.0]], times=[0.0])
-        vertices = heart_vertices(tissue)
+        myocardium = build_myocardium(heart, conduction)
+        solved = activate(myocardium, [], [], 1.0, stimuli=[[0.0, 4.0, 4.0]], times=[0.0])
+        vertices = heart_vertices(myocardium)
         for x, expected in ((20.0, 20 / 0.6), (30.0, 20 / 0.6 + 10 / 0.3), (40.0, 100.0)):
             at = vertex_at(vertices, np.array([x, 4.0, 4.0]))
             assert solved.myocardium[at] == pytest.approx(expected, rel=1e-9)

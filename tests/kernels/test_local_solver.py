@@ -35,7 +35,7 @@ def gram_of(points, ratio):
 
 def face(gram, t):
     a = gram
-    return from_face(a[0, 0], a[0, 1], a[0, 2], a[1, 1], a[1, 2], a[2, 2], *t)
+    return from_face((a[0, 0], a[0, 1], a[0, 2], a[1, 1], a[1, 2], a[2, 2]), (t[0], t[1], t[2]))
 
 
 def new_corner(edges, t, use_j=True, use_k=True):
@@ -45,10 +45,9 @@ def new_corner(edges, t, use_j=True, use_k=True):
     p = gradients.T @ gradients
     ss, jj, kk = (edges**2).sum(axis=1)
     sj, sk = ((edges[1:] - edges[0]) ** 2).sum(axis=1)
-    return t[0] + from_new_corner(
-        p[0, 1], p[0, 2], p[0, 3], p[1, 2], p[1, 3], p[2, 3], ss, jj, kk, sj, sk,
-        t[1] - t[0], t[2] - t[0], use_j, use_k,
-    )  # fmt: skip
+    products = p[0, 1], p[0, 2], p[0, 3], p[1, 2], p[1, 3], p[2, 3]
+    squares = ss, jj, kk, sj, sk
+    return t[0] + from_new_corner(products, squares, t[1] - t[0], t[2] - t[0], use_j, use_k)
 
 
 def random_cases(seed, thickness, latest, count=BATCH):
@@ -93,10 +92,10 @@ def test_ten_thousand_faces(seed, thickness, latest):
     scale = lengths.max(axis=1) + ts.max(axis=1)
     whole, _ = references(grams, ts)
     assert (value >= ts.min(axis=1)).all(), "arrives before its sources"
-    assert (value <= (ts + lengths).min(axis=1)).all(), "later than a way from a vertex"
-    assert (value <= whole + 1e-9 * scale).all(), "a better way was missed"
+    assert (value <= (ts + lengths).min(axis=1)).all(), "later than from a vertex"
+    assert (value <= whole + 1e-9 * scale).all(), "an earlier arrival was missed"
     # rounding in a nearly flat face makes λ inexact; the value must still be attainable
-    assert (value >= whole - 1e-6 * scale).all(), "earlier than any way through the face"
+    assert (value >= whole - 1e-6 * scale).all(), "earlier than through any point of the face"
     if thickness == 1.0:
         regular = np.linalg.det(grams) > 1e-4 * lengths.prod(axis=1) ** 2
         assert (value >= whole - 1e-9 * scale)[regular].all()
@@ -116,8 +115,8 @@ def test_ten_thousand_new_corners(seed, thickness, latest):
     scale = lengths.max(axis=1) + ts.max(axis=1)
     whole, rest = references(grams, ts)
     known = np.minimum(ts[:, 0] + lengths[:, 0], rest)
-    assert (np.minimum(value, known) <= whole + 1e-9 * scale).all(), "a better way was missed"
-    assert (value >= whole - 1e-6 * scale).all(), "earlier than any way through the face"
+    assert (np.minimum(value, known) <= whole + 1e-9 * scale).all(), "an earlier arrival was missed"
+    assert (value >= whole - 1e-6 * scale).all(), "earlier than through any point of the face"
     if thickness == 1.0:
         regular = np.linalg.det(grams) > 1e-4 * lengths.prod(axis=1) ** 2
         assert (value >= whole - 1e-9 * scale)[regular].all()
@@ -126,7 +125,7 @@ def test_ten_thousand_new_corners(seed, thickness, latest):
 def test_new_corner_is_both_used_and_left_out():
     """The property above would hold of a function that always gives the whole face's minimum.
 
-    Ways through the inside of the face and along each of the edges at s must all come first in
+    Paths through the inside of the face and along each of the edges at s must all come first in
     some cases, and in others nothing that touches s does.
     """
     edges, grams, ts = random_cases(0, 1.0, 10.0, 1000)
@@ -156,11 +155,11 @@ def test_new_corner_beside_corners_that_still_wait(seed, thickness, latest):
     for e, g, t in zip(edges, grams, ts, strict=True):
         scale = np.sqrt(np.diag(g)).max() + t.max()
         for ready, waits in ((1, 2), (2, 1)):
-            way = from_edge(g[0, 0], g[0, ready], g[ready, ready], t[0], t[ready])
+            exact = from_edge(g[0, 0], g[0, ready], g[ready, ready], t[0], t[ready])
             for stale in (t[waits], -100.0):
                 lent = np.where(np.arange(3) == waits, stale, t)
                 value = new_corner(e, lent, ready == 1, ready == 2)
-                assert value == way or abs(value - way) < 1e-9 * scale
+                assert value == exact or abs(value - exact) < 1e-9 * scale
         assert new_corner(e, t, False, False) == np.inf
 
 
@@ -179,9 +178,9 @@ def test_from_face_is_the_minimum_over_the_simplex(points, t, ratio):
     value, reference = face(gram, t), brute_force(gram, t, HALVINGS)
     scale = lengths.max() + t.max()
     assert value >= t.min(), "arrives before its sources"
-    assert value <= (t + lengths).min(), "later than a way from a vertex"
-    assert value <= reference + 1e-9 * scale, "a better way was missed"
-    assert value >= reference - 1e-6 * scale, "earlier than any way through the face"
+    assert value <= (t + lengths).min(), "later than from a vertex"
+    assert value <= reference + 1e-9 * scale, "an earlier arrival was missed"
+    assert value >= reference - 1e-6 * scale, "earlier than through any point of the face"
     for turn in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
         g, u = gram[np.ix_(turn, turn)], t[turn]
         touching = new_corner(edges[turn], u)
@@ -197,9 +196,9 @@ def test_from_edge_is_the_minimum_inside_an_edge_or_inf(p, q, t):
     assume(min(a11, a22) > 1e-3)
     assume(abs(p[0] * q[1] - p[1] * q[0]) > FLATTEST * np.sqrt(a11 * a22))
     share = np.linspace(0, 1, 100_001)
-    ways = share * t[0] + (1 - share) * t[1]
+    starts = share * t[0] + (1 - share) * t[1]
     square = a11 * share**2 + 2 * a12 * share * (1 - share) + a22 * (1 - share) ** 2
-    reference = (ways + np.sqrt(np.maximum(square, 0))).min()
+    reference = (starts + np.sqrt(np.maximum(square, 0))).min()
     value = from_edge(a11, a12, a22, t[0], t[1])
     ends = min(t[0] + np.sqrt(a11), t[1] + np.sqrt(a22))
     assert min(value, ends) <= reference + 1e-9
@@ -207,7 +206,7 @@ def test_from_edge_is_the_minimum_inside_an_edge_or_inf(p, q, t):
 
 
 def test_golden_section_reference_finds_a_known_minimum():
-    """From a face at distance h with no spread in τ the way is the perpendicular: h / speed."""
+    """From a face at distance h with no spread in τ the path is the perpendicular: h / speed."""
     gram = gram_of([(3.0, 0, 0), (3.0, 4.0, 0), (3.0, 0, 4.0)], 1.0)
     gram_shifted = gram_of([(3.0, -1, -1), (3.0, 4.0, -1), (3.0, -1, 4.0)], 1.0)
     for g in (gram, gram_shifted):

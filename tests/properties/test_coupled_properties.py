@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from builders import activate, box_tissue, heart_vertices, ray_ways
+from builders import activate, box_tissue, heart_vertices, ray_times
 from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,8 +12,8 @@ from fascicle.forward.eikonal.activation import attach
 from fascicle.purkinje.tree import PurkinjeTree
 
 SIZE = (30.0, 20.0, 6.0)  # mm
-TISSUE = box_tissue(SIZE, (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))
-VERTICES = heart_vertices(TISSUE)
+MYOCARDIUM = box_tissue(SIZE, (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))
+VERTICES = heart_vertices(MYOCARDIUM)
 EDGE, SLOW = 6.1, 0.2449  # the longest edge (mm), the speed across the fibre (mm/ms)
 
 
@@ -42,8 +42,8 @@ points = st.tuples(*(st.floats(0.0, length) for length in SIZE))
 def test_adding_a_source_never_increases_any_time(seed, roots, point, stimulus):
     """Whatever is offered comes later where it starts later: earliest times are monotone."""
     trees = both(seed)
-    before = activate(TISSUE, trees, roots, 2.0)
-    after = activate(TISSUE, trees, roots, 2.0, stimuli=point, times=[stimulus])
+    before = activate(MYOCARDIUM, trees, roots, 2.0)
+    after = activate(MYOCARDIUM, trees, roots, 2.0, stimuli=point, times=[stimulus])
     for a, b in zip(
         (after.myocardium, *after.trees), (before.myocardium, *before.trees), strict=True
     ):
@@ -54,8 +54,8 @@ def test_adding_a_source_never_increases_any_time(seed, roots, point, stimulus):
 @settings(max_examples=30, deadline=None)
 def test_shifting_all_sources_shifts_all_times(seed, roots, shift):
     trees = both(seed)
-    before = activate(TISSUE, trees, roots, 2.0)
-    after = activate(TISSUE, trees, [t + shift for t in roots], 2.0)
+    before = activate(MYOCARDIUM, trees, roots, 2.0)
+    after = activate(MYOCARDIUM, trees, [t + shift for t in roots], 2.0)
     np.testing.assert_allclose(after.myocardium, before.myocardium + shift, atol=1e-9)
 
 
@@ -63,8 +63,8 @@ def test_shifting_all_sources_shifts_all_times(seed, roots, shift):
 @settings(max_examples=30, deadline=None)
 def test_order_of_trees_does_not_matter(seed, roots):
     trees = both(seed)
-    one = activate(TISSUE, trees, roots, 2.0)
-    other = activate(TISSUE, trees[::-1], roots[::-1], 2.0)
+    one = activate(MYOCARDIUM, trees, roots, 2.0)
+    other = activate(MYOCARDIUM, trees[::-1], roots[::-1], 2.0)
     np.testing.assert_allclose(one.myocardium, other.myocardium, atol=1e-9)
     np.testing.assert_allclose(one.trees[0], other.trees[1], atol=1e-9)
     flags = np.concatenate(one.antidromic[::-1])
@@ -74,21 +74,21 @@ def test_order_of_trees_does_not_matter(seed, roots):
 @given(seeds, root_times)
 @settings(max_examples=30, deadline=None)
 def test_segments_and_junctions_are_never_outrun(seed, roots):
-    """Both ways, the ends of a segment differ by its travel time at most.
+    """In both directions, the ends of a segment differ by its travel time at most.
 
-    A site and the corners of its element by the straight way, from the site.
+    A site and the corners of its element by the ray travel time, from the site.
     """
     trees = both(seed)
-    activation = activate(TISSUE, trees, roots, 2.0)
-    site, corners = attach(TISSUE, trees).site, TISSUE.order[TISSUE.mesh.corners]
+    activation = activate(MYOCARDIUM, trees, roots, 2.0)
+    site, corners = attach(MYOCARDIUM, trees).located, MYOCARDIUM.order[MYOCARDIUM.mesh.corners]
     for tree, times, root_time in zip(trees, activation.trees, roots, strict=True):
         assert (np.abs(times[1:] - times[0]) <= tree.lengths[1:] / 2.0 + 1e-9).all()
         assert times[0] <= root_time + 1e-9
     for position, element, moment in zip(
         site.positions, site.elements, fired(trees, activation), strict=True
     ):
-        ways = ray_ways(TISSUE, position, element, VERTICES[corners[element]])
-        assert (activation.myocardium[corners[element]] <= moment + ways + 1e-9).all()
+        rays = ray_times(MYOCARDIUM, position, element, VERTICES[corners[element]])
+        assert (activation.myocardium[corners[element]] <= moment + rays + 1e-9).all()
 
 
 def fired(trees, activation):
@@ -99,18 +99,21 @@ def fired(trees, activation):
 
 def test_what_is_near_a_junction_is_not_later_than_by_the_straight_way():
     """Vertices and other junctions, less far than the table reaches by an edge or more."""
-    furthest, longest = TISSUE.table.reach - EDGE, TISSUE.table.longest - EDGE / SLOW
+    furthest, longest = (
+        MYOCARDIUM.travel_times.reach - EDGE,
+        MYOCARDIUM.travel_times.longest - EDGE / SLOW,
+    )
     checked = 0
     for seed in range(100):
         trees = both(2 * seed)
-        activation = activate(TISSUE, trees, [seed % 7, 3.0], 2.0)
-        site, moments = attach(TISSUE, trees).site, fired(trees, activation)
+        activation = activate(MYOCARDIUM, trees, [seed % 7, 3.0], 2.0)
+        site, moments = attach(MYOCARDIUM, trees).located, fired(trees, activation)
         goals = np.concatenate([VERTICES, site.positions])
         times = np.concatenate([activation.myocardium, moments])
         for position, element, moment in zip(site.positions, site.elements, moments, strict=True):
-            ways = ray_ways(TISSUE, position, element, goals)
-            near = (np.linalg.norm(goals - position, axis=1) < furthest) & (ways < longest)
-            assert (times[near] <= moment + ways[near] + 1e-9).all()
+            rays = ray_times(MYOCARDIUM, position, element, goals)
+            near = (np.linalg.norm(goals - position, axis=1) < furthest) & (rays < longest)
+            assert (times[near] <= moment + rays[near] + 1e-9).all()
             checked += near.sum()
     assert checked > 20_000
 
@@ -120,7 +123,7 @@ def test_what_is_near_a_junction_is_not_later_than_by_the_straight_way():
 def test_antidromic_flags_say_who_came_first(seed, roots):
     """A junction is antidromic exactly where it fires before its tree alone would fire it."""
     trees = both(seed)
-    activation = activate(TISSUE, trees, roots, 2.0)
+    activation = activate(MYOCARDIUM, trees, roots, 2.0)
     sites = np.concatenate([np.full(len(t.junctions), k) for k, t in enumerate(trees)])
     for k, (tree, times) in enumerate(zip(trees, activation.trees, strict=True)):
         through_tree = times[0] + tree.lengths[tree.junctions] / 2.0
@@ -135,7 +138,7 @@ def test_antidromic_flags_say_who_came_first(seed, roots):
 
 def test_monotone_on_a_heart(crtdemo_model):
     """A fourth stimulus beside three makes no vertex and no node of a tree later."""
-    vertices, tissue = crtdemo_model.heart.vertices, crtdemo_model.tissue
+    vertices, myocardium = crtdemo_model.heart.vertices, crtdemo_model.myocardium
     trees = crtdemo_model.grow(SHORT_BUNDLES)
     captured = []
     for seed in range(30):
@@ -144,7 +147,7 @@ def test_monotone_on_a_heart(crtdemo_model):
         moments = rng.uniform(0, 60, 4)
         roots = [(np.inf, 0.0), (np.inf, np.inf), (20.0, 0.0)][seed % 3]
         three, four = (
-            activate(tissue, trees, roots, 3.0, stimuli=chosen[:k], times=moments[:k])
+            activate(myocardium, trees, roots, 3.0, stimuli=chosen[:k], times=moments[:k])
             for k in (3, 4)
         )
         for before, after in zip(

@@ -1,7 +1,7 @@
 """One coupled sweep is the limit of the paper's alternation between trees and myocardium.
 
 The paper solves the trees, then the myocardium, then the trees again with what their junctions
-read, until nothing changes. Here this is written down twice: on a slab, where straight ways from
+read, until nothing changes. Here this is written down twice: on a slab, where rays from
 the sites are traced here, and on a patient's heart with the sweep itself as the solver of the
 myocardium. Measured, the largest difference anywhere: 3e-13 ms on
 the slab, 2e-11 on the heart.
@@ -17,7 +17,7 @@ from builders import (
     brute_force,
     heart_vertices,
     line_tree,
-    ray_ways,
+    ray_times,
     solve_without_trees,
 )
 from clinical import SHORT_BUNDLES
@@ -49,33 +49,33 @@ def tree_times(tree, cv, entered):
     return dijkstra(graph, directed=False, indices=n)[:n] - 1000.0
 
 
-def read(tissue, site, time):
+def read(myocardium, site, time):
     """Arrival at points of the surface through the tissue-side faces, by brute force.
 
     No front comes through the boundary face that a point lies in.
     """
-    mesh, metric = tissue.mesh, tissue.mesh.metric
+    mesh, metric = myocardium.mesh, myocardium.mesh.metric
     arrivals = np.full(len(site.elements), np.inf)
     for k, element in enumerate(site.elements):
         corners = mesh.corners[element]
         offset = mesh.vertices[corners] - site.positions[k]
         gram = np.ascontiguousarray(offset @ metric[element] @ offset.T)
-        t = time[tissue.order[corners]]
+        t = time[myocardium.order[corners]]
         weights = np.linalg.solve(np.vstack([offset.T, np.ones(4)]), [0.0, 0.0, 0.0, 1.0])
         for opposite, face in enumerate(FACES):
             if weights[opposite] < 1e-9:
                 continue
-            way = brute_force(gram[np.ix_(face, face)], t[face], HALVINGS)
-            arrivals[k] = min(arrivals[k], way)
+            arrival = brute_force(gram[np.ix_(face, face)], t[face], HALVINGS)
+            arrivals[k] = min(arrivals[k], arrival)
     return arrivals
 
 
 class Alternation:
     """Trees and myocardium in turn; a subclass says how the myocardium is solved."""
 
-    def __init__(self, tissue, trees, points):
-        self.tissue, self.trees = tissue, trees
-        self.site = attach(tissue, trees, np.reshape(points, (-1, 3))).site
+    def __init__(self, myocardium, trees, points):
+        self.myocardium, self.trees = myocardium, trees
+        self.located = attach(myocardium, trees, np.reshape(points, (-1, 3))).located
         self.starts = np.cumsum([0, *(len(tree.junctions) for tree in trees)])
 
     def run(self, root_times, cv, moments):
@@ -88,7 +88,7 @@ class Alternation:
             times = [tree_times(t, cv, e) for t, e in zip(self.trees, entered, strict=True)]
             leaves = [t[tree.junctions] for t, tree in zip(times, self.trees, strict=True)]
             fired = np.concatenate([*leaves, stimuli])
-            myocardium, arrived = self.myocardium(fired)
+            myocardium, arrived = self.solve_myocardium(fired)
             if np.array_equal(np.isinf(myocardium), np.isinf(previous)) and (
                 np.abs(myocardium - previous).max() < SETTLED
             ):
@@ -101,47 +101,49 @@ class Alternation:
 
 
 class Straight(Alternation):
-    """Sites offer vertices and other sites the straight way; then updates on the mesh.
+    """Sites offer vertices and other sites the ray travel time; then updates on the mesh.
 
     Stimuli do everywhere, junctions as far as `fascicle.forward.eikonal.ray_travel_times` says: to
     the corners of their elements and what is in reach, and to sites in elements all of whose
     corners they come to.
     """
 
-    def __init__(self, tissue, trees, points):
-        super().__init__(tissue, trees, points)
-        vertices, site = heart_vertices(tissue), self.site
-        corners = tissue.order[tissue.mesh.corners[site.elements]]
-        self.ways = np.empty((len(site.elements), len(vertices) + len(site.elements)))
+    def __init__(self, myocardium, trees, points):
+        super().__init__(myocardium, trees, points)
+        vertices, site = heart_vertices(myocardium), self.located
+        corners = myocardium.order[myocardium.mesh.corners[site.elements]]
+        self.rays = np.empty((len(site.elements), len(vertices) + len(site.elements)))
         for k, (position, element) in enumerate(zip(site.positions, site.elements, strict=True)):
-            everywhere = ray_ways(tissue, position, element, [*vertices, *site.positions])
+            everywhere = ray_times(myocardium, position, element, [*vertices, *site.positions])
             near = everywhere[: len(vertices)].copy()
             if k < self.starts[-1]:
-                longest = tissue.table.longest
-                near[:] = ray_ways(tissue, position, element, vertices, longest=longest)
-                near[np.linalg.norm(vertices - position, axis=1) > tissue.table.reach] = np.inf
+                longest = myocardium.travel_times.longest
+                near[:] = ray_times(myocardium, position, element, vertices, longest=longest)
+                near[
+                    np.linalg.norm(vertices - position, axis=1) > myocardium.travel_times.reach
+                ] = np.inf
                 near[corners[k]] = everywhere[corners[k]]
             known = np.isfinite(near[corners]).all(axis=1)
             beside = np.where(known, everywhere[len(vertices) :], np.inf)
-            self.ways[k] = np.concatenate([near, beside])
+            self.rays[k] = np.concatenate([near, beside])
 
-    def myocardium(self, fired):
-        offers = (fired[:, None] + self.ways).min(axis=0)
-        vertices = len(self.tissue.mesh.vertices)
+    def solve_myocardium(self, fired):
+        offers = (fired[:, None] + self.rays).min(axis=0)
+        vertices = len(self.myocardium.mesh.vertices)
         first = offers[:vertices]
         sources = {int(v): float(first[v]) for v in np.flatnonzero(np.isfinite(first))}
-        time = solve_without_trees(self.tissue, sources)
-        return time, np.minimum(offers[vertices:], read(self.tissue, self.site, time))
+        time = solve_without_trees(self.myocardium, sources)
+        return time, np.minimum(offers[vertices:], read(self.myocardium, self.located, time))
 
 
 class Swept(Alternation):
     """The sweep solves the myocardium, in which each junction is a tree of its own.
 
-    A segment of 1 ms that leads to where the junction is fires it, and tells what arrives there.
+    A segment of 1 ms that leads to where the junction is fires it, and shows what arrives there.
     """
 
-    def __init__(self, tissue, trees, points):
-        super().__init__(tissue, trees, points)
+    def __init__(self, myocardium, trees, points):
+        super().__init__(myocardium, trees, points)
         self.points = points
         self.single = [
             line_tree(np.add(leaf, [[0, 0, 1.0], [0, 0, 0]]))
@@ -149,10 +151,10 @@ class Swept(Alternation):
             for leaf in tree.nodes[tree.junctions]
         ]
 
-    def myocardium(self, fired):
+    def solve_myocardium(self, fired):
         leaves, stimuli = np.split(fired, [len(self.single)])
         activation = activate(
-            self.tissue, self.single, leaves - 1.0, 1.0, stimuli=self.points, times=stimuli
+            self.myocardium, self.single, leaves - 1.0, 1.0, stimuli=self.points, times=stimuli
         )
         arrived = np.array([times[1] for times in activation.trees])
         return activation.myocardium, np.concatenate([arrived, stimuli])
@@ -172,11 +174,11 @@ def star(seed, leaves):
 @pytest.mark.parametrize("fibre", [(1.0, 0.0, 0.0), (2.0, 1.0, 0.4)], ids=["along", "oblique"])
 def test_on_a_slab_one_sweep_is_the_limit_of_trees_and_slab_in_turn(seed, fibre):
     """A stimulus in the tissue, before the one root fires; the other is silent."""
-    tissue = box_tissue(SLAB, (10, 7, 2), jitter=0.2, fibre=fibre)
+    myocardium = box_tissue(SLAB, (10, 7, 2), jitter=0.2, fibre=fibre)
     trees, stimulus = [star(seed, 6), star(seed + 100, 5)], [[2.0, 3.0, 2.0]]
     roots = (np.inf, 30.0)
-    swept = activate(tissue, trees, roots, 2.0, stimuli=stimulus, times=[1.0])
-    myocardium, times, rounds = Straight(tissue, trees, stimulus).run(roots, 2.0, [1.0])
+    swept = activate(myocardium, trees, roots, 2.0, stimuli=stimulus, times=[1.0])
+    myocardium, times, rounds = Straight(myocardium, trees, stimulus).run(roots, 2.0, [1.0])
     assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
     assert any(flags.any() for flags in swept.antidromic)
     np.testing.assert_allclose(swept.myocardium, myocardium, atol=SAME, rtol=0)
@@ -196,10 +198,10 @@ def test_on_a_heart_one_sweep_is_the_limit_of_sweeps_in_turn(
     crtdemo_model, root_times, vertices, moments
 ):
     """Junctions that the front enters backwards are what a one-pass scheme gets wrong."""
-    tissue, trees = crtdemo_model.tissue, crtdemo_model.grow(SHORT_BUNDLES)
+    myocardium, trees = crtdemo_model.myocardium, crtdemo_model.grow(SHORT_BUNDLES)
     points = crtdemo_model.heart.vertices[vertices]
-    swept = activate(tissue, trees, root_times, 3.0, stimuli=points, times=moments)
-    myocardium, times, rounds = Swept(tissue, trees, points).run(root_times, 3.0, moments)
+    swept = activate(myocardium, trees, root_times, 3.0, stimuli=points, times=moments)
+    myocardium, times, rounds = Swept(myocardium, trees, points).run(root_times, 3.0, moments)
     assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
     assert any(flags.any() for flags in swept.antidromic)
     np.testing.assert_allclose(swept.myocardium, myocardium, atol=SAME, rtol=0)

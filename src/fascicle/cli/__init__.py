@@ -19,7 +19,7 @@ from fascicle.cli.recordings import target as target_command
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fascicle.forward.model import Simulation
+    from fascicle.forward.simulation import Simulation
     from fascicle.predict.pacing import Pacing
     from fascicle.study.fit import FittedStudy
 
@@ -100,7 +100,7 @@ def simulate(
     ```
     """
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.forward.compile_kernels import Compilation
+    from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
     from fascicle.forward.scenario_files import read_scenario
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
@@ -112,7 +112,7 @@ def simulate(
     with TerminalProgress() as progress:
 
         def make_model() -> ForwardModel:
-            Compilation(progress).run()
+            compile_kernels(progress)
             return ForwardModel(loaded, Conduction(regions=regions), progress=progress)
 
         simulation, inputs = simulate_inputs(

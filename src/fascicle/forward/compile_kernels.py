@@ -17,38 +17,42 @@ from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules, grow_tree
 from fascicle.purkinje.tree import InvalidTree
 
-PATIENCE = 1.0  # s without a word; kernels that were ran before take less
+SILENCE = 1.0  # s before the first report of progress; kernels that were ran before take less
 STEPS = 4
 
+_compiled = False  # in this process
 
-class Compilation:
-    """Computes the action potential, and runs every kernel on the smallest heart there is.
+
+def compile_kernels(progress: Progress) -> None:
+    """Compute the action potential, and run every kernel on the smallest heart there is.
+
+    Once in a process; what was compiled on this machine before is read from disk.
 
     Parameters
     ----------
-    progress : callable
-        Told how far this is, once it is clear that something is being done.
+    progress : Progress
+        Called with the steps done, once it is clear that something is being done.
     """
+    global _compiled
+    if _compiled:
+        return
+    finished, is_slow = 0, False
 
-    def __init__(self, progress: Progress) -> None:
-        self.progress = progress
-        self.done, self.slow = 0, False
+    def report() -> None:
+        nonlocal is_slow
+        is_slow = True
+        progress("compilation", finished, STEPS, "once on this machine")
 
-    def run(self) -> None:
-        """Do what is not done yet."""
-        timer = Timer(PATIENCE, self._tell)
-        timer.start()
-        try:
-            for done in _steps():
-                self.done = done
-                if self.slow:
-                    self._tell()
-        finally:
-            timer.cancel()
-
-    def _tell(self) -> None:
-        self.slow = True
-        self.progress("compilation", self.done, STEPS, "once on this machine")
+    timer = Timer(SILENCE, report)
+    timer.start()
+    try:
+        for done in _steps():
+            finished = done
+            if is_slow:
+                report()
+    finally:
+        timer.cancel()
+    _compiled = True
 
 
 def _steps() -> Iterator[int]:
@@ -63,7 +67,7 @@ def _steps() -> Iterator[int]:
     if isinstance(tree, InvalidTree):
         raise RuntimeError(f"the smallest heart has no room for its tree: {tree.reason}")
     yield 2
-    activation = solve(prepared.tissue, attach(prepared.tissue, [tree]), [0.0], 1.0)
+    activation = solve(attach(prepared.myocardium, [tree]), [0.0], 1.0)
     yield 3
     prepared.electrocardiograph.leads(activation.myocardium)
     yield 4

@@ -22,20 +22,20 @@ from fascicle.forward.ecg.action_potential import ActionPotential
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.forward.eikonal.myocardium import (
-    Tissue,
-    build_tissue,
+    Myocardium,
+    build_myocardium,
     find_on_surface,
 )
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
-from fascicle.kernels.arrays import Mesh, Table
+from fascicle.kernels.arrays import EikonalMesh, TravelTimeTable
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.resolve import resolve_lead_fields
 
-FORMAT = 3  # of the files; another number makes them anew
+FORMAT = 4  # of the files; another number makes them anew
 ONCE = "once per heart"
 KEPT = 4  # files in a heart's cache; the oldest go
 HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
@@ -49,7 +49,7 @@ class Prepared:
     ----------
     charts, seeds : dict of side to Chart and to Seed
         Maps of the endocardia, and where the bundles start.
-    tissue : Tissue
+    myocardium : Myocardium
         The myocardium for the coupled eikonal problem.
     electrocardiograph : Electrocardiograph
         The ECG integral.
@@ -57,7 +57,7 @@ class Prepared:
 
     charts: dict[str, Chart]
     seeds: dict[str, Seed]
-    tissue: Tissue
+    myocardium: Myocardium
     electrocardiograph: Electrocardiograph
 
 
@@ -77,7 +77,7 @@ def prepare(
     heart, conduction, action_potential : Heart, Conduction, ActionPotential
         What the forward model is made of.
     progress : Progress, optional
-        Told how far what takes a while is; see `fascicle.core.progress.Progress`.
+        Progress callback for what takes a while.
     """
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return build(heart, conduction, action_potential, progress)
@@ -102,7 +102,13 @@ def build(
     action_potential: ActionPotential,
     progress: Progress | None = None,
 ) -> Prepared:
-    """Prepare a heart; see `prepare`, which looks whether that was done before."""
+    """Prepare a heart; see `prepare`, which looks whether that was done before.
+
+    Parameters
+    ----------
+    heart, conduction, action_potential, progress
+        As there.
+    """
     charts = {e.side: build_chart(e) for e in heart.endocardia}
     scale = conduction.scale(heart)
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
@@ -114,8 +120,9 @@ def build(
         _lead_field_gradients(heart, conduction, barycentric, progress),
         action_potential,
     )
-    tissue = build_tissue(heart, conduction, stage_progress(progress, "preparation", ONCE))
-    return Prepared(charts, _seeds(heart, charts), tissue, electrocardiograph)
+    report = stage_progress(progress, "preparation", ONCE)
+    myocardium = build_myocardium(heart, conduction, report, barycentric)
+    return Prepared(charts, _seeds(heart, charts), myocardium, electrocardiograph)
 
 
 def _lead_field_gradients(
@@ -136,17 +143,25 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
 
 
 def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
-    """Write the arrays, and those of the heart if it is given, whole or not at all."""
-    tissue, ecg = prepared.tissue, prepared.electrocardiograph
+    """Write the arrays, and those of the heart if it is given, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        NPZ file.
+    prepared : Prepared
+        What is written.
+    heart : Heart, optional
+        The heart it was prepared from, if that is to be read back, too (`load_with_heart`).
+    """
+    myocardium, ecg = prepared.myocardium, prepared.electrocardiograph
     arrays: dict[str, NDArray[np.generic]] = {
-        f"mesh.{name}": np.asarray(value)
-        for name, value in tissue.mesh._asdict().items()
-        if name != "across"  # the same memory as the cells
+        f"mesh.{name}": np.asarray(value) for name, value in myocardium.mesh._asdict().items()
     }
-    for name, value in tissue.table._asdict().items():
-        arrays[f"table.{name}"] = np.asarray(value)
+    for name, value in myocardium.travel_times._asdict().items():
+        arrays[f"travel_times.{name}"] = np.asarray(value)
     for name in ("order", "conducts", "surface", "owner"):
-        arrays[f"tissue.{name}"] = getattr(tissue, name)
+        arrays[f"myocardium.{name}"] = getattr(myocardium, name)
     for name in ("corners", "weights"):
         arrays[f"ecg.{name}"] = getattr(ecg, name)
     for side, chart in prepared.charts.items():
@@ -163,7 +178,15 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
 
 
 def load(path: Path, heart: Heart, action_potential: ActionPotential) -> Prepared:
-    """Read what `save` wrote for this heart."""
+    """Read what `save` wrote for this heart.
+
+    Parameters
+    ----------
+    path : Path
+        NPZ file.
+    heart, action_potential : Heart, ActionPotential
+        What it was prepared for.
+    """
     return _prepared(_arrays(path), heart, action_potential)
 
 
@@ -210,19 +233,18 @@ def _prepared(
         )
         for e in heart.endocardia
     }
-    fields = _fields(arrays, "mesh", [name for name in Mesh._fields if name != "across"])
-    fields["across"] = fields["cells"].view(np.int32)
-    mesh, surface = Mesh(**fields), arrays["tissue.surface"]
-    tissue = Tissue(
+    mesh = EikonalMesh(**_fields(arrays, "mesh", EikonalMesh._fields))
+    surface = arrays["myocardium.surface"]
+    myocardium = Myocardium(
         mesh,
-        Table(**_fields(arrays, "table", Table._fields)),
-        arrays["tissue.order"],
-        arrays["tissue.conducts"],
+        TravelTimeTable(**_fields(arrays, "travel_times", TravelTimeTable._fields)),
+        arrays["myocardium.order"],
+        arrays["myocardium.conducts"],
         surface,
-        arrays["tissue.owner"],
+        arrays["myocardium.owner"],
         find_on_surface(mesh.vertices, surface),
     )
     electrocardiograph = Electrocardiograph(
         arrays["ecg.corners"], arrays["ecg.weights"], action_potential
     )
-    return Prepared(charts, _seeds(heart, charts), tissue, electrocardiograph)
+    return Prepared(charts, _seeds(heart, charts), myocardium, electrocardiograph)

@@ -98,7 +98,7 @@ class Scenario:
     silent : tuple of str
         Trees whose root does not fire.
     orthodromic_delay, antidromic_delay : float
-        Delays of the junctions from tree to myocardium and back (ms); inf blocks that way.
+        Delays of the junctions from tree to myocardium and back (ms); inf blocks that direction.
     trees : tuple of (PurkinjeTree, float)
         Trees beside the heart's own, and when their roots fire (ms).
     source : str, optional
@@ -141,6 +141,16 @@ class Scenario:
     def times(self) -> list[float]:
         """When they fire (ms)."""
         return [s.time for s in self.stimuli if s.tree is None]
+
+    def check_stimuli(self, distances: NDArray[np.float64]) -> None:
+        """Refuse stimuli that are not in the myocardium, given how far they are from it (mm)."""
+        for position, distance in zip(self.points, distances, strict=True):
+            if distance > FURTHEST_STIMULUS:
+                where = ", ".join(f"{x:g}" for x in position)
+                raise InputError(
+                    f"stimulus at ({where}): {distance:.1f} mm from the tissue; give a position in "
+                    "it, in mm and in the heart's frame"
+                )
 
     def node_times(self, trees: Sequence[PurkinjeTree]) -> list[tuple[int, int, float]]:
         """Stimuli in the trees as (tree, node, time)."""

@@ -18,8 +18,9 @@ from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.parameter_files import read_parameters
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.ecg_files import write_ecg
-from fascicle.forward.model import ForwardModel, Simulation
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
+from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
@@ -112,7 +113,7 @@ def _check_trees(scenario: Scenario | None, model: ForwardModel) -> None:
 
 
 def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None:
-    distances = model.tissue.on_surface(tree.nodes[tree.junctions]).distances
+    distances = model.myocardium.on_surface(tree.nodes[tree.junctions]).distances
     if distances.max() > FURTHEST_JUNCTION:
         raise InputError(
             f"{what}: {int((distances > FURTHEST_JUNCTION).sum())} of {len(distances)} leaves lie "

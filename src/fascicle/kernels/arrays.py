@@ -10,8 +10,19 @@ from numpy.typing import NDArray
 # The corners of a tetrahedron's faces, in ascending order: of the one opposite each corner
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
+CORNERS = 4  # of a tetrahedron
 
-class Mesh(NamedTuple):
+# Columns of `EikonalMesh.cells`
+GRADIENT_X, GRADIENT_Y, GRADIENT_Z = 0, 4, 8  # the first of four: one for each corner
+AT_ORIGIN = 12  # the first of four, likewise
+XX, YY, ZZ, XY, XZ, YZ = range(16, 22)  # of D⁻¹
+CELL_COLUMNS = 22
+
+# Columns of `EikonalMesh.solver`: the six pairs of corners in the order 01, 02, 03, 12, 13, 23
+PRODUCTS, SQUARES = 0, 6  # the first of six each
+
+
+class EikonalMesh(NamedTuple):
     """The conducting myocardium; elements that do not conduct are in no list.
 
     Attributes
@@ -20,21 +31,18 @@ class Mesh(NamedTuple):
         Positions (mm).
     corners : (m, 4) array
         Vertices of each tetrahedron.
-    cells : (m, 24) array
-        What a ray needs of each tetrahedron, in three cache lines: the barycentric coordinates as
-        affine functions (columns 0-3, 4-7 and 8-11: the components of their gradients, 1/mm;
-        12-15: their values at the origin), D⁻¹ (16-21: xx, yy, zz, xy, xz, yz, ms²/mm²), and in
-        the rest, seen through `across`, its neighbours.
-    across : (m, 48) array
-        The memory of `cells` as whole numbers; columns 44-47 are the tetrahedra across the faces
-        opposite each corner, -1 where no conducting one is.
+    cells : (m, 22) array
+        What a ray needs of each tetrahedron: the barycentric coordinates as affine functions
+        (components of their gradients, 1/mm, and values at the origin) and D⁻¹ (ms²/mm²).
+    neighbours : (m, 4) array
+        The tetrahedra across the faces opposite each corner, -1 where no conducting one is.
     solver : (m, 12) array
         What the local solver needs of each: the products ∇λᵢ·D∇λⱼ (1/ms²) of its corners'
-        barycentric coordinates for the pairs 01, 02, 03, 12, 13, 23, and the squared travel times
-        (ms²) along those edges.
+        barycentric coordinates for each pair of corners, and the squared travel times (ms²) along
+        those edges.
     star_start, star : (n + 1,) and (4m, 4) arrays
         The tetrahedra of each vertex: the other three corners, in ascending order of their place
-        in the tetrahedron, and 4·tetrahedron + the vertex's own place.
+        in the tetrahedron, and `CORNERS`·tetrahedron + the vertex's own place.
     least : (4m,) array
         By how much (ms) any of the other corners is at least later than the vertex if the front
         comes to it through the vertex and the rest of the opposite face; may be negative.
@@ -47,7 +55,7 @@ class Mesh(NamedTuple):
     vertices: NDArray[np.float64]
     corners: NDArray[np.int32]
     cells: NDArray[np.float64]
-    across: NDArray[np.int32]
+    neighbours: NDArray[np.int32]
     solver: NDArray[np.float64]
     star_start: NDArray[np.int64]
     star: NDArray[np.int32]
@@ -60,11 +68,19 @@ class Mesh(NamedTuple):
     @property
     def metric(self) -> NDArray[np.float64]:
         """D⁻¹ of each tetrahedron (ms²/mm²), shape (m, 3, 3)."""
-        return self.cells[:, [16, 19, 20, 19, 17, 21, 20, 21, 18]].reshape(-1, 3, 3)
+        return self.cells[:, [XX, XY, XZ, XY, YY, YZ, XZ, YZ, ZZ]].reshape(-1, 3, 3)
 
 
-class Table(NamedTuple):
-    """Straight ways from the triangles of the endocardia to the vertices around them.
+class RayMedium(NamedTuple):
+    """What a ray passes through: the three fields of these names of an `EikonalMesh`."""
+
+    cells: NDArray[np.float64]
+    neighbours: NDArray[np.int32]
+    slowness: float
+
+
+class TravelTimeTable(NamedTuple):
+    """Ray travel times from the triangles of the endocardia to the vertices around them.
 
     Attributes
     ----------
@@ -78,7 +94,7 @@ class Table(NamedTuple):
         Squared travel times (ms²) to each, from the points
         `fascicle.kernels.ray_travel_times.POINTS`.
     reach, longest : float
-        How far (mm) and how long (ms) ways are.
+        How far (mm) and how long (ms) rays are.
     """
 
     row: NDArray[np.int32]
@@ -113,18 +129,39 @@ class Forest(NamedTuple):
     site: NDArray[np.int64]
 
 
-class Ways(NamedTuple):
-    """Straight ways from each site to what is around it.
+class RayTravelTimes(NamedTuple):
+    """Travel times along straight lines from each site to what is around it.
 
     Attributes
     ----------
     start, target, time : (j + 1,), (p,) and (p,) arrays
-        Where each site's ways start in the lists, where they lead, and how long they take (ms).
+        Where each site's rays start in the lists, where they lead, and how long they take (ms).
     """
 
     start: NDArray[np.int64]
     target: NDArray[np.int32]
     time: NDArray[np.float64]
+
+
+class LocatedSites(NamedTuple):
+    """Where sites lie in the mesh.
+
+    Attributes
+    ----------
+    positions : (j, 3) array
+        Positions (mm).
+    elements : (j,) array
+        The tetrahedron of each; -1 where there is none.
+    barycentric : (j, 4) array
+        Barycentric coordinates of each in its tetrahedron.
+    to_corner : (j, 4) array
+        Squared travel times (ms²) to its corners.
+    """
+
+    positions: NDArray[np.float64]
+    elements: NDArray[np.int64]
+    barycentric: NDArray[np.float64]
+    to_corner: NDArray[np.float64]
 
 
 class Sites(NamedTuple):
@@ -139,10 +176,10 @@ class Sites(NamedTuple):
     node : (j,) array
         Tree node of each.
     orthodromic, antidromic : (j,) arrays
-        Delays (ms) from tree to myocardium and back; inf where there is no way.
+        Delays (ms) from tree to myocardium and back; inf where nothing passes.
     reader_start, reader : (n + 1,) and (4j,) arrays
         The sites whose element has each vertex as a corner.
-    near, beside : Ways
+    to_vertices, to_sites : RayTravelTimes
         To the vertices around each site, and to the other sites.
     """
 
@@ -153,8 +190,8 @@ class Sites(NamedTuple):
     antidromic: NDArray[np.float64]
     reader_start: NDArray[np.int64]
     reader: NDArray[np.int64]
-    near: Ways
-    beside: Ways
+    to_vertices: RayTravelTimes
+    to_sites: RayTravelTimes
 
 
 class Queue(NamedTuple):
@@ -170,3 +207,24 @@ class Queue(NamedTuple):
 
     heap: NDArray[np.int64]
     place: NDArray[np.int64]
+
+
+class Front(NamedTuple):
+    """What the sweep finds out, for mesh vertices first and then tree nodes.
+
+    Attributes
+    ----------
+    time : (n + k,) array
+        When the front arrives (ms).
+    origin : (n + k,) array
+        The site that fired each vertex, or by which the front entered a tree; else -1.
+    entered_by : (j,) array
+        The site whose front entered a tree at each site, or -1.
+    queue : Queue
+        The nodes that wait to be taken.
+    """
+
+    time: NDArray[np.float64]
+    origin: NDArray[np.int64]
+    entered_by: NDArray[np.int64]
+    queue: Queue

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fascicle.kernels.arrays import FACES
+from fascicle.kernels.arrays import CORNERS, FACES, SQUARES
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_face, from_new_corner
 from fascicle.kernels.queue import lower, pop
@@ -16,6 +16,10 @@ STEEP = 1.0 + 1e-12
 # PAIRS[s]: where, among the six pairs of a tetrahedron's corners, stand those of corner s with the
 # others a, b, c, and the pairs ab, ac, bc
 PAIRS = np.array([[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]])
+
+# The last column of a mesh's star is CORNERS·tetrahedron + place, CORNERS being a power of 2:
+PLACE_BITS = CORNERS.bit_length() - 1  # what is above these bits is the tetrahedron,
+PLACE_MASK = CORNERS - 1  # what is in them the vertex's place among its corners
 
 
 @kernel(inline="always")
@@ -43,80 +47,94 @@ def settle_trees(time, forest):
 
 
 @kernel(inline="always")
-def _to_tree_node(other, arrival, by, vertices, forest, time, origin, entered_by, queue, size):
+def _to_tree_node(other, arrival, by, vertices, forest, front, size):
     """Within a tree: a front that site `by` let in comes to node `other`; returns the size."""
+    time = front.time
     if arrival < time[vertices + other] - SETTLED:
-        time[vertices + other], origin[vertices + other] = arrival, by
+        time[vertices + other], front.origin[vertices + other] = arrival, by
         if forest.site[other] >= 0:
-            entered_by[forest.site[other]] = -1
-        size = lower(vertices + other, time, queue.heap, queue.place, size)
+            front.entered_by[forest.site[other]] = -1
+        size = lower(vertices + other, time, front.queue, size)
     return size
 
 
 @kernel(inline="always")
-def _through_tree(node, vertices, forest, time, origin, entered_by, queue, size):
+def _through_tree(node, vertices, forest, front, size):
     """From a tree node along its segments; returns the queue's size."""
-    now, by, parent = time[vertices + node], origin[vertices + node], forest.parent[node]
+    now, by = front.time[vertices + node], front.origin[vertices + node]
+    parent = forest.parent[node]
     if parent >= 0:
-        size = _to_tree_node(parent, now + forest.time[node], by, vertices, forest,
-                             time, origin, entered_by, queue, size)  # fmt: skip
+        arrival = now + forest.time[node]
+        size = _to_tree_node(parent, arrival, by, vertices, forest, front, size)
     for k in range(forest.child_start[node], forest.child_start[node + 1]):
         child = forest.child[k]
-        size = _to_tree_node(child, now + forest.time[child], by, vertices, forest,
-                             time, origin, entered_by, queue, size)  # fmt: skip
+        arrival = now + forest.time[child]
+        size = _to_tree_node(child, arrival, by, vertices, forest, front, size)
     return size
 
 
 @kernel(inline="always")
-def _fire(site, now, sites, time, origin, entered_by, queue, size):
-    """From a site straight to what is near it; returns the queue's size."""
-    for k in range(sites.near.start[site], sites.near.start[site + 1]):
-        vertex, arrival = sites.near.target[k], now + sites.near.time[k]
+def _fire(site, now, sites, front, size):
+    """From a site along the rays to what is around it; returns the queue's size."""
+    time, origin = front.time, front.origin
+    for k in range(sites.to_vertices.start[site], sites.to_vertices.start[site + 1]):
+        vertex, arrival = sites.to_vertices.target[k], now + sites.to_vertices.time[k]
         if arrival < time[vertex] - SETTLED:
             time[vertex], origin[vertex] = arrival, site
-            size = lower(vertex, time, queue.heap, queue.place, size)
-    for k in range(sites.beside.start[site], sites.beside.start[site + 1]):
-        entered = sites.beside.target[k]
-        arrival = now + sites.beside.time[k] + sites.antidromic[entered]
+            size = lower(vertex, time, front.queue, size)
+    for k in range(sites.to_sites.start[site], sites.to_sites.start[site + 1]):
+        entered = sites.to_sites.target[k]
+        arrival = now + sites.to_sites.time[k] + sites.antidromic[entered]
         other = sites.node[entered]
         if arrival < time[other] - SETTLED:
-            time[other], origin[other], entered_by[entered] = arrival, entered, site
-            size = lower(other, time, queue.heap, queue.place, size)
+            time[other], origin[other], front.entered_by[entered] = arrival, entered, site
+            size = lower(other, time, front.queue, size)
     return size
 
 
 @kernel(inline="always")
-def _through_edges(node, mesh, time, origin, queue, size):
+def _through_edges(node, mesh, front, size):
     """From a vertex along the edges; returns the queue's size."""
+    time, origin = front.time, front.origin
     now, by = time[node], origin[node]
     for k in range(mesh.link_start[node], mesh.link_start[node + 1]):
         other, arrival = mesh.link[k], now + mesh.link_time[k]
         if arrival < time[other] - SETTLED:
             time[other], origin[other] = arrival, by
-            size = lower(other, time, queue.heap, queue.place, size)
+            size = lower(other, time, front.queue, size)
     return size
 
 
 @kernel(inline="always")
-def _offer(at, known, s, j, k, way, time, origin, queue, size):
-    """To corner `at`, whose time is `known`, `way` after s; returns its time and the size."""
-    arrival = time[s] + way
+def _offer(at, known, face, delay, front, size):
+    """To corner `at`, whose time is `known`, `delay` after a face's first corner.
+
+    Returns the corner's time and the queue's size.
+    """
+    s, j, k = face
+    time, origin = front.time, front.origin
+    arrival = time[s] + delay
     if arrival < known - SETTLED:
         time[at] = known = arrival
         origin[at] = origin[_earliest(s, j, k, time)]
-        size = lower(at, time, queue.heap, queue.place, size)
+        size = lower(at, time, front.queue, size)
     return known, size
 
 
 @kernel(inline="always")
-def _through_elements(node, mesh, time, origin, queue, size):
+def _through_elements(node, mesh, front, size):
     """From a vertex through the faces and elements around it; returns the queue's size.
 
     Comes after `_through_edges`, by which every corner has a time. Corners that still waited when
     it began lend their times to no face: when the last corner of a face is taken, it passes on what
     comes through all of it.
+
+    In names, a, b, c are the other corners of an element and s is the vertex's own place in it:
+    p.. are the products of `EikonalMesh.solver`, q.. its squared travel times, t. the times, d. the
+    times less that of the vertex.
     """
-    now, place, solver = time[node], queue.place, mesh.solver
+    time, place, solver = front.time, front.queue.place, mesh.solver
+    now = time[node]
     for e in range(mesh.star_start[node], mesh.star_start[node + 1]):
         a, b, c = mesh.star[e, 0], mesh.star[e, 1], mesh.star[e, 2]
         ta, tb, tc = time[a], time[b], time[c]
@@ -127,7 +145,7 @@ def _through_elements(node, mesh, time, origin, queue, size):
         to_c = (ready_a or ready_b) and soonest < tc
         if not (to_a or to_b or to_c):
             continue
-        t, s = mesh.star[e, 3] >> 2, mesh.star[e, 3] & 3
+        t, s = mesh.star[e, 3] >> PLACE_BITS, mesh.star[e, 3] & PLACE_MASK
         sa, sb, sc = PAIRS[s, 0], PAIRS[s, 1], PAIRS[s, 2]
         ab, ac, bc = PAIRS[s, 3], PAIRS[s, 4], PAIRS[s, 5]
         psa, psb, psc = solver[t, sa], solver[t, sb], solver[t, sc]
@@ -139,22 +157,22 @@ def _through_elements(node, mesh, time, origin, queue, size):
             + pab * (da - db) ** 2 + pac * (da - dc) ** 2 + pbc * (db - dc) ** 2
         ) <= STEEP:  # fmt: skip
             continue
-        qsa, qsb, qsc = solver[t, 6 + sa], solver[t, 6 + sb], solver[t, 6 + sc]
-        qab, qac, qbc = solver[t, 6 + ab], solver[t, 6 + ac], solver[t, 6 + bc]
+        qsa, qsb, qsc = solver[t, SQUARES + sa], solver[t, SQUARES + sb], solver[t, SQUARES + sc]
+        qab, qac, qbc = solver[t, SQUARES + ab], solver[t, SQUARES + ac], solver[t, SQUARES + bc]
         if to_a:
-            way = from_new_corner(psa, pab, pac, psb, psc, pbc, qsa, qab, qac, qsb, qsc,
-                                  db, dc, ready_b, ready_c)  # fmt: skip
-            ta, size = _offer(a, ta, node, b, c, way, time, origin, queue, size)
+            products, squares = (psa, pab, pac, psb, psc, pbc), (qsa, qab, qac, qsb, qsc)
+            delay = from_new_corner(products, squares, db, dc, ready_b, ready_c)
+            ta, size = _offer(a, ta, (node, b, c), delay, front, size)
             da = ta - now
         if to_b:
-            way = from_new_corner(psb, pab, pbc, psa, psc, pac, qsb, qab, qbc, qsa, qsc,
-                                  da, dc, ready_a, ready_c)  # fmt: skip
-            tb, size = _offer(b, tb, node, a, c, way, time, origin, queue, size)
+            products, squares = (psb, pab, pbc, psa, psc, pac), (qsb, qab, qbc, qsa, qsc)
+            delay = from_new_corner(products, squares, da, dc, ready_a, ready_c)
+            tb, size = _offer(b, tb, (node, a, c), delay, front, size)
             db = tb - now
         if to_c:
-            way = from_new_corner(psc, pac, pbc, psa, psb, pab, qsc, qac, qbc, qsa, qsb,
-                                  da, db, ready_a, ready_b)  # fmt: skip
-            tc, size = _offer(c, tc, node, a, b, way, time, origin, queue, size)
+            products, squares = (psc, pac, pbc, psa, psb, pab), (qsc, qac, qbc, qsa, qsb)
+            delay = from_new_corner(products, squares, da, db, ready_a, ready_b)
+            tc, size = _offer(c, tc, (node, a, b), delay, front, size)
     return size
 
 
@@ -162,39 +180,41 @@ def _through_elements(node, mesh, time, origin, queue, size):
 def _arrival_inside(site, t, sites, mesh, time):
     """Earliest arrival (ms) at a site in tetrahedron t, from its four faces."""
     best = np.inf
-    for skip in range(4):
+    for skip in range(CORNERS):
         i, j, k = FACES[skip, 0], FACES[skip, 1], FACES[skip, 2]
         qi, qj, qk = sites.to_corner[site, i], sites.to_corner[site, j], sites.to_corner[site, k]
-        best = min(best, from_face(
-            qi, 0.5 * (qi + qj - mesh.solver[t, 6 + PAIRS[skip, 3]]),
-            0.5 * (qi + qk - mesh.solver[t, 6 + PAIRS[skip, 4]]), qj,
-            0.5 * (qj + qk - mesh.solver[t, 6 + PAIRS[skip, 5]]), qk,
-            time[mesh.corners[t, i]], time[mesh.corners[t, j]], time[mesh.corners[t, k]],
-        ))  # fmt: skip
+        gram = (
+            qi, 0.5 * (qi + qj - mesh.solver[t, SQUARES + PAIRS[skip, 3]]),
+            0.5 * (qi + qk - mesh.solver[t, SQUARES + PAIRS[skip, 4]]), qj,
+            0.5 * (qj + qk - mesh.solver[t, SQUARES + PAIRS[skip, 5]]), qk,
+        )  # fmt: skip
+        ti, tj = time[mesh.corners[t, i]], time[mesh.corners[t, j]]
+        best = min(best, from_face(gram, (ti, tj, time[mesh.corners[t, k]])))
     return best
 
 
 @kernel(inline="always")
-def _into_trees(node, sites, mesh, time, origin, entered_by, queue, size):
+def _into_trees(node, sites, mesh, front, size):
     """From a vertex to the sites in the elements around it; returns the queue's size."""
+    time, origin = front.time, front.origin
     for k in range(sites.reader_start[node], sites.reader_start[node + 1]):
         site = sites.reader[k]
         other, t, delay = sites.node[site], sites.element[site], sites.antidromic[site]
         earliest = node
-        for c in range(4):
+        for c in range(CORNERS):
             if time[mesh.corners[t, c]] < time[earliest]:
                 earliest = mesh.corners[t, c]
         if time[earliest] + delay >= time[other]:
             continue
         arrival = delay + _arrival_inside(site, t, sites, mesh, time)
         if arrival < time[other] - SETTLED:
-            time[other], origin[other], entered_by[site] = arrival, site, origin[earliest]
-            size = lower(other, time, queue.heap, queue.place, size)
+            time[other], origin[other], front.entered_by[site] = arrival, site, origin[earliest]
+            size = lower(other, time, front.queue, size)
     return size
 
 
 @kernel()
-def sweep(time, origin, entered_by, sources, mesh, forest, sites, queue):
+def sweep(front, sources, mesh, forest, sites):
     """Solve the coupled problem in place.
 
     Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is the
@@ -203,38 +223,32 @@ def sweep(time, origin, entered_by, sources, mesh, forest, sites, queue):
 
     Linear interpolation is late where fronts are curved, most of all near a point source. So a
     site that fires, be it from its tree, as a stimulus or because the front comes by, offers what
-    is near it the travel time along the straight way, too. Each offer depends on nothing but the
+    is around it the ray travel time, too. Each offer depends on nothing but the
     times at which it starts, and none becomes later when those become earlier: the result is the
     same in whatever order nodes are taken. Where fronts collide, linear interpolation between them
     is early, by a part of an edge's time.
 
     Parameters
     ----------
-    time : (vertices + tree nodes,) array
-        Times (ms); inf but at the sources. Trees are settled (`settle_trees`). Overwritten.
-    origin : (vertices + tree nodes,) array
-        -1; overwritten by the site that fired each vertex, or by which the front entered a
-        tree; -1 stays where neither is so.
-    entered_by : (sites,) array
-        -1; overwritten by the site whose front entered a tree at each site.
+    front : Front
+        Times (ms): inf but at the sources, with trees settled (`settle_trees`). Origins, sites that
+        trees were entered from and places in the queue: -1. Overwritten.
     sources : (s,) array
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.
-    mesh, forest, sites, queue : Mesh, Forest, Sites, Queue
+    mesh, forest, sites : EikonalMesh, Forest, Sites
         See `fascicle.kernels.arrays`.
     """
     vertices, size = len(mesh.vertices), 0
     for source in sources:
-        size = lower(source, time, queue.heap, queue.place, size)
+        size = lower(source, front.time, front.queue, size)
     while size > 0:
-        node, size = pop(time, queue.heap, queue.place, size)
+        node, size = pop(front.time, front.queue, size)
         if node < vertices:
-            size = _through_edges(node, mesh, time, origin, queue, size)
-            size = _through_elements(node, mesh, time, origin, queue, size)
-            size = _into_trees(node, sites, mesh, time, origin, entered_by, queue, size)
+            size = _through_edges(node, mesh, front, size)
+            size = _through_elements(node, mesh, front, size)
+            size = _into_trees(node, sites, mesh, front, size)
             continue
-        size = _through_tree(node - vertices, vertices, forest,
-                             time, origin, entered_by, queue, size)  # fmt: skip
+        size = _through_tree(node - vertices, vertices, forest, front, size)
         site = forest.site[node - vertices]
         if site >= 0 and sites.orthodromic[site] < np.inf:
-            size = _fire(site, time[node] + sites.orthodromic[site], sites,
-                         time, origin, entered_by, queue, size)  # fmt: skip
+            size = _fire(site, front.time[node] + sites.orthodromic[site], sites, front, size)

@@ -23,7 +23,15 @@ FLAT = 1e-14
 
 @kernel(inline="always")
 def from_edge(a11, a12, a22, t1, t2):
-    """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end."""
+    """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end.
+
+    Parameters
+    ----------
+    a11, a12, a22 : float
+        A_ij = eᵢᵀD⁻¹eⱼ (ms²) of the edge's two ends.
+    t1, t2 : float
+        Their times (ms).
+    """
     det = a11 * a22 - a12 * a12
     if det <= FLAT * a11 * a22:
         return np.inf
@@ -45,8 +53,18 @@ def from_edge(a11, a12, a22, t1, t2):
 
 
 @kernel(inline="always")
-def from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
-    """Earliest arrival (ms) through the inside of a face; inf where the minimum is on its rim."""
+def from_inside_face(gram, times):
+    """Earliest arrival (ms) through the inside of a face; inf where the minimum is on an edge.
+
+    Parameters
+    ----------
+    gram : tuple of 6 floats
+        A_ij = eᵢᵀD⁻¹eⱼ (ms²) of the face's corners: 11, 12, 13, 22, 23, 33.
+    times : tuple of 3 floats
+        Their times (ms).
+    """
+    a11, a12, a13, a22, a23, a33 = gram
+    t1, t2, t3 = times
     q11 = a22 * a33 - a23 * a23
     q12 = a13 * a23 - a12 * a33
     q13 = a12 * a23 - a13 * a22
@@ -75,13 +93,23 @@ def from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
 
 
 @kernel()
-def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
-    """Earliest arrival (ms) from a face with its edges and vertices; times may be inf."""
+def from_face(gram, times):
+    """Earliest arrival (ms) from a face with its edges and vertices.
+
+    Parameters
+    ----------
+    gram : tuple of 6 floats
+        A_ij = eᵢᵀD⁻¹eⱼ (ms²) of the face's corners: 11, 12, 13, 22, 23, 33.
+    times : tuple of 3 floats
+        Their times (ms); may be inf.
+    """
+    a11, a12, a13, a22, a23, a33 = gram
+    t1, t2, t3 = times
     best = min(t1 + math.sqrt(a11), t2 + math.sqrt(a22), t3 + math.sqrt(a33))
     if t1 < np.inf and t2 < np.inf:
         best = min(best, from_edge(a11, a12, a22, t1, t2))
         if t3 < np.inf:
-            best = min(best, from_inside_face(a11, a12, a13, a22, a23, a33, t1, t2, t3))
+            best = min(best, from_inside_face(gram, times))
     if t1 < np.inf and t3 < np.inf:
         best = min(best, from_edge(a11, a13, a33, t1, t3))
     if t2 < np.inf and t3 < np.inf:
@@ -90,28 +118,31 @@ def from_face(a11, a12, a13, a22, a23, a33, t1, t2, t3):
 
 
 @kernel(inline="always")
-def from_new_corner(pas, paj, pak, psj, psk, pjk, ss, jj, kk, sj, sk, tj, tk, use_j, use_k):
-    """How long after corner s (ms) its face s, j, k fires corner a, by ways that touch s; or inf.
+def from_new_corner(products, squares, tj, tk, use_j, use_k):
+    """Delay after corner s (ms) with which its face s, j, k fires corner a through s; or inf.
 
-    What the rest of the face offers is known without s. The way from s itself, along the edge, is
+    What the rest of the face offers is known without s. The path from s itself, along the edge, is
     left out. The objective is convex: where its minimum in the face's plane lies outside the face,
     the minimum on the face lies on an edge that faces it, one opposite a corner whose weight is
     negative.
 
     Parameters
     ----------
-    pas, paj, pak, psj, psk, pjk : float
-        Products ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²). The
-        time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²), which is 1 in a front; the front
-        comes through the face if it leaves each of its corners behind: Σⱼ pᵢⱼ τⱼ ≤ 0.
-    ss, jj, kk, sj, sk : float
+    products : tuple of 6 floats
+        Products ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²), for
+        the pairs as, aj, ak, sj, sk, jk. The time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²),
+        which is 1 in a front; the front comes through the face if it leaves each of its corners
+        behind: Σⱼ pᵢⱼ τⱼ ≤ 0.
+    squares : tuple of 5 floats
         Squared travel times (ms²) from a to s, j and k, and from s to j and k.
     tj, tk : float
         Times of j and k, less that of s (ms).
     use_j, use_k : bool
         Which of the two have a time to be used.
     """
-    way = np.inf
+    pas, paj, pak, psj, psk, pjk = products
+    ss, jj, kk, sj, sk = squares
+    delay = np.inf
     beyond_j, beyond_k = use_k, use_j  # without k, the edge from s to j is all there is
     if use_j and use_k:
         beyond_j = beyond_k = True
@@ -123,9 +154,9 @@ def from_new_corner(pas, paj, pak, psj, psk, pjk, ss, jj, kk, sj, sk, tj, tk, us
             mu = (math.sqrt(disc) - b) / paa
             beyond_j, beyond_k = paj * mu + vj > 0.0, pak * mu + vk > 0.0
             if not (beyond_j or beyond_k) and pas * mu + psj * tj + psk * tk <= 0.0:
-                way = mu
+                delay = mu
     if beyond_k:
-        way = min(way, from_edge(ss, 0.5 * (ss + jj - sj), jj, 0.0, tj))
+        delay = min(delay, from_edge(ss, 0.5 * (ss + jj - sj), jj, 0.0, tj))
     if beyond_j:
-        way = min(way, from_edge(ss, 0.5 * (ss + kk - sk), kk, 0.0, tk))
-    return way
+        delay = min(delay, from_edge(ss, 0.5 * (ss + kk - sk), kk, 0.0, tk))
+    return delay

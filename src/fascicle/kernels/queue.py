@@ -4,8 +4,21 @@ from fascicle.kernels.jit import kernel
 
 
 @kernel()
-def lower(node, time, heap, place, size):
-    """Enter `node`, or move it up after its time was lowered; returns the heap's size."""
+def lower(node, time, queue, size):
+    """Enter a node, or move it up after its time was lowered; returns the heap's size.
+
+    Parameters
+    ----------
+    node : int
+        The node.
+    time : (n,) array
+        Time of each node (ms).
+    queue : Queue
+        See `fascicle.kernels.arrays`.
+    size : int
+        How many nodes are in the heap.
+    """
+    heap, place = queue
     i = place[node]
     if i < 0:
         i = size
@@ -24,8 +37,15 @@ def lower(node, time, heap, place, size):
 
 
 @kernel()
-def pop(time, heap, place, size):
-    """Take the earliest node out; returns it and the heap's size."""
+def pop(time, queue, size):
+    """Take the earliest node out; returns it and the heap's size.
+
+    Parameters
+    ----------
+    time, queue, size
+        See `lower`.
+    """
+    heap, place = queue
     first = heap[0]
     place[first] = -1
     size -= 1

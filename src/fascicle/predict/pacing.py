@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.forward.ecg.electrocardiogram import STEP
-from fascicle.forward.model import ForwardModel, Simulation
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import Simulation
 from fascicle.recording.window import qrs_window
 from fascicle.study.networks import Network
 

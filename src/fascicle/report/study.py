@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.forward.model import Simulation
+from fascicle.forward.simulation import Simulation
 from fascicle.report.convergence import convergence_figure
 from fascicle.report.ecg import match_figure
 from fascicle.report.figures import save

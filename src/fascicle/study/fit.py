@@ -16,7 +16,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.core.progress import Progress
-from fascicle.forward.compile_kernels import Compilation
+from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
@@ -68,7 +68,7 @@ class FittedStudy:
     def networks(self, progress: Progress | None = None) -> list[Network]:
         """Simulate the accepted networks; the best one alone where none was accepted."""
         if progress is not None:
-            Compilation(progress).run()
+            compile_kernels(progress)
         if not len(self.accepted):
             return [simulate_best(self.problem, self.accepted)]
         return simulate_all(
@@ -158,7 +158,7 @@ def fit(
     if not (folder / "target.nc").exists():
         write_target(target, folder / "target.nc")
     if progress is not None:
-        Compilation(progress).run()
+        compile_kernels(progress)
     model = ForwardModel(heart, progress=progress)
     problem = Problem(model, target, NETWORK_SPACE, free_gain, workers)
     posterior = study.run(problem, progress if progress is not None else _silent)

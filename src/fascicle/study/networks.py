@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.forward.model import Simulation
+from fascicle.forward.simulation import Simulation
 from fascicle.study.population import Accepted
 from fascicle.study.problem import Problem, simulate_valid
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from fascicle.core.parameters import ParameterSpace
 from fascicle.forward.loss import Alignment, align, placed
-from fascicle.forward.model import ForwardModel, Simulation
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import Simulation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated

@@ -174,10 +174,10 @@ def test_figure_and_table(folder, template):
     from fascicle.report.template import template_figure
 
     stored.default_template.cache_clear()
-    told = []
-    figure, table = template_figure(lambda *report: told.append(report))
+    reports = []
+    figure, table = template_figure(lambda *report: reports.append(report))
     stored.default_template.cache_clear()
-    assert [report[1:3] for report in told] == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert [report[1:3] for report in reports] == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert set(table) == {"endocardial", "midmyocardial", "epicardial"}
     row = table["endocardial"]
     assert row["resting_potential"] == pytest.approx(-86.0, abs=0.3)

@@ -17,7 +17,7 @@ from fascicle.forward.ecg.electrocardiogram import (
     first_sample,
 )
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import build_tissue
+from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import barycentric_gradients
 
@@ -129,7 +129,7 @@ def test_potentials_equal_direct_quadrature():
 
 def excited(block, onset, seed=0):
     """Times from one corner on (ms)."""
-    return onset + solve_without_trees(build_tissue(block, CONDUCTION), {seed: 0.0})
+    return onset + solve_without_trees(build_myocardium(block, CONDUCTION), {seed: 0.0})
 
 
 def test_all_is_quiet_before_the_first_and_after_the_last_front():

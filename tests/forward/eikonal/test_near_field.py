@@ -1,6 +1,6 @@
-"""Straight ways from sites to what is around them: read from the table, traced, and in between.
+"""Ray travel times from sites: read from the table, traced, and to other sites.
 
-In a uniform box they are geodesics, √(dᵀD⁻¹d); in others no way may be shorter than the geodesic.
+In a uniform box they are geodesics, √(dᵀD⁻¹d); in others none may be shorter than the geodesic.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from builders import (
     face_of,
     heart_vertices,
     line_tree,
-    ray_ways,
+    ray_times,
     straight_times,
 )
 
 from fascicle.forward.eikonal import activation
 from fascicle.forward.eikonal.activation import attach
-from fascicle.forward.eikonal.myocardium import Tissue, build_tissue
+from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.heart.conduction import Region
 from fascicle.kernels.ray_travel_times import POINTS
 from fascicle.purkinje.tree import PurkinjeTree
@@ -46,7 +46,7 @@ def block(cells=CELLS, *, fibre=OBLIQUE, jitter=0.2, scar=None, speeds=(ALONG, A
         dead = scar(heart.vertices[heart.tetrahedra].mean(axis=1))
         heart = replace(heart, regions=dead.astype(np.int64))
         conduction = replace(conduction, regions=(Region(0.0, label=1),))
-    return build_tissue(heart, conduction)
+    return build_myocardium(heart, conduction)
 
 
 @pytest.fixture(scope="module")
@@ -82,53 +82,56 @@ def star(leaves):
     return PurkinjeTree("lv", nodes, parents, np.linalg.norm(nodes - nodes[0], axis=1))
 
 
-def junctions(tissue, points):
-    coupling = attach(tissue, [star(points)])
-    np.testing.assert_allclose(coupling.site.positions, points, atol=1e-12)
+def junctions(myocardium, points):
+    coupling = attach(myocardium, [star(points)])
+    np.testing.assert_allclose(coupling.located.positions, points, atol=1e-12)
     return coupling
 
 
-def listed(ways):
-    """Site, target and time of each way."""
-    return np.repeat(np.arange(len(ways.start) - 1), np.diff(ways.start)), ways.target, ways.time
+def listed(rays):
+    """Site, target and time of each ray."""
+    return np.repeat(np.arange(len(rays.start) - 1), np.diff(rays.start)), rays.target, rays.time
 
 
-def exact(tissue, start, end):
+def exact(myocardium, start, end):
     """√(dᵀD⁻¹d) of pairs of points in a uniform box (ms)."""
     offset = end - start
-    return np.sqrt(np.einsum("...i,ij,...j->...", offset, tissue.mesh.metric[0], offset))
+    return np.sqrt(np.einsum("...i,ij,...j->...", offset, myocardium.mesh.metric[0], offset))
 
 
-def errors(tissue, coupling):
-    """Ways less the exact ones (ms) to vertices, and to other sites."""
-    at = coupling.site.positions
-    for ways, goals in ((coupling.sites.near, tissue.mesh.vertices), (coupling.sites.beside, at)):
-        site, target, time = listed(ways)
-        yield time - exact(tissue, at[site], goals[target])
+def errors(myocardium, coupling):
+    """Travel times less the exact ones (ms) to vertices, and to other sites."""
+    at = coupling.located.positions
+    for rays, goals in (
+        (coupling.sites.to_vertices, myocardium.mesh.vertices),
+        (coupling.sites.to_sites, at),
+    ):
+        site, target, time = listed(rays)
+        yield time - exact(myocardium, at[site], goals[target])
 
 
 class TestInUniformTissue:
     def test_ways_from_the_table_are_exact(self, uniform):
         coupling = junctions(uniform, on_endocardia(0))
-        assert (uniform.table.row[coupling.site.triangles] >= 0).all()
+        assert (uniform.travel_times.row[coupling.located.triangles] >= 0).all()
         to_vertices, _ = errors(uniform, coupling)
-        assert len(to_vertices) > 30 * len(coupling.site.elements)
+        assert len(to_vertices) > 30 * len(coupling.located.elements)
         assert np.abs(to_vertices).max() < TABLE
 
     def test_traced_ways_are_exact(self, uniform):
         """From the epicardium and from the inside."""
         coupling = junctions(uniform, on_epicardium(0))
-        assert (uniform.table.row[coupling.site.triangles] < 0).all()
+        assert (uniform.travel_times.row[coupling.located.triangles] < 0).all()
         inside = np.random.default_rng(1).uniform(0, SIZE, (COUNT, 3))
         for traced in (coupling, attach(uniform, [], inside)):
             to_vertices, _ = errors(uniform, traced)
-            assert len(to_vertices) > 30 * len(traced.site.elements)
+            assert len(to_vertices) > 30 * len(traced.located.elements)
             assert np.abs(to_vertices).max() < TRACED
 
     def test_a_stimulus_has_a_way_to_every_vertex(self, uniform):
         """Even on the endocardium."""
         points = np.concatenate([on_endocardia(2), [SIZE / 2]])
-        site, target, _ = listed(attach(uniform, [], points).sites.near)
+        site, target, _ = listed(attach(uniform, [], points).sites.to_vertices)
         vertices = np.arange(len(uniform.mesh.vertices))
         for k in range(len(points)):
             np.testing.assert_array_equal(np.unique(target[site == k]), vertices)
@@ -143,16 +146,16 @@ class TestInUniformTissue:
         coupling = attach(uniform, [star(points)], inside)
         _, between = errors(uniform, coupling)
         assert np.abs(between).max() < TABLE
-        site, target, time = listed(coupling.sites.beside)
-        times = np.full((len(coupling.site.elements),) * 2, np.nan)
+        site, target, time = listed(coupling.sites.to_sites)
+        times = np.full((len(coupling.located.elements),) * 2, np.nan)
         times[site, target] = time
         assert np.isnan(np.diag(times)).all()
         stimulated = np.isfinite(times[len(points) :]).sum(axis=1)
-        assert (stimulated == len(times) - 1).all(), "from a stimulus there is a way to every site"
+        assert (stimulated == len(times) - 1).all(), "from a stimulus there is a ray to every site"
         both = np.isfinite(times) & np.isfinite(times.T)
         assert both[[0, 2, len(points)], [1, 3, len(points) + 1]].all()
         assert np.abs(times - times.T)[both].max() < 2 * TABLE
-        elements = coupling.site.elements
+        elements = coupling.located.elements
         assert (elements[site] == elements[target]).sum() > 100
 
     def test_user_trees_on_the_epicardium(self, uniform):
@@ -161,10 +164,10 @@ class TestInUniformTissue:
         tree = line_tree([tip, [10.0, 10.0, SIZE[2] + 6.0], other], root=1)
         vertices = heart_vertices(uniform)
         fired = activate(uniform, [tree], [0.0], 2.0, speed=[1.0, 1.0, 0.0])
-        ways = straight_times(uniform, tip, [tree.lengths[0] / 2.0])
+        rays = straight_times(uniform, tip, [tree.lengths[0] / 2.0])
         near = np.linalg.norm(vertices - tip, axis=1) < 8.0
         assert near.sum() > 20
-        np.testing.assert_allclose(fired.myocardium[near], ways[near], atol=TRACED, rtol=0)
+        np.testing.assert_allclose(fired.myocardium[near], rays[near], atol=TRACED, rtol=0)
         entered = activate(uniform, [tree], [np.inf], 2.0, stimuli=[[12.0, 11.0, 3.0]], times=[1.0])
         arrival = straight_times(uniform, [12.0, 11.0, 3.0], [1.0], at=other)[0]
         assert entered.trees[0][2] == pytest.approx(arrival, abs=TRACED)
@@ -175,10 +178,10 @@ class TestInUniformTissue:
 def test_how_far_the_table_reaches(cells):
     """To all within reach of a triangle's middle and 50 ms of its six points.
 
-    Reach is 20 mm, but less where there would be more than 150 ways a vertex of the mesh.
+    Reach is 20 mm, but less where there would be more than 150 rays a vertex of the mesh.
     """
-    tissue = block(cells)
-    mesh, table = tissue.mesh, tissue.table
+    myocardium = block(cells)
+    mesh, table = myocardium.mesh, myocardium.travel_times
     assert table.longest == 50.0
     if cells is CELLS:
         assert table.reach == 20.0
@@ -187,19 +190,19 @@ def test_how_far_the_table_reaches(cells):
     ways_within = 0
     for triangle in np.flatnonzero(table.row >= 0):
         row = table.row[triangle]
-        corners = mesh.vertices[tissue.surface[triangle]]
-        ways = exact(tissue, (POINTS @ corners)[:, None], mesh.vertices).max(axis=0)
+        corners = mesh.vertices[myocardium.surface[triangle]]
+        rays = exact(myocardium, (POINTS @ corners)[:, None], mesh.vertices).max(axis=0)
         near = np.linalg.norm(mesh.vertices - corners.mean(axis=0), axis=1) <= table.reach
         ways_within += near.sum()
-        near[mesh.corners[tissue.owner[triangle]]] = False
+        near[mesh.corners[myocardium.owner[triangle]]] = False
         found = np.zeros(len(near), dtype=bool)
         found[table.vertex[table.start[row] : table.start[row + 1]]] = True
-        np.testing.assert_array_equal(found, near & (ways <= 50.0))
+        np.testing.assert_array_equal(found, near & (rays <= 50.0))
     assert ways_within < 1.1 * 150 * len(mesh.vertices)
 
 
-# Largest and mean difference (ms) from the way that is traced. Measured where fibres turn by 30° in
-# an element: 1.95 and 0.046 from the bottom, to which they are parallel, 5.45 and 0.135 from the
+# Largest and mean difference (ms) from the traced time. Measured where fibres turn by 30° in an
+# element: 1.95 and 0.046 from the bottom, to which they are parallel, 5.45 and 0.135 from the
 # side; where they turn by 15°: 0.52 and 0.019, 1.95 and 0.048
 @pytest.mark.parametrize(
     ("cells", "axis", "largest", "mean"),
@@ -211,13 +214,13 @@ def test_how_far_the_table_reaches(cells):
     ],
 )
 def test_in_turning_fibres_the_table_is_near_the_traced_ways(cells, axis, largest, mean):
-    tissue = block(cells, fibre=turning)
-    coupling = junctions(tissue, anywhere(7 - axis, axis, 0.0 if axis == 2 else SIZE[0]))
-    at, vertices = coupling.site.positions, tissue.mesh.vertices
-    site, target, time = listed(coupling.sites.near)
+    myocardium = block(cells, fibre=turning)
+    coupling = junctions(myocardium, anywhere(7 - axis, axis, 0.0 if axis == 2 else SIZE[0]))
+    at, vertices = coupling.located.positions, myocardium.mesh.vertices
+    site, target, time = listed(coupling.sites.to_vertices)
     traced = np.concatenate(
         [
-            ray_ways(tissue, at[k], coupling.site.elements[k], vertices[target[site == k]])
+            ray_times(myocardium, at[k], coupling.located.elements[k], vertices[target[site == k]])
             for k in range(len(at))
         ]
     )
@@ -226,21 +229,21 @@ def test_in_turning_fibres_the_table_is_near_the_traced_ways(cells, axis, larges
 
 
 def test_hardly_anything_is_faster_than_along_the_fibre():
-    """Where fibres turn by 30° in an element, interpolation makes one way in a hundred so.
+    """Where fibres turn by 30° in an element, interpolation makes one in a hundred so.
 
-    Measured: by 0.05 ms to vertices; traced ways to vertices, and ways to sites, never.
+    Measured: by 0.05 ms to vertices; traced times to vertices, and times to sites, never.
     """
-    tissue = block(fibre=turning)
+    myocardium = block(fibre=turning)
     endocardial, epicardial = (
-        attach(tissue, [star(p)]) for p in (on_endocardia(5), on_epicardium(7))
+        attach(myocardium, [star(p)]) for p in (on_endocardia(5), on_epicardium(7))
     )
     for coupling, early in ((endocardial, 0.1), (epicardial, TRACED)):
-        at = coupling.site.positions
-        for ways, goals, earlier in (
-            (coupling.sites.near, tissue.mesh.vertices, early),
-            (coupling.sites.beside, at, TRACED),
+        at = coupling.located.positions
+        for rays, goals, earlier in (
+            (coupling.sites.to_vertices, myocardium.mesh.vertices, early),
+            (coupling.sites.to_sites, at, TRACED),
         ):
-            site, target, time = listed(ways)
+            site, target, time = listed(rays)
             ahead = np.linalg.norm(goals[target] - at[site], axis=1) / ALONG - time
             assert ahead.max() < earlier
             assert (ahead > TABLE).mean() < 0.02
@@ -261,14 +264,14 @@ class TestAroundScar:
     def clear(self, start, end):
         """Whether straight lines in the x-y plane, (n, 2) to (n, 2), miss the pillar."""
         low, high = self.LOW + 1e-9, self.HIGH - 1e-9
-        way = np.where(end == start, 1e-300, end - start)  # parallel to a side: aside or beside
-        to_low, to_high = (low - start) / way, (high - start) / way
+        along = np.where(end == start, 1e-300, end - start)  # parallel to a side: aside or beside
+        to_low, to_high = (low - start) / along, (high - start) / along
         enter = np.minimum(to_low, to_high).max(axis=1)
         leave = np.maximum(to_low, to_high).min(axis=1)
         return np.maximum(enter, 0.0) >= np.minimum(leave, 1.0)
 
     def geodesics(self, start, end):
-        """Shortest ways around the pillar (ms), past none, one or both of its corners."""
+        """Least travel times around the pillar (ms), past none, one or both of its corners."""
         left, right = np.array([12.0, 12.0]), np.array([16.0, 12.0])
         shortest = np.full(len(start), np.inf)
         for corners in ([], [left], [right], [left, right], [right, left]):
@@ -279,10 +282,10 @@ class TestAroundScar:
             shortest = np.where(clear, np.minimum(shortest, length), shortest)
         return np.hypot(shortest, end[:, 2] - start[:, 2]) / ALONG
 
-    def check(self, coupling, ways, goals, early):
-        """No way is shorter than the geodesic, and many geodesics are longer than the line."""
-        site, target, time = listed(ways)
-        start, end = coupling.site.positions[site], goals[target]
+    def check(self, coupling, rays, goals, early):
+        """No time is shorter than the geodesic's, and many geodesics are longer than the line."""
+        site, target, time = listed(rays)
+        start, end = coupling.located.positions[site], goals[target]
         shortest = self.geodesics(start, end)
         assert np.isfinite(shortest).all()
         assert (shortest - time).max() < early
@@ -293,74 +296,76 @@ class TestAroundScar:
         "points", [on_endocardia(10), on_epicardium(9)], ids=["table", "traced"]
     )
     def test_nothing_leads_through_it(self, pillar, points):
-        """Traced ways are exact. Interpolation between straight ones and others is early.
+        """Traced times are exact. Interpolation between straight ones and others is early.
 
         Measured: by 0.15 ms, a tenth of a millimetre, to vertices and by 0.10 to sites.
         """
         coupling = attach(pillar, [star(points)])
-        np.testing.assert_array_equal(coupling.site.elements < 0, self.dead(points))
-        traced = (pillar.table.row[coupling.site.triangles] < 0).all()
+        np.testing.assert_array_equal(coupling.located.elements < 0, self.dead(points))
+        traced = (pillar.travel_times.row[coupling.located.triangles] < 0).all()
         early = TRACED if traced else 0.2
-        self.check(coupling, coupling.sites.near, pillar.mesh.vertices, early)
-        self.check(coupling, coupling.sites.beside, coupling.site.positions, 0.2)
+        self.check(coupling, coupling.sites.to_vertices, pillar.mesh.vertices, early)
+        self.check(coupling, coupling.sites.to_sites, coupling.located.positions, 0.2)
 
     def test_no_stimulus_fires_through_it(self, pillar):
         coupling = attach(pillar, [], on_endocardia(11))
-        self.check(coupling, coupling.sites.near, pillar.mesh.vertices, TRACED)
-        self.check(coupling, coupling.sites.beside, coupling.site.positions, 0.2)
+        self.check(coupling, coupling.sites.to_vertices, pillar.mesh.vertices, TRACED)
+        self.check(coupling, coupling.sites.to_sites, coupling.located.positions, 0.2)
 
     def test_dead_sites_fire_nothing_and_are_not_fired(self, pillar):
         coupling = attach(pillar, [star(on_endocardia(12))], [[14.0, 5.0, 5.0]])
-        dead = np.flatnonzero(coupling.site.elements < 0)
+        dead = np.flatnonzero(coupling.located.elements < 0)
         assert len(dead) > 3
-        for ways in (coupling.sites.near, coupling.sites.beside):
-            site, _, _ = listed(ways)
+        for rays in (coupling.sites.to_vertices, coupling.sites.to_sites):
+            site, _, _ = listed(rays)
             assert not np.isin(dead, site).any()
-        _, target, _ = listed(coupling.sites.beside)
+        _, target, _ = listed(coupling.sites.to_sites)
         assert not np.isin(dead, target).any()
 
-    def test_no_way_leads_across_a_whole_wall(self):
+    def test_no_ray_leads_across_a_whole_wall(self):
         """What lies behind is on no list, from the table, traced, or of a stimulus."""
-        tissue = block(scar=lambda c: (c[:, 0] > 12.0) & (c[:, 0] < 16.0), jitter=0.0)
+        myocardium = block(scar=lambda c: (c[:, 0] > 12.0) & (c[:, 0] < 16.0), jitter=0.0)
         points = np.concatenate([on_endocardia(13), on_epicardium(14)])
         stimuli = np.random.default_rng(15).uniform(0, SIZE, (20, 3))
-        coupling = attach(tissue, [star(points)], stimuli)
-        left = coupling.site.positions[:, 0] < 14.0
-        beyond = (tissue.mesh.vertices[:, 0] > 14.0), ~left
-        for ways, behind in zip((coupling.sites.near, coupling.sites.beside), beyond, strict=True):
-            site, target, _ = listed(ways)
+        coupling = attach(myocardium, [star(points)], stimuli)
+        left = coupling.located.positions[:, 0] < 14.0
+        beyond = (myocardium.mesh.vertices[:, 0] > 14.0), ~left
+        for rays, behind in zip(
+            (coupling.sites.to_vertices, coupling.sites.to_sites), beyond, strict=True
+        ):
+            site, target, _ = listed(rays)
             assert len(site) > 1000
             np.testing.assert_array_equal(left[site], ~behind[target])
 
 
 def test_stimuli_of_a_scenario_are_looked_for_once(uniform, monkeypatch):
-    """Another network does not trace them again, other points do; the ways are the same."""
+    """Another network does not trace them again, other points do; the times are the same."""
     looked, traced = [], []
-    inside, look_around = Tissue.inside, activation.look_around
+    inside, find_neighbourhood = Myocardium.inside, activation.find_neighbourhood
 
-    def counted_inside(tissue, points):
+    def counted_inside(myocardium, points):
         looked.append(len(points))
-        return inside(tissue, points)
+        return inside(myocardium, points)
 
-    def counted_look(positions, elements, triangles, *others):
+    def counted(positions, elements, triangles, *others):
         traced.append((len(positions), triangles is None))
-        return look_around(positions, elements, triangles, *others)
+        return find_neighbourhood(positions, elements, triangles, *others)
 
-    monkeypatch.setattr(Tissue, "inside", counted_inside)
-    monkeypatch.setattr(activation, "look_around", counted_look)
-    tissue = replace(uniform, remembered={})
+    monkeypatch.setattr(Myocardium, "inside", counted_inside)
+    monkeypatch.setattr(activation, "find_neighbourhood", counted)
+    myocardium = replace(uniform, last_stimuli={})
     points = np.array([[3.1, 4.2, 5.3], [10.0, 2.0, 9.0]])
-    first = attach(tissue, [star(on_endocardia(16))], points)
+    first = attach(myocardium, [star(on_endocardia(16))], points)
     assert looked == [2]
     assert (2, True) in traced
     traced.clear()
-    again = attach(tissue, [star(on_endocardia(17))], points.copy())
+    again = attach(myocardium, [star(on_endocardia(17))], points.copy())
     assert looked == [2]
     assert traced == [(2 * COUNT, False)]
     for coupling in (first, again):
         to_vertices, between = errors(uniform, coupling)
         assert max(np.abs(to_vertices).max(), np.abs(between).max()) < TABLE
-        assert len(coupling.site.elements) == 2 * COUNT + 2
-    attach(tissue, [], points + 0.1)
-    attach(tissue, [], points)
+        assert len(coupling.located.elements) == 2 * COUNT + 2
+    attach(myocardium, [], points + 0.1)
+    attach(myocardium, [], points)
     assert looked == [2, 2, 2]

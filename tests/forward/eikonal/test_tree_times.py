@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from fascicle.purkinje.tree import PurkinjeTree
 
-TISSUE = box_tissue((40.0, 16.0, 4.0), (20, 8, 2), jitter=0.1)
-VERTICES = heart_vertices(TISSUE)
+MYOCARDIUM = box_tissue((40.0, 16.0, 4.0), (20, 8, 2), jitter=0.1)
+VERTICES = heart_vertices(MYOCARDIUM)
 TOP = VERTICES[np.abs(VERTICES[:, 2] - 4.0) < 1e-9]
 CUT_OFF = {"orthodromic_delay": np.inf, "antidromic_delay": np.inf}
 
@@ -56,7 +56,7 @@ def random_tree(seed, leaves=12):
 def test_cv_is_the_speed_and_not_its_square():
     """36 mm at 2.5 mm/ms take 14.4 ms; a conductivity in place of a speed would give 22.8 ms."""
     tree = line_tree(np.column_stack([np.linspace(0, 36, 37), np.full(37, 8.0), np.full(37, 4.0)]))
-    times = activate(TISSUE, [tree], [7.0], 2.5).trees[0]
+    times = activate(MYOCARDIUM, [tree], [7.0], 2.5).trees[0]
     assert times[-1] == pytest.approx(7.0 + 14.4, abs=1e-12)
     np.testing.assert_allclose(np.diff(times), 1 / 2.5, rtol=1e-12)
 
@@ -64,18 +64,18 @@ def test_cv_is_the_speed_and_not_its_square():
 @pytest.mark.parametrize("entry", ["root", "leaf", "both"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_branched_trees_agree_with_scipy(entry, seed):
-    """Root fires at 0 or never; the tissue at a leaf is stimulated; no way from tree to tissue.
+    """Root fires at 0 or never; the tissue at a leaf is stimulated; trees fire no tissue.
 
     What the junctions read is the same with a tree that lets nothing in.
     """
     tree, cv = random_tree(seed), 2.0
     stimuli = {} if entry == "root" else {"stimuli": tree.nodes[tree.junctions[3]], "times": [-5.0]}
     root_time = np.inf if entry == "leaf" else 3.0
-    activation = activate(TISSUE, [tree], [root_time], cv, orthodromic_delay=np.inf, **stimuli)
+    activation = activate(MYOCARDIUM, [tree], [root_time], cv, orthodromic_delay=np.inf, **stimuli)
     entered = {tree.root: root_time}
     if stimuli:
         alone = [
-            activate(TISSUE, [single_leaf(tree, j)], [np.inf], cv, **stimuli).trees[0][1]
+            activate(MYOCARDIUM, [single_leaf(tree, j)], [np.inf], cv, **stimuli).trees[0][1]
             for j in tree.junctions
         ]
         assert alone[3] == pytest.approx(-5.0, abs=1e-9)
@@ -94,7 +94,7 @@ def single_leaf(tree, junction):
 @settings(max_examples=15, deadline=None)
 def test_uncoupled_tree_is_a_shortest_path_problem(seed, cv, root_time):
     tree = random_tree(seed)
-    activation = activate(TISSUE, [tree], [root_time], cv, **CUT_OFF)
+    activation = activate(MYOCARDIUM, [tree], [root_time], cv, **CUT_OFF)
     expected = dijkstra_times(tree, cv, {tree.root: root_time})
     np.testing.assert_allclose(activation.trees[0], expected, atol=1e-9, rtol=0)
     assert not activation.antidromic[0].any()
@@ -109,7 +109,9 @@ def test_slow_and_blocked_segments_and_stimuli_in_the_tree(seed, moments):
     speed = rng.choice([0.0, 0.3, 0.7, 1.0, 1.0], len(tree.nodes))
     fired = rng.choice(len(tree.nodes), len(moments), replace=False).tolist()
     node_times = [(0, node, moment) for node, moment in zip(fired, moments, strict=True)]
-    activation = activate(TISSUE, [tree], [2.0], 2.0, node_times=node_times, speed=speed, **CUT_OFF)
+    activation = activate(
+        MYOCARDIUM, [tree], [2.0], 2.0, node_times=node_times, speed=speed, **CUT_OFF
+    )
     entered = dict(zip(fired, moments, strict=True))
     entered[tree.root] = min(2.0, entered.get(tree.root, np.inf))
     expected = dijkstra_times(tree, 2.0, entered, speed)
@@ -121,10 +123,10 @@ def test_a_blocked_segment_is_passed_neither_way():
     """Cut between nodes 2 and 3 of six: what is fired on one side stays there."""
     tree = line_tree(np.column_stack([np.linspace(0, 30, 6), np.full(6, 8.0), np.full(6, 9.0)]))
     speed = np.where(np.arange(6) == 3, 0.0, 1.0)
-    from_root = activate(TISSUE, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
+    from_root = activate(MYOCARDIUM, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
     np.testing.assert_allclose(from_root, [0, 3, 6, np.inf, np.inf, np.inf])
     beyond = activate(
-        TISSUE, [tree], [np.inf], 2.0, speed=speed, node_times=[(0, 4, 1.0)], **CUT_OFF
+        MYOCARDIUM, [tree], [np.inf], 2.0, speed=speed, node_times=[(0, 4, 1.0)], **CUT_OFF
     ).trees[0]
     np.testing.assert_allclose(beyond, [np.inf, np.inf, np.inf, 4, 1, 4])
 
@@ -133,10 +135,10 @@ def test_a_slow_segment_is_slow_both_ways():
     """6 mm at a quarter of 2 mm/ms take 12 ms instead of 3."""
     tree = line_tree(np.column_stack([np.linspace(0, 30, 6), np.full(6, 8.0), np.full(6, 9.0)]))
     speed = np.where(np.arange(6) == 3, 0.25, 1.0)
-    forwards = activate(TISSUE, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
+    forwards = activate(MYOCARDIUM, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
     np.testing.assert_allclose(forwards, [0, 3, 6, 18, 21, 24])
     backwards = activate(
-        TISSUE, [tree], [np.inf], 2.0, speed=speed, node_times=[(0, 5, 0.0)], **CUT_OFF
+        MYOCARDIUM, [tree], [np.inf], 2.0, speed=speed, node_times=[(0, 5, 0.0)], **CUT_OFF
     ).trees[0]
     np.testing.assert_allclose(backwards, [24, 21, 18, 6, 3, 0])
 
@@ -146,7 +148,7 @@ def test_a_block_is_bypassed_through_the_myocardium():
     x = np.linspace(0, 40, 11)
     tree = line_tree(np.column_stack([x, np.full(11, 8.0), np.full(11, 4.0)]), root=5)
     speed = np.where(np.arange(11) == 8, 0.0, 1.0)  # the segment from x = 28 to 32 mm
-    activation = activate(TISSUE, [tree], [0.0], 2.0, speed=speed)
+    activation = activate(MYOCARDIUM, [tree], [0.0], 2.0, speed=speed)
     along = np.sqrt(0.375)
     np.testing.assert_allclose(activation.trees[0][:8], np.abs(x[:8] - 20) / 2.0)
     entered = 10.0 + 40.0 / along
@@ -157,7 +159,7 @@ def test_a_block_is_bypassed_through_the_myocardium():
 def test_a_blocked_segment_of_no_length_is_passed_neither_way():
     tree = line_tree([[0, 8, 9], [10, 8, 9], [10, 8, 9], [20, 8, 9]])
     speed = np.array([1.0, 1.0, 0.0, 1.0])
-    times = activate(TISSUE, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
+    times = activate(MYOCARDIUM, [tree], [0.0], 2.0, speed=speed, **CUT_OFF).trees[0]
     np.testing.assert_allclose(times, [0, 5, np.inf, np.inf])
 
 
@@ -169,12 +171,18 @@ def test_trees_do_not_leak_into_one_another():
     speeds = [rng.choice([0.0, 0.5, 1.0], len(tree.nodes)) for tree in trees]
     node_times = [(1, 4, 2.0), (2, 5, -7.0)]
     together = activate(
-        TISSUE, trees, roots, 3.0, speed=np.concatenate(speeds), node_times=node_times, **CUT_OFF
+        MYOCARDIUM,
+        trees,
+        roots,
+        3.0,
+        speed=np.concatenate(speeds),
+        node_times=node_times,
+        **CUT_OFF,
     )
     for k, (tree, root_time, times) in enumerate(zip(trees, roots, together.trees, strict=True)):
         own = [(0, node, moment) for number, node, moment in node_times if number == k]
         alone = activate(
-            TISSUE, [tree], [root_time], 3.0, speed=speeds[k], node_times=own, **CUT_OFF
+            MYOCARDIUM, [tree], [root_time], 3.0, speed=speeds[k], node_times=own, **CUT_OFF
         )
         np.testing.assert_array_equal(times, alone.trees[0])
         assert len(times) == len(tree.nodes)

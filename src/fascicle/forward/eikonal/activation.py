@@ -10,9 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fascicle.forward.eikonal.myocardium import Site, Tissue
-from fascicle.forward.eikonal.ray_travel_times import Around, grouped, look_around, look_beside
-from fascicle.kernels.arrays import Forest, Queue, Sites, Ways
+from fascicle.forward.eikonal.myocardium import LocatedPoints, Myocardium
+from fascicle.forward.eikonal.ray_travel_times import (
+    SiteNeighbourhood,
+    find_neighbourhood,
+    grouped,
+    rays_between_sites,
+)
+from fascicle.kernels.arrays import CORNERS, Forest, Front, Queue, Sites
 from fascicle.kernels.coupled import settle_trees, sweep
 from fascicle.purkinje.tree import PurkinjeTree
 
@@ -21,16 +26,18 @@ FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothin
 
 @dataclass(frozen=True)
 class Coupling:
-    """Trees and stimuli attached to a tissue: all that does not depend on when they fire.
+    """Trees and stimuli attached to the myocardium: all that does not depend on when they fire.
 
     Sites are numbered junctions first, tree by tree, then stimuli.
 
     Attributes
     ----------
+    myocardium : Myocardium
+        What they are attached to.
     trees : tuple of PurkinjeTree
         Any number of trees.
-    site : Site
-        Where junctions and stimuli lie in the tissue.
+    located : LocatedPoints
+        Where junctions and stimuli lie in the myocardium.
     nodes : (k + 1,) array
         Where each tree's nodes start, counting on from the mesh's vertices; after them come the
         stimuli, a node each.
@@ -42,13 +49,19 @@ class Coupling:
         As the sweep wants them, with neither travel times nor delays.
     """
 
+    myocardium: Myocardium
     trees: tuple[PurkinjeTree, ...]
-    site: Site
+    located: LocatedPoints
     nodes: NDArray[np.int64]
     junctions: NDArray[np.int64]
     lengths: NDArray[np.float64]
     forest: Forest
     sites: Sites
+
+    @property
+    def stimuli(self) -> LocatedPoints:
+        """Where the stimuli lie in the myocardium."""
+        return self.located[int(self.junctions[-1]) :]
 
 
 @dataclass(frozen=True)
@@ -88,13 +101,15 @@ class Activation:
 
 
 def attach(
-    tissue: Tissue, trees: Sequence[PurkinjeTree], points: NDArray[np.float64] | None = None
+    myocardium: Myocardium,
+    trees: Sequence[PurkinjeTree],
+    points: NDArray[np.float64] | None = None,
 ) -> Coupling:
-    """Find where trees and stimuli meet the tissue.
+    """Find where trees and stimuli meet the myocardium.
 
     Parameters
     ----------
-    tissue : Tissue
+    myocardium : Myocardium
         The myocardium.
     trees : sequence of PurkinjeTree
         Any number of trees; junctions are moved to the nearest point of the tissue's surface.
@@ -103,39 +118,38 @@ def attach(
     """
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
     leaves = np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
-    site = tissue.on_surface(leaves)
-    around = look_around(site.positions, site.elements, site.triangles, tissue.mesh, tissue.table)
+    located = myocardium.on_surface(leaves)
+    neighbourhood = _neighbourhood(located, located.triangles, myocardium)
     if len(stimuli):
-        site, around = _with_stimuli(tissue, site, around, stimuli)
+        there, around_them = _locate_stimuli(myocardium, stimuli)
+        located = located.joined_with(there)
+        neighbourhood = neighbourhood.joined_with(around_them)
     nodes = _starts([len(tree.nodes) for tree in trees])
     junctions = _starts([len(tree.junctions) for tree in trees])
     count = int(nodes[-1]) + len(stimuli)
-    site_node = np.concatenate(
-        [
-            *(t.junctions + first for t, first in zip(trees, nodes[:-1], strict=True)),
-            np.arange(nodes[-1], count),
-        ]
-    ).astype(np.int64)
+    junction_nodes = [t.junctions + first for t, first in zip(trees, nodes[:-1], strict=True)]
+    site_node = np.concatenate([*junction_nodes, np.arange(nodes[-1], count)]).astype(np.int64)
     node_site = np.full(count, -1, dtype=np.int64)
     node_site[site_node] = np.arange(len(site_node))
     parents, lengths = _joined(trees, nodes, count)
     no_delay = np.zeros(len(site_node))
+    reader_start, reader = _readers(myocardium, located)
     sites = Sites(
-        site.elements,
-        around.to_corner,
-        site_node + len(tissue.mesh.vertices),
-        no_delay,
-        no_delay,
-        *_readers(tissue, site),
-        around.near,
-        look_beside(site.positions, site.elements, around, tissue.mesh),
+        element=located.elements,
+        to_corner=neighbourhood.sites.to_corner,
+        node=site_node + len(myocardium.mesh.vertices),
+        orthodromic=no_delay,
+        antidromic=no_delay,
+        reader_start=reader_start,
+        reader=reader,
+        to_vertices=neighbourhood.to_vertices,
+        to_sites=rays_between_sites(neighbourhood, myocardium.mesh),
     )
     forest = Forest(_parents_first(parents), parents, no_delay[:0], *_children(parents), node_site)
-    return Coupling(tuple(trees), site, nodes, junctions, lengths, forest, sites)
+    return Coupling(myocardium, tuple(trees), located, nodes, junctions, lengths, forest, sites)
 
 
 def solve(
-    tissue: Tissue,
     coupling: Coupling,
     root_times: Sequence[float],
     cv: float,
@@ -148,14 +162,13 @@ def solve(
 ) -> Activation:
     """Solve the coupled eikonal problem, orthodromic and antidromic, in one sweep.
 
-    Equivalent to the limit of the paper's alternation between trees and myocardium.
+    Equivalent to the limit of the paper's alternation between trees and myocardium (equations
+    `eikotree`, `eikomyo` and `eikoiter`).
 
     Parameters
     ----------
-    tissue : Tissue
-        The myocardium.
     coupling : Coupling
-        Trees and stimuli attached to it.
+        Trees and stimuli attached to the myocardium.
     root_times : sequence of float
         When each root fires (ms); inf for a root that never does.
     cv : float
@@ -167,76 +180,114 @@ def solve(
     speed : float or (n_nodes,) array
         Factor on the speed of the segment that ends in each node, tree by tree; 0 blocks it.
     orthodromic_delay, antidromic_delay : float or (n_junctions,) arrays
-        Delays of the junctions (ms), tree by tree; inf blocks that way.
+        Delays of the junctions (ms), tree by tree; inf blocks that direction.
     """
     if len(root_times) != len(coupling.trees):
         raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
-    vertices, count = len(tissue.mesh.vertices), len(coupling.lengths)
-    time = np.full(vertices + count, np.inf)
-    firing = time[vertices:]
+    mesh, sites = coupling.myocardium.mesh, coupling.sites
+    vertices, nodes = len(mesh.vertices), len(coupling.lengths)
+    front = _quiet(vertices + nodes, len(sites.node))
+    in_trees = front.time[vertices:]
+    in_trees[:] = _firing_times(coupling, root_times, stimuli, node_times)
+    stimulus_times = in_trees[coupling.nodes[-1] :].copy()
+    forest = coupling.forest._replace(time=_segment_times(coupling, cv, speed))
+    settle_trees(in_trees, forest)
+    sources = sites.node[np.isfinite(front.time[sites.node])]
+    sites = sites._replace(
+        orthodromic=_site_delays(coupling, orthodromic_delay),
+        antidromic=_site_delays(coupling, antidromic_delay),
+    )
+    sweep(front, sources, mesh, forest, sites)
+    return _activation(coupling, front, stimulus_times)
+
+
+def _quiet(nodes: int, sites: int) -> Front:
+    """Give a front that has not started: nothing has fired."""
+    queue = Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
+    return Front(np.full(nodes, np.inf), np.full(nodes, FROM_ROOT), np.full(sites, -1), queue)
+
+
+def _firing_times(
+    coupling: Coupling,
+    root_times: Sequence[float],
+    stimuli: Sequence[float],
+    node_times: Sequence[tuple[int, int, float]],
+) -> NDArray[np.float64]:
+    """When each node of the trees, and each stimulus, is fired from outside (ms); inf if not."""
+    firing = np.full(len(coupling.lengths), np.inf)
     for tree, first, root_time in zip(coupling.trees, coupling.nodes[:-1], root_times, strict=True):
         firing[first + tree.root] = root_time
     for tree_number, node, moment in node_times:
         first = coupling.nodes[tree_number]
         firing[first + node] = min(moment, firing[first + node])
     firing[coupling.nodes[-1] :] = stimuli
-    stimulated = firing[coupling.nodes[-1] :].copy()
-    sites, junctions = len(coupling.sites.node), int(coupling.junctions[-1])
-    delays = np.zeros((2, sites))
-    delays[:, :junctions] = (
-        np.broadcast_to(orthodromic_delay, junctions),
-        np.broadcast_to(antidromic_delay, junctions),
-    )
-    factor = np.ones(count)
+    return firing
+
+
+def _segment_times(coupling: Coupling, cv: float, speed: ArrayLike) -> NDArray[np.float64]:
+    """Travel time (ms) of the segment that ends in each node, inf where it is blocked."""
+    factor = np.ones(len(coupling.lengths))
     factor[: coupling.nodes[-1]] = speed
-    travel = np.full(count, np.inf)  # what is blocked takes forever
+    travel = np.full(len(factor), np.inf)
     np.divide(coupling.lengths, cv * factor, out=travel, where=factor > 0)
-    forest = coupling.forest._replace(time=travel)
-    settle_trees(firing, forest)
-    origin = np.full(vertices + count, FROM_ROOT)
-    entered_by = np.full(sites, -1)
-    sweep(
-        time,
-        origin,
-        entered_by,
-        coupling.sites.node[np.isfinite(time[coupling.sites.node])],
-        tissue.mesh,
-        forest,
-        coupling.sites._replace(orthodromic=delays[0], antidromic=delays[1]),
-        _queue(len(time)),
-    )
-    # a site that a front has entered passes it on under its own number; the front is another's
-    front = np.arange(sites)
-    for _ in range(sites):  # as often as a front can be passed on
-        if not (entered_by[front] >= 0).any():
-            break
-        front = np.where(entered_by[front] >= 0, entered_by[front], front)
-    origin = np.where(origin >= 0, front[origin], FROM_ROOT) if sites else origin
-    entered_by = np.where(entered_by >= 0, front, -1)
+    return travel
+
+
+def _site_delays(coupling: Coupling, of_junctions: ArrayLike) -> NDArray[np.float64]:
+    """Delay of each site (ms): of stimuli, none."""
+    delays = np.zeros(len(coupling.sites.node))
+    delays[: coupling.junctions[-1]] = of_junctions
+    return delays
+
+
+def _activation(
+    coupling: Coupling, front: Front, stimulus_times: NDArray[np.float64]
+) -> Activation:
+    """What the sweep found out, in the heart's numbers and tree by tree."""
+    order, vertices = coupling.myocardium.order, len(coupling.myocardium.order)
+    in_trees, origin, entered_by = front.time[vertices:], front.origin, front.entered_by
+    if len(entered_by):
+        first = _first_sites(entered_by)
+        origin = np.where(origin >= 0, first[origin], FROM_ROOT)
+        entered_by = np.where(entered_by >= 0, first, -1)
     entered = _pieces(entered_by, coupling.junctions)
     myocardium, fired_by = np.empty(vertices), np.empty(vertices, dtype=np.int64)
-    myocardium[tissue.order], fired_by[tissue.order] = time[:vertices], origin[:vertices]
+    myocardium[order], fired_by[order] = front.time[:vertices], origin[:vertices]
+    stimuli = coupling.stimuli
     return Activation(
-        myocardium,
-        _pieces(firing, coupling.nodes),
-        fired_by,
-        tuple(by >= 0 for by in entered),
-        entered,
-        coupling.site.positions[junctions:],
-        stimulated,
-        (firing[coupling.nodes[-1] :] == stimulated) & (coupling.site.elements[junctions:] >= 0),
-        _pieces(coupling.site.distances, coupling.junctions),
+        myocardium=myocardium,
+        trees=_pieces(in_trees, coupling.nodes),
+        origin=fired_by,
+        antidromic=tuple(by >= 0 for by in entered),
+        entered_by=entered,
+        stimuli=stimuli.positions,
+        stimulus_times=stimulus_times,
+        captured=(in_trees[coupling.nodes[-1] :] == stimulus_times) & (stimuli.elements >= 0),
+        junction_distances=_pieces(coupling.located.distances, coupling.junctions),
     )
 
 
-def solve_from_vertices(tissue: Tissue, times: NDArray[np.float64]) -> NDArray[np.float64]:
+def _first_sites(entered_by: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The site at which the front that each site passes on first came into the myocardium.
+
+    A site that a front has entered passes it on under its own number; the front is another's.
+    """
+    first = np.arange(len(entered_by))
+    for _ in range(len(entered_by)):  # as often as a front can be passed on
+        if not (entered_by[first] >= 0).any():
+            break
+        first = np.where(entered_by[first] >= 0, entered_by[first], first)
+    return first
+
+
+def solve_from_vertices(myocardium: Myocardium, times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Solve the eikonal equation in the myocardium alone, from times at vertices.
 
-    First order: without a site there is no straight way.
+    First order: without a site there are no rays.
 
     Parameters
     ----------
-    tissue : Tissue
+    myocardium : Myocardium
         The myocardium.
     times : (n,) array
         When each vertex of the heart is fired (ms); inf where it is not.
@@ -246,40 +297,36 @@ def solve_from_vertices(tissue: Tissue, times: NDArray[np.float64]) -> NDArray[n
     (n,) array
         Activation times (ms); inf where no front arrives.
     """
-    count = len(times)
-    time = np.ascontiguousarray(times[tissue.order])
-    none, zero, nothing = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0)
-    nowhere = Ways(zero, np.empty(0, np.int32), nothing)
-    sites = Sites(
-        none, np.empty((0, 4)), none, nothing, nothing, np.zeros(count + 1, np.int64), none,
-        nowhere, nowhere,
-    )  # fmt: skip
-    sweep(
-        time, np.full(count, FROM_ROOT), none, np.flatnonzero(np.isfinite(time)), tissue.mesh,
-        Forest(none, none, nothing, zero, none, none), sites, _queue(count),
-    )  # fmt: skip
-    solved = np.empty(count)
-    solved[tissue.order] = time
+    coupling = attach(myocardium, ())
+    front = _quiet(len(times), 0)
+    front.time[:] = times[myocardium.order]
+    sources = np.flatnonzero(np.isfinite(front.time))
+    sweep(front, sources, myocardium.mesh, coupling.forest, coupling.sites)
+    solved = np.empty(len(times))
+    solved[myocardium.order] = front.time
     return solved
 
 
-def _queue(nodes: int) -> Queue:
-    return Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
+def _neighbourhood(
+    located: LocatedPoints, triangles: NDArray[np.int64] | None, myocardium: Myocardium
+) -> SiteNeighbourhood:
+    return find_neighbourhood(
+        located.positions, located.elements, triangles, myocardium.mesh, myocardium.travel_times
+    )
 
 
-def _with_stimuli(
-    tissue: Tissue, site: Site, around: Around, points: NDArray[np.float64]
-) -> tuple[Site, Around]:
-    """Add points in the myocardium to sites; those of last time are remembered."""
+def _locate_stimuli(
+    myocardium: Myocardium, points: NDArray[np.float64]
+) -> tuple[LocatedPoints, SiteNeighbourhood]:
+    """Find points in the myocardium and what is around them; those of last time are kept."""
     key = points.tobytes()
-    known = tissue.remembered.get(key)
-    if known is None:
-        there = tissue.inside(points)
-        around_them = look_around(there.positions, there.elements, None, tissue.mesh, tissue.table)
-        known = there, around_them
-        tissue.remembered.clear()
-        tissue.remembered[key] = known
-    return site.joined_with(known[0]), around.joined_with(known[1])
+    found = myocardium.last_stimuli.get(key)
+    if found is None:
+        located = myocardium.inside(points)
+        found = located, _neighbourhood(located, None, myocardium)
+        myocardium.last_stimuli.clear()
+        myocardium.last_stimuli[key] = found
+    return found
 
 
 def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
@@ -322,9 +369,11 @@ def _parents_first(parents: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.argsort(depth, kind="stable")
 
 
-def _readers(tissue: Tissue, site: Site) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _readers(
+    myocardium: Myocardium, located: LocatedPoints
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The sites whose element has each vertex as a corner, as start and list."""
-    attached = np.flatnonzero(site.elements >= 0)
-    corners = tissue.mesh.corners[site.elements[attached]].ravel()
-    start, order = grouped(corners, len(tissue.mesh.vertices))
-    return start, attached[order // 4]
+    attached = np.flatnonzero(located.elements >= 0)
+    corners = myocardium.mesh.corners[located.elements[attached]].ravel()
+    start, order = grouped(corners, len(myocardium.mesh.vertices))
+    return start, attached[order // CORNERS]

@@ -10,11 +10,25 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from fascicle.forward.eikonal.ray_travel_times import Around, Told, build_table, grouped
+from fascicle.core.progress import StageProgress, no_progress
+from fascicle.forward.eikonal.ray_travel_times import (
+    SiteNeighbourhood,
+    build_travel_time_table,
+    grouped,
+)
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
-from fascicle.kernels.arrays import FACES, Mesh, Table
-from fascicle.kernels.ray import ACROSS
+from fascicle.kernels.arrays import (
+    AT_ORIGIN,
+    CELL_COLUMNS,
+    CORNERS,
+    FACES,
+    PRODUCTS,
+    SQUARES,
+    XX,
+    EikonalMesh,
+    TravelTimeTable,
+)
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles
 
@@ -23,7 +37,7 @@ CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
 
 
 @dataclass(frozen=True)
-class Site:
+class LocatedPoints:
     """Points of the myocardium: where they lie, in which element.
 
     Attributes
@@ -43,59 +57,64 @@ class Site:
     triangles: NDArray[np.int64]
     distances: NDArray[np.float64]
 
-    def joined_with(self, other: Site) -> Site:
+    def joined_with(self, other: LocatedPoints) -> LocatedPoints:
         """These points and, after them, the others."""
-        return Site(
+        return LocatedPoints(
             np.concatenate([self.positions, other.positions]),
             np.concatenate([self.elements, other.elements]),
             np.concatenate([self.triangles, other.triangles]),
             np.concatenate([self.distances, other.distances]),
         )
 
+    def __getitem__(self, part: slice) -> LocatedPoints:
+        return LocatedPoints(
+            self.positions[part], self.elements[part], self.triangles[part], self.distances[part]
+        )
+
 
 @dataclass(frozen=True)
-class Tissue:
-    """The myocardium as the sweep and the ECG want it.
+class Myocardium:
+    """The myocardium as the sweep wants it.
 
     Attributes
     ----------
-    mesh : Mesh
+    mesh : EikonalMesh
         Geometry, metric and adjacency of what conducts, renumbered.
-    table : Table
-        Straight ways from the endocardia.
+    travel_times : TravelTimeTable
+        Ray travel times from the endocardia.
     order : (n,) array
         The heart's vertex that each vertex of `mesh` is.
     conducts : (m,) bool array
         Which tetrahedra of `mesh` conduct.
     surface, owner : (b, 3) and (b,) arrays
-        Boundary triangles of the whole tissue, in the numbers of `mesh`, and the tetrahedron of
-        each.
+        Boundary triangles of all tetrahedra, conducting or not, in the numbers of `mesh`, and the
+        tetrahedron of each.
     tree : igl.AABB
         Finds the nearest boundary triangle.
-    remembered : dict
-        The points that were looked for last, and what is around them: a scenario's stimuli are the
-        same for every network.
+    last_stimuli : dict
+        The stimuli that were looked for last, and what is around them: a scenario's are the same
+        for every network.
     """
 
-    mesh: Mesh
-    table: Table
+    mesh: EikonalMesh
+    travel_times: TravelTimeTable
     order: NDArray[np.int64]
     conducts: NDArray[np.bool_]
     surface: NDArray[np.int64]
     owner: NDArray[np.int64]
     tree: igl.AABB
-    remembered: dict[bytes, tuple[Site, Around]] = field(default_factory=dict)
+    last_stimuli: dict[bytes, tuple[LocatedPoints, SiteNeighbourhood]] = field(default_factory=dict)
 
-    def on_surface(self, points: NDArray[np.float64]) -> Site:
+    def on_surface(self, points: NDArray[np.float64]) -> LocatedPoints:
         """Nearest points of the tissue's surface to `points` of shape (n, 3) in mm."""
         square, triangle, nearest = self.tree.squared_distance(
             self.mesh.vertices, self.surface, np.ascontiguousarray(points)
         )
         elements = self.owner[triangle]
         elements = np.where(self.conducts[elements], elements, -1)
-        return Site(np.asarray(nearest), elements, np.asarray(triangle), np.sqrt(square))
+        return LocatedPoints(np.asarray(nearest), elements, np.asarray(triangle), np.sqrt(square))
 
-    def inside(self, points: NDArray[np.float64]) -> Site:
+    def inside(self, points: NDArray[np.float64]) -> LocatedPoints:
         """The same points where they lie in the tissue, else the nearest of its surface."""
         site = self.on_surface(points)
         if not len(points):
@@ -109,14 +128,19 @@ class Tissue:
                 conducting = around[self.conducts[around]]
                 elements[k] = conducting[0] if conducting.size else -1
                 positions[k], distances[k] = point, 0.0
-        return Site(positions, elements, site.triangles, distances)
+        return LocatedPoints(positions, elements, site.triangles, distances)
 
 
-def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = None) -> Tissue:
-    """Precompute metric, squared travel times, adjacency and straight ways of a heart's tissue.
+def build_myocardium(
+    heart: Heart,
+    conduction: Conduction,
+    progress: StageProgress = no_progress,
+    gradients: NDArray[np.float64] | None = None,
+) -> Myocardium:
+    """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
 
     Vertices and elements are renumbered along the mesh, so that what is near in space is near in
-    memory; `Tissue.order` leads back.
+    memory; `Myocardium.order` leads back.
 
     Parameters
     ----------
@@ -124,9 +148,14 @@ def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = N
         The heart.
     conduction : Conduction
         Conductivities and speeds of its myocardium, and regions where they differ.
-    progress : callable, optional
-        Told how many of how many triangles have their straight ways, if that takes a while.
+    progress : callable
+        Called with the triangles from which rays are traced and their number, if that takes a
+        while.
+    gradients : (m, 4, 3) array, optional
+        Gradients of the barycentric coordinates in the heart's tetrahedra (1/mm), if at hand.
     """
+    if gradients is None:
+        gradients = barycentric_gradients(heart.vertices, heart.tetrahedra)
     order = reverse_cuthill_mckee(_links(heart.edges, len(heart.vertices)), symmetric_mode=True)
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.arange(len(order))
@@ -135,59 +164,64 @@ def build_tissue(heart: Heart, conduction: Conduction, progress: Told | None = N
     corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)
     scale = conduction.scale(heart)[place]
     conducts = scale > 0
+    whole_scale = np.where(conducts, scale, 1.0)
     cells, solver, least = _elements(
-        vertices, corners, heart.fibres[place], np.where(conducts, scale, 1.0), conduction
+        vertices, corners, place, heart.fibres, gradients, conduction, whole_scale
     )
-    across = cells.view(np.int32)
-    across[:, ACROSS : ACROSS + 4] = _face_neighbours(corners, conducts)
     start, star = _stars(corners, conducts, len(vertices))
-    tetrahedron, corner = star >> 2, star & 3
-    mesh = Mesh(
+    tetrahedron, corner = np.divmod(star, CORNERS)
+    mesh = EikonalMesh(
         vertices,
         corners,
         cells,
-        across,
+        _face_neighbours(corners, conducts),
         solver,
         start,
         np.column_stack([corners[tetrahedron[:, None], FACES[corner]], star]),
         least[tetrahedron, corner],
-        *_edges(corners[conducts], solver[conducts, 6:], len(vertices)),
+        *_edges(corners[conducts], solver[conducts, SQUARES:], len(vertices)),
         slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
     )
     surface, owner = boundary_triangles(corners)
     tree = find_on_surface(vertices, surface)
     endocardia = _triangles_at(heart, vertices, surface, tree)
     endocardia = endocardia[conducts[owner[endocardia]]]
-    table = build_table(mesh, surface, owner, endocardia, progress)
-    return Tissue(mesh, table, order, conducts, surface, owner, tree)
+    table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
+    return Myocardium(mesh, table, order, conducts, surface, owner, tree)
 
 
 def _elements(
     vertices: NDArray[np.float64],
     corners: NDArray[np.int32],
+    place: NDArray[np.int64],
     fibres: NDArray[np.float64],
-    scale: NDArray[np.float64],
+    gradients: NDArray[np.float64],
     conduction: Conduction,
+    scale: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
-    """`Mesh.cells` but for the neighbours, `Mesh.solver`, and `Mesh.least` by corner (m, 4)."""
+    """Arrays `cells` and `solver` of an `EikonalMesh`, and its `least` by corner, (m, 4).
+
+    `place` is the heart's number of each tetrahedron, by which fibres and gradients are found.
+    """
     count = len(corners)
-    cells, solver = np.zeros((count, 24)), np.empty((count, 12))
-    least = np.empty((count, 4), np.float32)
+    cells, solver = np.empty((count, CELL_COLUMNS)), np.empty((count, 2 * len(TETRAHEDRON_EDGES)))
+    least = np.empty((count, CORNERS), np.float32)
     one, other = TETRAHEDRON_EDGES.T
     for first in range(0, count, CHUNK):
         part = slice(first, first + CHUNK)
         points = vertices[corners[part]]
-        metric = conduction.metric(fibres[part]) / scale[part, None, None]
-        gradients = barycentric_gradients(vertices, corners[part])
-        cells[part, :12] = np.swapaxes(gradients, 1, 2).reshape(-1, 12)
-        cells[part, 12:16] = -np.einsum("mki,mi->mk", gradients, points[:, 0])
-        cells[part, 12] += 1
-        cells[part, 16:22] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        steered = np.einsum("mij,mkj->mki", np.linalg.inv(metric), gradients)
-        solver[part, :6] = np.einsum("mei,mei->me", gradients[:, one], steered[:, other])
+        metric = conduction.metric(fibres[place[part]]) / scale[part, None, None]
+        slopes = gradients[place[part]]
+        cells[part, :AT_ORIGIN] = np.swapaxes(slopes, 1, 2).reshape(-1, AT_ORIGIN)
+        cells[part, AT_ORIGIN:XX] = -np.einsum("mki,mi->mk", slopes, points[:, 0])
+        cells[part, AT_ORIGIN] += 1
+        cells[part, XX:] = metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        steered = np.einsum("mij,mkj->mki", np.linalg.inv(metric), slopes)
+        products = np.einsum("mei,mei->me", slopes[:, one], steered[:, other])
+        solver[part, PRODUCTS:SQUARES] = products
         edges = points[:, other] - points[:, one]
-        solver[part, 6:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
-        least[part] = _rounded_down(_reach(solver[part, 6:]).min(axis=2))
+        solver[part, SQUARES:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
+        least[part] = _rounded_down(_reach(solver[part, SQUARES:]).min(axis=2))
     return cells, solver, least
 
 
@@ -238,8 +272,8 @@ def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -
 def _stars(
     corners: NDArray[np.int32], conducts: NDArray[np.bool_], count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """The conducting tetrahedra of each vertex as 4·tetrahedron + corner, and where they start."""
-    flat = np.flatnonzero(np.repeat(conducts, 4))  # flat index = 4·tetrahedron + corner
+    """The tetrahedra of each vertex as `EikonalMesh.star` numbers them, and where they start."""
+    flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
     start, order = grouped(corners.ravel()[flat], count)
     return start, flat[order].astype(np.int32)
 

@@ -1,0 +1,94 @@
+"""What one run of the forward model gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.eikonal.activation import Activation
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.recording.window import qrs_window
+
+LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What one run of the forward model gives.
+
+    Attributes
+    ----------
+    leads : (12, n_time) array
+        The twelve leads of `fascicle.core.leads.LEADS` (mV), every 1 ms.
+    onset : float
+        Time of their first sample (ms).
+    activation : (n,) array
+        Activation time of each vertex of the heart (ms); inf where no front arrives.
+    trees : tuple of PurkinjeTree
+        The trees, left first.
+    coupled : Activation
+        Times in the trees, how each junction fired, and from where each vertex was.
+    """
+
+    leads: NDArray[np.float64]
+    onset: float
+    activation: NDArray[np.float64]
+    trees: tuple[PurkinjeTree, ...]
+    coupled: Activation
+
+    @cached_property
+    def ecg(self) -> xr.DataArray:
+        """The twelve leads (mV) with their names: dimensions ``lead`` and ``time`` (ms)."""
+        ecg = xr.DataArray(
+            self.leads,
+            coords={
+                "lead": list(LEADS),
+                "time": self.onset + np.arange(self.leads.shape[1]) * STEP,
+            },
+            dims=("lead", "time"),
+            name="ecg",
+            attrs={"units": "mV"},
+        )
+        ecg["time"].attrs["units"] = "ms"
+        return ecg
+
+    @property
+    def total_activation_time(self) -> float:
+        """From the first to the last activation in the myocardium that is reached (ms)."""
+        reached = self.activation[np.isfinite(self.activation)]
+        return float(reached.max() - reached.min())
+
+    @property
+    def unreached(self) -> NDArray[np.bool_]:
+        """Vertices that no front reaches: scar, or isolated tissue; shape (n,).
+
+        They are infinitely late in `activation` and contribute nothing to the ECG.
+        """
+        return np.asarray(np.isinf(self.activation))
+
+    @property
+    def qrs_duration(self) -> float:
+        """QRS duration (ms), found in the ECG by the rule that finds it in recordings."""
+        onset, offset = qrs_window(self.leads, STEP)
+        return (offset - onset) * STEP
+
+
+def check_activation(times: NDArray[np.float64]) -> None:
+    """Refuse activation times (ms) that give no ECG: none is finite, or they lie too far apart."""
+    reached = times[np.isfinite(times)]
+    if not len(reached):
+        raise InputError(
+            "nothing activates the myocardium; let a root fire, unblock a bundle, or add a stimulus"
+        )
+    if np.ptp(reached) > LONGEST:
+        raise InputError(
+            f"activation takes {np.ptp(reached):.3g} ms from first to last, more than "
+            f"{LONGEST:g}; check speeds, delays and times of stimuli"
+        )
