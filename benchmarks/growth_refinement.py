@@ -12,7 +12,7 @@ paper's ranges, then grow on the mesh as it is (x1), refined once (x4) and twice
   have none within 1 mm.
 
 What stops one branch can decide about a whole subtree, so junctions answer to any small change. The
-row "nudged" tells how much: the same mesh, every bundle and fascicle 0.01 mm longer. Only what the
+row "nudged" shows how much: the same mesh, every bundle and fascicle 0.01 mm longer. Only what the
 other rows show beyond that is the mesh's.
 
 Without --data only the packaged heart is measured. Run from the root of the repository.

@@ -12,7 +12,7 @@ SURFACES = ["synthetic", "default_heart lv", "default_heart rv", "crtdemo lv", "
 
 
 @pytest.fixture(scope="session", params=SURFACES)
-def ground(request):
+def surface(request):
     """Endocardium, chart, seed."""
     if request.param == "synthetic":
         endocardium = half_ellipsoid(jitter=0.2)

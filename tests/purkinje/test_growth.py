@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from builders import half_ellipsoid
-from grounds import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root, stretches
+from grown_trees import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root, stretches
 from scipy.spatial import cKDTree
 
 from fascicle.purkinje.chart import build_chart
@@ -16,11 +16,11 @@ from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 
 
 @pytest.mark.parametrize("angles", ANGLES)
-def test_bundle_and_fascicles_have_the_length_that_was_asked_for(ground, angles):
+def test_bundle_and_fascicles_have_the_length_that_was_asked_for(surface, angles):
     """By the stored lengths to rounding; by straight chords a little less, as the surface bends."""
-    tree = grow(ground, angles=angles, rules=BARE)
+    tree = grow(surface, angles=angles, rules=BARE)
     assert isinstance(tree, PurkinjeTree), tree
-    bundle, fascicles = LENGTHS[ground[0].side]
+    bundle, fascicles = LENGTHS[surface[0].side]
     found = stretches(tree)
     for path, wanted in zip(found, (bundle, *fascicles), strict=True):
         assert tree.lengths[path[1:]].sum() == pytest.approx(wanted, rel=1e-12)
@@ -28,20 +28,20 @@ def test_bundle_and_fascicles_have_the_length_that_was_asked_for(ground, angles)
         assert 0.98 * wanted < chord_length(tree, path) <= wanted * (1 + 1e-9)
 
 
-def test_fine_chords_have_the_length_that_was_asked_for(ground):
+def test_fine_chords_have_the_length_that_was_asked_for(surface):
     """With segments of 0.05 mm the chords leave the surface nowhere: 0.5 % is allowed."""
     fine = GrowthRules(generations=0, segments=160)
-    tree = grow(ground, rules=fine)
-    bundle, fascicles = LENGTHS[ground[0].side]
+    tree = grow(surface, rules=fine)
+    bundle, fascicles = LENGTHS[surface[0].side]
     for path, wanted in zip(stretches(tree), (bundle, *fascicles), strict=True):
         assert chord_length(tree, path) == pytest.approx(wanted, rel=5e-3)
 
 
-def test_nodes_lie_on_the_endocardium(ground):
+def test_nodes_lie_on_the_endocardium(surface):
     import igl
 
-    endocardium, chart, _ = ground
-    tree = grow(ground)
+    endocardium, chart, _ = surface
+    tree = grow(surface)
     square, _, _ = igl.point_mesh_squared_distance(
         tree.nodes, endocardium.vertices, np.ascontiguousarray(chart.triangles)
     )
@@ -49,18 +49,18 @@ def test_nodes_lie_on_the_endocardium(ground):
     np.testing.assert_allclose(tree.nodes[tree.root], endocardium.vertices[endocardium.root])
 
 
-def test_no_segment_chord_is_longer_than_the_segment(ground):
-    tree = grow(ground)
+def test_no_segment_chord_is_longer_than_the_segment(surface):
+    tree = grow(surface)
     chords = np.linalg.norm(tree.nodes[1:] - tree.nodes[tree.parents[1:]], axis=1)
     assert (chords <= tree.lengths[1:] * (1 + 1e-9)).all()
     assert np.median(chords / tree.lengths[1:]) > 0.98
 
 
-def test_each_fascicle_keeps_its_own_length(ground):
+def test_each_fascicle_keeps_its_own_length(surface):
     """Changing one must not change the other (a shared queue in the published code did)."""
-    _, (first, second) = LENGTHS[ground[0].side]
-    base = stretches(grow(ground, rules=BARE))
-    tree = grow(ground, fascicles=(first, second - 4.4), rules=BARE)
+    _, (first, second) = LENGTHS[surface[0].side]
+    base = stretches(grow(surface, rules=BARE))
+    tree = grow(surface, fascicles=(first, second - 4.4), rules=BARE)
     changed = stretches(tree)
     assert tree.lengths[changed[1][1:]].sum() == pytest.approx(first)
     assert tree.lengths[changed[2][1:]].sum() == pytest.approx(second - 4.4)
@@ -68,33 +68,33 @@ def test_each_fascicle_keeps_its_own_length(ground):
     assert len(changed[1]) == len(base[1])
 
 
-def test_trees_change_continuously_with_lengths(ground):
+def test_trees_change_continuously_with_lengths(surface):
     """0.001 mm more must not jump, also across a whole number of segments; a staircase would."""
-    bundle, fascicles = LENGTHS[ground[0].side]
+    bundle, fascicles = LENGTHS[surface[0].side]
     nudge = 1e-3  # mm
     for near in (bundle, math.floor(bundle) - nudge / 2):
-        one = grow(ground, bundle=near, rules=BARE)
-        other = grow(ground, bundle=near + nudge, rules=BARE)
+        one = grow(surface, bundle=near, rules=BARE)
+        other = grow(surface, bundle=near + nudge, rules=BARE)
         ends = [
             np.array([tree.nodes[path[-1]] for path in stretches(tree)]) for tree in (one, other)
         ]
         moved = np.linalg.norm(ends[1] - ends[0], axis=1)
         assert 0 < moved.max() < 10 * nudge
     few = GrowthRules(generations=2)
-    one, other = (grow(ground, fascicles=(f, fascicles[1]), rules=few)
+    one, other = (grow(surface, fascicles=(f, fascicles[1]), rules=few)
                   for f in (fascicles[0], fascicles[0] + nudge))  # fmt: skip
     assert len(one.nodes) == len(other.nodes)
     assert np.linalg.norm(one.nodes - other.nodes, axis=1).max() < 10 * nudge
 
 
-def test_growth_is_deterministic(ground):
-    one, other = grow(ground), grow(ground)
+def test_growth_is_deterministic(surface):
+    one, other = grow(surface), grow(surface)
     for name in ("nodes", "parents", "lengths"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_junctions_are_the_leaves_each_once(ground):
-    tree = grow(ground)
+def test_junctions_are_the_leaves_each_once(surface):
+    tree = grow(surface)
     children = np.bincount(tree.parents[tree.parents >= 0], minlength=len(tree.nodes))
     assert tree.junctions.tolist() == np.flatnonzero(children == 0).tolist()
     assert len(np.unique(tree.nodes[tree.junctions], axis=0)) == len(tree.junctions)
@@ -112,13 +112,13 @@ def branches(tree):
     return chain
 
 
-def test_foreign_nodes_keep_their_distance(ground):
+def test_foreign_nodes_keep_their_distance(surface):
     """Foreign nodes are 0.9 segment apart, but for kin near their fork.
 
     Growth measures in the metric of one triangle, and the straight distance may be less where the
     surface bends: measured at most 0.13 % of the nodes have a foreign one within 0.8 mm.
     """
-    tree = grow(ground)
+    tree = grow(surface)
     chain = branches(tree)
     fork = tree.parents[chain]  # node each chain starts from
     pairs = cKDTree(tree.nodes).query_pairs(0.8, output_type="ndarray")
@@ -135,10 +135,10 @@ def test_foreign_nodes_keep_their_distance(ground):
     assert len(foreign) <= 0.002 * len(tree.nodes), (len(foreign), len(tree.nodes))
 
 
-def test_positive_fascicle_angle_turns_counter_clockwise_seen_from_the_blood(ground):
-    endocardium, chart, _ = ground
+def test_positive_fascicle_angle_turns_counter_clockwise_seen_from_the_blood(surface):
+    endocardium, chart, _ = surface
     for angle in (0.8, -0.8):
-        tree = grow(ground, angles=(angle, 0.0), rules=BARE)
+        tree = grow(surface, angles=(angle, 0.0), rules=BARE)
         bundle, turned, straight = stretches(tree)
         if len(turned) < len(straight):  # leaves come in node order: fascicle 1 first
             pytest.fail("fascicles are not in order")
@@ -152,9 +152,9 @@ def test_positive_fascicle_angle_turns_counter_clockwise_seen_from_the_blood(gro
         assert np.sign(np.cross(heading, other) @ into_cavity) == np.sign(angle)
 
 
-def test_branches_leave_at_the_branch_angle_both_ways(ground):
+def test_branches_leave_at_the_branch_angle_to_both_sides(surface):
     """In the metric the map is nearly conformal, so 0.15 rad in the disk is about that in 3-D."""
-    tree = grow(ground, rules=GrowthRules(generations=1))
+    tree = grow(surface, rules=GrowthRules(generations=1))
     children = [np.flatnonzero(tree.parents == node) for node in range(len(tree.nodes))]
     forks = [node for node in range(1, len(tree.nodes)) if len(children[node]) == 2][1:]
     assert len(forks) == 2  # the ends of the two fascicles
@@ -169,11 +169,11 @@ def test_branches_leave_at_the_branch_angle_both_ways(ground):
     [(400.0, (10.0, 10.0), "bundle"), (40.0, (10.0, 400.0), "fascicle 2")],
 )
 def test_a_stretch_that_leaves_the_endocardium_is_a_typed_outcome(
-    ground, bundle, fascicles, stretch
+    surface, bundle, fascicles, stretch
 ):
-    outcome = grow(ground, bundle=bundle, fascicles=fascicles)
+    outcome = grow(surface, bundle=bundle, fascicles=fascicles)
     assert isinstance(outcome, InvalidTree)
-    side = ground[0].side
+    side = surface[0].side
     assert outcome.side == side
     assert outcome.reason.startswith(f"{side.upper()} {stretch} leaves the endocardium after ")
     assert "of 400.0 mm" in outcome.reason
@@ -181,12 +181,12 @@ def test_a_stretch_that_leaves_the_endocardium_is_a_typed_outcome(
     assert 0 < laid < 400
 
 
-def test_length_at_which_the_bundle_leaves_is_where_the_reason_says(ground):
+def test_length_at_which_the_bundle_leaves_is_where_the_reason_says(surface):
     """The feasible set must end exactly there, not a segment earlier."""
-    outcome = grow(ground, bundle=400.0, fascicles=(), angles=(), rules=BARE)
+    outcome = grow(surface, bundle=400.0, fascicles=(), angles=(), rules=BARE)
     longest = float(outcome.reason.split("after ")[1].split(" of")[0])
-    assert isinstance(grow(ground, longest - 0.06, (), (), BARE), PurkinjeTree)
-    assert isinstance(grow(ground, longest + 0.06, (), (), BARE), InvalidTree)
+    assert isinstance(grow(surface, longest - 0.06, (), (), BARE), PurkinjeTree)
+    assert isinstance(grow(surface, longest + 0.06, (), (), BARE), InvalidTree)
 
 
 def test_any_number_of_fascicles():

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grounds import ANGLES, grow, on_triangles
+from grown_trees import ANGLES, grow, on_triangles
 
 
 @pytest.mark.parametrize("angles", ANGLES)
-def test_junctions_are_leaves_unique_and_inside_a_triangle_of_the_endocardium(ground, angles):
-    endocardium, _, _ = ground
-    tree = grow(ground, angles=angles)
+def test_junctions_are_leaves_unique_and_inside_a_triangle_of_the_endocardium(surface, angles):
+    endocardium, _, _ = surface
+    tree = grow(surface, angles=angles)
     assert not np.isin(tree.junctions, tree.parents).any()
     assert len(np.unique(tree.junctions)) == len(tree.junctions)
     positions = tree.nodes[tree.junctions]

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from grounds import ANGLES, BARE, grow
+from grown_trees import ANGLES, BARE, grow
 
 from fascicle.mesh.topology import boundary_loops
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
@@ -37,11 +37,11 @@ def distance_to_base(endocardium, point):
 )
 @pytest.mark.parametrize("angles", ANGLES[:2])
 def test_reason_says_how_far_it_came_and_where_on_the_base(
-    ground, bundle, fascicles, stretch, angles
+    surface, bundle, fascicles, stretch, angles
 ):
     """A tree with just that much of the stretch fits, and ends at that place."""
-    endocardium, _, _ = ground
-    outcome = grow(ground, bundle, fascicles, angles)
+    endocardium, _, _ = surface
+    outcome = grow(surface, bundle, fascicles, angles)
     assert isinstance(outcome, InvalidTree)
     side, which, laid, wanted, *where = REASON.fullmatch(outcome.reason).groups()
     assert (side.lower(), which, float(wanted)) == (endocardium.side, stretch, 400.0)
@@ -49,22 +49,22 @@ def test_reason_says_how_far_it_came_and_where_on_the_base(
     assert distance_to_base(endocardium, point) < np.sqrt(3) * PRINTED
     just = float(laid) - PRINTED
     if stretch == "bundle":
-        fits = grow(ground, just, (), (), BARE)
+        fits = grow(surface, just, (), (), BARE)
     else:
         other = int(stretch[-1]) - 1
-        fits = grow(ground, bundle, (just,), (angles[other],), BARE)
+        fits = grow(surface, bundle, (just,), (angles[other],), BARE)
     assert isinstance(fits, PurkinjeTree)
     end = fits.nodes[fits.junctions[0]]
     assert np.linalg.norm(end - point) < 2 * PRINTED + np.sqrt(3) * PRINTED
 
 
-def test_a_fascicle_that_cannot_even_begin_reports_its_own_place(ground):
+def test_a_fascicle_that_cannot_even_begin_reports_its_own_place(surface):
     """Not the end of the fascicle grown before it: the fork lies just short of the base."""
-    endocardium, _, _ = ground
-    outcome = grow(ground, 400.0, (), (), BARE)
+    endocardium, _, _ = surface
+    outcome = grow(surface, 400.0, (), (), BARE)
     laid = float(REASON.fullmatch(outcome.reason)[3])
     back, onwards = np.pi, 0.0  # rad
-    outcome = grow(ground, laid - 0.4, (20.0, 20.0), (back, onwards), BARE)
+    outcome = grow(surface, laid - 0.4, (20.0, 20.0), (back, onwards), BARE)
     _, which, short, *_, x, y, z = REASON.fullmatch(outcome.reason).groups()
     assert which == "fascicle 2"
     assert float(short) < 0.6

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from grounds import ANGLES, grow
+from grown_trees import ANGLES, grow
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.purkinje.chart import build_chart
@@ -33,13 +33,13 @@ def content(tree):
     return tree.nodes.tobytes() + tree.parents.tobytes() + tree.lengths.tobytes()
 
 
-def test_threads_that_grow_at_once_grow_what_one_grows_alone(ground):
+def test_threads_that_grow_at_once_grow_what_one_grows_alone(surface):
     """Bitwise: no state is shared between growths."""
-    alone = [content(grow(ground, angles=angles)) for angles in ANGLES]
+    alone = [content(grow(surface, angles=angles)) for angles in ANGLES]
     assert len(set(alone)) == len(ANGLES)
     with ThreadPoolExecutor(4) as pool:
         for _ in range(5):
-            together = pool.map(lambda angles: content(grow(ground, angles=angles)), ANGLES)
+            together = pool.map(lambda angles: content(grow(surface, angles=angles)), ANGLES)
             assert list(together) == alone
 
 
@@ -54,10 +54,10 @@ def test_another_process_grows_the_same_trees(default_model):
     assert found == here
 
 
-def test_rounding_of_the_coordinates_does_not_change_the_tree(ground):
+def test_rounding_of_the_coordinates_does_not_change_the_tree(surface):
     """As another platform's arithmetic may differ: 1e-13 in the surface, at most 1e-6 mm in it."""
-    endocardium, _, _ = ground
-    tree = grow(ground)
+    endocardium, _, _ = surface
+    tree = grow(surface)
     rng = np.random.default_rng(0)
     same = 0
     for _ in range(5):

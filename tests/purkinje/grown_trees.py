@@ -1,4 +1,4 @@
-"""Growing on the surfaces that these tests share, and finding one's way in a tree."""
+"""Trees grown on the surfaces that these tests share, and paths in them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ ANGLES = [(0.9, -0.6), (0.3, -0.3), (math.pi / 2, 0.0), (-0.7, 1.2)]  # rad
 LENGTHS = {"lv": (40.3, (12.7, 9.6)), "rv": (45.9, (12.7, 9.6))}  # mm; bundle, fascicles
 
 
-def grow(ground, bundle=None, fascicles=None, angles=ANGLES[0], rules=RULES):
-    """Grow on a ground (endocardium, chart, seed), by default with the lengths above."""
-    endocardium, chart, seed = ground
+def grow(surface, bundle=None, fascicles=None, angles=ANGLES[0], rules=RULES):
+    """Grow on a surface (endocardium, chart, seed), by default with the lengths above."""
+    endocardium, chart, seed = surface
     default_bundle, default_fascicles = LENGTHS[endocardium.side]
     return grow_tree(
         endocardium.side, chart, seed,
