@@ -1,18 +1,21 @@
 """Growth of a Purkinje tree in the disk: straight walks, nearest nodes, branching.
 
-Positions are disk coordinates plus the triangle they lie in; lengths are physical (mm). All
-directions are vectors of the disk. A `surface` is the tuple of a chart's arrays (points, triangles,
-neighbours, metric), `metric` holding G₁₁, G₁₂, G₂₂ of each triangle (mm²).
+Positions are disk coordinates plus the triangle they lie in, (u, v, triangle); lengths are physical
+(mm). All directions are vectors (a, b) of the disk.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 GROWN = -1  # status: the tree is complete
 GRID = 64  # cells per side of the hash that finds nearest nodes
 ROOM = 8192  # nodes there is room for before the array must grow
+DIAMETER = 2.0  # of the disk: nothing in it is further away
+SOME_LEFT = 1e-300  # mm; what is left of a walk that meets the base on its last step
 
 # What the search for the nearest node reads of a node lies together: one cache line, not five.
 NODE = np.dtype(
@@ -28,6 +31,74 @@ NODE = np.dtype(
 )
 
 
+class Surface(NamedTuple):
+    """The arrays of a chart.
+
+    Attributes
+    ----------
+    points : (n, 2) array
+        Position of each vertex in the disk.
+    triangles, neighbours : (m, 3) arrays
+        Vertices of each triangle, and the triangle across the edge opposite each; -1 for none.
+    metric : (m, 3) array
+        G₁₁, G₁₂, G₂₂ of each triangle (mm²).
+    """
+
+    points: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    neighbours: NDArray[np.int64]
+    metric: NDArray[np.float64]
+
+
+class Start(NamedTuple):
+    """Where the bundle starts, and its unit direction in the disk."""
+
+    u: float
+    v: float
+    triangle: int
+    heading_u: float
+    heading_v: float
+
+
+class Rules(NamedTuple):
+    """What is held fixed: see `fascicle.purkinje.growth.GrowthRules`.
+
+    Attributes
+    ----------
+    step : float
+        Length of a segment (mm).
+    segments, generations : int
+        Segments of a branch, and how often the ends branch.
+    repulsion, branch_angle, clearance : float
+        Weight w, angle (rad), and the distance to foreign nodes in segments.
+    """
+
+    step: float
+    segments: int
+    generations: int
+    repulsion: float
+    branch_angle: float
+    clearance: float
+
+
+class Tree(NamedTuple):
+    """A tree that grows.
+
+    Attributes
+    ----------
+    nodes : array of NODE
+        The nodes, and room for more.
+    size : int
+        How many nodes there are.
+    head : (GRID, GRID) array
+        The hash: a node in each cell, from which `following` leads to the others; or -1.
+    """
+
+    nodes: NDArray[np.void]
+    size: int
+    head: NDArray[np.int32]
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _norm(metric, triangle, a, b):
     """√(dᵀGd) for d = (a, b): physical length per unit of disk."""
@@ -40,10 +111,25 @@ def _norm(metric, triangle, a, b):
 
 @njit(cache=True, nogil=True)
 def walk(u, v, triangle, a, b, length, surface):
-    """Walk `length` mm along the disk direction (a, b), exactly, triangle by triangle.
+    """Walk along a direction of the disk, exactly, triangle by triangle.
 
-    Returns the new (u, v, triangle) and the length that was left over: positive only where the
-    walk met the base.
+    Parameters
+    ----------
+    u, v, triangle : float, float, int
+        Where the walk starts.
+    a, b : float
+        Direction; its length does not matter.
+    length : float
+        Physical length (mm).
+    surface : Surface
+        The chart.
+
+    Returns
+    -------
+    u, v, triangle : float, float, int
+        Where it ends.
+    missing : float
+        The length that was left over (mm): positive only where the walk met the base.
     """
     points, triangles, neighbours, metric = surface
     while True:
@@ -66,7 +152,7 @@ def walk(u, v, triangle, a, b, length, surface):
             return u, v, triangle, 0.0
         length -= nearest * speed
         if neighbours[triangle, exit_edge] < 0:
-            return u, v, triangle, max(length, 1e-300)
+            return u, v, triangle, max(length, SOME_LEFT)
         triangle = neighbours[triangle, exit_edge]
 
 
@@ -87,16 +173,19 @@ def _square(u, v, node, metric, triangle):
 
 
 @njit(cache=True, nogil=True)
-def _nearest(u, v, triangle, start, own, sister, best, best_square, nodes, head, metric):
-    """Nearest foreign node and its squared distance in the metric of `triangle` (mm²).
+def _nearest(point, kin, nearest, nodes, head, metric):
+    """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
 
-    Nodes of the branch itself, of its sister and the node they start from are not foreign. Only a
-    node nearer than `best_square` replaces `best`.
+    Foreign are all but `kin`: the node that the branch starts from, the nodes of the branch itself
+    and of its sister. Only a node that is nearer replaces `nearest`.
     """
+    u, v, triangle = point
+    start, own, sister = kin
+    best, best_square = nearest
     g11, g12, g22 = metric[triangle, 0], metric[triangle, 1], metric[triangle, 2]
-    # the box around the ellipse of that distance; the disk is nowhere further away than 2
+    # the box around the ellipse of that distance
     reach = best_square / (g11 * g22 - g12 * g12)
-    du, dv = min(math.sqrt(reach * g22), 2.0), min(math.sqrt(reach * g11), 2.0)
+    du, dv = min(math.sqrt(reach * g22), DIAMETER), min(math.sqrt(reach * g11), DIAMETER)
     for i in range(_cell(u - du), _cell(u + du) + 1):
         for j in range(_cell(v - dv), _cell(v + dv) + 1):
             k = head[i, j]
@@ -111,8 +200,10 @@ def _nearest(u, v, triangle, start, own, sister, best, best_square, nodes, head,
 
 
 @njit(cache=True, nogil=True)
-def _nearest_of(first, last, u, v, triangle, sister, best, best_square, nodes, metric):
+def _nearest_of(first, last, point, sister, nearest, nodes, metric):
     """As `_nearest`, among the nodes `first` to `last` - 1, none of which is the branch's own."""
+    u, v, triangle = point
+    best, best_square = nearest
     for k in range(first, last):
         square = _square(u, v, nodes[k], metric, triangle)
         if square < best_square and nodes[k].branch != sister:
@@ -121,46 +212,50 @@ def _nearest_of(first, last, u, v, triangle, sister, best, best_square, nodes, m
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _write(nodes, head, n, u, v, triangle, parent, length, branch):
-    """Write node n and enter it into the hash."""
+def _append(tree, point, parent, length, branch):
+    """Write the next node and enter it into the hash; returns the tree."""
+    nodes, n, head = tree
+    u, v, triangle = point
     node = nodes[n]
     node.u, node.v, node.triangle = u, v, triangle
     node.parent, node.length, node.branch = parent, length, branch
     i, j = _cell(u), _cell(v)
     node.following = head[i, j]
     head[i, j] = n
+    return Tree(nodes, n + 1, head)
 
 
 @njit(cache=True, nogil=True)
-def _with_room(nodes, n, more):
-    """The nodes, in a longer array where `more` would not fit behind the first `n`."""
+def _with_room(tree, more):
+    """The tree, in a longer array where `more` nodes would not fit."""
+    nodes, n, head = tree
     if n + more <= len(nodes):
-        return nodes
+        return tree
     longer = np.empty(2 * (n + more), NODE)
     longer[:n] = nodes[:n]
-    return longer
+    return Tree(longer, n, head)
 
 
 @njit(cache=True, nogil=True)
-def _lay(start, a, b, length, step, branch, n, nodes, head, surface):
+def _lay(start, heading, length, step, branch, tree, surface):
     """Lay a straight stretch of `length` mm from node `start`, the last segment shorter.
 
-    Returns the nodes, how many there are, the last of the stretch (on the base, if it meets that)
-    and what could not be laid (mm).
+    Returns the tree, the last node of the stretch (on the base, if it meets that) and what could
+    not be laid (mm).
     """
-    nodes = _with_room(nodes, n, int(length / step) + 2)
+    tree = _with_room(tree, int(length / step) + 2)
+    a, b = heading
     last, left = start, length
     while left > 0.0:
         mm = min(step, left)
-        end = nodes[last]
+        end = tree.nodes[last]
         u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, mm, surface)
-        _write(nodes, head, n, u, v, triangle, last, mm - missing, branch)
-        last = n
-        n += 1
+        tree = _append(tree, (u, v, triangle), last, mm - missing, branch)
+        last = tree.size - 1
         left -= mm
         if missing > 0.0:
-            return nodes, n, last, left + missing
-    return nodes, n, last, 0.0
+            return tree, last, left + missing
+    return tree, last, 0.0
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -171,12 +266,14 @@ def _turned(heading, angle):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _steered(u, v, triangle, a, b, best, square, repulsion, nodes, metric):
-    """Unit vector along (a, b) plus w∇d_CP, the gradient of the distance to the nearest node.
+def _steered(point, heading, nearest, repulsion, nodes, metric):
+    """Unit vector d plus w∇d_CP, the gradient of the distance to the nearest node.
 
-    `square` is the square of that distance (mm²). Equation 1 of the paper, but for the
-    normalisation, which `walk` does.
+    Equation 1 of the paper, but for the normalisation, which `walk` does.
     """
+    u, v, triangle = point
+    a, b = heading
+    best, square = nearest
     scale = _norm(metric, triangle, a, b)
     a, b = a / scale, b / scale
     if best >= 0 and square > 0.0:
@@ -187,66 +284,78 @@ def _steered(u, v, triangle, a, b, best, square, repulsion, nodes, metric):
 
 
 @njit(cache=True, nogil=True)
-def _sprout(tips, heading, step, segments, repulsion, branch_angle, clearance,
-            label, n, nodes, head, surface):  # fmt: skip
+def _sprout(tips, heading, label, rules, tree, surface):
     """Grow one generation: two branches from every tip, advanced a segment at a time in step.
 
-    Returns the nodes, how many there are, and the tips and headings of the branches that lived.
+    Branches are numbered from `label` on. Returns the tree, and the tips and headings of the
+    branches that lived.
     """
-    metric = surface[3]
+    metric, step = surface.metric, rules.step
     count = 2 * len(tips)
     end = np.repeat(tips, 2)
     toward = np.empty((count, 2))
     for k in range(count):
-        toward[k] = _turned(heading[k // 2], branch_angle if k % 2 == 0 else -branch_angle)
+        angle = rules.branch_angle if k % 2 == 0 else -rules.branch_angle
+        toward[k] = _turned(heading[k // 2], angle)
     alive = np.ones(count, np.bool_)
     near = np.full(count, -1, np.int64)  # nearest foreign node of each end
     near_square = np.full(count, np.inf)  # and its squared distance (mm²)
     seen = np.zeros(count, np.int64)  # among the nodes before this one
-    too_near = (clearance * step) ** 2
-    for segment in range(segments):
-        nodes = _with_room(nodes, n, count)
+    too_near = (rules.clearance * step) ** 2
+    for segment in range(rules.segments):
+        tree = _with_room(tree, count)
+        nodes, head = tree.nodes, tree.head
         for k in range(count):
             if not alive[k]:
                 continue
+            # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
             start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
-            u, v, t = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
+            point = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
             a, b = toward[k, 0], toward[k, 1]
             guess = nodes[start].parent  # a foreign node, and none when the tree starts here
             if segment > 0:
                 # known from when this end was laid; since then only others have laid nodes
-                guess, square = _nearest_of(seen[k], n, u, v, t, sister, near[k], near_square[k],
-                                            nodes, metric)  # fmt: skip
-                a, b = _steered(u, v, t, a, b, guess, square, repulsion, nodes, metric)
-            u, v, t, missing = walk(u, v, t, a, b, step, surface)
+                known = near[k], near_square[k]
+                guess, square = _nearest_of(seen[k], tree.size, point, sister, known, nodes, metric)
+                known = guess, square
+                a, b = _steered(point, (a, b), known, rules.repulsion, nodes, metric)
+            u, v, t, missing = walk(point[0], point[1], point[2], a, b, step, surface)
             if missing > 0.0:
                 alive[k] = False
                 continue
             # what was nearest before the step bounds the search after it
             bound = _square(u, v, nodes[guess], metric, t) if guess >= 0 else np.inf
-            if segment == segments - 1 and bound > too_near:
+            if segment == rules.segments - 1 and bound > too_near:
                 guess, bound = -1, too_near  # no step follows: only the stop test matters
-            near[k], near_square[k] = _nearest(u, v, t, start, own, sister, guess, bound,
-                                               nodes, head, metric)  # fmt: skip
+            near[k], near_square[k] = _nearest(
+                (u, v, t), (start, own, sister), (guess, bound), nodes, head, metric
+            )
             if near_square[k] < too_near:
                 alive[k] = False
                 continue
-            _write(nodes, head, n, u, v, t, end[k], step, own)
-            end[k] = n
-            n += 1
-            seen[k] = n
+            tree = _append(tree, (u, v, t), end[k], step, own)
+            end[k] = tree.size - 1
+            seen[k] = tree.size
             toward[k, 0], toward[k, 1] = a, b
-    return nodes, n, end[alive], toward[alive]
+    return tree, end[alive], toward[alive]
 
 
 @njit(cache=True, nogil=True)
-def grow(
-    root_u, root_v, root_triangle, direction_u, direction_v,
-    bundle_length, fascicle_lengths, fascicle_angles,
-    branch_length, segments, repulsion, branch_angle, generations, clearance,
-    surface,
-):  # fmt: skip
+def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface):
     """Grow one tree.
+
+    Parameters
+    ----------
+    start : Start
+        Where the bundle starts.
+    bundle_length : float
+        Length of the bundle (mm).
+    fascicle_lengths, fascicle_angles : (f,) arrays
+        Length (mm) of each fascicle and its angle to the bundle (rad).
+    rules : Rules
+        What is held fixed.
+    surface : Surface
+        The chart.
 
     Returns
     -------
@@ -258,40 +367,46 @@ def grow(
         One row a node; parents come before their children. The last is where a stretch that left
         the endocardium met the base.
     """
-    step = branch_length / segments
-    nodes = np.empty(ROOM, NODE)
-    head = np.full((GRID, GRID), -1, np.int32)
-    _write(nodes, head, 0, root_u, root_v, root_triangle, -1, 0.0, 0)
-    bundle = np.array([direction_u, direction_v])
-    nodes, n, fork, missing = _lay(0, direction_u, direction_v, bundle_length, step, 0, 1,
-                                   nodes, head, surface)  # fmt: skip
+    tree = Tree(np.empty(ROOM, NODE), 0, np.full((GRID, GRID), -1, np.int32))
+    tree = _append(tree, (start.u, start.v, start.triangle), -1, 0.0, 0)
+    bundle = start.heading_u, start.heading_v
+    tree, fork, missing = _lay(0, bundle, bundle_length, rules.step, 0, tree, surface)
     if missing > 0.0:
-        return 0, missing, nodes[:n]
+        return 0, missing, tree.nodes[: tree.size]
 
     fascicles = len(fascicle_lengths)
     tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
     for f in range(fascicles):
-        a, b = _turned(bundle, fascicle_angles[f])
-        nodes, n, tips[f], missing = _lay(fork, a, b, fascicle_lengths[f], step, f + 1, n,
-                                          nodes, head, surface)  # fmt: skip
+        along = _turned(bundle, fascicle_angles[f])
+        length = fascicle_lengths[f]
+        tree, tips[f], missing = _lay(fork, along, length, rules.step, f + 1, tree, surface)
         if missing > 0.0:
-            return f + 1, missing, nodes[:n]
-        heading[f, 0], heading[f, 1] = a, b
+            return f + 1, missing, tree.nodes[: tree.size]
+        heading[f] = along
 
     label = fascicles + 1
-    for _ in range(generations):
+    for _ in range(rules.generations):
         sprouts = 2 * len(tips)
-        nodes, n, tips, heading = _sprout(tips, heading, step, segments, repulsion, branch_angle,
-                                          clearance, label, n, nodes, head, surface)  # fmt: skip
+        tree, tips, heading = _sprout(tips, heading, label, rules, tree, surface)
         label += sprouts
         if len(tips) == 0:
             break
-    return GROWN, 0.0, nodes[:n]
+    return GROWN, 0.0, tree.nodes[: tree.size]
 
 
 @njit(cache=True, nogil=True)
 def lift(nodes, points, vertices, triangles):
-    """Positions of the nodes on the endocardium (mm), shape (n, 3)."""
+    """Positions of the nodes on the endocardium (mm), shape (n, 3).
+
+    Parameters
+    ----------
+    nodes : (n,) array of NODE
+        The nodes.
+    points, triangles
+        See `Surface`.
+    vertices : (n, 3) array
+        Position of each vertex on the endocardium (mm).
+    """
     positions = np.empty((len(nodes), 3))
     for n in range(len(nodes)):
         p, q, r = triangles[nodes[n].triangle]

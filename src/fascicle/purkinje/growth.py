@@ -124,12 +124,20 @@ def grow_tree(
         `InvalidTree` where the bundle or a fascicle would leave the endocardium.
     """
     status, missing, grown = growth.grow(
-        seed.point[0], seed.point[1], seed.triangle, seed.heading[0], seed.heading[1],
-        float(bundle_length), np.asarray(fascicle_lengths, float),
-        np.asarray(fascicle_angles, float), rules.branch_length, rules.segments,
-        rules.repulsion, rules.branch_angle, rules.generations, rules.clearance,
-        (chart.points, chart.triangles, chart.neighbours, chart.metric),
-    )  # fmt: skip
+        growth.Start(*seed.point, seed.triangle, *seed.heading),
+        float(bundle_length),
+        np.asarray(fascicle_lengths, float),
+        np.asarray(fascicle_angles, float),
+        growth.Rules(
+            step=float(rules.branch_length / rules.segments),
+            segments=rules.segments,
+            generations=rules.generations,
+            repulsion=float(rules.repulsion),
+            branch_angle=float(rules.branch_angle),
+            clearance=float(rules.clearance),
+        ),
+        growth.Surface(chart.points, chart.triangles, chart.neighbours, chart.metric),
+    )
     nodes = growth.lift(grown, chart.points, chart.vertices, chart.triangles)
     if status == growth.GROWN:
         return PurkinjeTree(
@@ -156,7 +164,15 @@ def grow_from_parameters(
     parameters: Mapping[str, float],
     rules: GrowthRules,
 ) -> PurkinjeTree | InvalidTree:
-    """Grow one side's tree from named parameters, with as many fascicles as they name."""
+    """Grow one side's tree from named parameters, with as many fascicles as they name.
+
+    Parameters
+    ----------
+    side, chart, seed, rules
+        See `grow_tree`.
+    parameters : mapping of name to float
+        Lengths (mm) and angles (rad) of both sides, named as in `fascicle.core.parameters`.
+    """
     prefix = f"{side}_fascicle_length_"
     numbers = sorted(int(n.removeprefix(prefix)) for n in parameters if n.startswith(prefix))
     return grow_tree(
