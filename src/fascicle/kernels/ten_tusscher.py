@@ -14,6 +14,10 @@ Biomed Eng 25 (1978) 389-392; in this midpoint form, Sundnes et al., IEEE Trans 
 """
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.kernels.jit import kernel
 
@@ -293,24 +297,45 @@ def _diffuse(state, pivot, right, lambda_):
         state[k, V] = (right[k] - above * state[k + 1, V]) * pivot[k]
 
 
+class Cable(NamedTuple):
+    """The cells of a cable, and room.
+
+    Attributes
+    ----------
+    state, middle : (n, 19) arrays
+        The cells, and room for as many.
+    pivot, right : (n,) arrays
+        Room.
+    """
+
+    state: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    pivot: NDArray[np.float64]
+    right: NDArray[np.float64]
+
+
+class Stimulus(NamedTuple):
+    """A current (pA/pF) into the first `cells` cells during the first `steps` steps."""
+
+    current: float
+    steps: int
+    cells: int
+
+
 @kernel()
-def run_cable(
-    state, middle, pivot, right, cell, stimulus, stimulated, reach, lambda_, dt, probes, traces
-):  # fmt: skip
+def run_cable(cable, cell, stimulus, lambda_, dt, probes, traces):
     """Advance a cable by as many steps as `traces` has rows.
 
     Half a step of diffusion, a step of every cell, half a step of diffusion (Strang, 1968).
 
     Parameters
     ----------
-    state, middle : (n, 19) arrays
-        The cells, changed in place; room for as many.
-    pivot, right : (n,) arrays
-        Room.
+    cable : Cable
+        Its cells are changed in place.
     cell : (3,) array
         See `run_cell`.
-    stimulus : float
-        Current (pA/pF) into the first `reach` cells during the first `stimulated` steps.
+    stimulus : Stimulus
+        Current into the end of the cable.
     lambda_ : float
         D·(dt/2)/dx².
     dt : float
@@ -320,11 +345,12 @@ def run_cable(
     traces : (steps, p) array
         Receives their potentials (mV) after each step.
     """
+    state, middle, pivot, right = cable
     _factor(pivot, lambda_)
     for step in range(len(traces)):
         _diffuse(state, pivot, right, lambda_)
         for i in range(len(pivot)):
-            current = stimulus if step < stimulated and i < reach else 0.0
+            current = stimulus.current if step < stimulus.steps and i < stimulus.cells else 0.0
             _react(i, state, middle, cell, current, dt)
         _diffuse(state, pivot, right, lambda_)
         for p in range(len(probes)):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
+from fascicle.kernels.growth_arrays import Rules, Start, Surface
 from fascicle.mesh.measures import unit
 from fascicle.purkinje.chart import Chart
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
@@ -124,11 +125,11 @@ def grow_tree(
         `InvalidTree` where the bundle or a fascicle would leave the endocardium.
     """
     status, missing, grown = growth.grow(
-        growth.Start(*seed.point, seed.triangle, *seed.heading),
+        Start(seed.point[0], seed.point[1], seed.triangle, seed.heading[0], seed.heading[1]),
         float(bundle_length),
         np.asarray(fascicle_lengths, float),
         np.asarray(fascicle_angles, float),
-        growth.Rules(
+        Rules(
             step=float(rules.branch_length / rules.segments),
             segments=rules.segments,
             generations=rules.generations,
@@ -136,7 +137,7 @@ def grow_tree(
             branch_angle=float(rules.branch_angle),
             clearance=float(rules.clearance),
         ),
-        growth.Surface(chart.points, chart.triangles, chart.neighbours, chart.metric),
+        Surface(chart.points, chart.triangles, chart.neighbours, chart.metric),
     )
     nodes = growth.lift(grown, chart.points, chart.vertices, chart.triangles)
     if status == growth.GROWN:

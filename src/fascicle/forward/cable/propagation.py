@@ -166,10 +166,16 @@ class _Cable:
         traces = np.empty((int(np.ceil(duration / step - 1e-9)), len(self.probes)))
         stimulated = round(max(STIMULATION - self.now, 0.0) / step)
         n = len(self.state)
+        room = np.empty_like(self.state), np.empty(n), np.empty(n)
         ten_tusscher.run_cable(
-            self.state, np.empty_like(self.state), np.empty(n), np.empty(n), self.cell, STIMULUS,
-            stimulated, self.reach, self.curvature * step / 2, step, self.probes, traces,
-        )  # fmt: skip
+            ten_tusscher.Cable(self.state, *room),
+            self.cell,
+            ten_tusscher.Stimulus(STIMULUS, stimulated, self.reach),
+            self.curvature * step / 2,
+            step,
+            self.probes,
+            traces,
+        )
         self._times.append(np.asarray(self.now + step * np.arange(1, len(traces) + 1), dtype=float))
         self._traces.append(traces)
         self.now += step * len(traces)
