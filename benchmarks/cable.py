@@ -16,12 +16,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.references import Upstroke
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.cable.cell import CELLS
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import simulate_cable
 from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, make_template, template_of
-from fascicle.forward.ecg.action_potential import ActionPotential, Upstroke
+from fascicle.forward.ecg.action_potential import ActionPotential
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from benchmarks.references import unbounded
 from fascicle.forward.cable.stored import default_template
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
-from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
+from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes

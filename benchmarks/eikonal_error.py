@@ -32,7 +32,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
+from benchmarks.references import solve_from_vertices
+from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.heart.conduction import MM2_PER_CM2, Conduction
 from fascicle.heart.endocardium import Endocardium

@@ -145,7 +145,8 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
         CPU time over wall time while measuring (well below 1: a busy machine, measure again).
     """
     from benchmarks.eikonal_residual import eikonal_residual
-    from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
+    from benchmarks.references import solve_from_vertices
+    from fascicle.forward.eikonal.activation import attach, solve
     from fascicle.forward.model import ForwardModel, InvalidTree
 
     model = ForwardModel(_heart(case))

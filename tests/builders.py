@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from fascicle.forward.eikonal.activation import attach, solve, solve_from_vertices
+from benchmarks.references import solve_from_vertices
+from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity

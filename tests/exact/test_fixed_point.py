@@ -17,7 +17,7 @@ from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fascicle.forward.eikonal.activation import solve_from_vertices
+from benchmarks.references import solve_from_vertices
 from fascicle.forward.eikonal.myocardium import Myocardium, _reach, build_myocardium
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.references import Upstroke
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward import compile_kernels, preparation
 from fascicle.forward.compile_kernels import STEPS
-from fascicle.forward.ecg.action_potential import Upstroke
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import KEPT, prepare
 from fascicle.heart.conduction import Conduction, Region

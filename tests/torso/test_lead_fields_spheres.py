@@ -16,7 +16,8 @@ from spheres import (
     rim_points,
 )
 
-from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded
+from benchmarks.references import unbounded
+from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.heart.conduction import Conduction, transversely_isotropic
 from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes

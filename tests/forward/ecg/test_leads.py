@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.references import Upstroke, unbounded
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
-from fascicle.forward.ecg.action_potential import Upstroke
-from fascicle.forward.ecg.lead_field import unbounded
 
 
 @pytest.fixture

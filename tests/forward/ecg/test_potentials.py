@@ -8,15 +8,15 @@ from builders import box, solve_without_trees
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.references import Upstroke, unbounded
 from fascicle.core.leads import LEADS, lead_matrix
-from fascicle.forward.ecg.action_potential import Upstroke
 from fascicle.forward.ecg.electrocardiogram import (
     Electrocardiograph,
     build_electrocardiograph,
     channel_weights,
     first_sample,
 )
-from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded, unbounded_gradients
+from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import barycentric_gradients

@@ -186,7 +186,7 @@ def solve(
         raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
     mesh, sites = coupling.myocardium.mesh, coupling.sites
     vertices, nodes = len(mesh.vertices), len(coupling.lengths)
-    front = _quiet(vertices + nodes, len(sites.node))
+    front = front_at_rest(vertices + nodes, len(sites.node))
     in_trees = front.time[vertices:]
     in_trees[:] = _firing_times(coupling, root_times, stimuli, node_times)
     stimulus_times = in_trees[coupling.nodes[-1] :].copy()
@@ -201,8 +201,8 @@ def solve(
     return _activation(coupling, front, stimulus_times)
 
 
-def _quiet(nodes: int, sites: int) -> Front:
-    """Give a front that has not started: nothing has fired."""
+def front_at_rest(nodes: int, sites: int) -> Front:
+    """Make a front that has not started: nothing has fired."""
     queue = Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
     return Front(np.full(nodes, np.inf), np.full(nodes, FROM_ROOT), np.full(sites, -1), queue)
 
@@ -278,33 +278,6 @@ def _first_sites(entered_by: NDArray[np.int64]) -> NDArray[np.int64]:
             break
         first = np.where(entered_by[first] >= 0, entered_by[first], first)
     return first
-
-
-def solve_from_vertices(myocardium: Myocardium, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solve the eikonal equation in the myocardium alone, from times at vertices.
-
-    First order: without a site there are no rays.
-
-    Parameters
-    ----------
-    myocardium : Myocardium
-        The myocardium.
-    times : (n,) array
-        When each vertex of the heart is fired (ms); inf where it is not.
-
-    Returns
-    -------
-    (n,) array
-        Activation times (ms); inf where no front arrives.
-    """
-    coupling = attach(myocardium, ())
-    front = _quiet(len(times), 0)
-    front.time[:] = times[myocardium.order]
-    sources = np.flatnonzero(np.isfinite(front.time))
-    sweep(front, sources, myocardium.mesh, coupling.forest, coupling.sites)
-    solved = np.empty(len(times))
-    solved[myocardium.order] = front.time
-    return solved
 
 
 def _neighbourhood(
