@@ -179,7 +179,7 @@ def _read_tree(table: _Tree, folder: Path) -> PurkinjeTree:
 
 
 def _complaint(error: ValidationError, values: dict[str, Any]) -> str:
-    """Say which table, counted from 1, which key, the value found and what is needed."""
+    """Name the table, counted from 1, which key, the value found and what is needed."""
     errors = error.errors(include_url=False)
     unknown = [e for e in errors if e["type"] == "extra_forbidden"]  # it explains what is missing
     first = (unknown + errors)[0]

@@ -47,7 +47,19 @@ def simulate_inputs(
 ) -> tuple[Simulation, dict[str, object]]:
     """Run the forward model on what the user gave: a parameter file, or two trees.
 
-    `make_model` is called once the parameters are known to be good: a large heart takes a while.
+    Parameters
+    ----------
+    make_model : callable
+        Makes the model; called once the parameters are known to be good, as a large heart takes a
+        while.
+    params : Path, optional
+        Parameter file; without it and without trees, the example parameters.
+    lv_tree, rv_tree : Path, optional
+        Files of trees, both or none.
+    cv, root_time : float, optional
+        Speed in the trees (mm/ms) and t_RV − t_LV (ms), in place of the file's.
+    scenario : Scenario, optional
+        Extra stimuli, blocked or slow segments, junction delays, trees of your own.
 
     Returns
     -------
@@ -149,7 +161,17 @@ def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:
 
 
 def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> dict[str, Any]:
-    """Say a few numbers about a simulation, as written to `summary.json`."""
+    """Give a few numbers about a simulation, as written to `summary.json`.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    simulation : Simulation
+        What was simulated.
+    inputs : dict
+        What it was simulated from, as `simulate_inputs` gives it.
+    """
     sides: dict[str, object] = {}
     for tree, times, antidromic, distance in zip(
         simulation.trees,
@@ -188,7 +210,15 @@ def unreached_volume(heart: Heart, simulation: Simulation) -> float:
 def write_simulation(
     heart: Heart, simulation: Simulation, folder: Path, inputs: dict[str, object]
 ) -> dict[str, Any]:
-    """Write a simulation's folder, whole or not at all; returns the summary."""
+    """Write a simulation's folder, whole or not at all; returns the summary.
+
+    Parameters
+    ----------
+    heart, simulation, inputs
+        See `summary`.
+    folder : Path
+        The folder.
+    """
     content = summary(heart, simulation, inputs)
     with atomic_folder(folder) as temporary:
         write_activation(temporary / "activation.vtu", heart, simulation)
@@ -201,7 +231,15 @@ def write_simulation(
 
 
 def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
-    """Write the activation map (ms) and its origins on the heart's mesh, with the fibres."""
+    """Write the activation map (ms) and its origins on the heart's mesh, with the fibres.
+
+    Parameters
+    ----------
+    path : Path
+        VTU file.
+    heart, simulation
+        See `summary`.
+    """
     points: dict[str, NDArray[Any]] = {
         "activation": simulation.activation,
         "origin": simulation.coupled.origin,
@@ -217,7 +255,7 @@ def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
 
 
 def sites_table(simulation: Simulation) -> str:
-    """Say as CSV what fired what: a row a junction, then a row a stimulus in the myocardium."""
+    """List as CSV what fired what: a row a junction, then a row a stimulus in the myocardium."""
     lines = ["site,kind,tree,node,x_mm,y_mm,z_mm,time_ms,fired,entered_by"]
     coupled, site = simulation.coupled, 0
     for tree, times, antidromic, entered_by in zip(

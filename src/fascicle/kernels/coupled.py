@@ -32,7 +32,10 @@ def _earliest(a, b, c, time):
 
 @kernel()
 def settle_trees(time, forest):
-    """Lower the times of tree nodes to what the trees alone make of them, in place."""
+    """Lower the times of tree nodes to what the trees alone make of them, in place.
+
+    c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`): up the tree, then down.
+    """
     nodes = len(forest.order)
     for k in range(nodes - 1, -1, -1):
         node = forest.order[k]
@@ -75,7 +78,11 @@ def _through_tree(node, vertices, forest, front, size):
 
 @kernel(inline="always")
 def _fire(site, now, sites, front, size):
-    """From a site along the rays to what is around it; returns the queue's size."""
+    """From a site along the rays to what is around it; returns the queue's size.
+
+    The paper's coupling, τ(xⱼ) = √(D⁻¹(xⱼ − p)·(xⱼ − p)) + τ(p), for all xⱼ that rays come to, not
+    only for the corners of the element around p.
+    """
     time, origin = front.time, front.origin
     for k in range(sites.to_vertices.start[site], sites.to_vertices.start[site + 1]):
         vertex, arrival = sites.to_vertices.target[k], now + sites.to_vertices.time[k]
@@ -215,7 +222,7 @@ def _into_trees(node, sites, mesh, front, size):
 
 @kernel()
 def sweep(front, sources, mesh, forest, sites):
-    """Solve the coupled problem in place.
+    """Solve the coupled problem in place: the paper's equations `eikotree` and `eikomyo` at once.
 
     Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is the
     earliest, and again if its time is lowered later; nothing is skipped for being early, since

@@ -53,9 +53,16 @@ class Chart:
 def build_chart(endocardium: Endocardium) -> Chart:
     """Map an endocardium to the unit disk.
 
-    Harmonic map with the boundary placed by arc length (Remacle et al. 2010). Obtuse triangles can
-    make it fold; then the mean-value weights of Floater (2003), which are positive and so give a
+    Harmonic map with the boundary placed by arc length: Δu = 0 on the surface, u on the circle at
+    the base, once for each coordinate (the paper's section "Purkinje network generation"). Obtuse
+    triangles can make it fold; then the mean-value weights, which are positive and so give a
     bijection by Tutte's theorem, take the place of the cotangents.
+
+    References
+    ----------
+    J.-F. Remacle, C. Geuzaine, G. Compère and E. Marchandise, High-quality surface remeshing using
+    harmonic maps, Int J Numer Methods Eng 83 (2010) 403-425. M. S. Floater, Mean value coordinates,
+    Comput Aided Geom Des 20 (2003) 19-27.
 
     Raises
     ------

@@ -25,7 +25,7 @@ class PurkinjeTree:
         Length of the segment to the parent (mm), measured along the endocardium; 0 at the root.
     labels : (n,) array, optional
         What the segment that ends in each node belongs to: 0 the bundle, k fascicle k, above that
-        the branches. Without labels these are told from how the tree forks.
+        the branches. Without labels these follow from how the tree forks.
     """
 
     side: str

@@ -23,7 +23,17 @@ SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single
 
 
 def write_tree(path: Path, tree: PurkinjeTree, activation: NDArray[np.float64]) -> None:
-    """Write a tree as VTU lines with its activation (ms) and segment lengths (mm)."""
+    """Write a tree as VTU lines.
+
+    Parameters
+    ----------
+    path : Path
+        VTU file.
+    tree : PurkinjeTree
+        The tree; the cell array ``length`` holds its segments' lengths (mm).
+    activation : (n,) array
+        Activation time of each node (ms), the point array ``activation``.
+    """
     child = np.flatnonzero(tree.parents >= 0)
     write_grid(
         path,

@@ -14,7 +14,7 @@ from fascicle.kernels import ten_tusscher
 
 STIMULUS = -52.0  # pA/pF, as in the model's CellML versions
 STIMULUS_DURATION = 1.0  # ms
-STEP = 0.01  # ms, while an upstroke is under way
+STEP = 0.01  # ms, during an upstroke
 COARSENING = 10  # steps are longer by this after the upstrokes
 UPSTROKE_TIME = 10.0  # ms of short steps after a stimulus to a single cell
 

@@ -142,7 +142,17 @@ def make_template(cell: str = DEFAULT_CELL, until: float = UNTIL) -> CableTempla
 
 
 def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate:
-    """The template in a cable's record."""
+    """Cut the template out of a cable's record.
+
+    Parameters
+    ----------
+    run : CableRun
+        The record.
+    cell : str
+        Type of its cells.
+    until : float
+        When U stops (ms after the maximum upstroke).
+    """
     times = run.time - max_upstroke(run.time, run.potential)[1]
     kept = _thinned(times)
     return CableTemplate(cell, kept, CubicSpline(times, run.potential)(kept), run.speed, until)
