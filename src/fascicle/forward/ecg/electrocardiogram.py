@@ -55,9 +55,10 @@ class Electrocardiograph:
     def channels(self, activation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Potential of each channel, every `STEP` ms from `first_sample` until all is quiet.
 
-        V(t) = −∫ Gᵢ∇Vm·∇Z dx with Vm = U(t − τ), the paper's lead-field integral, is Σₑ |e|(Gᵢ∇τ·∇Z)ₑ ⟨U′(t − τ)⟩ₑ; the elements'
-        fronts go into a histogram over time, which is convolved once with the response to a bin. A
-        front that travels towards a positive electrode gives a positive deflection.
+        The paper's lead-field integral V(t) = −∫ Gᵢ∇Vm·∇Z dx with Vm = U(t − τ) is
+        Σₑ |e|(Gᵢ∇τ·∇Z)ₑ ⟨U′(t − τ)⟩ₑ; the elements' fronts go into a histogram over time, which is
+        convolved once with the response to a bin. A front that travels towards a positive electrode
+        gives a positive deflection.
 
         Parameters
         ----------
