@@ -1,0 +1,101 @@
+"""Edges, volumes and directions of small meshes, against values worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fascicle.mesh.intersections import self_intersections
+from fascicle.mesh.measures import (
+    HAMMER_STROUD_POINTS,
+    barycentric_gradients,
+    closed_volume,
+    enclosed_volume,
+    mean_edge_length,
+    signed_volumes,
+    triangle_areas,
+    turned_outwards,
+    unit,
+)
+from fascicle.mesh.topology import (
+    TETRAHEDRON_FACES,
+    boundary_loops,
+    directed_edges,
+    fan,
+    unique_edges,
+    without_unused_vertices,
+)
+
+CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # of a cube
+AWAY = CORNER + np.array([7.0, -3, 2])
+FACES = TETRAHEDRON_FACES
+
+
+def test_a_zero_vector_has_no_direction():
+    assert unit(np.array([[3.0, 0, 4], [0, 0, 0]])).tolist() == [[0.6, 0, 0.8], [0, 0, 0]]
+    assert unit(np.array([0.0, -2])).tolist() == [0, -1]
+
+
+def test_every_edge_of_a_tetrahedron_has_two_triangles():
+    edges, count = unique_edges(FACES)
+    assert edges.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
+    assert count.tolist() == [2] * 6
+    # neighbours run along a common edge in opposite directions
+    directed = {tuple(edge) for edge in directed_edges(FACES).tolist()}
+    assert len(directed) == 12
+    assert {(b, a) for a, b in directed} == directed
+
+
+def test_volumes_of_the_corner_of_a_cube():
+    assert signed_volumes(AWAY, np.array([[0, 1, 2, 3], [1, 0, 2, 3]])) == pytest.approx(
+        [1 / 6, -1 / 6]
+    )
+    assert closed_volume(AWAY, FACES) == pytest.approx(1 / 6)
+    assert closed_volume(AWAY, FACES[:, ::-1]) == pytest.approx(-1 / 6)
+    assert enclosed_volume(AWAY, FACES[1:]) == pytest.approx(1 / 6)  # a flat opening adds nothing
+    assert triangle_areas(AWAY, FACES) == pytest.approx([np.sqrt(3) / 2, 0.5, 0.5, 0.5])
+    assert mean_edge_length(AWAY, FACES) == pytest.approx((1 + np.sqrt(2)) / 2)
+
+
+def test_surfaces_are_turned_outwards():
+    for triangles in (FACES, FACES[:, ::-1]):
+        assert closed_volume(AWAY, turned_outwards(AWAY, triangles)) > 0
+    assert turned_outwards(AWAY, FACES).tolist() == FACES.tolist()
+
+
+def test_a_fan_closes_an_opening():
+    opened = FACES[1:]
+    (loop,) = boundary_loops(opened)
+    closed = np.concatenate([opened, fan(loop, 4)])
+    vertices = np.concatenate([CORNER, CORNER[1:].mean(axis=0, keepdims=True)])
+    assert unique_edges(closed)[1].tolist() == [2] * 9
+    assert closed_volume(vertices, closed) == pytest.approx(1 / 6)
+    assert len({tuple(edge) for edge in directed_edges(closed).tolist()}) == 18
+
+
+def test_unused_vertices_are_left_out():
+    vertices, cells = without_unused_vertices(np.arange(15.0).reshape(5, 3), np.array([[4, 0, 2]]))
+    assert vertices[:, 0].tolist() == [0, 6, 12]
+    assert cells.tolist() == [[2, 0, 1]]
+
+
+def test_barycentric_coordinates_are_one_at_their_corner():
+    rng = np.random.default_rng(0)
+    vertices, corners = rng.normal(size=(4, 3)), np.array([[0, 1, 2, 3]])
+    rises = barycentric_gradients(vertices, corners)[0] @ (vertices - vertices[0]).T
+    assert rises == pytest.approx(np.eye(4) - np.eye(4)[:, :1])
+
+
+def test_the_quadrature_is_exact_for_squares():
+    x = (HAMMER_STROUD_POINTS @ CORNER)[:, 0]
+    assert x.mean() == pytest.approx(1 / 4)
+    assert (x**2).mean() == pytest.approx(1 / 10)  # 6 ∫ x² over the corner of the cube
+
+
+def test_intersections_between_two_surfaces_only():
+    low = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
+    across = np.array([[1.0, 1, -1], [1, 1, 1], [3, 3, 1]])
+    vertices = np.concatenate([low, across, across + np.array([0.1, 0.2, 0])])
+    triangles = np.arange(9).reshape(3, 3)
+    assert self_intersections(vertices, triangles).tolist() == [[0, 1], [0, 2]]
+    assert self_intersections(vertices, triangles, np.array([0, 0, 1])).tolist() == [[0, 2]]
