@@ -258,6 +258,6 @@ class TestRuns:
         assert (lead_fields(heart, torso, Conduction()) == first).all()
 
     def test_tell_how_many_electrodes_are_done(self):
-        told = []
-        lead_fields(*chest(4), Conduction(), lambda done, total: told.append((done, total)))
-        assert told == [(k, 9) for k in range(10)]
+        reported = []
+        lead_fields(*chest(4), Conduction(), lambda done, total: reported.append((done, total)))
+        assert reported == [(k, 9) for k in range(10)]

@@ -22,13 +22,13 @@ def heart():
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[int, int]]:
+def reported() -> list[tuple[int, int]]:
     return []
 
 
 @pytest.fixture(scope="module")
-def torso(heart, told):
-    return mesh_torso(heart, skin(), [lung(1), lung(-1)], lambda *step: told.append(step))
+def torso(heart, reported):
+    return mesh_torso(heart, skin(), [lung(1), lung(-1)], lambda *step: reported.append(step))
 
 
 def volume_of(torso, tissue) -> float:
@@ -80,11 +80,11 @@ def test_blood_lies_in_the_cavities(torso) -> None:
     assert np.any(inside, axis=0).all()
 
 
-def test_tells_how_far_it_is(torso, told) -> None:
-    total = told[0][1]
-    assert told[0] == (0, total)
-    assert told[-1] == (total, total)
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
+def test_reports_its_progress(torso, reported) -> None:
+    total = reported[0][1]
+    assert reported[0] == (0, total)
+    assert reported[-1] == (total, total)
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
 
 
 def shifted(surface: Surface, by) -> Surface:

@@ -241,13 +241,13 @@ def test_a_missing_label_is_named(missing, named):
 
 
 def test_progress_is_told_to_the_end():
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     rule_based_fibres(
-        slab(thickness=8, layers=2), progress=lambda done, total: told.append((done, total))
+        slab(thickness=8, layers=2), progress=lambda done, total: reported.append((done, total))
     )
-    assert told[0][0] == 0
-    assert told[-1][0] == told[-1][1]
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert reported[0][0] == 0
+    assert reported[-1][0] == reported[-1][1]
+    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
 
 
 def test_fibres_of_the_rv_turn_towards_a_labelled_pulmonary_opening(laplace, biventricular):
