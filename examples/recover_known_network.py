@@ -1,7 +1,7 @@
 """Find a known network again.
 
-Simulates the ECG of a known network, makes noisy beats of it, fits, and compares the accepted
-networks with the truth. On the packaged heart:
+Simulates the ECG of a known network, makes noisy beats of it, fits, and compares the
+population with the truth. On the packaged heart:
 
     python examples/recover_known_network.py --out recovered
 
@@ -25,7 +25,8 @@ from fascicle.recording.synthetic import synthetic_target
 from fascicle.report.figures import save
 from fascicle.report.pairs import pair_figure
 from fascicle.report.study import write_figures
-from fascicle.study.fit import FittedStudy, fit
+from fascicle.study.fit import fit
+from fascicle.study.results import FittedStudy
 
 # Well inside the ranges; the left tree fires 30 ms late, a partial left bundle branch block.
 TRUTH = {
@@ -71,16 +72,16 @@ def main() -> None:
         given.heart, truth, given.out, given.seed,
         initial=given.initial, steps=given.steps, samples=given.samples,
     )  # fmt: skip
-    accepted = fitted.accepted
+    population = fitted.population
     print(f"{'':<22} {'true':>8} {'median':>8} {'lowest':>8} {'highest':>8}")
     for parameter in fitted.problem.space.parameters:
-        values = accepted.values[parameter.name]
+        values = population.values[parameter.name]
         print(
             f"{parameter.name:<22} {truth[parameter.name]:8.2f} {np.median(values):8.2f} "
             f"{values.min():8.2f} {values.max():8.2f} {parameter.unit}"
         )
     write_figures(fitted, fitted.networks())
-    pairs = pair_figure(fitted.problem.space, accepted.values, accepted.best, truth)
+    pairs = pair_figure(fitted.problem.space, population.values, population.best, truth)
     save(pairs, fitted.folder / "figures" / "pairs_with_truth.png")
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import read_target
     from fascicle.study.fit import fit, load_study
+    from fascicle.study.settings import FitSettings
 
 __version__ = version("fascicle")
 
@@ -38,6 +39,7 @@ _HOMES = {
     "Choices": "fascicle.recording.choices",
     "Conduction": "fascicle.heart.conduction",
     "EXAMPLE_PARAMETERS": "fascicle.core.parameters",
+    "FitSettings": "fascicle.study.settings",
     "ForwardModel": "fascicle.forward.model",
     "GrowthRules": "fascicle.purkinje.growth",
     "Heart": "fascicle.heart.heart",
@@ -64,6 +66,7 @@ __all__ = [
     "NETWORK_SPACE",
     "Choices",
     "Conduction",
+    "FitSettings",
     "ForwardModel",
     "GrowthRules",
     "Heart",

@@ -44,7 +44,7 @@ def test_study_folder_holds_what_is_promised(study):
     posterior = az.from_netcdf(folder / "posterior.nc")
     assert set(posterior.posterior.data_vars) == set(fascicle.NETWORK_SPACE.names)
     assert posterior.posterior["cv"].attrs["units"] == "mm/ms"
-    assert posterior.posterior["cv"].shape == (1, len(study.accepted))
+    assert posterior.posterior["cv"].shape == (1, len(study.population))
     assert posterior.posterior_predictive["ecg"].dims == ("chain", "draw", "lead", "time")
     for name in ("best", "00", "01", "02"):
         for side in ("lv", "rv"):
@@ -57,15 +57,15 @@ def test_study_folder_holds_what_is_promised(study):
 
 
 def test_best_network_is_what_the_summary_says(study, target):
-    again = study.problem.evaluate(study.problem.space.to_unit(study.accepted.best))
-    assert again.loss == pytest.approx(study.accepted.best_loss, rel=1e-9)
+    again = study.problem.evaluate(study.problem.space.to_unit(study.population.best))
+    assert again.loss == pytest.approx(study.population.best_loss, rel=1e-9)
     assert again.loss < float((target.qrs**2).sum(axis=0).mean())  # better than a flat line
 
 
 def test_same_seed_same_result_and_resuming_evaluates_nothing(study, target, tmp_path):
     again = fascicle.fit("default", target, tmp_path / "again", **BUDGET)
-    for name, values in study.accepted.values.items():
-        np.testing.assert_array_equal(again.accepted.values[name], values)
+    for name, values in study.population.values.items():
+        np.testing.assert_array_equal(again.population.values[name], values)
     with sqlite3.connect(tmp_path / "again" / "evaluations.sqlite") as ledger:
         before = ledger.execute("SELECT count(*) FROM evaluations").fetchone()
         fascicle.fit("default", target, tmp_path / "again", **BUDGET)
@@ -84,7 +84,7 @@ def test_predict(study, tmp_path, monkeypatch, capsys):
     )
     assert "QRS duration" in capsys.readouterr().out
     rows = (tmp_path / "p" / "table.csv").read_text().splitlines()
-    assert len(rows) == 1 + len(study.accepted)
+    assert len(rows) == 1 + len(study.population)
     table = np.array([row.split(",")[1:] for row in rows[1:]], dtype=float)
     assert (table > 30).all()
     assert (table < 250).all()
@@ -97,7 +97,7 @@ def test_predict(study, tmp_path, monkeypatch, capsys):
         times = pv.read(tmp_path / "p" / f"activation_{name}.vtu").point_data["activation"]
         assert np.ptp(times) == pytest.approx(value, abs=0.01)
     with xr.open_dataset(tmp_path / "p" / "ecgs.nc", engine="h5netcdf") as ecgs:
-        assert ecgs["after"].sizes["network"] == len(study.accepted)
+        assert ecgs["after"].sizes["network"] == len(study.population)
 
 
 def test_pacing_together_undoes_a_delay(study):

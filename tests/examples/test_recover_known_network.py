@@ -19,4 +19,4 @@ def test_fit_comes_closer_to_the_truth_than_the_design(tmp_path):
     at_truth = fitted.problem.evaluate(fitted.problem.space.to_unit(example.TRUTH)).loss
     first = [r.evaluation.loss for r in fitted.study.records() if r.stage == "initial"]
     assert at_truth < 0.02  # noise alone
-    assert at_truth < fitted.accepted.best_loss < 0.8 * np.nanmin(first)
+    assert at_truth < fitted.population.best_loss < 0.8 * np.nanmin(first)

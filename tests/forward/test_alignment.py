@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from fascicle.forward.loss import LEAST_SHARE, Alignment, align, placed
+from fascicle.forward.loss import LEAST_SHARE, align, placed
 
 seeds, lengths = st.integers(0, 2**31), st.integers(1, 60)
 
@@ -117,7 +117,7 @@ def test_loss_is_the_sum_over_leads_and_the_mean_over_time():
 @settings(max_examples=100, deadline=None)
 def test_placed_is_zero_beyond_the_ends(seed, n_simulated, n_recorded, shift, gain):
     simulated, _ = signals(seed, n_simulated, 1)
-    found = placed(simulated, Alignment(0.0, shift, gain), n_recorded)
+    found = placed(simulated, shift, gain, n_recorded)
     np.testing.assert_array_equal(found, gain * under(simulated, shift, n_recorded))
 
 

@@ -80,7 +80,7 @@ def test_prediction_lies_under_the_recorded_beat(default_model, target, points):
     """Over the whole beat, not only in the QRS window; a shift by the window's start would show."""
     problem = Problem(default_model, target, NETWORK_SPACE)
     simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    predicted = problem.predicted(simulation, problem.align(simulation))
+    predicted = problem.predicted(simulation)
     assert predicted.shape == target.mean.shape
     assert np.abs(predicted - target.mean).max() < 5 * NOISE
 
@@ -94,7 +94,7 @@ def test_unused_leads_do_not_count(default_model, target, points):
     assert best.loss == pytest.approx(11 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
     simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    predicted = problem.predicted(simulation, problem.align(simulation))
+    predicted = problem.predicted(simulation)
     assert np.abs(predicted[7] - target.mean[7]).max() < 5 * NOISE
 
 

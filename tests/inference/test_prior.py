@@ -8,6 +8,7 @@ import pytest
 
 from fascicle.inference.abc import informed_prior as prior_module
 from fascicle.inference.abc.informed_prior import InformedPrior, draw_candidates
+from fascicle.inference.abc.settings import CandidateOrder
 from fascicle.inference.surrogate.exponential import Hyperparameters
 from fascicle.inference.surrogate.feasibility import FeasibilityGP
 from fascicle.inference.surrogate.loss_gp import LossGP
@@ -103,7 +104,9 @@ def test_draws_have_the_moments_of_the_density(prior):
 
 def test_order_and_limit(prior):
     drawn = draw_candidates(np.random.default_rng(11), prior, DRAWS)
-    ranked = draw_candidates(np.random.default_rng(11), prior, DRAWS, "density", limit=20)
+    ranked = draw_candidates(
+        np.random.default_rng(11), prior, DRAWS, CandidateOrder.DENSITY, limit=20
+    )
     assert ranked.points.shape == (20, 2)
     assert ranked.accepted == drawn.accepted
     np.testing.assert_array_equal(ranked.density, np.sort(drawn.density)[::-1][:20])
@@ -111,16 +114,16 @@ def test_order_and_limit(prior):
     assert ranked.points.std(0).max() < 0.5 * drawn.points.std(0).max()
 
 
-def test_progress_is_told(prior, monkeypatch):
+def test_progress_is_reported(prior, monkeypatch):
     monkeypatch.setattr(prior_module, "DRAW_CHUNK", 400)
-    told = []
+    seen = []
     draw_candidates(
         np.random.default_rng(0),
         prior,
         1000,
-        progress=lambda done, total: told.append((done, total)),
+        progress=lambda done, total: seen.append((done, total)),
     )
-    assert told == [(400, 1000), (800, 1000), (1000, 1000)]
+    assert seen == [(400, 1000), (800, 1000), (1000, 1000)]
 
 
 def test_nothing_may_pass(prior):

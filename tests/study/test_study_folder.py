@@ -16,8 +16,8 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.inference.abc.distance import ErrorDensity, total_variation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.optimisation import step as bo_step
-from fascicle.study.settings import StudyConfig
-from fascicle.study.study import Study
+from fascicle.study.evaluations import Stage
+from fascicle.study.study import RENAMED, Study, StudyConfig
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
 NOISE = np.linspace(-1, 1, 6) ** 3
@@ -25,16 +25,16 @@ NOISE = np.linspace(-1, 1, 6) ** 3
 
 def make_config(**changes):
     settings = {
-        "heart": "aa", "target": "bb", "space": StudyConfig.free(SPACE), "initial": 12, "steps": 5,
-        "samples": 4, "draws": 3000, "patience": 6, "rounds": 4, "seed": 3,
-        "refine": 0,
+        "heart": "aa", "target": "bb", "space": SPACE.parameters, "initial": 12, "steps": 5,
+        "samples": 4, "draws": 3000, "refit_after": 6, "rounds": 4, "seed": 3, "refine": 0,
+        "workers": 1,
     }  # fmt: skip
     return StudyConfig(**(settings | changes))
 
 
 def evaluate(point):
     if point.sum() > 1.5:
-        return Evaluation(point, np.nan, np.empty(0), "left the endocardium")
+        return Evaluation.infeasible(point, "left the endocardium")
     loss = 2 + 60 * float(((point - [0.3, 0.7]) ** 2).sum())
     return Evaluation(point, loss, loss + 0.7 * NOISE)
 
@@ -43,47 +43,43 @@ def objective(points):
     return [evaluate(point) for point in points]
 
 
-def silent(stage, done, total, message):
-    pass
-
-
-def summary(study, posterior):
+def summary(study, population):
     """Everything that must come out the same, bit for bit."""
     records = study.records()
     return (
         [(r.stage, r.evaluation.point.tobytes(), r.evaluation.reason) for r in records],
         [np.float64(r.evaluation.loss).tobytes() for r in records],
         [r.evaluation.beat_errors.tobytes() for r in records],
-        posterior.points.tobytes(),
-        posterior.distances.tobytes(),
-        posterior.losses.tobytes(),
-        {name: values.tobytes() for name, values in posterior.values.items()},
-        (posterior.best_loss, posterior.rounds, posterior.evaluated),
+        population.distances.tobytes(),
+        population.losses.tobytes(),
+        {name: values.tobytes() for name, values in population.values.items()},
+        (population.best, population.best_loss, study.steps(Stage.POSTERIOR)),
     )
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
     study = Study.create_or_resume(tmp_path_factory.mktemp("whole") / "study", make_config())
-    return summary(study, study.run(objective, silent))
+    return summary(study, study.run(objective))
 
 
 def test_stages_and_result(tmp_path):
-    told = []
+    seen = []
     study = Study.create_or_resume(tmp_path / "s", make_config())
-    posterior = study.run(objective, lambda *news: told.append(news))
-    stages = [record.stage for record in study.records()]
+    population = study.run(objective, lambda *news: seen.append(news))
+    records = study.records()
+    stages = [record.stage for record in records]
     assert stages[:17] == ["initial"] * 12 + ["optimisation"] * 5
-    assert stages[17:] == ["posterior"] * posterior.evaluated
-    assert posterior.complete
-    assert len(posterior.points) == 4
-    assert posterior.best_loss == min(
-        r.evaluation.loss for r in study.records()[:17] if r.evaluation.feasible
-    )
-    np.testing.assert_allclose(posterior.values["cv"], 2 + 2 * posterior.points[:, 0])
-    assert {stage for stage, *_ in told} == {"initial", "optimisation", "prior", "posterior"}
-    assert all(0 <= done <= total for _, done, total, _ in told)
-    assert [news[1] for news in told if news[0] == "optimisation"] == [1, 2, 3, 4, 5]
+    assert set(stages[17:]) == {"posterior"}
+    assert len(population) == 4
+    best = min((r.evaluation for r in records if r.evaluation.feasible), key=lambda e: e.loss)
+    assert population.best_loss == best.loss
+    assert population.best == SPACE.from_unit(best.point)
+    known = {r.evaluation.loss: SPACE.from_unit(r.evaluation.point) for r in records[17:]}
+    assert [population.parameters(k) for k in range(4)] == [known[y] for y in population.losses]
+    assert {stage for stage, *_ in seen} == {"initial", "optimisation", "prior", "posterior"}
+    assert all(0 <= done <= total for _, done, total, _ in seen)
+    assert [news[1] for news in seen if news[0] == "optimisation"] == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("calls", [5, 14, 18])
@@ -99,7 +95,7 @@ def test_interrupted_study_resumes_to_the_same_bits(tmp_path, uninterrupted, cal
 
     study = Study.create_or_resume(tmp_path / "s", make_config())
     with pytest.raises(KeyboardInterrupt):
-        study.run(interrupted, silent)
+        study.run(interrupted)
     assert len(study.records()) == calls
     again = 0
 
@@ -109,7 +105,7 @@ def test_interrupted_study_resumes_to_the_same_bits(tmp_path, uninterrupted, cal
         return objective(points)
 
     resumed = Study.create_or_resume(tmp_path / "s", make_config())
-    assert summary(resumed, resumed.run(counting, silent)) == uninterrupted
+    assert summary(resumed, resumed.run(counting)) == uninterrupted
     assert again == len(uninterrupted[0]) - calls
 
 
@@ -130,8 +126,8 @@ def test_every_fit_but_the_first_starts_warm(tmp_path, monkeypatch):
     monkeypatch.setattr(bo_step, "step", spy)
     study = Study.create_or_resume(tmp_path, make_config())
     with pytest.raises(KeyboardInterrupt):
-        study.run(stop_after_15, silent)
-    study.run(objective, silent)
+        study.run(stop_after_15)
+    study.run(objective)
     assert len(starts) == 5
     assert starts[0][0] is None
     assert [start for start, _ in starts[1:]] == [end for _, end in starts[:-1]]
@@ -139,13 +135,13 @@ def test_every_fit_but_the_first_starts_warm(tmp_path, monkeypatch):
 
 def test_finished_study_evaluates_nothing(tmp_path, uninterrupted):
     study = Study.create_or_resume(tmp_path / "s", make_config())
-    study.run(objective, silent)
+    study.run(objective)
 
     def forbidden(points):
         raise AssertionError("nothing is left to evaluate")
 
     reopened = Study.open(tmp_path / "s")
-    assert summary(reopened, reopened.run(forbidden, silent)) == uninterrupted
+    assert summary(reopened, reopened.run(forbidden)) == uninterrupted
 
 
 def test_killed_study_resumes_to_the_same_bits(tmp_path, uninterrupted):
@@ -154,7 +150,7 @@ def test_killed_study_resumes_to_the_same_bits(tmp_path, uninterrupted):
         "import sys, time; from pathlib import Path; sys.path.insert(0, sys.argv[2])\n"
         "import test_study_folder as t\n"
         "def slow(points):\n    time.sleep(0.05); return t.objective(points)\n"
-        "t.Study.create_or_resume(Path(sys.argv[1]), t.make_config()).run(slow, t.silent)\n"
+        "t.Study.create_or_resume(Path(sys.argv[1]), t.make_config()).run(slow)\n"
     )
     here = str(Path(__file__).parent)
     process = subprocess.Popen([sys.executable, "-c", script, str(folder), here])
@@ -165,7 +161,7 @@ def test_killed_study_resumes_to_the_same_bits(tmp_path, uninterrupted):
     assert process.wait() == -signal.SIGKILL
     assert 14 <= stored(folder) < len(uninterrupted[0])
     resumed = Study.create_or_resume(folder, make_config())
-    assert summary(resumed, resumed.run(objective, silent)) == uninterrupted
+    assert summary(resumed, resumed.run(objective)) == uninterrupted
 
 
 def stored(folder):
@@ -175,7 +171,7 @@ def stored(folder):
 
 
 def test_batches_are_repeatable(tmp_path):
-    config = make_config(batch=3)
+    config = make_config(workers=3)
     one, two = (Study.create_or_resume(tmp_path / name, config) for name in "ab")
     sizes = []
 
@@ -183,24 +179,24 @@ def test_batches_are_repeatable(tmp_path):
         sizes.append(len(points))
         return objective(points)
 
-    assert summary(one, one.run(watched, silent)) == summary(two, two.run(objective, silent))
+    assert summary(one, one.run(watched)) == summary(two, two.run(objective))
     assert sizes[:6] == [3, 3, 3, 3, 3, 2]
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"heart": "cc"}, r"another heart \(aa there, cc now\)"),
         ({"target": "cc"}, "another target"),
         ({"steps": 6}, r"another steps \(5 there, 6 now\)"),
-        ({"gain": True, "seed": 9}, "gain .* seed"),
+        ({"free_gain": True, "seed": 9}, "seed .* free_gain"),
         ({"refine": 7}, "another refine"),
-        ({"space": StudyConfig.free(SPACE.restricted("cv", 1, 4))}, "another space;"),
+        ({"space": (Parameter("cv", "mm/ms", 1, 4), SPACE.parameters[1])}, "another space;"),
     ],
 )
-def test_other_settings_are_refused(tmp_path, change, told):
+def test_other_settings_are_refused(tmp_path, change, message):
     Study.create_or_resume(tmp_path / "s", make_config())
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         Study.create_or_resume(tmp_path / "s", make_config(**change))
     assert "\n" not in str(caught.value)
     assert "--out" in str(caught.value)
@@ -214,6 +210,25 @@ def test_foreign_folders_are_refused(tmp_path):
         Study.open(tmp_path)
     with pytest.raises(InputError, match=r"thesis.tex: .*--out"):
         Study.create_or_resume(tmp_path / "thesis.tex", make_config())
+
+
+def test_study_of_format_1_goes_on(tmp_path, uninterrupted):
+    """Settings had other names then; all else, and so every bit, is the same."""
+    study = Study.create_or_resume(tmp_path / "s", make_config())
+    study.run(objective)
+    path = tmp_path / "s" / "study.json"
+    text = path.read_text()
+    for old, new in RENAMED.items():
+        assert f'"{new}"' in text
+        text = text.replace(f'"{new}"', f'"{old}"')
+    path.write_text(text.replace('"version": 2', '"version": 1'))
+    again = Study.create_or_resume(tmp_path / "s", make_config())
+    assert again.config == make_config()
+    assert summary(again, again.run(objective)) == uninterrupted
+    path.write_text(text.replace('"version": 2', '"version": 3'))
+    with pytest.raises(InputError, match=r"study\.json: .*version") as caught:
+        Study.open(tmp_path / "s")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"heart": "a", "colour": 1}', "\udcff"])
@@ -236,41 +251,41 @@ def test_second_writer_is_refused(tmp_path):
 
     def rival(points):
         if len(study.records()) == 3:
-            Study.open(tmp_path).run(objective, silent)
+            Study.open(tmp_path).run(objective)
         return objective(points)
 
     with pytest.raises(InputError, match="another process"):
-        study.run(rival, silent)
+        study.run(rival)
 
 
-def test_no_tree_anywhere_is_told(tmp_path):
+def test_no_tree_anywhere_is_reported(tmp_path):
     def hopeless(points):
-        return [Evaluation(p, np.nan, np.empty(0), "bundle left the endocardium") for p in points]
+        return [Evaluation.infeasible(p, "bundle left the endocardium") for p in points]
 
     study = Study.create_or_resume(tmp_path, make_config())
     with pytest.raises(InputError, match=r"none of the 12 .*bundle left the endocardium"):
-        study.run(hopeless, silent)
+        study.run(hopeless)
 
 
-def test_one_beat_is_told(tmp_path):
+def test_one_beat_is_refused(tmp_path):
     study = Study.create_or_resume(tmp_path, make_config())
     with pytest.raises(InputError, match="1 beat"):
-        study.run(lambda points: [Evaluation(p, 1.0, np.ones(1)) for p in points], silent)
+        study.run(lambda points: [Evaluation(p, 1.0, np.ones(1)) for p in points])
 
 
 def test_posterior_covers_the_acceptance_region(tmp_path):
     """Accepted samples of a quadratic loss lie in the disc that the distance defines."""
-    config = make_config(steps=10, samples=25, draws=20_000, patience=50)
-    posterior = Study.create_or_resume(tmp_path, config).run(objective, silent)
-    assert posterior.complete
-    best = ErrorDensity.fit(posterior.best_loss + 0.7 * NOISE)
+    config = make_config(steps=10, samples=25, draws=20_000, refit_after=50)
+    population = Study.create_or_resume(tmp_path, config).run(objective)
+    assert len(population) == config.samples
+    best = ErrorDensity.fit(population.best_loss + 0.7 * NOISE)
     shifts = np.linspace(0, 5, 2001)
     distances = [total_variation(ErrorDensity.fit(best.errors + s), best) for s in shifts]
-    largest = posterior.best_loss + shifts[np.argmax(np.array(distances) >= 0.9)]
+    largest = population.best_loss + shifts[np.argmax(np.array(distances) >= 0.9)]
     assert 2.2 < largest < 6
-    assert posterior.losses.max() <= largest
+    assert population.losses.max() <= largest
     # The samples fill the region instead of huddling at the best point.
-    assert posterior.losses.mean() > 2 + 0.25 * (largest - 2)
+    assert population.losses.mean() > 2 + 0.25 * (largest - 2)
 
 
 def narrow(points):
@@ -282,22 +297,22 @@ def narrow(points):
 
 
 def test_refinement_and_walk_find_what_rejection_cannot(tmp_path):
-    config = make_config(refine=30, rounds=1, draws=500, sweeps=40)
+    config = make_config(refine=30, rounds=1, draws=500, walk_steps=40)
     study = Study.create_or_resume(tmp_path / "s", config)
-    posterior = study.run(narrow, silent)
+    population = study.run(narrow)
     stages = [record.stage for record in study.records()]
     assert stages.count("refinement") > 30
-    assert posterior.sweeps >= 40
-    assert posterior.complete
-    assert posterior.best_loss < 2.01
-    assert (posterior.distances < config.tolerance).all()
-    assert np.abs(posterior.losses - posterior.best_loss).max() < 0.01
+    assert study.steps(Stage.WALK) >= 40
+    assert len(population) == config.samples
+    assert population.best_loss < 2.01
+    assert (population.distances < config.tolerance).all()
+    assert np.abs(population.losses - population.best_loss).max() < 0.01
 
 
 def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
-    config = make_config(refine=3, rounds=1, draws=500, sweeps=10)
+    config = make_config(refine=3, rounds=1, draws=500, walk_steps=10)
     whole = Study.create_or_resume(tmp_path / "whole", config)
-    expected = summary(whole, whole.run(narrow, silent))
+    expected = summary(whole, whole.run(narrow))
     left = [100]  # evaluations until Ctrl-C, in the middle of refinement and walk
 
     def interrupted(points):
@@ -310,9 +325,9 @@ def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
     for _ in range(3):
         left[0] = 100
         with contextlib.suppress(KeyboardInterrupt):
-            study.run(interrupted, silent)
+            study.run(interrupted)
     again = Study.create_or_resume(tmp_path / "cut", config)
-    assert summary(again, again.run(narrow, silent)) == expected
+    assert summary(again, again.run(narrow)) == expected
 
 
 def test_importing_the_study_loads_no_surrogate():

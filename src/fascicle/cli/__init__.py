@@ -5,23 +5,29 @@ from __future__ import annotations
 import errno
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from fascicle.cli.arguments import HeartArgument, OutOption
+from fascicle.cli.arguments import HeartArgument, OutOption, StudyArgument, settings_options
 from fascicle.cli.hearts import heart_app
+from fascicle.cli.printing import (
+    print_demo,
+    print_fit,
+    print_pacing,
+    print_simulation,
+    print_template,
+)
 from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
 from fascicle.core.errors import InputError
+from fascicle.study.settings import FitSettings
 
 if TYPE_CHECKING:
-    from fascicle.forward.simulation import Simulation
-    from fascicle.predict.pacing import Pacing
-    from fascicle.study.fit import FittedStudy
+    from fascicle.forward.model import ForwardModel
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -121,14 +127,7 @@ def simulate(
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     summary = write_simulation(loaded, simulation, out, inputs)
-    print(f"total activation time  {simulation.total_activation_time:.1f} ms")
-    print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
-    _print_sites(simulation, summary["trees"])
-    if summary["unreached_vertices"]:
-        print(
-            f"never reached          {summary['unreached_vertices']} vertices, "
-            f"{summary['unreached_volume_ml']} ml: left out of the ECG"
-        )
+    print_simulation(simulation, summary)
     print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
 
 
@@ -136,23 +135,17 @@ app.command(name="target")(target_command)
 
 
 @app.command()
+@settings_options(
+    FitSettings,
+    first=("initial", "steps", "refine", "samples", "seed", "workers", "free_gain"),
+    panel="Which networks are accepted",
+    also={"free_gain": "--gain"},
+)
 def fit(
     heart: HeartArgument,
     target: Annotated[Path, typer.Argument(help="Target made by 'fascicle target'.")],
     out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
-    initial: Annotated[int, typer.Option(min=2, help="Latin hypercube points.")] = 250,
-    steps: Annotated[int, typer.Option(min=0, help="Bayesian-optimisation steps.")] = 300,
-    refine: Annotated[
-        int, typer.Option(min=0, help="Generations of refinement, up to 20 simulations each.")
-    ] = 200,
-    samples: Annotated[int, typer.Option(min=1, help="Networks to accept.")] = 30,
-    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
-    workers: Annotated[
-        int, typer.Option(min=1, help="Simulations at a time; proposals per step. Part of a study.")
-    ] = 2,
-    gain: Annotated[
-        bool, typer.Option("--gain", help="Fit one global gain of the ECG too.")
-    ] = False,
+    **settings: Any,
 ) -> None:
     """Fit a population of Purkinje networks to a target.
 
@@ -163,23 +156,20 @@ def fit(
     from fascicle.study.fit import fit as run_fit
 
     with _resumable(), TerminalProgress() as progress:
-        fitted = run_fit(
-            heart, target, out, initial=initial, steps=steps, refine=refine, samples=samples,
-            seed=seed, workers=workers, free_gain=gain, progress=progress,
-        )  # fmt: skip
-    _print_fit(fitted)
+        fitted = run_fit(heart, target, out, progress=progress, **settings)
+    print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")
 
 
 @app.command()
 def predict(
-    study: Annotated[Path, typer.Argument(help="Finished study folder.")],
+    study: StudyArgument,
     out: OutOption,
     root_time: Annotated[
         float, typer.Option(help="t_RV - t_LV of the paced roots (ms); 0 fires both together.")
     ] = 0.0,
 ) -> None:
-    """Predict conduction-system pacing with every accepted network."""
+    """Predict conduction-system pacing with every network of the population."""
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.report.prediction import write_pacing
     from fascicle.study.fit import load_study
@@ -187,12 +177,12 @@ def predict(
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
         pacing = write_pacing(fitted, root_time, out, progress)
-    _print_pacing(pacing)
+    print_pacing(pacing)
     print(f"prediction in {out}")
 
 
 @app.command()
-def report(study: Annotated[Path, typer.Argument(help="Finished study folder.")]) -> None:
+def report(study: StudyArgument) -> None:
     """Draw the figures of a study into its folder."""
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.report.study import write_figures
@@ -223,13 +213,7 @@ def template(
     with TerminalProgress() as progress:
         figure, measures = template_figure(progress)
     save(figure, out)
-    print(f"{'':<18} rest (mV)  overshoot (mV)  dV/dt max (V/s)  APD90 (ms)  speed (m/s)")
-    for cell, values in measures.items():
-        print(
-            f"{cell:<18} {values['resting_potential']:9.1f}  {values['overshoot']:14.1f}  "
-            f"{values['max_upstroke']:15.0f}  {values['apd90']:10.0f}  "
-            f"{values['conduction_velocity']:11.2f}"
-        )
+    print_template(measures)
     print(f"picture: {out}")
 
 
@@ -246,19 +230,9 @@ def demo(
     with _resumable(), TerminalProgress() as progress:
         analysis, fitted, pacing = run_demo(out, progress)
     print_analysis(analysis)
-    _print_fit(fitted)
-    _print_pacing(pacing)
-    print(f"\nin {out}:")
-    for name, what in (
-        ("target.png", "the recording: beats by class, their overlay, the QRS window"),
-        ("target.nc", "beats, mean, standard deviation, QRS window"),
-        ("study/posterior.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
-        ("study/networks", "their trees, for ParaView"),
-        ("study/activation.vtu", "activation of the best network, mean and spread over all"),
-        ("study/figures", "ECG, pair plot, activation map, convergence"),
-        ("pacing", "what firing both trees together would do"),
-    ):
-        print(f"  {name:<21} {what}")
+    print_fit(fitted)
+    print_pacing(pacing)
+    print_demo(out)
 
 
 @contextmanager
@@ -269,49 +243,6 @@ def _resumable() -> Iterator[None]:
     except KeyboardInterrupt:
         print("interrupted; the same command goes on where this one stopped", file=sys.stderr)
         raise typer.Exit(130) from None
-
-
-def _print_sites(simulation: Simulation, trees: Mapping[str, Mapping[str, float]]) -> None:
-    for side, tree in trees.items():
-        backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
-        print(
-            f"{side + ' tree':<22} {tree['junctions']} junctions: "
-            f"{tree['junctions'] - backwards - silent} orthodromic, {backwards} antidromic, "
-            f"{silent} silent; up to {tree['largest_junction_distance_mm']:.1f} mm from the tissue"
-        )
-    captured = simulation.coupled.captured
-    if len(captured):
-        print(f"stimuli                {captured.sum()} of {len(captured)} captured the myocardium")
-
-
-def _print_fit(fitted: FittedStudy) -> None:
-    import numpy as np
-
-    accepted = fitted.accepted
-    recorded = float(np.nansum(fitted.problem.target.qrs**2, axis=0).mean())
-    print(f"evaluations            {len(fitted.study.records())}")
-    first = fitted.best_initial_loss
-    print(f"best of the first      {first:.4f} mV² (flat line: {recorded:.4f})")
-    print(f"best                   {accepted.best_loss:.4f} mV²")
-    print(f"networks accepted      {len(accepted)} of {fitted.study.config.samples}")
-    if len(accepted):
-        for name, unit in (("root_time", "ms"), ("cv", "m/s")):
-            values = accepted.values[name]
-            print(
-                f"{name:<22} {np.median(values):.1f} {unit} "
-                f"({values.min():.1f} to {values.max():.1f})"
-            )
-
-
-def _print_pacing(pacing: Pacing) -> None:
-    for name, before, after in (
-        ("QRS duration", pacing.qrs_before, pacing.qrs_after),
-        ("total activation time", pacing.tat_before, pacing.tat_after),
-    ):
-        print(
-            f"{name:<22} {before.mean():.0f} ms -> {after.mean():.0f} ms paced "
-            f"({after.min():.0f} to {after.max():.0f})"
-        )
 
 
 def main() -> None:

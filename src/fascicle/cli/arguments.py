@@ -1,13 +1,76 @@
-"""Arguments that several commands share."""
+"""Arguments that several commands share, and options made of settings."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
 ]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
+StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+
+def settings_options(
+    settings: type[BaseModel], first: Sequence[str], panel: str, also: Mapping[str, str]
+) -> Callable[[Command], Command]:
+    """Give a command an option for every field of some settings, in place of its `**settings`.
+
+    Name, type, default, range and help are those of the field.
+
+    Parameters
+    ----------
+    settings : pydantic model
+        Whose fields become options.
+    first : sequence of str
+        Fields that stand among the other options of the command.
+    panel : str
+        Panel of the help that holds the rest.
+    also : mapping of str to str
+        Second names of options, by field.
+    """
+    rest = [name for name in settings.model_fields if name not in first]
+
+    def decorate(command: Command) -> Command:
+        signature = inspect.signature(command, eval_str=True)
+        parameters = [
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+            for parameter in signature.parameters.values()
+            if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        for name in (*first, *rest):
+            names = ["--" + name.replace("_", "-"), *([also[name]] if name in also else [])]
+            option = _option(settings.model_fields[name], names, panel if name in rest else None)
+            parameters.append(option.replace(name=name))
+        # what Typer looks at
+        command.__annotations__ = {p.name: p.annotation for p in parameters}
+        command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        return command
+
+    return decorate
+
+
+def _option(field: FieldInfo, names: Sequence[str], panel: str | None) -> inspect.Parameter:
+    """A command's parameter for one field; the caller names it."""
+
+    def limit(kind: str) -> Any:
+        return next((getattr(m, kind) for m in field.metadata if hasattr(m, kind)), None)
+
+    option = typer.Option(
+        *names, min=limit("ge"), max=limit("le"), help=field.description, rich_help_panel=panel
+    )
+    return inspect.Parameter(
+        "_",
+        inspect.Parameter.KEYWORD_ONLY,
+        default=field.default,
+        annotation=Annotated[field.annotation, option],
+    )

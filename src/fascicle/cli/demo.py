@@ -14,7 +14,8 @@ from fascicle.report.figures import save
 from fascicle.report.prediction import write_pacing
 from fascicle.report.recording import recording_figure
 from fascicle.report.study import write_figures
-from fascicle.study.fit import FittedStudy, fit
+from fascicle.study.fit import fit
+from fascicle.study.results import FittedStudy
 
 # A fraction of the paper's budget and no refinement: enough to see every stage work, not to trust
 # the numbers. The gain is free, since the heart and its volume conductor are somebody else's.
@@ -36,8 +37,8 @@ def run_demo(out: Path, progress: Progress) -> tuple[Analysis, FittedStudy, Paci
     out : Path
         Folder that gets ``target.nc`` and ``target.png``, ``study`` and ``pacing``; run again, the
         study resumes.
-    progress : callable
-        Told how far each stage is.
+    progress : Progress
+        Called with the stage, and how far it is.
     """
     analysis = analyse(read_recording(demo_recording()))
     write_target(analysis.target, out / "target.nc")

@@ -27,8 +27,7 @@ def read_parameters(path: Path | str) -> dict[str, float]:
     try:
         check_names(values, NETWORK_SPACE.names)
     except InputError as error:
-        remedy = "; add them" if str(error).startswith("missing") else ""
-        raise InputError(f"{path}: {error}{remedy}") from None
+        raise InputError(f"{path}: {error}") from None
     except OverflowError:
         raise InputError(f"{path}: a number has too many digits; correct it") from None
     return {name: float(values[name]) for name in NETWORK_SPACE.names}

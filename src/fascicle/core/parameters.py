@@ -72,15 +72,6 @@ class ParameterSpace:
         vector = self.lower + np.asarray(point) * (self.upper - self.lower)
         return dict(zip(self.names, map(float, vector), strict=True))
 
-    def restricted(self, name: str, lower: float, upper: float) -> ParameterSpace:
-        """The same space with another range for one parameter."""
-        return ParameterSpace(
-            tuple(
-                Parameter(p.name, p.unit, lower, upper) if p.name == name else p
-                for p in self.parameters
-            )
-        )
-
 
 NETWORK_SPACE = ParameterSpace(tuple(_network_parameters()))
 
@@ -102,7 +93,11 @@ def check_names(values: Mapping[str, float], names: tuple[str, ...]) -> None:
             raise InputError(f"parameter '{name}' is {value}; give a finite number")
     missing = [name for name in names if name not in values]
     if missing:
-        raise InputError(f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}")
+        raise InputError(
+            f"missing parameters {', '.join(missing)}; add them"
+            if len(missing) > 1
+            else f"missing parameter {missing[0]}; add it"
+        )
 
 
 # A network with an ECG within normal limits: QRS 90 to 100 ms, normal axis, transition at V3 or V4.

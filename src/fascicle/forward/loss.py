@@ -1,4 +1,4 @@
-"""Mismatch between a simulated and a recorded QRS, at the best alignment."""
+"""The loss: mismatch between a simulated and a recorded QRS, at the best alignment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Alignment:
     Attributes
     ----------
     loss : float
-        (1/T)∫₀ᵀ Σ_leads (V̂ − g·V)² dt (mV²).
+        `mismatch` of the recorded QRS and the aligned simulation (mV²).
     shift : int
         Sample of the simulation at which the recorded QRS begins; may be negative.
     gain : float
@@ -30,6 +30,25 @@ class Alignment:
     loss: float
     shift: int
     gain: float
+
+
+def mismatch(recorded: NDArray[np.float64], simulated: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The loss y = (1/T) ∫₀ᵀ Σ_leads (V̂ − V)² dt of the paper (eq. "loss"), in mV².
+
+    Parameters
+    ----------
+    recorded : (..., n_leads, n_qrs) array
+        V̂, the recorded QRS (mV): of one beat or of several.
+    simulated : (n_leads, n_qrs) array
+        V, the simulated ECG as it lies under it (mV); see `placed`.
+
+    Returns
+    -------
+    (...) array
+        One value (mV²) a beat.
+    """
+    difference = recorded - simulated
+    return np.asarray((difference**2).sum(axis=(-2, -1)) / recorded.shape[-1])
 
 
 def align(
@@ -43,9 +62,9 @@ def align(
 
     Parameters
     ----------
-    simulated : (12, n) array
+    simulated : (n_leads, n) array
         Simulated ECG (mV).
-    recorded : (12, n_qrs) array
+    recorded : (n_leads, n_qrs) array
         Recorded QRS (mV), at the same sampling.
     free_gain : bool
         Whether to scale the simulation by the best g ≥ 0; then only shifts at which the window
@@ -64,21 +83,35 @@ def align(
         gain = np.where(allowed, np.maximum(product, 0) / np.where(allowed, energy, 1.0), 0.0)
     else:
         gain = np.ones_like(energy)
-    mismatch = (recorded**2).sum() - 2 * gain * product + gain**2 * energy
-    best = int(np.argmin(mismatch))
-    found = Alignment(0.0, best - (length - 1), float(gain[best]))
-    # the difference itself, free of the cancellation in the expanded square
-    difference = recorded - placed(simulated, found, length)
-    return Alignment(float((difference**2).sum() / length), found.shift, found.gain)
+    best = int(np.argmin((recorded**2).sum() - 2 * gain * product + gain**2 * energy))
+    shift, g = best - (length - 1), float(gain[best])
+    # from the difference itself, free of the cancellation in the expanded square
+    return Alignment(float(mismatch(recorded, placed(simulated, shift, g, length))), shift, g)
 
 
 def placed(
-    simulated: NDArray[np.float64], alignment: Alignment, length: int
+    simulated: NDArray[np.float64], shift: int, gain: float, length: int
 ) -> NDArray[np.float64]:
-    """The simulated ECG as it lies under the recorded QRS, shape (12, length) (mV)."""
+    """Cut out the simulated ECG that lies under a recording.
+
+    Parameters
+    ----------
+    simulated : (n_leads, n) array
+        Simulated ECG (mV); zero before its first and after its last sample.
+    shift : int
+        Sample of the simulation at which the recording begins; may be negative.
+    gain : float
+        Factor on the simulation.
+    length : int
+        Samples of the recording.
+
+    Returns
+    -------
+    (n_leads, length) array
+        In mV.
+    """
     result = np.zeros((len(simulated), length))
-    start, stop = alignment.shift, alignment.shift + length
-    first, last = max(start, 0), min(stop, simulated.shape[1])
+    first, last = max(shift, 0), min(shift + length, simulated.shape[1])
     if first < last:
-        result[:, first - start : last - start] = alignment.gain * simulated[:, first:last]
+        result[:, first - shift : last - shift] = gain * simulated[:, first:last]
     return result

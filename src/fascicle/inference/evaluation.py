@@ -1,8 +1,8 @@
-"""What one run of the forward model tells the inference."""
+"""One evaluation of the forward model, as the inference sees it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,20 +21,36 @@ class Evaluation:
         Mismatch with the mean beat (mV²); NaN where the parameters give no tree.
     beat_errors : (n_beats,) array
         Mismatch with each recorded beat (mV²); empty where the parameters give no tree.
-    reason : str
-        Why there is no tree; empty where there is one.
+    reason : str, optional
+        Why the parameters give no tree, for people; None where they give one.
     """
 
     point: NDArray[np.float64]
     loss: float
     beat_errors: NDArray[np.float64]
-    reason: str = ""
+    reason: str | None = None
+
+    @classmethod
+    def infeasible(cls, point: NDArray[np.float64], reason: str) -> Evaluation:
+        """Make the evaluation of a point (d,) that gives no tree."""
+        return cls(point, np.nan, np.empty(0), reason)
 
     @property
     def feasible(self) -> bool:
         """Whether the parameters gave a tree, and so an ECG."""
-        return not self.reason
+        return self.reason is None
 
 
 # Evaluates several points of the unit cube, in order, on as many cores as the caller allows.
 Objective = Callable[[Sequence[NDArray[np.float64]]], list[Evaluation]]
+
+
+def best_of(evaluations: Iterable[Evaluation]) -> Evaluation:
+    """Find the feasible evaluation with the lowest loss, the first of equals.
+
+    Raises
+    ------
+    ValueError
+        If none is feasible.
+    """
+    return min((e for e in evaluations if e.feasible), key=lambda e: e.loss)

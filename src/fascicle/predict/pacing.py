@@ -12,7 +12,7 @@ from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.window import qrs_window
-from fascicle.study.networks import Network
+from fascicle.study.problem import Network
 
 
 @dataclass(frozen=True)

@@ -149,13 +149,7 @@ def grow_tree(
             grown["branch"].astype(np.int64),
         )
     wanted = bundle_length if status == 0 else fascicle_lengths[status - 1]
-    stretch = "bundle" if status == 0 else f"fascicle {status}"
-    where = ", ".join(f"{x:.1f}" for x in nodes[-1])
-    return InvalidTree(
-        side,
-        f"{side.upper()} {stretch} leaves the endocardium after {wanted - missing:.1f} of "
-        f"{wanted:.1f} mm, at ({where}) mm on the base",
-    )
+    return InvalidTree(side, status, wanted - missing, wanted, tuple(nodes[-1].tolist()))
 
 
 def grow_from_parameters(

@@ -89,9 +89,26 @@ class InvalidTree:
     ----------
     side : str
         ``"lv"`` or ``"rv"``.
-    reason : str
-        Which stretch left the endocardium, after how many mm, and where.
+    branch : int
+        What left the endocardium: 0, the bundle; k, fascicle k.
+    grown, wanted : float
+        How long it was when it left, and how long it was to be (mm).
+    position : tuple of three float
+        Where it left (mm).
     """
 
     side: str
-    reason: str
+    branch: int
+    grown: float
+    wanted: float
+    position: tuple[float, ...]
+
+    @property
+    def reason(self) -> str:
+        """All of this in words."""
+        name = "bundle" if self.branch == 0 else f"fascicle {self.branch}"
+        where = ", ".join(f"{x:.1f}" for x in self.position)
+        return (
+            f"{self.side.upper()} {name} leaves the endocardium after {self.grown:.1f} of "
+            f"{self.wanted:.1f} mm, at ({where}) mm on the base"
+        )

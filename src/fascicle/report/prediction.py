@@ -16,13 +16,18 @@ from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
 from fascicle.forward.simulation_files import write_activation
 from fascicle.predict.pacing import Pacing, pace, qrs_aligned
-from fascicle.study.fit import FittedStudy
+from fascicle.report.ecg import before_after_figure
+from fascicle.report.figures import save
+from fascicle.report.hearts import activation_figure
+from fascicle.report.pacing import Durations, pacing_figure
+from fascicle.report.study import activation_row
+from fascicle.study.results import FittedStudy, spread
 
 
 def write_pacing(
     fitted: FittedStudy, root_time: float, out: Path, progress: Progress | None = None
 ) -> Pacing:
-    """Predict pacing with every accepted network and write the result.
+    """Predict pacing with every network of a population and write the result.
 
     The folder holds ``table.csv`` (QRS duration and total activation time of each network before
     and after), ``ecgs.nc``, ``activation_{minimum,median,maximum}.vtu`` for the networks with the
@@ -36,15 +41,15 @@ def write_pacing(
         t_RV − t_LV of the paced roots (ms).
     out : Path
         Folder to write.
-    progress : callable, optional
-        Told how far the simulations are.
+    progress : Progress, optional
+        Called after each network that is simulated.
 
     Raises
     ------
     InputError
         If the study accepted no network, or the root time is not finite.
     """
-    if not len(fitted.accepted):
+    if not len(fitted.population):
         raise InputError(
             f"{fitted.folder}: no network was accepted, so there is nothing to predict with; "
             "fit with more steps or more initial points"
@@ -85,20 +90,13 @@ def _table(pacing: Pacing) -> str:
 
 
 def _summary(pacing: Pacing, root_time: float) -> dict[str, object]:
-    def numbers(values: np.ndarray) -> dict[str, float]:
-        return {
-            "minimum": float(values.min()),
-            "median": float(np.median(values)),
-            "maximum": float(values.max()),
-        }
-
     return {
         "root_time_ms": root_time,
         "networks": len(pacing.after),
-        "qrs_duration_before_ms": numbers(pacing.qrs_before),
-        "qrs_duration_after_ms": numbers(pacing.qrs_after),
-        "total_activation_time_before_ms": numbers(pacing.tat_before),
-        "total_activation_time_after_ms": numbers(pacing.tat_after),
+        "qrs_duration_before_ms": spread(pacing.qrs_before),
+        "qrs_duration_after_ms": spread(pacing.qrs_after),
+        "total_activation_time_before_ms": spread(pacing.tat_before),
+        "total_activation_time_after_ms": spread(pacing.tat_after),
         "activation_maps": {name: f"network {k:02d}" for name, k in pacing.extremes().items()},
     }
 
@@ -119,12 +117,6 @@ def _write_ecgs(path: Path, pacing: Pacing) -> None:
 
 
 def _write_figures(folder: Path, fitted: FittedStudy, pacing: Pacing, root_time: float) -> None:
-    from fascicle.report.ecg import before_after_figure
-    from fascicle.report.figures import save
-    from fascicle.report.hearts import activation_figure
-    from fascicle.report.pacing import Durations, pacing_figure
-    from fascicle.report.study import activation_row
-
     labels = ("before", f"roots {root_time:g} ms apart" if root_time else "roots together")
     figure = before_after_figure(
         *qrs_aligned(pacing.before),

@@ -13,8 +13,8 @@ from fascicle.report.ecg import match_figure
 from fascicle.report.figures import save
 from fascicle.report.hearts import ActivationRow, activation_figure
 from fascicle.report.pairs import pair_figure
-from fascicle.study.fit import FittedStudy
-from fascicle.study.networks import Network, simulate_best
+from fascicle.study.problem import Network
+from fascicle.study.results import FittedStudy
 
 
 def activation_row(label: str, simulation: Simulation) -> ActivationRow:
@@ -31,7 +31,7 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     fitted : FittedStudy
         The study.
     networks : sequence of Network
-        Its accepted networks, simulated.
+        Its population, simulated.
 
     Returns
     -------
@@ -41,9 +41,8 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     folder = fitted.folder / "figures"
     target = fitted.problem.target
     window = target.qrs_samples
-    best = simulate_best(fitted.problem, fitted.accepted)
     records = fitted.study.records()
-    count = f"{len(fitted.accepted)} networks"
+    count = f"{len(fitted.population)} networks"
     ecgs = match_figure(
         target.time[window],
         target.qrs_beats,
@@ -51,12 +50,11 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
         title=f"Recorded QRS and {count}",
     )
     pairs = pair_figure(
-        fitted.problem.space, fitted.accepted.values, fitted.accepted.best, title=count
+        fitted.problem.space, fitted.population.values, fitted.population.best, title=count
     )
-    simulation = best.simulation
     activation = activation_figure(
         fitted.problem.model.heart,
-        [activation_row("best network", simulation)],
+        [activation_row("best network", fitted.best_network.simulation)],
     )
     convergence = convergence_figure(
         [record.evaluation.loss for record in records], [record.stage for record in records]

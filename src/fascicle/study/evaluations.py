@@ -1,30 +1,46 @@
-"""The database of a study: durable evaluations and proposals."""
+"""What a study has evaluated and proposed, kept in a database as soon as it is there."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
-from fascicle.inference.evaluation import Evaluation
+from fascicle.inference.evaluation import Evaluation, Objective
+
+# Points of a step (m, d), and the surrogates' hyper-parameters behind them, from a random generator
+# and the hyper-parameters of the step before.
+Compute = Callable[[np.random.Generator, str | None], tuple[str | None, NDArray[np.float64]]]
+
+
+class Stage(StrEnum):
+    """A stage of a study; its place in this list seeds its random numbers."""
+
+    INITIAL = "initial"
+    OPTIMISATION = "optimisation"
+    POSTERIOR = "posterior"
+    WALK = "walk"
+    REFINEMENT = "refinement"
 
 
 @dataclass(frozen=True)
 class Record:
-    """An evaluation as it was stored: when in the study, and how long it took (s)."""
+    """An evaluation as it is stored: when in the study, and how long it took (s)."""
 
-    stage: str
+    stage: Stage
     evaluation: Evaluation
     seconds: float
 
 
-class Ledger:
+class Database:
     """The SQLite file: evaluations in order, and what was proposed at each step."""
 
     def __init__(self, path: Path) -> None:
@@ -69,10 +85,10 @@ class Ledger:
             rows = connection.execute(f"{query} ORDER BY idx").fetchall()
         return [
             Record(
-                stage,
-                Evaluation(
-                    _floats(point), loss if loss is not None else np.nan, _floats(errors), reason
-                ),
+                Stage(stage),
+                Evaluation.infeasible(_floats(point), reason)
+                if loss is None
+                else Evaluation(_floats(point), loss, _floats(errors)),
                 seconds,
             )
             for stage, point, loss, errors, reason, seconds in rows
@@ -87,7 +103,7 @@ class Ledger:
                 _bytes(record.evaluation.point),
                 record.evaluation.loss if record.evaluation.feasible else None,
                 _bytes(record.evaluation.beat_errors),
-                record.evaluation.reason,
+                record.evaluation.reason or "",
                 record.seconds,
             )
             for k, record in enumerate(records)
@@ -95,7 +111,13 @@ class Ledger:
         with self._transaction() as connection:
             connection.executemany("INSERT INTO evaluations VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
-    def proposal(self, stage: str, step: int) -> tuple[str | None, NDArray[np.float64]] | None:
+    def steps(self, stage: Stage) -> int:
+        """Count the proposals of a stage."""
+        query = "SELECT count(*) FROM proposals WHERE stage = ?"
+        with self._transaction() as connection:
+            return int(connection.execute(query, (stage,)).fetchone()[0])
+
+    def proposal(self, stage: Stage, step: int) -> tuple[str | None, NDArray[np.float64]] | None:
         """Hyper-parameters and flat points of a step; None if it has not been taken."""
         query = "SELECT hyperparameters, points FROM proposals WHERE stage = ? AND step = ?"
         with self._transaction() as connection:
@@ -103,12 +125,121 @@ class Ledger:
         return (row[0], _floats(row[1])) if row is not None else None
 
     def propose(
-        self, stage: str, step: int, hyperparameters: str | None, points: NDArray[np.float64]
+        self, stage: Stage, step: int, hyperparameters: str | None, points: NDArray[np.float64]
     ) -> None:
-        """Store what a step proposes."""
+        """Store what a step proposes.
+
+        Parameters
+        ----------
+        stage, step
+            Which step, counted from 0 in its stage.
+        hyperparameters : str, optional
+            Of the surrogates behind it, as JSON.
+        points : (m, d) array
+            In the unit cube.
+        """
         row = (stage, step, hyperparameters, _bytes(points))
         with self._transaction() as connection:
             connection.execute("INSERT INTO proposals VALUES (?, ?, ?, ?)", row)
+
+
+class Journal:
+    """One pass over a study: what is stored is read, what is missing is made and stored.
+
+    Parameters
+    ----------
+    database : Database
+        Where it is stored.
+    objective : Objective
+        Evaluates points.
+    seed : int
+        Of every random number.
+    workers : int
+        Evaluations at a time.
+
+    Attributes
+    ----------
+    records : list of Record
+        What this pass has evaluated or read so far.
+    """
+
+    def __init__(
+        self, database: Database, objective: Objective, *, seed: int, workers: int
+    ) -> None:
+        self.records: list[Record] = []
+        self._database = database
+        self._objective = objective
+        self._seed = seed
+        self._workers = workers
+        self._stored = database.records()
+
+    @property
+    def evaluations(self) -> list[Evaluation]:
+        """Those of `records`."""
+        return [record.evaluation for record in self.records]
+
+    def rng(self, stage: Stage, step: int) -> np.random.Generator:
+        """The only source of randomness of a step."""
+        return np.random.default_rng([self._seed, list(Stage).index(stage), step])
+
+    def propose(self, stage: Stage, step: int, compute: Compute) -> NDArray[np.float64]:
+        """Give the points of a step, all their coordinates in a row.
+
+        Parameters
+        ----------
+        stage, step
+            Which step, counted from 0 in its stage.
+        compute : callable
+            Makes the points where none are stored.
+        """
+        stored = self._database.proposal(stage, step)
+        if stored is None:
+            before = self._database.proposal(stage, step - 1)
+            stored = compute(self.rng(stage, step), before[0] if before is not None else None)
+            self._database.propose(stage, step, *stored)
+        return stored[1].ravel()
+
+    def evaluate(self, stage: Stage, points: Sequence[NDArray[np.float64]]) -> list[Evaluation]:
+        """Give the outcomes at `points`, each of shape (d,)."""
+        first = len(self.records)
+        known = self._stored[first : first + len(points)]
+        for number, (record, point) in enumerate(zip(known, points, strict=False), first):
+            if not np.array_equal(record.evaluation.point, point):
+                raise InputError(
+                    f"{self._database.path}: evaluation {number} is not of the point that the "
+                    "study proposes; the file was changed, start again in another folder (--out)"
+                )
+        self.records += known
+        for start in range(len(known), len(points), self._workers):
+            self._compute(stage, points[start : start + self._workers])
+        return [record.evaluation for record in self.records[first:]]
+
+    def _compute(self, stage: Stage, points: Sequence[NDArray[np.float64]]) -> None:
+        begin = time.perf_counter()
+        outcomes = self._objective(points)
+        seconds = (time.perf_counter() - begin) / len(points)
+        new = [
+            Record(stage, replace(outcome, point=point), seconds)
+            for outcome, point in zip(outcomes, points, strict=True)
+        ]
+        for record in new:
+            _check(record.evaluation)
+        self._database.append(len(self.records), new)
+        self.records += new
+
+
+def _check(evaluation: Evaluation) -> None:
+    """Refuse what the surrogate and the distance cannot use."""
+    if not evaluation.feasible:
+        return
+    errors = evaluation.beat_errors
+    if errors.size < 2:
+        raise InputError(
+            f"the target has {errors.size} beat(s), and its variability needs 2 or more; "
+            "give a longer recording"
+        )
+    if not (np.isfinite(evaluation.loss) and np.isfinite(errors).all()):
+        raise ValueError(f"the loss at {evaluation.point} is {evaluation.loss}, errors {errors}")
 
 
 def _bytes(array: NDArray[np.float64]) -> bytes:

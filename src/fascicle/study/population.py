@@ -1,4 +1,4 @@
-"""Posteriors as ArviZ InferenceData in netCDF."""
+"""The population of networks that a study finds, and its file."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
+from fascicle.inference.abc.rejection import Sampling
+from fascicle.inference.evaluation import Evaluation
 from fascicle.recording.target import Target
 
 
 @dataclass(frozen=True)
-class Accepted:
-    """The accepted networks of a study, and the best one.
+class Population:
+    """The networks that explain a target, and the best one.
 
     Attributes
     ----------
     values : mapping of name to (n,) array
-        Parameters of the accepted networks, in their units.
+        Parameters of the networks, in their units.
     losses, distances : (n,) arrays
         Mismatch (mV²), and total-variation distance of the per-beat errors from the best's.
     best : mapping of name to float
@@ -39,6 +41,33 @@ class Accepted:
     best: Mapping[str, float]
     best_loss: float
 
+    @classmethod
+    def of(cls, space: ParameterSpace, sampling: Sampling, best: Evaluation) -> Population:
+        """Name the parameters of accepted evaluations.
+
+        Walks that never moved stand where they started: one network, not several.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+            The d parameters.
+        sampling : Sampling
+            What was accepted.
+        best : Evaluation
+            The one with the least mismatch of all.
+        """
+        first = {e.point.tobytes(): k for k, e in reversed(list(enumerate(sampling.accepted)))}
+        kept = sorted(first.values())
+        accepted = [sampling.accepted[k] for k in kept]
+        named = [space.from_unit(evaluation.point) for evaluation in accepted]
+        return cls(
+            {name: np.array([values[name] for values in named]) for name in space.names},
+            np.array([evaluation.loss for evaluation in accepted]),
+            sampling.distances[kept],
+            space.from_unit(best.point),
+            best.loss,
+        )
+
     def __len__(self) -> int:
         return len(self.losses)
 
@@ -47,21 +76,21 @@ class Accepted:
         return {name: float(values[k]) for name, values in self.values.items()}
 
 
-def write_posterior(
+def write_population(
     path: Path,
-    accepted: Accepted,
+    population: Population,
     space: ParameterSpace,
     target: Target,
     predicted: NDArray[np.float64],
 ) -> None:
-    """Write a posterior, whole or not at all.
+    """Write a population as ArviZ InferenceData, whole or not at all.
 
     Parameters
     ----------
     path : Path
         The netCDF file.
-    accepted : Accepted
-        The networks.
+    population : Population
+        The n networks.
     space : ParameterSpace
         Units and ranges of the parameters.
     target : Target
@@ -74,8 +103,8 @@ def write_posterior(
         import arviz as az
 
     data = az.from_dict(
-        posterior={name: values[None] for name, values in accepted.values.items()},
-        sample_stats={"loss": accepted.losses[None], "distance": accepted.distances[None]},
+        posterior={name: values[None] for name, values in population.values.items()},
+        sample_stats={"loss": population.losses[None], "distance": population.distances[None]},
         posterior_predictive={"ecg": predicted[None]},
         observed_data={"ecg": target.mean},
         coords={"lead": list(LEADS), "time": target.time},
@@ -86,10 +115,10 @@ def write_posterior(
             "units": parameter.unit,
             "prior_lower": parameter.lower,
             "prior_upper": parameter.upper,
-            "best": accepted.best[parameter.name],
+            "best": population.best[parameter.name],
         }
     data.sample_stats["loss"].attrs["units"] = "mV2"
-    data.sample_stats.attrs["best_loss"] = accepted.best_loss
+    data.sample_stats.attrs["best_loss"] = population.best_loss
     for group in (data.posterior_predictive, data.observed_data):
         group["ecg"].attrs["units"] = "mV"
         group["time"].attrs.update(units="ms", long_name="time from the R peak")
@@ -97,13 +126,13 @@ def write_posterior(
         data.to_netcdf(str(temporary), engine="h5netcdf")
 
 
-def read_posterior(path: Path) -> Accepted:
-    """Read the networks of a posterior written by `write_posterior`.
+def read_population(path: Path) -> Population:
+    """Read a population written by `write_population`.
 
     Raises
     ------
     InputError
-        If the file is missing or is not such a posterior.
+        If the file is missing or holds something else.
     """
     import xarray as xr
 
@@ -115,7 +144,7 @@ def read_posterior(path: Path) -> Accepted:
             xr.open_dataset(path, group="sample_stats", engine="h5netcdf") as stats,
         ):
             names = [str(name) for name in posterior.data_vars]
-            return Accepted(
+            return Population(
                 {name: posterior[name].to_numpy()[0] for name in names},
                 stats["loss"].to_numpy()[0],
                 stats["distance"].to_numpy()[0],

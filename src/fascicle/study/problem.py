@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.parameters import ParameterSpace
-from fascicle.forward.loss import Alignment, align, placed
+from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.inference.evaluation import Evaluation
@@ -19,10 +20,32 @@ from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Network:
+    """One network of a population: its parameters and what it does.
+
+    Attributes
+    ----------
+    parameters : mapping of name to float
+        In their units.
+    simulation : Simulation
+        What the forward model makes of them.
+    predicted : (12, n_time) array
+        Its ECG under the recorded mean beat (mV).
+    """
+
+    parameters: Mapping[str, float]
+    simulation: Simulation
+    predicted: NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Problem:
-    """The question which network of a parameter space explains a target on a heart.
+    """The question which networks of a parameter space explain a target on a heart.
 
     Calling it evaluates points of the unit cube, which is all the inference ever sees. The
     forward model runs outside Python's global lock, so threads are enough to use every core.
@@ -49,38 +72,45 @@ class Problem:
 
     def __call__(self, points: Sequence[NDArray[np.float64]]) -> list[Evaluation]:
         """Evaluate points of the unit cube, in order."""
-        if self.workers == 1 or len(points) == 1:
-            return [self.evaluate(point) for point in points]
-        with ThreadPoolExecutor(self.workers) as pool:
-            return list(pool.map(self.evaluate, points))
+        return list(self._in_threads(self.evaluate, points))
 
     def evaluate(self, point: NDArray[np.float64]) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
         outcome = self.model.simulate(self.space.from_unit(point))
         if isinstance(outcome, InvalidTree):
-            return Evaluation(point, float("nan"), np.empty(0), outcome.reason)
+            return Evaluation.infeasible(point, outcome.reason)
         alignment = self.align(outcome)
-        return Evaluation(point, alignment.loss, self.beat_errors(outcome, alignment))
+        return Evaluation(point, alignment.loss, self._beat_errors(outcome, alignment))
+
+    def networks(self, parameters: Iterable[Mapping[str, float]]) -> Iterator[Network]:
+        """Simulate parameters that are known to give trees, as those of a population are."""
+        return self._in_threads(self._network, list(parameters))
 
     def align(self, simulation: Simulation) -> Alignment:
         """Best alignment of a simulation with the mean recorded QRS, over the target's leads."""
         used = self.target.used
         return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
 
-    def predicted(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
+    def predicted(self, simulation: Simulation) -> NDArray[np.float64]:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
-        start = self.target.qrs_samples.start
-        at_beat = Alignment(alignment.loss, alignment.shift - start, alignment.gain)
-        return placed(simulation.leads, at_beat, len(self.target.time))
+        alignment = self.align(simulation)
+        shift = alignment.shift - self.target.qrs_samples.start
+        return placed(simulation.leads, shift, alignment.gain, len(self.target.time))
 
-    def beat_errors(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
+    def _network(self, parameters: Mapping[str, float]) -> Network:
+        simulation = self.model.simulate(parameters)
+        if isinstance(simulation, InvalidTree):
+            raise RuntimeError(f"a network of the population does not grow: {simulation.reason}")
+        return Network(parameters, simulation, self.predicted(simulation))
+
+    def _beat_errors(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
         """Mismatch with every recorded beat (mV²), shape (n_beats,).
 
         The beats are aligned with one another, so one alignment with their mean serves all.
         """
         recorded = self._recorded_beats
-        simulated = placed(simulation.leads[self.target.used], alignment, recorded.shape[2])
-        return np.asarray(((recorded - simulated) ** 2).sum(axis=(1, 2)) / recorded.shape[2])
+        used = simulation.leads[self.target.used]
+        return mismatch(recorded, placed(used, alignment.shift, alignment.gain, recorded.shape[-1]))
 
     @cached_property
     def _recorded_beats(self) -> NDArray[np.float64]:
@@ -91,10 +121,12 @@ class Problem:
             target = repeated(target, np.random.default_rng(0))
         return np.asarray(target.qrs_beats[:, target.used])
 
-
-def simulate_valid(model: ForwardModel, parameters: Mapping[str, float]) -> Simulation:
-    """Simulate parameters that are known to give trees, as those of a posterior are."""
-    outcome = model.simulate(parameters)
-    if isinstance(outcome, InvalidTree):
-        raise RuntimeError(f"a network that was accepted does not grow: {outcome.reason}")
-    return outcome
+    def _in_threads(
+        self, function: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Results in the order of the items."""
+        if self.workers == 1 or len(items) == 1:
+            yield from map(function, items)
+            return
+        with ThreadPoolExecutor(self.workers) as pool:
+            yield from pool.map(function, items)

@@ -11,22 +11,61 @@ draws from ``default_rng([seed, stage, k])`` and from nothing else.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Final, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
+from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Objective
-from fascicle.study.evaluations import Ledger, Record
-from fascicle.study.settings import StudyConfig
-
-if TYPE_CHECKING:
-    from fascicle.study.posterior_result import Posterior
+from fascicle.study.evaluations import Database, Journal, Record, Stage
+from fascicle.study.population import Population
+from fascicle.study.settings import FitSettings
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
+FORMAT: Final = 2  # of the folder
+# Names that settings had in format 1, which is otherwise the same.
+RENAMED = {
+    "gain": "free_gain",
+    "batch": "workers",
+    "patience": "refit_after",
+    "sweeps": "walk_steps",
+}
+
+
+class StudyConfig(FitSettings):
+    """All that decides the outcome of a study; two runs with equal ones give equal results.
+
+    Attributes
+    ----------
+    heart, target : str
+        Hashes of the heart and of the target.
+    space : tuple of Parameter
+        What is learnt, and in which ranges.
+    version : int
+        Format of the study folder.
+    """
+
+    heart: str
+    target: str
+    space: tuple[Parameter, ...] = Field(min_length=1)
+    version: Literal[2] = FORMAT
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_format_1(cls, fields: Any) -> Any:
+        if isinstance(fields, dict) and fields.get("version") == 1:
+            renamed = {RENAMED.get(name, name): value for name, value in fields.items()}
+            return renamed | {"version": FORMAT}
+        return fields
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The parameter space that is learnt."""
+        return ParameterSpace(self.space)
 
 
 class Study:
@@ -41,7 +80,7 @@ class Study:
     def __init__(self, folder: Path, config: StudyConfig) -> None:
         self.folder = folder
         self.config = config
-        self._ledger = Ledger(folder / DATABASE)
+        self._database = Database(folder / DATABASE)
 
     @classmethod
     def create_or_resume(cls, folder: Path, config: StudyConfig) -> Study:
@@ -82,9 +121,13 @@ class Study:
 
     def records(self) -> list[Record]:
         """All evaluations so far, in the order in which they were made."""
-        return self._ledger.records()
+        return self._database.records()
 
-    def run(self, objective: Objective, progress: Progress) -> Posterior:
+    def steps(self, stage: Stage) -> int:
+        """Count the times that a stage has proposed points so far."""
+        return self._database.steps(stage)
+
+    def run(self, objective: Objective, progress: Progress | None = None) -> Population:
         """Do what is left of the study, and give its result.
 
         A finished study gives its result again without evaluating anything.
@@ -93,12 +136,20 @@ class Study:
         ----------
         objective : Objective
             Must give the same result for the same point whenever it is asked.
-        progress : Progress
-            Told about every batch of evaluations.
+        progress : Progress, optional
+            Called after every batch of evaluations.
         """
-        from fascicle.study.stages import Run
+        from fascicle.study.stages import Run  # PyTorch: half a second
 
-        return Run(self.config, self._ledger, objective, progress).posterior()
+        config = self.config
+        journal = Journal(self._database, objective, seed=config.seed, workers=config.workers)
+        return Run(config, config.parameter_space, journal, progress).population()
+
+
+def first_problem(error: ValidationError) -> tuple[str, Any, str]:
+    """Setting, value and what is wrong with it, of the first setting that was refused."""
+    first = error.errors()[0]
+    return ".".join(map(str, first["loc"])), first["input"], first["msg"]
 
 
 def _read(folder: Path) -> StudyConfig:
@@ -108,8 +159,8 @@ def _read(folder: Path) -> StudyConfig:
     except (ValidationError, UnicodeDecodeError) as error:
         where = "not text"
         if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            where = f"{'.'.join(map(str, first['loc'])) or 'JSON'}: {first['msg']}"
+            name, _, message = first_problem(error)
+            where = f"{name or 'JSON'}: {message}"
         raise InputError(
             f"{path}: not a configuration that this version reads ({where}); "
             "give another folder (--out)"
@@ -120,14 +171,12 @@ def _check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
     """Refuse to mix two studies in one folder."""
     different = [n for n in StudyConfig.model_fields if getattr(there, n) != getattr(now, n)]
     if different:
-        told = ", ".join(_difference(n, getattr(there, n), getattr(now, n)) for n in different)
+        listed = ", ".join(_difference(n, getattr(there, n), getattr(now, n)) for n in different)
         raise InputError(
-            f"{folder}: holds a study with another {told}; give another folder (--out) "
+            f"{folder}: holds a study with another {listed}; give another folder (--out) "
             "or the original settings"
         )
 
 
 def _difference(name: str, there: object, now: object) -> str:
-    if isinstance(there, (tuple, dict)):
-        return name
-    return f"{name} ({there} there, {now} now)"
+    return name if isinstance(there, tuple) else f"{name} ({there} there, {now} now)"

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.progress import StageProgress, no_progress
+from fascicle.inference.abc.settings import CandidateOrder
 from fascicle.inference.surrogate.feasibility import FeasibilityGP
 from fascicle.inference.surrogate.loss_gp import LossGP
-
-Order = Literal["random", "density"]
 
 DRAW_CHUNK = 100_000
 ROUNDING = 1 + 1e-9  # the bound and the density are computed by different sums
@@ -77,7 +75,17 @@ class InformedPrior:
     def at(
         cls, loss: LossGP, feasibility: FeasibilityGP, best: NDArray[np.float64]
     ) -> InformedPrior:
-        """Make the prior whose reference is the point `best`, shape (d,)."""
+        """Make the prior whose reference is a known point.
+
+        Parameters
+        ----------
+        loss : LossGP
+            Surrogate of the loss.
+        feasibility : FeasibilityGP
+            Probability that parameters give a tree.
+        best : (d,) array
+            θ_min, the best point known, in the unit cube.
+        """
         mean, variance = loss.predict(best[None, :])
         return cls(loss, feasibility, float(mean[0]), float(variance[0]))
 
@@ -87,7 +95,20 @@ class InformedPrior:
         variance: NDArray[np.float64],
         probability: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """p(θ) (1/mV²) from μ, σ² and the probability of feasibility, (m,) each."""
+        """Density p(θ) of points whose predictions are known.
+
+        Parameters
+        ----------
+        mean, variance : (m,) arrays
+            μ (mV²) and σ² (mV⁴) of the surrogate.
+        probability : (m,) array
+            That the parameters give a tree.
+
+        Returns
+        -------
+        (m,) array
+            p(θ) (1/mV²).
+        """
         s2 = variance + self.variance_min
         gaussian = np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2)
         return np.asarray(probability * gaussian)
@@ -124,9 +145,9 @@ def draw_candidates(
     rng: np.random.Generator,
     prior: InformedPrior,
     draws: int,
-    order: Order = "random",
+    order: CandidateOrder = CandidateOrder.RANDOM,
     limit: int | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: StageProgress = no_progress,
 ) -> Candidates:
     """Rejection sampling from the informed prior.
 
@@ -150,9 +171,9 @@ def draw_candidates(
         The density.
     draws : int
         Number of uniform draws.
-    order : {"random", "density"}
-        "random" leaves the accepted draws as they come: independent draws from the prior.
-        "density" sorts them by falling p(θ), as the paper does; its first few are modes.
+    order : CandidateOrder
+        RANDOM leaves the accepted draws as they come: independent draws from the prior. DENSITY
+        sorts them by falling p(θ), as the paper does; the first few are modes.
     limit : int, optional
         Return at most so many.
     progress : callable
@@ -173,7 +194,7 @@ def draw_candidates(
     )
     passed = density > r * prior.maximum(least)
     points, density = points[passed], density[passed]
-    if order == "density":
+    if order is CandidateOrder.DENSITY:
         rank = np.argsort(-density, kind="stable")
         points, density = points[rank], density[rank]
     return Candidates(points[:limit], density[:limit], draws, int(passed.sum()), least)

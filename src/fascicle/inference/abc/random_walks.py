@@ -1,9 +1,14 @@
 """Random walks that complete a posterior sample where rejection cannot.
 
 Where beats vary little, the networks that explain them fill so small a part of the parameter space
-that none of millions of uniform draws falls into it. Walks that start from what is known to be
-acceptable find more: approximate Bayesian computation by Markov chains (Marjoram et al., PNAS 2003)
-with the same acceptance rule, and the uniform prior over the ranges.
+that none of millions of uniform draws falls into it. Walks that start from acceptable networks find
+more: approximate Bayesian computation by Markov chains, with the same acceptance rule, and the
+uniform prior over the ranges.
+
+References
+----------
+P. Marjoram, J. Molitor, V. Plagnol and S. Tavaré, "Markov chain Monte Carlo without likelihoods",
+PNAS 100(26), 2003.
 """
 
 from __future__ import annotations
@@ -14,12 +19,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.inference.abc.distance import ErrorDensity, from_reference
-from fascicle.inference.abc.rejection import Rules, Sampling
-from fascicle.inference.evaluation import Evaluation, Objective
+from fascicle.inference.abc.rejection import Sampling
+from fascicle.inference.abc.settings import AbcSettings
+from fascicle.inference.evaluation import Evaluation, Objective, best_of
 
 STEP = (0.01, 0.5)  # of the unit cube, log-uniform: long steps suit what the ECG does not see
-LONGEST = 3  # times the sweeps asked for; then the walk stops even if θ_min still improves
+LONGEST = 3  # times the steps asked for; then the walk stops even if θ_min still improves
 
 Move = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
 
@@ -59,8 +66,7 @@ class _Chains:
 
         Walks that are no longer acceptable start again from it.
         """
-        feasible = [evaluation for evaluation in proposals if evaluation.feasible]
-        best = min(feasible, key=lambda evaluation: evaluation.loss, default=self.reference)
+        best = best_of([*proposals, self.reference])
         if best.loss >= self.reference.loss or self.distance(best) < tolerance:
             return None
         moved = _Chains(best, ErrorDensity.fit(best.beat_errors), self.states)
@@ -87,54 +93,43 @@ def walk(
     found: Sampling,
     move: Move,
     objective: Objective,
-    rules: Rules,
-    sweeps: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    settings: AbcSettings,
+    progress: StageProgress = no_progress,
 ) -> Sampling:
     """Complete a sample that rejection left short.
 
-    As many walks as samples are wanted start from those accepted and from θ_min, and take `sweeps`
-    steps; where one ends is a sample. A step to a better point that is too far from θ_min to be
-    accepted makes it the new θ_min, and the count of steps begins again.
+    As many walks as samples are wanted start from those accepted and from θ_min, and take
+    `settings.walk_steps` steps; where one ends is a sample. A step to a better point that is too
+    far from θ_min to be accepted makes it the new θ_min, and the count of steps begins again.
 
     Parameters
     ----------
     found : Sampling
         What rejection gave.
     move : callable
-        Gives the proposals of a sweep, (walks, d), from its number and the positions (walks, d).
+        Gives the proposals of a step, (walks, d), from its number and the positions (walks, d).
     objective : Objective
         Evaluates them.
-    rules : Rules
-        Tolerance and number of samples.
-    sweeps : int
-        Steps of every walk after θ_min last changed.
+    settings : AbcSettings
+        Tolerance, number of samples, and steps of every walk after θ_min last changed.
     progress : callable
-        Called with the steps taken since then, and `sweeps`.
+        Called with the steps taken since then, and their number.
     """
     starts = [*found.accepted, found.reference]
     chains = _Chains(
         found.reference,
         ErrorDensity.fit(found.reference.beat_errors),
-        tuple(starts[k % len(starts)] for k in range(rules.samples)),
+        tuple(starts[k % len(starts)] for k in range(settings.samples)),
     )
-    evaluated, since = found.evaluated, 0
-    for sweep in range(LONGEST * sweeps):
-        points = move(sweep, np.array([state.point for state in chains.states]))
+    since = 0
+    for step in range(LONGEST * settings.walk_steps):
+        points = move(step, np.array([state.point for state in chains.states]))
         proposals = objective(list(points))
-        evaluated += len(proposals)
-        better = chains.improved(proposals, rules.tolerance)
-        chains = better if better is not None else chains.stepped(proposals, rules.tolerance)
+        better = chains.improved(proposals, settings.tolerance)
+        chains = better if better is not None else chains.stepped(proposals, settings.tolerance)
         since = 0 if better is not None else since + 1
-        progress(since, sweeps)
-        if since == sweeps:
+        progress(since, settings.walk_steps)
+        if since == settings.walk_steps:
             break
     distances = np.array([chains.distance(state) for state in chains.states])
-    return replace(
-        found,
-        reference=chains.reference,
-        accepted=chains.states,
-        distances=distances,
-        evaluated=evaluated,
-        sweeps=sweep + 1,
-    )
+    return Sampling(chains.reference, chains.states, distances)

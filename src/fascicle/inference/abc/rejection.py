@@ -2,42 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.inference.abc.distance import ErrorDensity, from_reference
-from fascicle.inference.evaluation import Evaluation, Objective
+from fascicle.inference.abc.settings import AbcSettings
+from fascicle.inference.evaluation import Evaluation, Objective, best_of
 
-# Candidates to try in a round, from the round's number and all evaluations so far.
-Propose = Callable[[int, Sequence[Evaluation]], NDArray[np.float64]]
+# Candidates (m, d) to try in a round, from its number.
+Propose = Callable[[int], NDArray[np.float64]]
+# Progress callback of the sampling: accepted, evaluated, round (from 1).
+RoundProgress = Callable[[int, int, int], None]
 
 
-@dataclass(frozen=True)
-class Rules:
-    """When a candidate is accepted and when to stop.
-
-    Attributes
-    ----------
-    samples : int
-        Accepted candidates wanted.
-    tolerance : float
-        A candidate is accepted if its distance is below this.
-    patience : int
-        So many rejections in a row end a round: the surrogate is refitted, candidates drawn anew.
-    rounds : int
-        At most so many rounds; then the sampling stops with what it has.
-    batch : int
-        Candidates evaluated at once.
-    """
-
-    samples: int = 30
-    tolerance: float = 0.9
-    patience: int = 50
-    rounds: int = 4
-    batch: int = 1
+def no_round_progress(accepted: int, evaluated: int, number: int) -> None:
+    """Stand in for a progress callback."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +33,11 @@ class Sampling:
     accepted : tuple of Evaluation
     distances : (len(accepted),) array
         Total variation from the reference, each.
-    evaluated : int
-        Candidates evaluated, in all rounds.
-    rounds : int
-        Rounds begun.
-    sweeps : int
-        Steps of every random walk (`fascicle.inference.abc.random_walks`); 0 where rejection was
-        enough.
     """
 
     reference: Evaluation
     accepted: tuple[Evaluation, ...]
     distances: NDArray[np.float64]
-    evaluated: int
-    rounds: int
-    sweeps: int = 0
 
 
 @dataclass(frozen=True)
@@ -74,29 +46,35 @@ class _Tally:
 
     reference: Evaluation
     density: ErrorDensity
-    rules: Rules
+    settings: AbcSettings
     accepted: tuple[Evaluation, ...] = ()
     distances: tuple[float, ...] = ()
     rejections: int = 0
     surpassed: bool = False
 
     @classmethod
-    def against(cls, reference: Evaluation, rules: Rules) -> _Tally:
-        return cls(reference, ErrorDensity.fit(reference.beat_errors), rules)
+    def against(
+        cls, reference: Evaluation, settings: AbcSettings, tried: Iterable[Evaluation] = ()
+    ) -> _Tally:
+        """Start from what was tried before, judged against a new reference."""
+        tally = cls(reference, ErrorDensity.fit(reference.beat_errors), settings)
+        for evaluation in tried:
+            tally = tally.judge(evaluation)
+        return tally
 
     @property
     def complete(self) -> bool:
-        return len(self.accepted) >= self.rules.samples
+        return len(self.accepted) >= self.settings.samples
 
     @property
     def over(self) -> bool:
         """Whether the round ends here."""
-        return self.complete or self.surpassed or self.rejections >= self.rules.patience
+        return self.complete or self.surpassed or self.rejections >= self.settings.refit_after
 
     def judge(self, evaluation: Evaluation) -> _Tally:
         """Add one more verdict; no more are accepted than are wanted."""
         distance = from_reference(evaluation, self.density)
-        if distance < self.rules.tolerance:
+        if distance < self.settings.tolerance:
             if self.complete:
                 return self
             return replace(
@@ -109,18 +87,12 @@ class _Tally:
         return replace(self, rejections=self.rejections + 1, surpassed=self.surpassed or better)
 
 
-def best_of(evaluations: Sequence[Evaluation]) -> Evaluation:
-    """Find the feasible evaluation with the lowest loss, the first of equals."""
-    feasible = [evaluation for evaluation in evaluations if evaluation.feasible]
-    return min(feasible, key=lambda evaluation: evaluation.loss)
-
-
 def sample(
     known: Sequence[Evaluation],
     propose: Propose,
     objective: Objective,
-    rules: Rules,
-    progress: Callable[[int, int, int], None] = lambda accepted, evaluated, rounds: None,
+    settings: AbcSettings,
+    progress: RoundProgress = no_round_progress,
 ) -> Sampling:
     """Try candidates in turn until enough are accepted.
 
@@ -137,47 +109,26 @@ def sample(
     propose : callable
         Gives the candidates of a round, shape (m, d), in the order in which to try them.
     objective : Objective
-        Evaluates them.
-    rules : Rules
+        Evaluates them, `settings.workers` at a time.
+    settings : AbcSettings
+        Tolerance, number of samples, length of the rounds.
     progress : callable
         Called with the numbers accepted, evaluated, and of the round.
     """
     tried: list[Evaluation] = []
-    tally = _Tally.against(best_of(known), rules)
-    for number in range(rules.rounds):
-        candidates = propose(number, [*known, *tried])
-        tally = _round(replace(tally, rejections=0), candidates, objective, tried, number, progress)
+    tally = _Tally.against(best_of(known), settings)
+    for number in range(settings.rounds):
+        tally = replace(tally, rejections=0)
+        candidates = propose(number)
+        for start in range(0, len(candidates), settings.workers):
+            for evaluation in objective(list(candidates[start : start + settings.workers])):
+                tried.append(evaluation)
+                tally = tally.judge(evaluation)
+            progress(len(tally.accepted), len(tried), number + 1)
+            if tally.over:
+                break
         if tally.surpassed and not tally.complete:
-            tally = _judged_again(rules, best_of([*known, *tried]), tried)
+            tally = _Tally.against(best_of([*known, *tried]), settings, tried)
         if tally.complete:
             break
-    return Sampling(
-        tally.reference, tally.accepted, np.array(tally.distances), len(tried), number + 1
-    )
-
-
-def _round(
-    tally: _Tally,
-    candidates: NDArray[np.float64],
-    objective: Objective,
-    tried: list[Evaluation],
-    number: int,
-    progress: Callable[[int, int, int], None],
-) -> _Tally:
-    """Try candidates until the round is over; appends to `tried`."""
-    for start in range(0, len(candidates), tally.rules.batch):
-        if tally.over:
-            break
-        for evaluation in objective(list(candidates[start : start + tally.rules.batch])):
-            tried.append(evaluation)
-            tally = tally.judge(evaluation)
-        progress(len(tally.accepted), len(tried), number + 1)
-    return tally
-
-
-def _judged_again(rules: Rules, best: Evaluation, tried: Sequence[Evaluation]) -> _Tally:
-    """Tally all candidates so far against a new reference."""
-    tally = _Tally.against(best, rules)
-    for evaluation in tried:
-        tally = tally.judge(evaluation)
-    return tally
+    return Sampling(tally.reference, tally.accepted, np.array(tally.distances))

@@ -1,4 +1,4 @@
-"""Refinement of what the optimisation found, by a population that breeds towards the best."""
+"""Refinement of the best points of the optimisation by differential evolution."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POPULATION = 20
 # Small steps in about half of the coordinates: the best of four settings on a recorded and on a
 # simulated ECG.
 MUTATION, RECOMBINATION = (0.1, 0.6), 0.5
-SMALLEST = 5  # population that differential evolution can work with
+SMALLEST = 5  # population that SciPy's differential evolution accepts
 APART = 0.1  # of the unit cube, in some coordinate: so that the population spans several basins
 
 
@@ -29,9 +29,9 @@ def refine(
     """Improve on the best known points by differential evolution.
 
     The loss has many local minima, since trees change their branching as parameters change. A
-    population that begins at the best points known, mutually apart, moves each towards the best by
-    differences of the others (Storn & Price 1997, "current to best"); where an evaluation costs
-    milliseconds, this finds what a surrogate of the same data cannot resolve.
+    population that begins at the best points known, mutually apart, moves each of them towards the
+    best by differences of the others ("current to best"); where an evaluation costs milliseconds,
+    this finds what a surrogate of the same data cannot resolve.
 
     Parameters
     ----------
@@ -42,10 +42,14 @@ def refine(
     objective : Objective
         Evaluates, and keeps, the points of a generation.
     generations : int
-        How many; each costs up to `POPULATION` evaluations. Fewer than `SMALLEST` feasible points
-        that are apart cannot breed, and nothing is done.
+        How many; each costs up to `POPULATION` evaluations. Nothing is done with fewer than
+        `SMALLEST` feasible points that are apart.
     progress : StageProgress
         Called with the generations done, and `generations`.
+
+    References
+    ----------
+    R. Storn and K. Price, "Differential evolution", Journal of Global Optimization 11, 1997.
     """
     population = spread(known)
     if not generations or len(population) < SMALLEST:

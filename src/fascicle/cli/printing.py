@@ -1,0 +1,91 @@
+"""What the commands print of their results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fascicle.forward.simulation import Simulation
+    from fascicle.predict.pacing import Pacing
+    from fascicle.study.results import FittedStudy
+
+
+def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
+    """Print times, what fired what, and what was never reached."""
+    print(f"total activation time  {simulation.total_activation_time:.1f} ms")
+    print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
+    for side, tree in summary["trees"].items():
+        backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
+        print(
+            f"{side + ' tree':<22} {tree['junctions']} junctions: "
+            f"{tree['junctions'] - backwards - silent} orthodromic, {backwards} antidromic, "
+            f"{silent} silent; up to {tree['largest_junction_distance_mm']:.1f} mm from the tissue"
+        )
+    captured = simulation.coupled.captured
+    if len(captured):
+        print(f"stimuli                {captured.sum()} of {len(captured)} captured the myocardium")
+    if summary["unreached_vertices"]:
+        print(
+            f"never reached          {summary['unreached_vertices']} vertices, "
+            f"{summary['unreached_volume_ml']} ml: left out of the ECG"
+        )
+
+
+def print_fit(fitted: FittedStudy) -> None:
+    """Print how well a study's networks match, and the parameters that an ECG shows best."""
+    import numpy as np
+
+    population = fitted.population
+    recorded = float(np.nansum(fitted.problem.target.qrs**2, axis=0).mean())
+    print(f"evaluations            {len(fitted.study.records())}")
+    first = fitted.best_initial_loss
+    print(f"best of the first      {first:.4f} mV² (flat line: {recorded:.4f})")
+    print(f"best                   {population.best_loss:.4f} mV²")
+    print(f"networks accepted      {len(population)} of {fitted.study.config.samples}")
+    if len(population):
+        for name, unit in (("root_time", "ms"), ("cv", "m/s")):
+            values = population.values[name]
+            print(
+                f"{name:<22} {np.median(values):.1f} {unit} "
+                f"({values.min():.1f} to {values.max():.1f})"
+            )
+
+
+def print_pacing(pacing: Pacing) -> None:
+    """Print durations before and after pacing, means over the networks."""
+    for name, before, after in (
+        ("QRS duration", pacing.qrs_before, pacing.qrs_after),
+        ("total activation time", pacing.tat_before, pacing.tat_after),
+    ):
+        print(
+            f"{name:<22} {before.mean():.0f} ms -> {after.mean():.0f} ms paced "
+            f"({after.min():.0f} to {after.max():.0f})"
+        )
+
+
+def print_template(measures: Mapping[str, Mapping[str, float]]) -> None:
+    """Print the measures of each cell's action potential."""
+    print(f"{'':<18} rest (mV)  overshoot (mV)  dV/dt max (V/s)  APD90 (ms)  speed (m/s)")
+    for cell, values in measures.items():
+        print(
+            f"{cell:<18} {values['resting_potential']:9.1f}  {values['overshoot']:14.1f}  "
+            f"{values['max_upstroke']:15.0f}  {values['apd90']:10.0f}  "
+            f"{values['conduction_velocity']:11.2f}"
+        )
+
+
+def print_demo(out: Path) -> None:
+    """Print what the demonstration leaves in its folder."""
+    print(f"\nin {out}:")
+    for name, what in (
+        ("target.png", "the recording: beats by class, their overlay, the QRS window"),
+        ("target.nc", "beats, mean, standard deviation, QRS window"),
+        ("study/posterior.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
+        ("study/networks", "their trees, for ParaView"),
+        ("study/activation.vtu", "activation of the best network, mean and spread over all"),
+        ("study/figures", "ECG, pair plot, activation map, convergence"),
+        ("pacing", "what firing both trees together would do"),
+    ):
+        print(f"  {name:<21} {what}")

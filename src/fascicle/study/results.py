@@ -1,0 +1,139 @@
+"""A fitted study: its population, simulated, and the files that hold it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.files import atomic_folder, write_text
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.inference.evaluation import best_of
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.vtk import write_grid
+from fascicle.purkinje.tree_files import write_tree
+from fascicle.study.evaluations import Stage
+from fascicle.study.population import Population, write_population
+from fascicle.study.problem import Network, Problem
+from fascicle.study.study import Study
+
+POSTERIOR = "posterior.nc"
+
+
+@dataclass(frozen=True)
+class FittedStudy:
+    """A finished study.
+
+    Attributes
+    ----------
+    study : Study
+        Folder, configuration and evaluations.
+    problem : Problem
+        Forward model and target.
+    population : Population
+        The networks that explain the target, and the best one.
+    """
+
+    study: Study
+    problem: Problem
+    population: Population
+
+    @property
+    def folder(self) -> Path:
+        """Where it is."""
+        return self.study.folder
+
+    @property
+    def best_initial_loss(self) -> float:
+        """Least mismatch among the points of the Latin hypercube (mV²)."""
+        return best_of(r.evaluation for r in self.study.records() if r.stage is Stage.INITIAL).loss
+
+    @cached_property
+    def best_network(self) -> Network:
+        """The network with the least mismatch, simulated."""
+        return next(self.problem.networks([self.population.best]))
+
+    def networks(self, progress: Progress | None = None) -> list[Network]:
+        """Simulate the population; the best network alone where none was accepted."""
+        count = len(self.population)
+        if not count:
+            return [self.best_network]
+        report = stage_progress(progress, "networks")
+        networks = []
+        for network in self.problem.networks(self.population.parameters(k) for k in range(count)):
+            networks.append(network)
+            report(len(networks), count)
+        return networks
+
+
+def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None:
+    """Write posterior, trees, activation map and summary into the study's folder."""
+    problem, population, folder = fitted.problem, fitted.population, fitted.folder
+    networks = fitted.networks(progress)
+    (folder / POSTERIOR).unlink(missing_ok=True)  # not finished while this is under way
+    _write_networks(
+        folder / "networks",
+        {"best": fitted.best_network} | {f"{k:02d}": n for k, n in enumerate(networks)},
+    )
+    activations = np.stack([network.simulation.activation for network in networks])
+    write_grid(
+        folder / "activation.vtu",
+        problem.model.heart.vertices,
+        problem.model.heart.tetrahedra,
+        TETRAHEDRON,
+        point_data={
+            "activation": fitted.best_network.simulation.activation,
+            "activation_mean": activations.mean(axis=0),
+            "activation_sd": activations.std(axis=0),
+        },
+    )
+    write_text(folder / "summary.json", json.dumps(_summary(fitted), indent=2) + "\n")
+    predicted = np.stack([network.predicted for network in networks])[: len(population)]
+    # last, since its presence says that the study is finished
+    write_population(folder / POSTERIOR, population, problem.space, problem.target, predicted)
+
+
+def spread(values: NDArray[np.float64]) -> dict[str, float]:
+    """Minimum, median and maximum of `values` (n,), for a summary."""
+    return {
+        "minimum": float(values.min()),
+        "median": float(np.median(values)),
+        "maximum": float(values.max()),
+    }
+
+
+def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
+    """One folder a network, with its trees; those of an earlier run are replaced."""
+    shutil.rmtree(folder, ignore_errors=True)
+    with atomic_folder(folder) as temporary:
+        for name, network in networks.items():
+            simulation = network.simulation
+            for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
+                write_tree(temporary / name / f"{tree.side}_tree.vtu", tree, times)
+            lines = [f"{key} = {value!r}" for key, value in network.parameters.items()]
+            write_text(temporary / name / "parameters.toml", "\n".join(lines) + "\n")
+
+
+def _summary(fitted: FittedStudy) -> dict[str, object]:
+    records, population = fitted.study.records(), fitted.population
+    return {
+        "heart": fitted.problem.model.heart.name,
+        "recording": fitted.problem.target.provenance.get("source", ""),
+        "evaluations": len(records),
+        "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
+        "best_initial_loss_mV2": fitted.best_initial_loss,
+        "best_loss_mV2": population.best_loss,
+        "best_parameters": dict(population.best),
+        "networks_accepted": len(population),
+        "networks_wanted": fitted.study.config.samples,
+        "candidates_evaluated": sum(r.stage in (Stage.POSTERIOR, Stage.WALK) for r in records),
+        "posterior_rounds": fitted.study.steps(Stage.POSTERIOR),
+        "posterior_walk_steps": fitted.study.steps(Stage.WALK),
+        "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
+    }
