@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from fascicle.core.errors import InputError
+from fascicle.study.settings import FitSettings
+
 PROGRAM = Path(sys.executable).with_name("fascicle")
 HEAVY = ("vtkmodules", "pyvista", "matplotlib", "arviz", "numba", "scipy", "meshio")
 
@@ -44,6 +47,27 @@ def test_help_of_every_command(run, monkeypatch, command, words):
     ended = run(*command.split(), "--help")
     assert (ended.status, ended.err) == (0, "")
     assert words in ended.out
+
+
+def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
+    """With the default of the Python function, and given to it as it stands."""
+    seen = []
+
+    def fit(heart, target, out, progress, **settings):
+        seen.append(FitSettings(**settings))
+        raise InputError("stop here")
+
+    monkeypatch.setattr("fascicle.study.fit.fit", fit)
+    run("fit", "default", "t.nc", "--out", "s")
+    changed = {
+        "initial": 7, "steps": 0, "refine": 1, "samples": 2, "seed": 3, "workers": 4, "draws": 50,
+        "tolerance": 0.5, "candidate_order": "density", "refit_after": 6, "rounds": 8,
+        "walk_steps": 9,
+    }  # fmt: skip
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in changed.items()]
+    run("fit", "default", "t.nc", "--out", "s", "--gain", *options)
+    assert seen == [FitSettings(), FitSettings(free_gain=True, **changed)]
+    assert set(changed) | {"free_gain"} == set(FitSettings.model_fields)
 
 
 def test_unknown_options_and_commands(run):

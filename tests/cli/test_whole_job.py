@@ -139,9 +139,12 @@ def test_another_heart_in_the_folder_is_refused(study, tmp_path):
         load_study(tmp_path / "s")
 
 
-def test_impossible_settings_are_refused_in_one_line(target, tmp_path):
-    with pytest.raises(fascicle.InputError, match="'initial' is 1"):
-        fascicle.fit("default", target, tmp_path / "s", initial=1)
+@pytest.mark.parametrize("setting", [{"initial": 1}, {"tolerance": 0.0}, {"stepz": 5}])
+def test_impossible_settings_are_refused_in_one_line(target, tmp_path, setting):
+    name, value = next(iter(setting.items()))
+    with pytest.raises(fascicle.InputError, match=f"'{name}' is {value}: ") as caught:
+        fascicle.fit("default", target, tmp_path / "s", **setting)
+    assert "\n" not in str(caught.value)
     assert not (tmp_path / "s").exists()
 
 

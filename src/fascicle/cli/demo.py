@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from fascicle.core.progress import Progress
 from fascicle.predict.pacing import Pacing
@@ -19,7 +20,9 @@ from fascicle.study.results import FittedStudy
 
 # A fraction of the paper's budget and no refinement: enough to see every stage work, not to trust
 # the numbers. The gain is free, since the heart and its volume conductor are somebody else's.
-INITIAL, STEPS, SAMPLES, DRAWS = 60, 60, 10, 500_000
+SETTINGS: dict[str, Any] = {
+    "initial": 60, "steps": 60, "refine": 0, "samples": 10, "draws": 500_000, "free_gain": True,
+}  # fmt: skip
 
 
 def demo_recording() -> Path:
@@ -43,18 +46,7 @@ def run_demo(out: Path, progress: Progress) -> tuple[Analysis, FittedStudy, Paci
     analysis = analyse(read_recording(demo_recording()))
     write_target(analysis.target, out / "target.nc")
     save(recording_figure(analysis), out / "target.png")
-    fitted = fit(
-        "default",
-        analysis.target,
-        out / "study",
-        initial=INITIAL,
-        steps=STEPS,
-        refine=0,
-        samples=SAMPLES,
-        draws=DRAWS,
-        free_gain=True,
-        progress=progress,
-    )
+    fitted = fit("default", analysis.target, out / "study", progress=progress, **SETTINGS)
     write_figures(fitted, fitted.networks(progress))
     pacing = write_pacing(fitted, 0.0, out / "pacing", progress)
     return analysis, fitted, pacing

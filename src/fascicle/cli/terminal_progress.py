@@ -18,7 +18,7 @@ from rich.progress import (
 from fascicle.core.errors import InputError
 
 NAMES = {
-    "compilation": "first run here",
+    "compilation": "compiling (first run)",
     "recording": "recording",
     "template": "cables",
     "surface": "surface",
@@ -32,7 +32,7 @@ NAMES = {
     "refinement": "refinement",
     "prior": "drawing from the prior",
     "posterior": "networks accepted",
-    "walk": "walking to more networks",
+    "walk": "random walks",
     "networks": "simulating the networks",
 }
 

@@ -1,4 +1,4 @@
-"""The parameter space: names, units, ranges, and the way to the unit cube and back."""
+"""The parameter space: names, units, ranges, and and the map to the unit cube and back."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Scenarios over a posterior: what pacing would do."""
+"""Scenarios over a population: what pacing would do."""

@@ -1,4 +1,4 @@
-"""Conduction-system pacing: every network of a posterior with its roots fired at a given delay."""
+"""Conduction-system pacing: every network of a population, its roots fired at a given delay."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.window import qrs_window
 from fascicle.study.problem import Network
+
+LEAD_IN = 10  # samples before the QRS onset
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,19 @@ class Pacing:
 
 
 def pace(model: ForwardModel, networks: Sequence[Network], root_time: float) -> Pacing:
-    """Fire both roots of every network `root_time` ms apart (0: together) and compare.
+    """Fire both roots of every network at a given delay and compare.
 
     The trees stay as they were learnt; only when their roots fire changes, as in section 3.3 of
     the paper.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        The heart that the networks were learnt on.
+    networks : sequence of Network
+        The n networks of a population.
+    root_time : float
+        t_RV − t_LV of the paced roots (ms); 0 fires both together.
     """
     before = [network.simulation for network in networks]
     after = [
@@ -79,13 +90,12 @@ def qrs_aligned(
     ecgs : (n, 12, t) array
         Potentials (mV), padded with zeros, which is what follows a QRS here.
     """
-    lead_in = 10  # samples shown before the onset
     cut = []
     for simulation in simulations:
         values = simulation.leads
         onset, _ = qrs_window(values, STEP)
-        padded = np.pad(values, ((0, 0), (lead_in, 0)))
+        padded = np.pad(values, ((0, 0), (LEAD_IN, 0)))
         cut.append(padded[:, onset:])
     length = max(values.shape[1] for values in cut)
     ecgs = np.stack([np.pad(v, ((0, 0), (0, length - v.shape[1]))) for v in cut])
-    return (np.arange(length) - lead_in) * STEP, ecgs
+    return (np.arange(length) - LEAD_IN) * STEP, ecgs

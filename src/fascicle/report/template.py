@@ -39,7 +39,7 @@ def template_figure(
     Parameters
     ----------
     progress : Progress, optional
-        Told which cable is done; the first time on a machine each takes seconds.
+        Called when a cable is done; the first time on a machine each takes seconds.
 
     Returns
     -------

@@ -18,10 +18,6 @@ Propose = Callable[[int], NDArray[np.float64]]
 RoundProgress = Callable[[int, int, int], None]
 
 
-def no_round_progress(accepted: int, evaluated: int, number: int) -> None:
-    """Stand in for a progress callback."""
-
-
 @dataclass(frozen=True)
 class Sampling:
     """Outcome of the sampling.
@@ -92,7 +88,7 @@ def sample(
     propose: Propose,
     objective: Objective,
     settings: AbcSettings,
-    progress: RoundProgress = no_round_progress,
+    progress: RoundProgress = lambda accepted, evaluated, number: None,
 ) -> Sampling:
     """Try candidates in turn until enough are accepted.
 
