@@ -152,6 +152,8 @@ class Journal:
         Where it is stored.
     objective : Objective
         Evaluates points.
+    dimension : int
+        d, the number of coordinates of a point.
     seed : int
         Of every random number.
     workers : int
@@ -164,11 +166,12 @@ class Journal:
     """
 
     def __init__(
-        self, database: Database, objective: Objective, *, seed: int, workers: int
+        self, database: Database, objective: Objective, *, dimension: int, seed: int, workers: int
     ) -> None:
         self.records: list[Record] = []
         self._database = database
         self._objective = objective
+        self._dimension = dimension
         self._seed = seed
         self._workers = workers
         self._stored = database.records()
@@ -183,7 +186,7 @@ class Journal:
         return np.random.default_rng([self._seed, list(Stage).index(stage), step])
 
     def propose(self, stage: Stage, step: int, compute: Compute) -> NDArray[np.float64]:
-        """Give the points of a step, all their coordinates in a row.
+        """Give the points of a step, shape (m, d).
 
         Parameters
         ----------
@@ -197,7 +200,7 @@ class Journal:
             before = self._database.proposal(stage, step - 1)
             stored = compute(self.rng(stage, step), before[0] if before is not None else None)
             self._database.propose(stage, step, *stored)
-        return stored[1].ravel()
+        return stored[1].reshape(-1, self._dimension)
 
     def evaluate(self, stage: Stage, points: Sequence[NDArray[np.float64]]) -> list[Evaluation]:
         """Give the outcomes at `points`, each of shape (d,)."""

@@ -8,13 +8,7 @@ from fascicle.inference.abc.settings import AbcSettings
 
 
 class FitSettings(AbcSettings):
-    """The settings of `fascicle.fit`; ``fascicle fit --help`` describes each of them.
-
-    Examples
-    --------
-    >>> FitSettings(initial=100, steps=50).samples
-    30
-    """
+    """The settings of `fascicle.fit`, and the options of ``fascicle fit``."""
 
     initial: int = Field(default=250, ge=2, description="Latin hypercube points.")
     steps: int = Field(default=300, ge=0, description="Bayesian-optimisation steps.")
@@ -29,3 +23,13 @@ class FitSettings(AbcSettings):
         description="Scale each simulated ECG by its best gain, one for all leads, before it is "
         "compared.",
     )
+
+
+# For `help`: what the fields say of themselves.
+FitSettings.__doc__ = "\n".join(
+    [f"{FitSettings.__doc__}", "", "    Attributes", "    ----------"]
+    + [
+        f"    {name} : default {field.default}\n        {field.description}"
+        for name, field in FitSettings.model_fields.items()
+    ]
+)

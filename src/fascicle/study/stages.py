@@ -55,10 +55,9 @@ class Run:
 
     def _initial(self) -> None:
         count, size = self.settings.initial, self.settings.workers
-        dimension = len(self.space)
         design = self.journal.propose(
-            Stage.INITIAL, 0, lambda rng, _: (None, latin_hypercube(rng, count, dimension))
-        ).reshape(count, dimension)
+            Stage.INITIAL, 0, lambda rng, _: (None, latin_hypercube(rng, count, len(self.space)))
+        )
         for start in range(0, count, size):
             self.journal.evaluate(Stage.INITIAL, list(design[start : start + size]))
             self._report(Stage.INITIAL, len(self.journal.records), count)
@@ -73,9 +72,7 @@ class Run:
         total, done, step = self.settings.steps, 0, 0
         while done < total:
             size = min(self.settings.workers, total - done)
-            points = self.journal.propose(
-                Stage.OPTIMISATION, step, partial(self._step, size=size)
-            ).reshape(size, -1)
+            points = self.journal.propose(Stage.OPTIMISATION, step, partial(self._step, size=size))
             self.journal.evaluate(Stage.OPTIMISATION, list(points))
             done, step = done + size, step + 1
             self._report(Stage.OPTIMISATION, done, total)
@@ -98,12 +95,11 @@ class Run:
 
     def _sample(self) -> Sampling:
         """Draw the population: by rejection, and where that falls short by random walks."""
-        dimension = len(self.space)
         found = sample(
             self.journal.evaluations,
             lambda number: self.journal.propose(
                 Stage.POSTERIOR, number, partial(self._candidates, number=number)
-            ).reshape(-1, dimension),
+            ),
             lambda points: self.journal.evaluate(Stage.POSTERIOR, points),
             self.settings,
             self._report_round,
@@ -114,7 +110,7 @@ class Run:
             found,
             lambda step, positions: self.journal.propose(
                 Stage.WALK, step, lambda rng, _: (None, propose(rng, positions))
-            ).reshape(positions.shape),
+            ),
             lambda points: self.journal.evaluate(Stage.WALK, points),
             self.settings,
             lambda done, total: self._report(Stage.WALK, done, total),

@@ -139,11 +139,17 @@ class Study:
         progress : Progress, optional
             Called after every batch of evaluations.
         """
-        from fascicle.study.stages import Run  # PyTorch: half a second
+        from fascicle.study.stages import Run  # the surrogate, which only a fit needs
 
-        config = self.config
-        journal = Journal(self._database, objective, seed=config.seed, workers=config.workers)
-        return Run(config, config.parameter_space, journal, progress).population()
+        config, space = self.config, self.config.parameter_space
+        journal = Journal(
+            self._database,
+            objective,
+            dimension=len(space),
+            seed=config.seed,
+            workers=config.workers,
+        )
+        return Run(config, space, journal, progress).population()
 
 
 def first_problem(error: ValidationError) -> tuple[str, Any, str]:
