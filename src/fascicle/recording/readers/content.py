@@ -1,4 +1,4 @@
-"""What a file of a recording is, by its content, and how large it may be."""
+"""What kind of file a recording is, by its content, and how large it may be."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ LARGEST_FILE = 512 * 2**20  # bytes; ten times what a recording of the longest l
 
 
 def kind_of_content(path: Path) -> str | None:
-    """Tell the kind of file from marks that are unmistakable; None where there is none."""
+    """Kind of file from marks that are unmistakable; None where there is none."""
     with path.open("rb") as file:
         start = file.read(512)
     if start[128:132] == b"DICM":

@@ -2,135 +2,97 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.declared import DAMAGED, damage
-from fascicle.recording.readers.hdf5_heaps import check_heaps, longest_text
-from fascicle.recording.readers.metadata import MOST_WORDS, Remarks, is_remark, one_number
-from fascicle.recording.readers.named_arrays import Array, Level, contents_of
-from fascicle.recording.readers.raw_recording import Contents
-from fascicle.recording.readers.read_options import Given
+from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.metadata import MOST_WORDS, Entry, entry_of, key_of
+from fascicle.recording.readers.named_arrays import Array, Group, raw_recording_of
+from fascicle.recording.readers.raw_recording import RawRecording
+from fascicle.recording.readers.read_options import ReadOptions
 
 if TYPE_CHECKING:
     import h5py
 
-_LONGEST_TEXT = 2**20  # bytes
-_DEEPEST = 3  # groups within groups
-LARGEST = 2**26  # values of one block of a dataset, which is read whole
-_MOST_ENTRIES = 1000  # datasets and groups that are looked at
-# Filters that come with HDF5 and h5py; others are libraries that would be loaded from somewhere
-_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
-_MATLAB_NUMBERS = (
-    "", "double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32",
-    "uint64",
-)  # fmt: skip
+_DEEPEST = 3  # groups within groups; more may be a circle
 _MATLAB_TEXTS = ("char", "cell")
-_PARSE_ERRORS = (*DAMAGED, RuntimeError)  # of h5py
+_MATLAB_NUMBERS = (
+    "",
+    "double",
+    "single",
+    *(f"{s}int{b}" for s in ("", "u") for b in (8, 16, 32, 64)),
+)
 
 
-def read_hdf5(path: Path, given: Given) -> Contents:
+def read_hdf5(path: Path, options: ReadOptions, kind: str = "HDF5") -> RawRecording:
     """Read a file with one dataset a lead, or with a matrix and the names of its leads.
 
     Parameters
     ----------
     path : path
         The file.
-    given : Given
+    options : ReadOptions
         What the user says; it must agree with the file.
+    kind : str
+        What messages and provenance call the format.
 
     Returns
     -------
-    Contents
-        Leads in the unit that an attribute or dataset ``units`` states.
+    RawRecording
+        Leads in the unit that the metadata declare.
 
     Raises
     ------
     InputError
         When leads, rate or unit are missing, contradictory or ambiguous, or when the data lie
-        outside the file or need a filter that is not HDF5's own.
+        outside the file.
     """
-    return read_levels(path, given, "HDF5")
-
-
-def read_levels(path: Path, given: Given, kind: str) -> Contents:
-    """Read the contents of an HDF5 file, which messages and provenance call `kind`."""
     import h5py
 
-    with damage(path, kind, _PARSE_ERRORS):
+    with refuse_damaged(path, kind):
         file = h5py.File(path, "r", locking=False)
     with file:
-        check_heaps(path)
-        with damage(path, kind, _PARSE_ERRORS):
+        with refuse_damaged(path, kind):
             if str(file.attrs.get("format", "")) == "fascicle target":
                 raise InputError(f"{path}: is a target already; give the recording it is made of")
-            levels = list(_levels(file, "", None, _Reading(path, kind)))
-        return contents_of(levels, path, given, kind)
+            groups = list(_groups(file, "", []))
+        return raw_recording_of(groups, path, options, kind)
 
 
-class _Reading:
-    """The file, and how many of its entries have been looked at."""
-
-    def __init__(self, path: Path, kind: str) -> None:
-        self.path, self.kind, self.entries = path, kind, 0
-
-    def count(self) -> None:
-        self.entries += 1
-        if self.entries > _MOST_ENTRIES:
-            raise InputError(
-                f"{self.path}: more than {_MOST_ENTRIES} datasets and groups; put one recording "
-                "into a file of its own"
-            )
-
-
-def _levels(
-    group: h5py.Group, where: str, above: Level | None, reading: _Reading
-) -> Iterator[Level]:
+def _groups(node: h5py.Group, where: str, around: Sequence[Entry]) -> Iterator[Group]:
     """Yield a group and the groups in it."""
     import h5py
 
-    arrays: dict[str, Array] = {}
-    unusable: dict[str, str] = {}
-    texts, numbers = _attributes(group)
-    groups: dict[str, h5py.Group] = {}
-    for key in group:
-        reading.count()
+    found = Group(where or "/", [*_attributes(node), *around])
+    within: dict[str, h5py.Group] = {}
+    for key in node:
         name = printable(key if isinstance(key, str) else key.decode("latin-1"))
-        item = _stored_here(group, key)
+        stored = isinstance(node.get(key, getlink=True), h5py.HardLink)
+        item: Any = node[key] if stored else None  # a link is not followed
         if isinstance(item, h5py.Group):
-            groups[name] = item
+            within[name] = item
         elif reason := _unusable(item):
-            unusable[name] = reason
-        elif is_remark(name) and item.size <= MOST_WORDS:
-            _sort(name, item.dtype, _content(item), texts, numbers)
+            found.unusable[name] = reason
+        elif key_of(name) is not None and item.size <= MOST_WORDS:
+            entry = entry_of(name, _content(item))
+            found.metadata.extend([] if entry is None else [entry])
         elif item.dtype.kind not in "iuf" or _matlab_class(item) in _MATLAB_TEXTS:
-            unusable[name] = "holds no numbers; save it as an array of numbers"
+            found.unusable[name] = "holds no numbers; save it as an array of numbers"
         else:
-            arrays[name] = _array(item, reading)
-    level = Level(where or "/", arrays, Remarks(texts, numbers), unusable, above)
-    yield level
+            found.arrays[name] = Array(item, _attributes(item))
+    yield found
     if where.count("/") < _DEEPEST:
-        for name, inner in groups.items():
+        for name, inner in within.items():
             if not name.startswith("#"):  # MATLAB's own
-                yield from _levels(inner, f"{where}/{name}", level, reading)
-
-
-def _stored_here(group: h5py.Group, key: str | bytes) -> Any:
-    """Return what lies in the file itself; None for a link, which is not followed."""
-    from h5py import h5l
-
-    name = key if isinstance(key, bytes) else key.encode("utf-8", "surrogateescape")
-    return group[key] if group.id.links.get_info(name).type == h5l.TYPE_HARD else None
+                yield from _groups(inner, f"{where}/{name}", found.metadata)
 
 
 def _unusable(item: Any) -> str:
-    """Say why a dataset cannot be read safely; empty when it can."""
+    """Say why a dataset cannot be read; empty when it can."""
     import h5py
 
     if not isinstance(item, h5py.Dataset):
@@ -139,32 +101,13 @@ def _unusable(item: Any) -> str:
         return "has its data in other files; copy them into the file"
     if item.shape is None or "MATLAB_empty" in item.attrs:
         return "is empty"
-    try:
-        kind = item.dtype.kind
-    except TypeError:
-        return "is of a type unknown to numpy; save it as an array of numbers"
-    text = h5py.check_string_dtype(item.dtype) is not None
-    if kind not in "iuf" and not text and _matlab_class(item) != "cell":
-        return f"holds {item.dtype.name} values; save it as an array of numbers"
-    if kind == "O" and text and longest_text(item) > _LONGEST_TEXT:
-        return f"declares a text of {longest_text(item)} bytes"
     if _matlab_class(item) not in _MATLAB_NUMBERS + _MATLAB_TEXTS:
         return f"is a MATLAB {_matlab_class(item)}; save numbers as double and names by cellstr"
+    text = h5py.check_string_dtype(item.dtype) is not None
+    if item.dtype.kind not in "iuf" and not text and _matlab_class(item) != "cell":
+        return f"holds {item.dtype.name} values; save it as an array of numbers"
     if item.size and not item.id.get_storage_size():
         return f"declares {item.size} values and holds none; export it again"
-    if item.chunks is not None and math.prod(item.chunks) > LARGEST:
-        return f"is stored in blocks of {math.prod(item.chunks)} values; export it in smaller ones"
-    return _unknown_filter(item)
-
-
-def _unknown_filter(item: h5py.Dataset) -> str:
-    """Say which filter of a dataset is not HDF5's own; empty when none."""
-    settings = item.id.get_create_plist()
-    for number in range(settings.get_nfilters()):
-        code, _, _, name = settings.get_filter(number)
-        if code not in _FILTERS:
-            shown = printable(name.decode("latin-1")) or "unnamed"
-            return f"is compressed by filter {code} ({shown}); save it with gzip or uncompressed"
     return ""
 
 
@@ -174,16 +117,11 @@ def _matlab_class(item: h5py.Dataset) -> str:
     return printable(noted.decode("latin-1")) if isinstance(noted, bytes) else ""
 
 
-def _attributes(item: Any) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
-    """Return the texts and numbers that the attributes of a group or dataset hold."""
-    texts: dict[str, tuple[str, ...]] = {}
-    numbers: dict[str, float] = {}
-    for key in item.attrs:
-        if isinstance(key, str) and is_remark(key):
-            attribute = item.attrs.get_id(key)
-            if attribute.shape is not None and math.prod(attribute.shape) <= MOST_WORDS:
-                _sort(printable(key), attribute.dtype, item.attrs[key], texts, numbers)
-    return texts, numbers
+def _attributes(item: Any) -> list[Entry]:
+    """Return the metadata that the attributes of a group or dataset hold."""
+    known = [key for key in item.attrs if isinstance(key, str) and key_of(key) is not None]
+    entries = [entry_of(key, item.attrs[key]) for key in known]
+    return [entry for entry in entries if entry is not None]
 
 
 def _content(item: h5py.Dataset) -> Any:
@@ -202,36 +140,3 @@ def _lines(item: Any) -> list[str]:
     if _unusable(item) or _matlab_class(item) != "char" or item.size > MOST_WORDS:
         return []
     return ["".join(chr(code) for code in row) for row in np.atleast_2d(item[()]).T]
-
-
-def _sort(
-    name: str,
-    dtype: np.dtype[Any],
-    content: Any,
-    texts: dict[str, tuple[str, ...]],
-    numbers: dict[str, float],
-) -> None:
-    """Keep a remark with the texts or the numbers; several different numbers are NaN."""
-    if isinstance(content, list) or dtype.kind in "SO":
-        words = np.ravel(np.asarray(content, dtype=object))
-        texts[name] = tuple(
-            printable(
-                (word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word))
-                .rstrip("\0")
-                .strip()
-            )
-            for word in words
-        )
-    elif dtype.kind in "iuf":
-        numbers[name] = one_number(content)
-
-
-def _array(item: h5py.Dataset, reading: _Reading) -> Array:
-    """Describe a dataset, which is read later."""
-    shape = tuple(length for length in item.shape if length != 1)
-
-    def read() -> NDArray[np.float64]:
-        with damage(reading.path, reading.kind, _PARSE_ERRORS):
-            return np.array(item[()], dtype=np.float64).reshape(shape)
-
-    return Array(shape, read, Remarks(*_attributes(item)))

@@ -1,31 +1,34 @@
 """Recordings kept as named arrays: one array a lead, or a matrix and the names of its rows.
 
 HDF5 and MATLAB files have no standard for ECGs. Nothing in them is guessed: leads, rate and unit
-must be stated under one of the names below, once, or by the user.
+must be declared under the names in `metadata`, once, or by the user.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
-from fascicle.recording.readers.declared import agreed_rate
+from fascicle.recording.readers.damaged import refuse_damaged
 from fascicle.recording.readers.metadata import (
-    Remarks,
+    Entry,
+    Key,
     check_physical,
-    fill_values,
+    declared_rate,
+    declared_unit,
+    key_of,
+    missing_values,
     name_lists,
-    stated_rate,
-    stated_unit,
 )
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.raw_recording import Channel, Contents
-from fascicle.recording.readers.read_options import Given
+from fascicle.recording.readers.raw_recording import Channel, RawRecording
+from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import check_extent
 
 _FEWEST = 2  # names that must be leads, so that a stray variable `i` makes no recording
@@ -33,83 +36,78 @@ _FEWEST = 2  # names that must be leads, so that a stray variable `i` makes no r
 
 @dataclass(frozen=True)
 class Array:
-    """A numeric array that is read when it is asked for.
+    """A numeric array: `stored` is a dataset of a file, which is read by ``stored[()]``, or memory.
 
-    Attributes
-    ----------
-    shape : tuple of int
-        Without axes of length one.
-    read : callable
-        Returns the values in that shape.
-    remarks : Remarks
-        What the file says about this array alone.
+    `shape` leaves out axes of length one, `metadata` is what the file says about this array alone.
     """
 
-    shape: tuple[int, ...]
-    read: Callable[[], NDArray[np.float64]]
-    remarks: Remarks = field(default_factory=Remarks)
+    stored: Any
+    metadata: Sequence[Entry] = ()
 
     @property
-    def ndim(self) -> int:
-        """Number of axes longer than one sample."""
-        return len(self.shape)
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the axes that are longer than one."""
+        return tuple(length for length in self.stored.shape if length != 1)
+
+    @property
+    def size(self) -> str:
+        """The shape as messages show it."""
+        return " x ".join(map(str, self.shape))
 
 
 @dataclass(frozen=True)
-class Level:
+class Group:
     """A file, or a group or structure in it.
 
     Attributes
     ----------
     name : str
         What messages call it.
-    arrays : mapping
+    metadata : sequence of Entry
+        What is said here and in the groups around it.
+    arrays : dict
         Numeric arrays by name.
-    remarks : Remarks
-        What is said at this level.
-    unusable : mapping
-        Name to what stands there instead of numbers.
-    above : Level, optional
-        The level that this one is in; what is said there holds here.
+    unusable : dict
+        Name to why what stands there is no array of numbers.
     """
 
     name: str
-    arrays: Mapping[str, Array]
-    remarks: Remarks
-    unusable: Mapping[str, str] = field(default_factory=dict)
-    above: Level | None = None
-
-    @property
-    def said(self) -> list[Remarks]:
-        """Remarks of this level and those above it."""
-        return [self.remarks, *(self.above.said if self.above is not None else [])]
+    metadata: list[Entry]
+    arrays: dict[str, Array] = field(default_factory=dict)
+    unusable: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class _Signal:
-    """One vector, or row `index` along `axis` of a matrix with `count` rows."""
+    """One vector, or row `index` along `axis` of a matrix."""
 
     name: str
     array: Array
     axis: int = 0
     index: int | None = None
-    count: int = 1
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Index among the signals of its array, and their number."""
+        return (0, 1) if self.index is None else (self.index, self.array.shape[self.axis])
 
     @property
     def length(self) -> int:
         return self.array.shape[0 if self.index is None else 1 - self.axis]
 
 
-def contents_of(levels: Sequence[Level], path: Path, given: Given, kind: str) -> Contents:
-    """Make the contents of a recording of the one level that holds leads.
+def raw_recording_of(
+    groups: Sequence[Group], path: Path, options: ReadOptions, kind: str
+) -> RawRecording:
+    """Make a raw recording of the one group that holds leads.
 
     Parameters
     ----------
-    levels : sequence of Level
-        All levels of a file.
+    groups : sequence of Group
+        All groups of a file.
     path : path
         What messages begin with.
-    given : Given
+    options : ReadOptions
         What the user says; it must agree with the file.
     kind : str
         Name of the format.
@@ -117,132 +115,114 @@ def contents_of(levels: Sequence[Level], path: Path, given: Given, kind: str) ->
     Raises
     ------
     InputError
-        When no level or several hold leads, or what goes with them is missing or contradictory.
+        When no group or several hold leads, or what goes with them is missing or contradictory.
     """
-    found = [(level, signals) for level in levels if (signals := _signals(level, path))]
+    found = [(group, signals) for group in groups if (signals := _signals(group, path))]
     if not found:
-        raise _nothing_found(levels, path)
-    if len(found) > 1:
-        raise InputError(
-            f"{path}: leads in {' and '.join(level.name for level, _ in found[:3])}; keep one "
-            "recording in the file"
-        )
-    level, signals = found[0]
+        raise _nothing_found(groups, path)
+    _check_one([group.name for group, _ in found], path)
+    group, signals = found[0]
     leads = [signal for signal in signals if lead_name(signal.name) is not None]
-    _check_usable(level, path)
-    said = _said(level, leads)
-    check_physical(said, path)
-    rate = agreed_rate(path, stated_rate(said, path), given)
-    _check_sizes(leads, rate, path)
-    units = [_unit(level, signal, path) for signal in leads]
-    channels = [
-        Channel(signal.name, values, unit)
-        for signal, values, unit in zip(leads, _values(leads), units, strict=True)
+    for name, reason in group.unusable.items():
+        if lead_name(name) is not None:
+            raise InputError(f"{path}: lead '{name}' {reason}")
+    arrays = {id(signal.array): signal.array for signal in leads}
+    own = [entry for array in arrays.values() for entry in array.metadata]
+    check_physical([*own, *group.metadata], path)
+    rate = options.agreed_rate(path, declared_rate([*own, *group.metadata], path))
+    for signal in leads:
+        check_extent(signal.length, rate, str(path))
+    values = {}
+    for key, array in arrays.items():
+        with refuse_damaged(path, kind):
+            values[key] = _values(array)
+    channels = []
+    for signal in leads:
+        row = values[id(signal.array)]
+        if signal.index is not None:
+            row = np.asarray(row.take(signal.index, axis=signal.axis))
+        said = [*signal.array.metadata, *group.metadata]
+        channels.append(
+            Channel(signal.name, row, declared_unit(said, path, signal.name, signal.place))
+        )
+    others = [signal.name for signal in signals if lead_name(signal.name) is None]
+    return RawRecording(
+        [*channels, *(Channel(name, np.empty(0), None) for name in others)], rate, kind
+    )
+
+
+def _values(array: Array) -> NDArray[np.float64]:
+    """Read an array; values that stand for missing samples become NaN."""
+    values = np.array(array.stored[()], dtype=np.float64).reshape(array.shape)
+    values[np.isin(values, missing_values(array.metadata))] = np.nan
+    return values
+
+
+def _signals(group: Group, path: Path) -> Sequence[_Signal]:
+    """Find the signals of a group: vectors named after leads, or one matrix with names."""
+    vectors = [
+        _Signal(name, array) for name, array in group.arrays.items() if len(array.shape) == 1
     ]
-    extra = [signal.name for signal in signals if lead_name(signal.name) is None]
-    channels += [Channel(name, np.empty(0), None) for name in extra]
-    return Contents(channels, rate, kind)
-
-
-def _signals(level: Level, path: Path) -> list[_Signal]:
-    """Find the signals of a level: vectors named after leads, or one matrix with names."""
-    vectors = [_Signal(name, array) for name, array in level.arrays.items() if array.ndim == 1]
-    matrices = {
-        name: rows
-        for name, array in level.arrays.items()
-        if array.ndim == 2 and (rows := _rows(level, name, path))
+    found = {
+        f"'{name}'": rows
+        for name, array in group.arrays.items()
+        if len(array.shape) == 2 and (rows := _rows(group, name, path))
     }
-    found = [f"'{name}'" for name in matrices]
     if _are_leads([vector.name for vector in vectors]):
-        found.insert(0, "arrays named after leads")
-    if len(found) > 1:
-        raise InputError(f"{path}: leads in {' and '.join(found[:3])}; keep one of them")
-    if not found:
-        return []
-    return next(iter(matrices.values()), vectors)
+        found = {"arrays named after leads": vectors} | found
+    _check_one(list(found), path)
+    return next(iter(found.values()), [])
 
 
-def _rows(level: Level, name: str, path: Path) -> list[_Signal]:
+def _check_one(places: Sequence[str], path: Path) -> None:
+    if len(places) > 1:
+        raise InputError(
+            f"{path}: leads in {' and '.join(places[:3])}; keep one recording in the file"
+        )
+
+
+def _rows(group: Group, name: str, path: Path) -> list[_Signal]:
     """Return the rows of a matrix by the lead names that go with it; none where none fit."""
-    array = level.arrays[name]
+    array = group.arrays[name]
     fitting = {
         names
-        for names in name_lists([array.remarks, *level.said])
+        for names in name_lists([*array.metadata, *group.metadata])
         if len(names) in array.shape and _are_leads(names)
     }
     if not fitting:
         return []
     if len(fitting) > 1 or array.shape[0] == array.shape[1]:
         raise InputError(
-            f"{path}: lead names of '{name}' ({_by(array.shape)}) are ambiguous; keep one list of "
-            "names, as long as one side of the matrix only"
+            f"{path}: lead names of '{name}' ({array.size}) are ambiguous; keep one list of names, "
+            "as long as one side of the matrix only"
         )
     names = fitting.pop()
     axis = array.shape.index(len(names))
-    return [_Signal(lead, array, axis, row, len(names)) for row, lead in enumerate(names)]
+    return [_Signal(lead, array, axis, row) for row, lead in enumerate(names)]
 
 
 def _are_leads(names: Sequence[str]) -> bool:
     return sum(lead_name(name) is not None for name in names) >= _FEWEST
 
 
-def _by(shape: Sequence[int]) -> str:
-    return " x ".join(map(str, shape))
-
-
-def _nothing_found(levels: Sequence[Level], path: Path) -> InputError:
+def _nothing_found(groups: Sequence[Group], path: Path) -> InputError:
     """Say what is there instead of leads, and what to add."""
-    for level in levels:
-        for name, array in level.arrays.items():
-            if array.ndim == 2:
-                header = " or give the WFDB header (.hea) of the record" * (name == "val")
-                return InputError(
-                    f"{path}: '{name}' ({_by(array.shape)}) has no lead names; add a list 'leads' "
-                    f"of the {min(array.shape)} names in its order{header}"
-                )
-    for level in levels:
-        for name, reason in level.unusable.items():
-            return InputError(f"{path}: no leads, and '{name}' {reason}")
-    there = [f"'{name}' ({_by(a.shape)})" for level in levels for name, a in level.arrays.items()]
+    arrays = {name: array for group in groups for name, array in group.arrays.items()}
+    unusable = {name: reason for group in groups for name, reason in group.unusable.items()}
+    matrix = next((name for name, array in arrays.items() if len(array.shape) == 2), None)
+    lists = [name for name in unusable if key_of(name) is Key.NAMES]
+    if lists or (unusable and matrix is None):
+        name = lists[0] if lists else next(iter(unusable))
+        return InputError(f"{path}: no leads, and '{name}' {unusable[name]}")
+    if matrix is not None:
+        # the record of a PhysioNet challenge
+        header = " or give the WFDB header (.hea) of the record" * (matrix == "val")
+        return InputError(
+            f"{path}: '{matrix}' ({arrays[matrix].size}) has no lead names; add a list 'leads' of "
+            f"the {min(arrays[matrix].shape)} names in its order{header}"
+        )
+    there = [f"'{name}' ({array.size})" for name, array in arrays.items()]
     return InputError(
         f"{path}: no leads (found: {', '.join(there[:4]) or 'no numeric arrays'}); name the arrays "
         "I, II, V1 to V6, or add a list 'leads' to one matrix"
     )
-
-
-def _check_usable(level: Level, path: Path) -> None:
-    for name, reason in level.unusable.items():
-        if lead_name(name) is not None:
-            raise InputError(f"{path}: lead '{name}' {reason}")
-
-
-def _check_sizes(leads: Sequence[_Signal], rate: float, path: Path) -> None:
-    """Refuse leads that are too short, too long or too many, before they are read."""
-    for signal in leads:
-        check_extent(signal.length, rate, str(path))
-
-
-def _unit(level: Level, signal: _Signal, path: Path) -> str | None:
-    said = _said(level, [signal])
-    return stated_unit(said, signal.name, signal.index or 0, signal.count, path)
-
-
-def _said(level: Level, leads: Sequence[_Signal]) -> list[Remarks]:
-    """All that is said about the leads of a level."""
-    return [*({id(s.array): s.array.remarks for s in leads}.values()), *level.said]
-
-
-def _values(leads: Sequence[_Signal]) -> list[NDArray[np.float64]]:
-    """Read the leads, each array once; fill values become NaN."""
-    read: dict[int, NDArray[np.float64]] = {}
-    for signal in leads:
-        if id(signal.array) not in read:
-            values = signal.array.read()
-            values[np.isin(values, fill_values(signal.array.remarks))] = np.nan
-            read[id(signal.array)] = values
-    return [
-        read[id(signal.array)]
-        if signal.index is None
-        else np.asarray(read[id(signal.array)].take(signal.index, axis=signal.axis))
-        for signal in leads
-    ]

@@ -104,7 +104,8 @@ def plain_unit(unit: str) -> str:
     return unit.strip().lower().replace("µ", "u").replace("μ", "u")
 
 
-def first_line(error: BaseException) -> str:
-    """Return one line about an error of a library."""
-    lines = str(error).strip().splitlines()
-    return lines[0].strip().rstrip(".") if lines else type(error).__name__
+def same_unit(one: str, other: str) -> bool:
+    """Tell whether two spellings mean the same unit."""
+    if millivolts(one) is None or millivolts(other) is None:
+        return one == other
+    return millivolts(one) == millivolts(other)

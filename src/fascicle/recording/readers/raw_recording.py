@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.recording.limb_leads import derive_limb_leads
-from fascicle.recording.readers.declared import same_unit
-from fascicle.recording.readers.names import lead_name, millivolts
-from fascicle.recording.readers.read_options import Given
+from fascicle.recording.readers.names import lead_name, millivolts, same_unit
+from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import Filters, Recording, check_extent
 
 
@@ -49,17 +48,17 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Contents:
+class RawRecording:
     """Everything a reader found: channels, their rate (Hz), the format, the recorder's filters."""
 
     channels: Sequence[Channel]
     sampling_rate: float
     format: str
     filters: Filters = field(default_factory=Filters)
-    notes: Mapping[str, str] = field(default_factory=dict)
+    provenance: dict[str, str] = field(default_factory=dict)
 
 
-def strictest(
+def narrowest_passband(
     highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
 ) -> Filters:
     """Filters (Hz) of leads that may differ in them: the narrowest band; 0 Hz is no filter."""
@@ -77,17 +76,17 @@ def gain_of(step: float, unit: str | None) -> float | None:
 
 
 def assemble(
-    contents: Contents, source: str, given: Given, wanted: Sequence[str] | None = None
+    raw: RawRecording, source: str, options: ReadOptions, wanted: Sequence[str] | None = None
 ) -> Recording:
     """Make a recording of the channels that are leads; missing limb leads follow from two.
 
     Parameters
     ----------
-    contents : Contents
+    raw : RawRecording
         What the file holds.
     source : str
         What messages begin with.
-    given : Given
+    options : ReadOptions
         Its unit serves where a channel has none.
     wanted : sequence of str, optional
         Standard names of the leads to use; by default all that are there, and then all eight
@@ -98,18 +97,18 @@ def assemble(
     InputError
         When leads are missing or twice there, a unit is unknown, or the samples cannot be used.
     """
-    leads, ignored = _by_lead(contents, source, wanted)
+    leads, ignored = _by_lead(raw, source, wanted)
     _check_complete(list(leads), source, wanted)
-    signal, gains = _in_millivolts(leads, source, given)
-    check_extent(signal.shape[1], contents.sampling_rate, source)
+    signal, gains = _in_millivolts(leads, source, options)
+    check_extent(signal.shape[1], raw.sampling_rate, source)
     signal, derived = derive_limb_leads(signal, leads)
     _check_derived(signal, derived, source)
     return Recording(
         signal=signal,
-        sampling_rate=contents.sampling_rate,
+        sampling_rate=raw.sampling_rate,
         source=source,
-        provenance={"format": contents.format} | dict(contents.notes),
-        filters=contents.filters,
+        provenance={"format": raw.format} | raw.provenance,
+        filters=raw.filters,
         digits_per_millivolt=gains,
         derived=derived,
         ignored=tuple(ignored),
@@ -117,12 +116,12 @@ def assemble(
 
 
 def _by_lead(
-    contents: Contents, source: str, wanted: Sequence[str] | None
+    raw: RawRecording, source: str, wanted: Sequence[str] | None
 ) -> tuple[dict[str, Channel], list[str]]:
     """Sort the channels into leads and the rest, whose names are returned."""
     leads: dict[str, Channel] = {}
     ignored = []
-    for channel in contents.channels:
+    for channel in raw.channels:
         lead = channel.lead if channel.lead is not None else lead_name(channel.name)
         if lead is None or (wanted is not None and lead not in wanted):
             ignored.append(printable(channel.name))
@@ -167,7 +166,7 @@ def _check_derived(signal: NDArray[np.float64], derived: Sequence[str], source: 
 
 
 def _in_millivolts(
-    leads: Mapping[str, Channel], source: str, given: Given
+    leads: Mapping[str, Channel], source: str, options: ReadOptions
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Leads as (12, n) mV and the gains (12,) of their digits; NaN for what is not there."""
     lengths = {lead: len(channel.values) for lead, channel in leads.items()}
@@ -181,7 +180,7 @@ def _in_millivolts(
     gains = np.full(len(LEADS), np.nan)
     for lead, channel in leads.items():
         row = LEADS.index(lead)
-        scale = _scale(channel, lead, source, given)
+        scale = _scale(channel, lead, source, options)
         with np.errstate(over="ignore"):  # what is infinite is refused as a gap
             signal[row] = scale * channel.values
         if channel.digits_per_millivolt is not None:
@@ -189,15 +188,15 @@ def _in_millivolts(
     return signal, gains
 
 
-def _scale(channel: Channel, lead: str, source: str, given: Given) -> float:
+def _scale(channel: Channel, lead: str, source: str, options: ReadOptions) -> float:
     """Return the mV of one unit of a channel."""
-    stated = None if channel.unit is None else printable(channel.unit)
-    if stated is not None and given.unit is not None and not same_unit(stated, given.unit):
+    declared = None if channel.unit is None else printable(channel.unit)
+    if declared is not None and options.unit is not None and not same_unit(declared, options.unit):
         raise InputError(
-            f"{source}: lead {lead} is in '{stated}', --unit says '{given.unit}'; leave the option "
-            "out or correct the file"
+            f"{source}: lead {lead} is in '{declared}', --unit says '{options.unit}'; leave the "
+            "option out or correct the file"
         )
-    unit = stated if stated is not None else given.unit
+    unit = declared if declared is not None else options.unit
     scale = None if unit is None else millivolts(unit)
     if scale is None:
         found = "the file names none" if unit is None else f"'{unit}'"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -10,8 +10,9 @@ from pathlib import Path
 from fascicle.core.errors import InputError
 from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content
 from fascicle.recording.readers.hashes import sha256_of
-from fascicle.recording.readers.raw_recording import Contents, assemble
-from fascicle.recording.readers.read_options import Given
+from fascicle.recording.readers.isolated import read_isolated
+from fascicle.recording.readers.raw_recording import assemble
+from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import Recording
 
 # The module and function that read each kind of file; loaded when used.
@@ -25,6 +26,8 @@ _READERS = {
     "MAT": ("matlab", "read_matlab"),
     "table": ("tables", "read_table"),
 }
+# Kinds whose libraries may crash or never end on damaged files; they run in a child process
+_ISOLATED = ("SCP-ECG", "HDF5", "MAT")
 _KINDS = {
     ".hea": "WFDB", ".dcm": "DICOM", ".xml": "XML", ".scp": "SCP-ECG", ".edf": "EDF",
     ".h5": "HDF5", ".hdf5": "HDF5", ".nc": "HDF5", ".mat": "MAT", ".csv": "table",
@@ -77,8 +80,14 @@ def read_recording(
         When the file cannot be used; the message says why and what to do.
     """
     path = _existing_file(Path(path))
-    given = Given(sampling_rate, unit)
-    recording = assemble(_reader(path)(path, given), str(path), given, leads)
+    options = ReadOptions(sampling_rate, unit)
+    kind = _kind_of(path)
+    module, function = _READERS[kind]
+    if kind in _ISOLATED:
+        raw = read_isolated(path, options, module, function)
+    else:
+        raw = getattr(import_module(f"{__package__}.{module}"), function)(path, options)
+    recording = assemble(raw, str(path), options, leads)
     notes = {"source_sha256": sha256_of([path])}
     if leads is not None:
         notes["choice_leads"] = ", ".join(leads)
@@ -103,8 +112,8 @@ def _existing_file(path: Path) -> Path:
     raise InputError(f"{path}: no such file; check the name of the recording")
 
 
-def _reader(path: Path) -> Callable[[Path, Given], Contents]:
-    """Choose by the suffix, or by the first bytes where there is none; both must agree."""
+def _kind_of(path: Path) -> str:
+    """Kind of a file by its suffix, or by its first bytes where it has none; both must agree."""
     suffix, size = path.suffix.lower(), path.stat().st_size
     if not 0 < size <= LARGEST_FILE:
         raise InputError(
@@ -123,8 +132,4 @@ def _reader(path: Path) -> Callable[[Path, Given], Contents]:
     # MATLAB's newer files are HDF5 inside
     if found is not None and found != kind and (found, kind) != ("HDF5", "MAT"):
         raise InputError(f"{path}: its content is {found}, not what its name says; rename it")
-    module, name = _READERS[kind]
-    reader: Callable[[Path, Given], Contents] = getattr(
-        import_module(f"{__package__}.{module}"), name
-    )
-    return reader
+    return kind

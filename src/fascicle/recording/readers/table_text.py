@@ -1,244 +1,235 @@
-"""Text tables: encoding, separator, decimal mark, header and units, found without guessing."""
+"""Text tables: their cells by pandas, their columns by the names in the header."""
 
 from __future__ import annotations
 
-import csv
+import codecs
+import contextlib
 import re
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
+from io import BytesIO
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING
 
-from fascicle.core.errors import InputError
-from fascicle.recording.readers.decimal_marks import Mark, decimal_mark
-from fascicle.recording.readers.names import first_line
+import numpy as np
+from numpy.typing import NDArray
 
-_BLOCK = 2**20  # characters that are looked at together
-_LONGEST_LINE = 2**16  # characters; 256 columns of long names take less
+from fascicle.core.errors import InputError, one_line, printable
+from fascicle.core.leads import LEADS
+from fascicle.recording.readers.metadata import Entry, declared_unit, entry_of
+from fascicle.recording.readers.names import lead_name, millivolts, plain_unit, same_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LARGEST_TABLE = 256 * 2**20  # bytes; 30 min of 12 leads at 1000 Hz take 200 MB
 _MOST_COLUMNS = 256
-_MOST_LINES = 25_000_000  # rows of a lead and a time; the largest file has fewer of twelve leads
-_FIRST_LINES = 1000  # where the header and its first rows must be
-_HEAD = 20  # rows that must agree about the separator
-BLANKS = " "  # stands for runs of blanks as the separator
-_CONTROL = re.compile("[\x00-\x08\x0e-\x1f\x7f]")
-_NUMBER = re.compile(r"[+-]?[.,]?\d.*", re.DOTALL)
-_SEPARATOR_LINE = re.compile(r'"?sep=(?P<separator>[;,\t|])"?', re.IGNORECASE)  # written by Excel
-_SHOWN, _SHOWN_COLUMNS = 30, 4  # characters of a cell, and columns, in a message
+_SEPARATORS = "\t;,"  # the first of them in the header separates the cells
+_COMMENT = re.compile(r"^[ \t]*#+[ \t]*(.*)$", re.MULTILINE)
+_DECLARATION = re.compile(r"([\w -]{1,40}?)\s*[:=]\s*(\S.{0,40}?)\s*")  # "fs: 500"
+_BRACKETS = re.compile(r"(?P<name>.+?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]")  # "V1 [uV]"
+_TAIL = re.compile(r"(?P<name>.+?)(?:[_ ]in[_ ]|[_ ]|\s*/\s*)(?P<unit>[^_ /]+)")  # "V1_uV", "V1/uV"
+_RHYTHM = re.compile(
+    r"[\s_(.-]*(?<![a-z])(?:rhythm(?:[\s_]strip)?|long)(?![a-z])\)?[\s_.-]*", re.IGNORECASE
+)
+_LONGEST_NAME = 100  # characters; bounds what matching takes
+_RENAMED = re.compile(r"(?P<name>.+)\.\d+")  # how pandas renames a column that is there twice
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_OWN_HEADER = ["time_ms", *LEADS]  # what this package writes, in mV
+_PER_SECOND = (
+    dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
+    | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
+    | dict.fromkeys(("us", "microsecond", "microseconds"), 1e6)
+)
 
 
 @dataclass(frozen=True)
-class TextTable:
-    """What must be known of a text table to read its cells.
+class Column:
+    """A column: its name and the unit in it, as in the file, and the lead that it holds, if any.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    encoding, separator, quote, decimal : str
-        As Python and pandas name them; the separator is a blank for runs of blanks.
-    names : tuple of str
-        Cells of the header.
-    units : tuple of str
-        Cells of the row of units under the header, as many as names; empty where there is none.
-    remarks : tuple of str
-        Lines that begin with ``#`` before the first row.
-    first_row : int
-        Lines of the file before the first row of samples.
-    rows : int
-        Rows of samples.
-    remarks_between : bool
-        Whether lines that begin with ``#`` follow the first row.
+    `quantity` is the name without the unit, in small letters with blanks for underscores; `rhythm`
+    says that the name is that of a rhythm strip, which may repeat a lead.
     """
 
-    path: Path
-    encoding: str
-    separator: str
-    quote: str
-    decimal: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    remarks: tuple[str, ...]
-    first_row: int
-    rows: int
-    remarks_between: bool
+    name: str
+    quantity: str
+    unit: str | None
+    lead: str | None
+    rhythm: bool
 
     @property
-    def columns_shown(self) -> str:
+    def per_second(self) -> float | None:
+        """How many of the column's units are a second; None where it has no unit of time."""
+        return _PER_SECOND.get(plain_unit(self.quantity if self.unit is None else self.unit))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a table, whose columns are named by their places, and what its comments declare."""
+
+    path: Path
+    frame: pd.DataFrame
+    columns: Sequence[Column]
+    metadata: Sequence[Entry]
+
+    @property
+    def shown(self) -> str:
         """The first columns' names, for messages."""
-        first = ", ".join(shown(name) for name in self.names[:_SHOWN_COLUMNS])
-        return first + " ..." * (len(self.names) > _SHOWN_COLUMNS)
+        first = ", ".join(f"'{printable(column.name[:30])}'" for column in self.columns[:4])
+        return first + " ..." * (len(self.columns) > 4)
+
+    def cells(self, column: Column) -> pd.Series:
+        """Cells of a column as they are."""
+        return self.frame[self.columns.index(column)]
+
+    def unit_of(self, column: Column) -> str | None:
+        """Unit of a lead, which its header and the comments must agree about."""
+        commented = declared_unit(self.metadata, self.path, column.name)
+        own = [column.name for column in self.columns] == _OWN_HEADER
+        unit = "mV" if own else column.unit
+        if unit is not None and commented is not None and not same_unit(unit, commented):
+            raise InputError(
+                f"{self.path}: column '{printable(column.name)}' is in '{printable(unit)}', a "
+                f"comment says '{commented}'; correct the wrong one"
+            )
+        return commented if unit is None else unit
+
+    def numbers(self, column: Column) -> NDArray[np.float64]:
+        """Cells of a column as numbers (n,); empty cells are NaN."""
+        import pandas as pd
+
+        cells = self.cells(column)
+        if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
+            values = cells.to_numpy(dtype=np.float64)
+        else:  # not by pandas' own conversion, which crashes as its reader does, see `_parsed`
+            texts = cells.astype(str).str.strip()
+            values = np.array([float(t) if _NUMBER.fullmatch(t) else np.nan for t in texts])
+        wrong = ~np.isfinite(values) & cells.notna().to_numpy()
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            raise InputError(
+                f"{self.path}: column '{printable(column.name)}' holds "
+                f"'{printable(str(cells.iloc[first])[:40])}' in row {first + 1} of samples; every "
+                "cell must be a number, all with the same decimal mark, or empty"
+            )
+        return np.asarray(values)
 
 
-def shown(text: str) -> str:
-    """Quote text of a file for a message: one line, not long."""
-    return repr(text if len(text) <= _SHOWN else f"{text[: _SHOWN - 4]} ...")
-
-
-def open_table(path: Path) -> TextTable:
-    """Find out how a table is written; the whole file is looked at, in bounded memory.
+def open_table(path: Path) -> Table:
+    """Read a table of the schema in ``docs/recordings.md``.
 
     Parameters
     ----------
     path : Path
-        Text with cells separated by tabs, semicolons, commas or blanks; the first line that is not
-        empty and does not begin with ``#`` names the columns.
+        Text with cells separated by tabs, semicolons or commas; lines that begin with ``#`` are
+        comments, the first other line names the columns. Numbers may have decimal commas where no
+        comma separates cells.
 
     Raises
     ------
     InputError
-        When the file is no text or no table, or what its commas mean cannot be told.
+        When the file is no such table.
     """
-    try:
-        encoding = _encoding(path)
-        with path.open(encoding=encoding) as file:
-            return _open(path, encoding, file)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({first_line(error)})") from error
+    if path.stat().st_size > LARGEST_TABLE:
+        raise InputError(
+            f"{path}: tables of more than {LARGEST_TABLE / 2**20:.0f} MB are not read; cut the "
+            "recording, 10 s are enough"
+        )
+    text = _text(path)
+    comments = _COMMENT.findall(text)
+    text = _COMMENT.sub("", text)
+    header = text.lstrip("\n").partition("\n")[0]
+    separator = next((mark for mark in _SEPARATORS if mark in header), None)
+    if separator is None or header.count(separator) > _MOST_COLUMNS:
+        raise InputError(
+            f"{path}: no table of samples (its first line is '{printable(header[:40])}'); the "
+            "first line must name the columns, separated by commas, semicolons or tabs, such as "
+            "time_ms,I_mV,II_mV"
+        )
+    frame, columns = _parsed(path, text, separator, ".")
+    if separator != "," and _not_numeric(frame, columns):
+        with_commas, _ = _parsed(path, text, separator, ",")
+        if _not_numeric(with_commas, columns) < _not_numeric(frame, columns):
+            frame = with_commas
+    declared = [match for line in comments if (match := _DECLARATION.fullmatch(line.strip()))]
+    metadata = [entry for match in declared if (entry := entry_of(match[1], match[2])) is not None]
+    return Table(path, frame, columns, metadata)
 
 
-def _open(path: Path, encoding: str, file: TextIO) -> TextTable:
-    numbered = enumerate((line.strip("\r\n") for line in file), start=1)
-    said = ""
-    remarks: list[str] = []
-    head: list[tuple[int, str]] = []
-    for number, line in numbered:
-        if line.lstrip().startswith("#"):
-            remarks.append(line.strip())
-        elif not head and (match := _SEPARATOR_LINE.fullmatch(line.strip(" "))):
-            said = match["separator"]
-        elif line.strip():
-            head.append((number, line))
-        if len(head) > _HEAD or number >= _FIRST_LINES:
-            break
-    quote = "'" if head and head[0][1].lstrip().startswith("'") else '"'
-    separator = _separator(path, [line for _, line in head], quote, said)
-    names = _trimmed(_cells(head[0][1], separator, quote))
-    under = _cells(head[1][1], separator, quote)
-    has_units = any(under) and not any(_is_number(cell) for cell in under)
-    first_row = head[1][0] if has_units else head[1][0] - 1
-    file.seek(0)
-    rows = islice(enumerate(file, start=1), first_row, None)
-    count, decimal, between = _survey(path, rows, separator, quote, len(names))
-    return TextTable(
-        path, encoding, separator, quote, decimal, tuple(names),
-        tuple(under[: len(names)]) if has_units else ("",) * len(names),
-        tuple(remarks), first_row, count, between,
-    )  # fmt: skip
-
-
-def _encoding(path: Path) -> str:
-    """Tell the encoding; refuse what is no text or has lines without end."""
-    with path.open("rb") as file:
-        mark = file.read(2)
-    wide = mark in (b"\xff\xfe", b"\xfe\xff")
-    # every byte is latin-1, whose letter µ is known
+def _text(path: Path) -> str:
+    """Return the text of a file, with line ends that pandas and regular expressions know."""
+    content, text = path.read_bytes(), ""
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # "Unicode" of Excel
+    # every byte is latin-1, whose letter µ is where Windows has it
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
-        try:
-            _check_text(path, encoding)
-        except UnicodeDecodeError:
-            continue
-        return encoding
-    raise InputError(f"{path}: not readable as text in UTF-16; save the table as text in UTF-8")
+        with contextlib.suppress(UnicodeDecodeError):
+            text = content.decode(encoding)
+            break
+    if not text or "\0" in text:
+        raise InputError(f"{path}: no text in UTF-8; save the table as CSV text in UTF-8")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _check_text(path: Path, encoding: str) -> None:
-    line = 0  # characters since the last line end
-    lines = 0
-    with path.open(encoding=encoding) as file:
-        while block := file.read(_BLOCK):
-            if match := _CONTROL.search(block):
-                raise InputError(
-                    f"{path}: no text table (holds the byte {ord(match[0])}); save the recording "
-                    "as CSV text in UTF-8"
-                )
-            lengths = [len(part) for part in block.split("\n")]
-            lengths[0] += line
-            line = lengths[-1]
-            lines += len(lengths) - 1
-            if max(lengths) > _LONGEST_LINE:
-                raise InputError(
-                    f"{path}: no table of samples (a line has more than {_LONGEST_LINE} "
-                    "characters); save one row per sample and one column per lead"
-                )
-            if lines > _MOST_LINES:
-                raise InputError(
-                    f"{path}: more than {_MOST_LINES} lines; cut the recording, 10 s are enough"
-                )
+def _parsed(
+    path: Path, text: str, separator: str, decimal: str
+) -> tuple[pd.DataFrame, list[Column]]:
+    """Return the cells, by the places of their columns, and the columns."""
+    import pandas as pd
 
-
-def _separator(path: Path, head: Sequence[str], quote: str, said: str) -> str:
-    """Return the separator by which the header and the first rows have equally many cells."""
-    if len(head) < 2:
-        raise InputError(
-            f"{path}: no row of samples in its first {_FIRST_LINES} lines; give a table with a "
-            "time column and one column per lead"
-        )
-    widths: dict[str, tuple[int, int]] = {}
-    for separator in [said] if said else ["\t", ";", ",", BLANKS]:
-        width = len(_trimmed(_cells(head[0], separator, quote)))
-        for line in head[1:]:
-            cells = _cells(line, separator, quote)
-            if len(cells) < width or any(cells[width:]):
-                widths[separator] = width, len(cells)
-                break
-        else:
-            if 2 <= width <= _MOST_COLUMNS:
-                return separator
-            widths[separator] = width, width
-    columns, found = max(widths.values())
-    if columns < 2 or columns > _MOST_COLUMNS or columns == found:
-        raise InputError(
-            f"{path}: no table of samples (its first line is {shown(head[0].strip())}); the first "
-            "line must name the columns, such as time_ms,I_mV,II_mV"
-        )
-    raise InputError(
-        f"{path}: header has {columns} cells, a row under it {found}; give all rows the cells of "
-        "the header, and separate numbers with decimal commas by semicolons"
-    )
-
-
-def _cells(line: str, separator: str, quote: str) -> list[str]:
-    """Split a line, with quotes and blanks around the cells taken away."""
-    if separator == BLANKS:
-        line = " ".join(line.split())
-    reader = csv.reader([line], delimiter=separator, quotechar=quote, skipinitialspace=True)
-    return [" ".join(cell.split()) for cell in next(reader, [])]
-
-
-def _trimmed(cells: list[str]) -> list[str]:
-    """Leave out empty cells at the end: some exporters end lines with a separator."""
-    while cells and not cells[-1]:
-        cells = cells[:-1]
-    return cells
-
-
-def _is_number(cell: str) -> bool:
-    return _NUMBER.fullmatch(cell.strip("'\"[")) is not None or cell.lower() in ("nan", "na")
-
-
-def _survey(
-    path: Path, rows: Iterator[tuple[int, str]], separator: str, quote: str, width: int
-) -> tuple[int, str, bool]:
-    """Count the rows, refuse too long ones, and tell the decimal mark and remarks between."""
-    marks = [Mark(mark) for mark in ".," if mark != separator]
-    count, remarks_between = 0, False
-    blanks = "\r\n " if separator == "\t" else "\r\n\t "
-    for number, line in rows:
-        text = line.strip(blanks)
-        if not text:
-            continue
-        if text[0] == "#":
-            remarks_between = True
-            continue
-        count += 1
-        cells = text.split() if separator == BLANKS else text.split(separator)
-        if len(cells) > width and any(_cells(text, separator, quote)[width:]):
-            raise InputError(
-                f"{path}: line {number} has more cells than the header, which has {width}; give "
-                "all rows the cells of the header, and separate numbers with decimal commas by "
-                "semicolons"
+    try:
+        with warnings.catch_warnings():
+            # cells beyond those of the header are not dropped
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            frame = pd.read_csv(
+                BytesIO(text.encode()),
+                sep=separator,
+                decimal=decimal,
+                index_col=False,
+                skipinitialspace=True,
+                low_memory=False,
+                # the other ways crash at 1e4000000000000001 (pandas issue 63089)
+                float_precision="round_trip",
             )
-        for mark in marks:
-            mark.look(text)
-    return count, decimal_mark(path, marks, separator), remarks_between
+    except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
+        raise InputError(
+            f"{path}: not a readable table ({one_line(error)}); give every row the cells of the "
+            "header, and separate numbers with decimal commas by semicolons"
+        ) from error
+    for _, cells in frame.select_dtypes(object).items():
+        if cells.astype(str).str.contains("\n", regex=False).any():
+            raise InputError(f"{path}: a quotation mark is not closed in its line; remove it")
+    names = [str(name) for name in frame.columns]
+    frame.columns = range(len(names))
+    return frame, [_column(name, names) for name in names]
+
+
+def _not_numeric(frame: pd.DataFrame, columns: Sequence[Column]) -> int:
+    """Count the leads, times and values whose cells are not all numbers."""
+    numeric = set(frame.select_dtypes("number").columns)
+    return len({k for k, column in enumerate(columns) if column.lead or column.unit} - numeric)
+
+
+def _column(spelt: str, names: Sequence[str]) -> Column:
+    """Tell what a column holds from its name."""
+    renamed = _RENAMED.fullmatch(spelt[:_LONGEST_NAME])
+    name = (renamed["name"] if renamed and renamed["name"] in names else spelt).strip()
+    unit = None
+    lead, rhythm = lead_or_rhythm(name)
+    if lead is None and len(name) <= _LONGEST_NAME:  # "V1 (Wilson)" has no unit
+        match = _BRACKETS.fullmatch(name) or _TAIL.fullmatch(name)
+        known = match is not None and (
+            millivolts(match["unit"]) is not None or plain_unit(match["unit"]) in _PER_SECOND
+        )
+        if match is not None and (known or match[0].endswith(("]", ")"))):
+            name, unit = match["name"], match["unit"]
+            lead, rhythm = lead_or_rhythm(name)
+    return Column(spelt, name.lower().replace("_", " "), unit, lead, rhythm)
+
+
+def lead_or_rhythm(name: str) -> tuple[str | None, bool]:
+    """Return the lead that a name stands for, and whether as a rhythm strip."""
+    if len(name) > _LONGEST_NAME:
+        return None, False
+    rest, found = _RHYTHM.subn("", name, count=1)
+    return (lead_name(rest), True) if found else (lead_name(name), False)

@@ -1,8 +1,13 @@
-"""WFDB records (PhysioNet): a .hea header and its signal files."""
+"""WFDB records (PhysioNet): a .hea header and its signal files.
+
+wfdb-python takes from a header what it understands and fills in the rest: a rate of -500 becomes
+250 Hz, a gain of 0 becomes 200 per mV, a unit of µV becomes V. So headers are checked here first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,34 +16,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.declared import agreed_rate
-from fascicle.recording.readers.names import first_line, lead_name, millivolts
-from fascicle.recording.readers.raw_recording import Channel, Contents
-from fascicle.recording.readers.read_options import Given
-from fascicle.recording.readers.wfdb_files import (
-    Part,
-    check_files,
-    check_lengths,
-    frames_in,
-    hash_note,
-)
-from fascicle.recording.readers.wfdb_header import FLAC_FORMATS, Header, SignalLine, read_header
+from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.hashes import sha256_of
+from fascicle.recording.readers.names import lead_name, millivolts
+from fascicle.recording.readers.raw_recording import Channel, RawRecording
+from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import CHECKSUMS_AGREE, check_extent
+
+# Bytes that a sample takes in each signal format (signal(5) of the WFDB applications guide), at
+# least; in FLAC formats (500 and above) only the library can tell
+_BYTES = {
+    "8": 1, "16": 2, "24": 3, "32": 4, "61": 2, "80": 1, "160": 2, "212": 3 / 2, "310": 4 / 3,
+    "311": 4 / 3, "508": 0, "516": 0, "524": 0,
+}  # fmt: skip
+_LARGEST_HEADER = 2**20  # bytes
+_MOST_SAMPLES = 2**27  # of all signals together; 1 GB as float64
+# Fields of header(5); names of files are within the folder of the header
+_FIRST = re.compile(
+    r"[-\w]{1,200}(/(?P<segments>\d{1,3}))?\s+(?P<signals>\d{1,4})"
+    r"(\s+(?P<rate>\d{1,9}\.?\d*|\.\d+)(/-?[\d.]+)?(\(-?[\d.]+\))?"
+    r"(\s+(?P<frames>\d{1,12})(\s.*)?)?)?",
+    re.ASCII,
+)
+_SIGNAL = re.compile(
+    r"(?P<file>~|[-\w]{0,200}\.?\w{1,40})\s+(?P<format>\d+)(x(?P<per_frame>[1-9]\d{0,5}))?"
+    r"(:(?P<skew>\d{1,9}))?(\+(?P<offset>\d{1,9}))?(\s+(?P<gain>\S+))?(\s.*)?",
+    re.ASCII,
+)
+_GAIN = re.compile(
+    r"(?P<gain>-?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?)(\(-?\d+\))?(/(?P<unit>[\w^\-?%/]+))?", re.ASCII
+)
+_SEGMENT = re.compile(r"(?P<name>[-\w]{1,200}|~)\s+(?P<frames>\d{1,12})", re.ASCII)
+_MICROVOLT = re.compile("/[\u00b5\u03bc]V")  # micro sign or Greek mu
+_TOO_MANY_DIGITS = re.compile(r"(?<![.\d])\d{13}")  # wfdb takes numbers of any length
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """What a header says about how one signal is stored, and its unit."""
+
+    file: str
+    format: str
+    per_frame: int
+    skew: int
+    offset: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class _Header:
+    """A header; `rate` (frames/s) and `frames` are None where it does not say them.
+
+    A record holds either signals or, by name and length in frames, segments. `source` is what
+    messages begin with.
+    """
+
+    path: Path
+    source: str
+    rate: float | None
+    frames: int | None
+    signals: Sequence[_Stored] = ()
+    segments: Sequence[tuple[str, int]] = ()
+
+    @property
+    def files(self) -> set[str]:
+        return {signal.file for signal in self.signals}
 
 
 @dataclass(frozen=True)
 class _Signal:
-    """One signal of a part: values in `unit`, `per_frame` of them in each frame."""
+    """One signal: values in `unit`, `per_frame` of them in each frame."""
 
     name: str
     unit: str
     values: NDArray[np.float64]
     per_frame: int
     gain: float
-    sum_agrees: bool | None
+    checksum_agrees: bool | None
 
 
-def read_wfdb(path: Path, given: Given) -> Contents:
+def read_wfdb(path: Path, options: ReadOptions) -> RawRecording:
     """Read a record of one or several segments from its ``.hea`` header.
 
     Samples that a segment lacks, and those that are marked invalid, are NaN. Skewed signals are
@@ -49,14 +106,14 @@ def read_wfdb(path: Path, given: Given) -> Contents:
     ----------
     path : path
         The header; its signal files and segments are in the same folder.
-    given : Given
+    options : ReadOptions
         What the user says; it must agree with the header. Its sampling rate serves where the
         header has none, which by the standard means 250 Hz.
 
     Returns
     -------
-    Contents
-        All signals. Checksums that disagree are told in the notes: many converters write wrong
+    RawRecording
+        All signals. Checksums that disagree are in the provenance: many converters write wrong
         ones.
 
     Raises
@@ -73,105 +130,204 @@ def read_wfdb(path: Path, given: Given) -> Contents:
     if "::" in str(path.absolute()) or path.suffix != ".hea":
         # fsspec, which wfdb opens files with, takes what is joined by :: for addresses
         raise InputError(f"{source}: rename it so that the name ends in .hea and has no '::'")
-    header = read_header(path, source)
+    header = _read_header(path, source)
     # by the standard a header without a rate means 250 Hz, but most such headers lost theirs
-    rate = header.rate if header.rate is not None else agreed_rate(path, None, given)
-    parts = _segments(path, header, rate) if header.segments else [_single(path, header, source)]
-    check_lengths(parts, rate, source)
-    for part in parts:
-        check_files(part)
-    signals, frames = _joined([_read(part) for part in parts], parts, source)
+    rate = header.rate if header.rate is not None else options.agreed_rate(path, None)
+    parts = _segments(header, rate) if header.segments else [header]
+    lengths = [_checked_frames(part) for part in parts]
+    per_frame = [[s.per_frame for s in part.signals] for part in parts]
+    most = max(max(counts, default=0) for counts in per_frame)
+    if most == 0:
+        raise InputError(f"{source}: its segments have no signals; give a record that has some")
+    check_extent(sum(lengths) * most, rate * most, source)
+    if sum(lengths) * max(map(sum, per_frame)) > _MOST_SAMPLES:
+        raise InputError(f"{source}: more than {_MOST_SAMPLES} samples; cut it, 10 s are enough")
+    frames = sum(lengths) - max((stored.skew for stored in parts[-1].signals), default=0)
+    signals = _joined([_read(part) for part in parts], lengths, frames, source)
     leads_per_frame = max((s.per_frame for s in signals if lead_name(s.name)), default=1)
-    check_extent(frames * leads_per_frame, rate * leads_per_frame, source)
-    rate = agreed_rate(path, rate * leads_per_frame, given)
-    notes = _checksum_note(signals) | hash_note(path, header, parts)
-    return Contents([_channel(s) for s in signals], rate, "WFDB", notes=notes)
+    rate = options.agreed_rate(path, rate * leads_per_frame)
+    names = {name for part in parts for name in part.files}
+    names |= {part.path.name for part in parts if part.signals} if header.segments else set()
+    provenance = _checksums(signals) | {
+        "signal_files": ", ".join(sorted(names)),
+        "signal_sha256": sha256_of([path.with_name(name) for name in sorted(names)]),
+    }
+    return RawRecording([_channel(s) for s in signals], rate, "WFDB", provenance=provenance)
 
 
-def _single(path: Path, header: Header, source: str) -> Part:
-    if header.frames is not None:
-        return Part(path, header, header.frames, source)
-    if header.signals[0].format in FLAC_FORMATS:
+def _read_header(path: Path, source: str) -> _Header:
+    """Read a header and check the fields that bear on the samples."""
+    lines = _lines(path, source)
+    first = _FIRST.fullmatch(lines[0]) if lines else None
+    if first is None or (first["rate"] and float(first["rate"]) == 0):
         raise InputError(
-            f"{source}: number of samples is absent, but FLAC needs it; write it as the fourth "
-            "field of the first line, such as 5000"
+            f"{source}: not a readable WFDB header (first line {_quoted(lines[0] if lines else '')}"
+            "); it must give the name of the record, in letters, digits, - and _, the number of "
+            "signals, the sampling rate in Hz and the number of samples, such as rec 12 500 5000"
         )
-    frames = frames_in(path, header, header.files[0], source)
-    if frames == 0:
-        raise InputError(f"{source}: its signal file {header.files[0]} is empty; download it again")
-    return Part(path, header, frames, source)
+    rate = float(first["rate"]) if first["rate"] else None
+    frames = int(first["frames"]) if first["frames"] else None
+    what = "signals" if first["segments"] is None else "segments"
+    count = int(first[what])
+    if count == 0 or frames == 0:
+        raise InputError(
+            f"{source}: header without data ({count} {what} of {frames or 0} samples); give a "
+            "record that has signals"
+        )
+    if len(lines) != 1 + count:
+        raise InputError(
+            f"{source}: its first line says {count} {what}, but {len(lines) - 1} lines follow; "
+            "download or export the record again"
+        )
+    if what == "signals":
+        signals = [_signal(line, k, source) for k, line in enumerate(lines[1:], start=1)]
+        return _Header(path, source, rate, frames, signals)
+    segments = []
+    for number, line in enumerate(lines[1:], start=1):
+        if (segment := _SEGMENT.fullmatch(line)) is None:
+            raise InputError(
+                f"{source}: segment {number} is {_quoted(line)}; its line must hold the name of a "
+                "record in the same folder and its length"
+            )
+        segments.append((segment["name"], int(segment["frames"])))
+    return _Header(path, source, rate, frames, segments=segments)
 
 
-def _segments(path: Path, header: Header, rate: float) -> list[Part]:
+def _lines(path: Path, source: str) -> list[str]:
+    """Return the lines that are no comments, in ASCII; wfdb drops what is not, as in µV."""
+    content = path.read_bytes() if path.stat().st_size <= _LARGEST_HEADER else b""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    text = _MICROVOLT.sub("/uV", text).encode("ascii", "replace").decode("ascii")
+    lines = [line.strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith("#")]
+    for line in lines:
+        if any(map(_TOO_MANY_DIGITS.search, line.split()[1:8])):
+            raise InputError(
+                f"{source}: not a readable WFDB header (line {_quoted(line)}); download or export "
+                "the record again"
+            )
+    return lines
+
+
+def _quoted(text: str) -> str:
+    """Return the beginning of a text in quotes, fit for a message."""
+    return f"'{printable(text[:40])}'"
+
+
+def _signal(line: str, number: int, source: str) -> _Stored:
+    """Read what matters of a signal line; its other fields and its name are wfdb's to read."""
+    match = _SIGNAL.fullmatch(line)
+    if match is None or match["format"] not in _BYTES:
+        raise InputError(
+            f"{source}: signal {number} is {_quoted(line)}; its line must begin with a file in the "
+            "folder of the header, named in letters, digits, - and _ with one dot at most, and a "
+            f"signal format of {', '.join(_BYTES)}"
+        )
+    gain = _GAIN.fullmatch(match["gain"] or "")
+    # by the standard, without a gain or with 0 a signal is not calibrated
+    if gain is None or float(gain["gain"]) == 0:
+        raise InputError(
+            f"{source}: unknown unit, the gain of signal {number} is "
+            f"{_quoted(match['gain'] or 'absent')}; write the digits per mV as the third field of "
+            "its line, such as 1000/mV"
+        )
+    return _Stored(
+        file=match["file"],
+        format=match["format"],
+        per_frame=int(match["per_frame"] or 1),
+        skew=int(match["skew"] or 0),
+        offset=int(match["offset"] or 0),
+        unit=gain["unit"] or "mV",
+    )
+
+
+def _segments(header: _Header, rate: float) -> list[_Header]:
     """Return the segments; gaps, and a layout, which has no samples, have no signals."""
     parts = []
     for name, frames in header.segments:
-        source = f"{path}: segment {name}"
-        segment = Header(None, frames, ())
-        file = path.with_name(f"{name}.hea")
+        source = f"{header.path}: segment {name}"
+        file = header.path.with_name(f"{name}.hea")
+        part = _Header(file, source, None, frames)
         if name != "~" and frames > 0:
             if not file.is_file():
                 raise InputError(f"{source} has no header; put {file.name} in the same folder")
-            segment = read_header(file, source)
-            _check_segment(segment, frames, rate, source)
-        parts.append(Part(file, segment, frames, source))
-    total = sum(part.frames for part in parts)
-    if header.frames is not None and header.frames != total:
+            part = _read_header(file, source)
+            if part.segments:
+                raise InputError(f"{source} consists of segments itself; give that record")
+            if part.rate not in (None, rate) or part.frames != frames:
+                raise InputError(
+                    f"{source} has {part.frames} samples at {part.rate or rate:g} Hz, the record "
+                    f"expects {frames} at {rate:g} Hz; download or export it again"
+                )
+        parts.append(part)
+    total = sum(frames for _, frames in header.segments)
+    if header.frames not in (None, total):
         raise InputError(
-            f"{path}: its segments hold {total} samples, its first line says {header.frames}; "
-            "download or export the record again"
+            f"{header.path}: its segments hold {total} samples, its first line says "
+            f"{header.frames}; download or export the record again"
         )
     return parts
 
 
-def _check_segment(segment: Header, frames: int, rate: float, source: str) -> None:
-    if segment.segments:
-        raise InputError(f"{source} consists of segments itself; give that record")
-    if segment.rate is not None and segment.rate != rate:
-        raise InputError(
-            f"{source} is sampled at {segment.rate:g} Hz, the record at {rate:g} Hz; give one "
-            "segment"
-        )
-    if segment.frames != frames:
-        found = "an unstated number of" if segment.frames is None else segment.frames
-        raise InputError(
-            f"{source} has {found} samples, the record expects {frames}; download or export it "
-            "again"
-        )
+def _checked_frames(part: _Header) -> int:
+    """Return the length of a part; refuse signal files that are missing or shorter than it."""
+    frames = part.frames
+    for name in sorted(part.files):
+        file, signals = part.path.with_name(name), [s for s in part.signals if s.file == name]
+        if not file.is_file():
+            raise InputError(
+                f"{part.source}: its signal file {name} is missing; put it in the same folder"
+            )
+        if len({(s.format, s.offset) for s in signals}) > 1:
+            raise InputError(
+                f"{part.source}: the signals of {name} have different formats or offsets; export "
+                "the record again"
+            )
+        size = sum(s.per_frame * _BYTES[s.format] for s in signals)
+        if frames is None and not size:
+            raise InputError(
+                f"{part.source}: number of samples is absent, but FLAC needs it; write it as the "
+                "fourth field of the first line, such as 5000"
+            )
+        found = int((file.stat().st_size - signals[0].offset) / size) if size else int(frames or 0)
+        frames = found if frames is None else frames
+        if found < max(frames, 1):
+            raise InputError(
+                f"{part.source}: its signal file {name} is truncated or empty: {frames} samples of "
+                f"each signal are expected, {found} found; download it again"
+            )
+    skew = max((signal.skew for signal in part.signals), default=0)
+    if frames is None or skew >= frames > 0:
+        raise InputError(f"{part.source}: a signal is skewed by {skew} samples; export it again")
+    return frames
 
 
-def _read(part: Part) -> list[_Signal]:
+def _read(part: _Header) -> list[_Signal]:
     """Read the signals of a part and align them; what skew leaves over at the end is NaN."""
     import wfdb
 
-    if not part.header.signals:
+    if not part.signals:
         return []
-    try:
+    with refuse_damaged(part.source, "WFDB"):
         record = wfdb.rdrecord(
-            str(part.path.absolute().with_suffix("")),
-            smooth_frames=False,
-            ignore_skew=True,
+            str(part.path.absolute().with_suffix("")), smooth_frames=False, ignore_skew=True
         )
-    except (ValueError, OSError, OverflowError, RuntimeError) as error:
-        found = printable(first_line(error))
-        raise InputError(
-            f"{part.source}: its header or signal files are damaged ({found}); download or export "
-            "the record again"
-        ) from error
-    return [
-        _Signal(
-            name=printable(record.sig_name[k] or f"signal {k + 1}"),
-            unit=line.unit,
-            values=_aligned(record.e_p_signal[k], line),
-            per_frame=line.per_frame,
-            gain=record.adc_gain[k],
-            sum_agrees=_sum_agrees(record, k),
+    signals = []
+    for k, stored in enumerate(part.signals):
+        skew = stored.skew * stored.per_frame
+        values = np.concatenate([record.e_p_signal[k][skew:], np.full(skew, np.nan)])
+        name = printable(record.sig_name[k] or f"signal {k + 1}")
+        agrees = _checksum_agrees(record, k)
+        signals.append(
+            _Signal(name, stored.unit, values, stored.per_frame, record.adc_gain[k], agrees)
         )
-        for k, line in enumerate(part.header.signals)
-    ]
+    return signals
 
 
-def _sum_agrees(record: Any, k: int) -> bool | None:
+def _checksum_agrees(record: Any, k: int) -> bool | None:
     """Hold the checksum of a signal against its digits; None where there is none.
 
     The checksum is the sum of all digits modulo 2^16 (header(5)). Writers that do not compute it
@@ -183,53 +339,39 @@ def _sum_agrees(record: Any, k: int) -> bool | None:
     return bool((int(digits.sum()) - record.checksum[k]) % 2**16 == 0)
 
 
-def _aligned(values: NDArray[np.float64], line: SignalLine) -> NDArray[np.float64]:
-    skew = line.skew * line.per_frame
-    return np.concatenate([values[skew:], np.full(skew, np.nan)])
-
-
 def _joined(
-    signals: Sequence[Sequence[_Signal]], parts: Sequence[Part], source: str
-) -> tuple[list[_Signal], int]:
-    """Put segments one after another by the names of their signals, and count the frames left."""
-    frames = sum(part.frames for part in parts) - max(
-        (line.skew for line in parts[-1].header.signals), default=0
-    )
+    parts: Sequence[Sequence[_Signal]], lengths: Sequence[int], frames: int, source: str
+) -> list[_Signal]:
+    """Put segments one after another by the names of their signals; NaN where there is none."""
     if len(parts) == 1:
-        whole = {str(k): [(0, signal)] for k, signal in enumerate(signals[0])}
-    else:
-        whole = {}
-        starts = np.cumsum([0, *(part.frames for part in parts)])
-        for start, part, found in zip(starts, parts, signals, strict=False):
-            if len({signal.name for signal in found}) != len(found):
-                raise InputError(f"{part.source} has signals of the same name; rename them")
-            for signal in found:
-                whole.setdefault(signal.name, []).append((int(start), signal))
-    return [_whole(pieces, frames, source) for pieces in whole.values()], frames
+        return [_whole([(0, signal)], frames) for signal in parts[0]]
+    pieces: dict[str, list[tuple[int, _Signal]]] = {}
+    for start, signals in zip(np.cumsum([0, *lengths]), parts, strict=False):
+        for signal in signals:
+            same = pieces.setdefault(signal.name, [])
+            first = same[0][1] if same else signal
+            if (first.unit, first.per_frame) != (signal.unit, signal.per_frame) or (
+                same and same[-1][0] == start
+            ):
+                raise InputError(
+                    f"{source}: signal {signal.name} is there twice, or differs in unit or rate "
+                    "between segments; give one segment"
+                )
+            same.append((int(start), signal))
+    return [_whole(same, frames) for same in pieces.values()]
 
 
-def _whole(pieces: Sequence[tuple[int, _Signal]], frames: int, source: str) -> _Signal:
-    """Make one signal of its pieces, which start at given frames; NaN where there is none."""
+def _whole(pieces: Sequence[tuple[int, _Signal]], frames: int) -> _Signal:
+    """Make one signal of its pieces, which start at given frames."""
     first = pieces[0][1]
-    if len({(signal.unit, signal.per_frame) for _, signal in pieces}) > 1:
-        raise InputError(
-            f"{source}: signal {first.name} differs in unit or rate between segments; give one "
-            "segment"
-        )
     values = np.full(frames * first.per_frame, np.nan)
     for start, signal in pieces:
         place = values[start * first.per_frame :][: len(signal.values)]
         place[:] = signal.values[: len(place)]
-    gains = {signal.gain for _, signal in pieces}
-    sums = {signal.sum_agrees for _, signal in pieces}
-    return _Signal(
-        name=first.name,
-        unit=first.unit,
-        values=values,
-        per_frame=first.per_frame,
-        gain=gains.pop() if len(gains) == 1 else np.nan,
-        sum_agrees=False if False in sums else (True if True in sums else None),
-    )
+    gain = first.gain if len({signal.gain for _, signal in pieces}) == 1 else np.nan
+    known = [s.checksum_agrees for _, s in pieces if s.checksum_agrees is not None]
+    agrees = all(known) if known else None
+    return _Signal(first.name, first.unit, values, first.per_frame, gain, agrees)
 
 
 def _channel(signal: _Signal) -> Channel:
@@ -238,9 +380,10 @@ def _channel(signal: _Signal) -> Channel:
     return Channel(signal.name, signal.values, signal.unit, digits_per_millivolt=gain)
 
 
-def _checksum_note(signals: Iterable[_Signal]) -> dict[str, str]:
-    known = [signal for signal in signals if signal.sum_agrees is not None]
-    wrong = [signal.name for signal in known if not signal.sum_agrees]
+def _checksums(signals: Sequence[_Signal]) -> dict[str, str]:
+    """Say whether the checksums agree with the samples, where there are any."""
+    known = [signal for signal in signals if signal.checksum_agrees is not None]
+    wrong = [signal.name for signal in known if not signal.checksum_agrees]
     if not known:
         return {}
     return {"checksums": f"differ for {', '.join(wrong)}" if wrong else CHECKSUMS_AGREE}
