@@ -33,23 +33,6 @@ def read_xml(path: Path, options: ReadOptions) -> RawRecording:
     Every value is ``scale * digit + origin`` with the scale and the unit that the file states.
     A file without a scale is refused whatever the user says its unit is.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its root element decides which of the two it is.
-    options : ReadOptions
-        What the user says; its unit serves later, where a file states a scale without a unit.
-
-    Returns
-    -------
-    RawRecording
-        Leads with the unit as the file spells it.
-
-    Raises
-    ------
-    InputError
-        When the file is another format, damaged, of two patients, or states no scale.
-
     References
     ----------
     ANSI/HL7 V3 ECG R1-2004; restecg.dtd of GE Healthcare.
@@ -134,23 +117,6 @@ def _read_muse(path: Path, root: ET.Element, options: ReadOptions) -> RawRecordi
 
 def read_scp(path: Path, options: ReadOptions) -> RawRecording:
     """Read an SCP-ECG file, as `read_xml` does; leads that start later than others are NaN before.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    options : ReadOptions
-        What the user says.
-
-    Returns
-    -------
-    RawRecording
-        Leads with the unit of the format.
-
-    Raises
-    ------
-    InputError
-        When the file is damaged, compressed in a way that is not read, or states no scale.
 
     References
     ----------

@@ -65,24 +65,6 @@ def read_dicom(path: Path, options: ReadOptions) -> RawRecording:
     most samples: the rhythm, not the median beat. Where it lacks leads, groups that have them are
     joined to it by their time offsets; each lead is NaN outside its own time.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    options : ReadOptions
-        What the user says; it must agree with the file.
-
-    Returns
-    -------
-    RawRecording
-        Channels of those groups, in the units of their sensitivity.
-
-    Raises
-    ------
-    InputError
-        When the file has no waveform, is damaged, truncated, encrypted or compressed, or when a
-        lead has no sensitivity or leads are not of the same time.
-
     References
     ----------
     DICOM PS3.3, section C.10.9 (waveform module) and PS3.17, annex C (waveforms).
@@ -251,9 +233,9 @@ def _channels(group: _Group, rate: float, path: Path) -> list[Channel]:
             "compression"
         )
     stored = np.dtype(kind).newbyteorder("<")
+    count = group.samples * len(group.channels)
     with refuse_damaged(path, "DICOM"):
-        samples = np.frombuffer(data, stored, group.samples * len(group.channels))
-    samples = samples.reshape(group.samples, len(group.channels))
+        samples = np.frombuffer(data, stored, count).reshape(group.samples, -1)
     padding = group.item.get("WaveformPaddingValue", None)
     padded = isinstance(padding, bytes) and len(padding) >= stored.itemsize
     channels = []

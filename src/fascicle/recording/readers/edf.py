@@ -45,24 +45,6 @@ _FILTER = re.compile(
 def read_edf(path: Path, options: ReadOptions) -> RawRecording:
     """Read an EDF or EDF+ file; signals that are no leads are named but not read.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    options : ReadOptions
-        What the user says; it must agree with the file.
-
-    Returns
-    -------
-    RawRecording
-        Leads in the physical dimension of the header; other signals have no values.
-
-    Raises
-    ------
-    InputError
-        When the header is damaged, does not fit the length of the file or calls the recording
-        interrupted, or when leads differ in rate or have no calibration.
-
     References
     ----------
     Kemp et al. 1992, Electroenceph Clin Neurophysiol 82:391-393 (EDF); Kemp and Olivan 2003, Clin

@@ -28,30 +28,14 @@ _MATLAB_NUMBERS = (
 )
 
 
-def read_hdf5(path: Path, options: ReadOptions, kind: str = "HDF5") -> RawRecording:
+def read_hdf5(path: Path, options: ReadOptions) -> RawRecording:
     """Read a file with one dataset a lead, or with a matrix and the names of its leads.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    options : ReadOptions
-        What the user says; it must agree with the file.
-    kind : str
-        What messages and provenance call the format.
-
-    Returns
-    -------
-    RawRecording
-        Leads in the unit that the metadata declare.
-
-    Raises
-    ------
-    InputError
-        When leads, rate or unit are missing, contradictory or ambiguous, or when the data lie
-        outside the file.
+    Data outside the file are not read.
     """
     import h5py
+
+    kind = "MATLAB 7.3" if path.suffix.lower() == ".mat" else "HDF5"
 
     with refuse_damaged(path, kind):
         file = h5py.File(path, "r", locking=False)

@@ -25,28 +25,13 @@ _DEEPEST = 3  # structures within structures
 def read_matlab(path: Path, options: ReadOptions) -> RawRecording:
     """Read variables or the fields of a structure: one a lead, or a matrix and its lead names.
 
-    Parameters
-    ----------
-    path : path
-        The file, of MATLAB 4 to 7.2, or of 7.3, which is HDF5.
-    options : ReadOptions
-        What the user says; it must agree with the file.
-
-    Returns
-    -------
-    RawRecording
-        Leads in the unit that the metadata declare.
-
-    Raises
-    ------
-    InputError
-        When leads, rate or unit are missing, contradictory or ambiguous.
+    Files are of MATLAB 4 to 7.2, or of 7.3, which is HDF5.
     """
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
     if kind_of_content(path) == "HDF5":
-        return read_hdf5(path, options, "MATLAB 7.3")
+        return read_hdf5(path, options)
     with path.open("rb") as file:
         kind = "MATLAB 4" if 0 in file.read(4) else "MATLAB 5"  # MATLAB 4 has no header
     with refuse_damaged(path, kind, MatReadError, UserWarning), warnings.catch_warnings():

@@ -82,15 +82,7 @@ class Entry:
 
 
 def entry_of(name: str, content: Any) -> Entry | None:
-    """Make an entry of texts or numbers; None where they are neither, or the name is no key.
-
-    Parameters
-    ----------
-    name : str
-        Name in the file.
-    content : text, sequence of texts, number or array of numbers
-        What stands there; bytes are UTF-8.
-    """
+    """Make an entry of texts or numbers; None where they are neither, or the name is no key."""
     key, values = key_of(name), np.ravel(np.asarray(content))
     if key is None or not 0 < values.size <= MOST_WORDS:
         return None

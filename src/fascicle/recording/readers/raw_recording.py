@@ -61,7 +61,13 @@ class RawRecording:
 def narrowest_passband(
     highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
 ) -> Filters:
-    """Filters (Hz) of leads that may differ in them: the narrowest band; 0 Hz is no filter."""
+    """Filters of leads that may differ in them: the narrowest band.
+
+    Parameters
+    ----------
+    highpass, lowpass, notch : iterable of float
+        Frequencies (Hz) of the leads' filters; 0 is no filter.
+    """
     high, low, mains = ([f for f in found if f > 0] for found in (highpass, lowpass, notch))
     return Filters(max(high, default=None), min(low, default=None), min(mains, default=None))
 

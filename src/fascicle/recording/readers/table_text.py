@@ -119,17 +119,9 @@ class Table:
 def open_table(path: Path) -> Table:
     """Read a table of the schema in ``docs/recordings.md``.
 
-    Parameters
-    ----------
-    path : Path
-        Text with cells separated by tabs, semicolons or commas; lines that begin with ``#`` are
-        comments, the first other line names the columns. Numbers may have decimal commas where no
-        comma separates cells.
-
-    Raises
-    ------
-    InputError
-        When the file is no such table.
+    Text with cells separated by tabs, semicolons or commas; lines that begin with ``#`` are
+    comments, the first other line names the columns. Numbers may have decimal commas where no
+    comma separates cells.
     """
     if path.stat().st_size > LARGEST_TABLE:
         raise InputError(

@@ -34,23 +34,8 @@ _Floats = NDArray[np.float64]
 def read_table(path: Path, options: ReadOptions) -> RawRecording:
     """Read a table of samples by the schema in ``docs/recordings.md``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    options : ReadOptions
-        Sampling rate and unit for tables that do not say; they must not contradict the table.
-
-    Returns
-    -------
-    RawRecording
-        Columns that are no leads are named but not read. Where there are a lead and a rhythm strip
-        of the same lead, the longer one is the lead.
-
-    Raises
-    ------
-    InputError
-        When the table is not of the schema, or contradicts itself or the options.
+    Columns that are no leads are named but not read. Where there are a lead and a rhythm strip of
+    the same lead, the longer one is the lead.
     """
     table = open_table(path)
     leads = [column for column in table.columns if column.lead is not None]

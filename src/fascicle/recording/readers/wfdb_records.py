@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,25 +102,9 @@ def read_wfdb(path: Path, options: ReadOptions) -> RawRecording:
     aligned, which shortens the record by the largest skew. Signals are at their own rate, so that
     a lead with four samples in a frame has four times the frame rate.
 
-    Parameters
-    ----------
-    path : path
-        The header; its signal files and segments are in the same folder.
-    options : ReadOptions
-        What the user says; it must agree with the header. Its sampling rate serves where the
-        header has none, which by the standard means 250 Hz.
-
-    Returns
-    -------
-    RawRecording
-        All signals. Checksums that disagree are in the provenance: many converters write wrong
-        ones.
-
-    Raises
-    ------
-    InputError
-        When the header or a file is missing, damaged, truncated or too long, or a signal is not
-        calibrated.
+    The signal files and segments are in the folder of the header. A header without a rate means
+    250 Hz by the standard, but the user must say so. Checksums that disagree are in the provenance:
+    many converters write wrong ones.
 
     References
     ----------
@@ -321,9 +305,8 @@ def _read(part: _Header) -> list[_Signal]:
         values = np.concatenate([record.e_p_signal[k][skew:], np.full(skew, np.nan)])
         name = printable(record.sig_name[k] or f"signal {k + 1}")
         agrees = _checksum_agrees(record, k)
-        signals.append(
-            _Signal(name, stored.unit, values, stored.per_frame, record.adc_gain[k], agrees)
-        )
+        gain = record.adc_gain[k]
+        signals.append(_Signal(name, stored.unit, values, stored.per_frame, gain, agrees))
     return signals
 
 
@@ -343,35 +326,31 @@ def _joined(
     parts: Sequence[Sequence[_Signal]], lengths: Sequence[int], frames: int, source: str
 ) -> list[_Signal]:
     """Put segments one after another by the names of their signals; NaN where there is none."""
-    if len(parts) == 1:
-        return [_whole([(0, signal)], frames) for signal in parts[0]]
-    pieces: dict[str, list[tuple[int, _Signal]]] = {}
-    for start, signals in zip(np.cumsum([0, *lengths]), parts, strict=False):
-        for signal in signals:
-            same = pieces.setdefault(signal.name, [])
-            first = same[0][1] if same else signal
-            if (first.unit, first.per_frame) != (signal.unit, signal.per_frame) or (
-                same and same[-1][0] == start
-            ):
-                raise InputError(
-                    f"{source}: signal {signal.name} is there twice, or differs in unit or rate "
-                    "between segments; give one segment"
-                )
-            same.append((int(start), signal))
-    return [_whole(same, frames) for same in pieces.values()]
-
-
-def _whole(pieces: Sequence[tuple[int, _Signal]], frames: int) -> _Signal:
-    """Make one signal of its pieces, which start at given frames."""
-    first = pieces[0][1]
-    values = np.full(frames * first.per_frame, np.nan)
-    for start, signal in pieces:
-        place = values[start * first.per_frame :][: len(signal.values)]
-        place[:] = signal.values[: len(place)]
-    gain = first.gain if len({signal.gain for _, signal in pieces}) == 1 else np.nan
-    known = [s.checksum_agrees for _, s in pieces if s.checksum_agrees is not None]
-    agrees = all(known) if known else None
-    return _Signal(first.name, first.unit, values, first.per_frame, gain, agrees)
+    several = len(parts) > 1
+    named = [{s.name if several else str(k): s for k, s in enumerate(part)} for part in parts]
+    if any(len(names) < len(part) for names, part in zip(named, parts, strict=True)):
+        raise InputError(f"{source}: a segment has signals of the same name; rename them")
+    whole = []
+    for name in dict.fromkeys(name for part in named for name in part):
+        pieces = [part.get(name) for part in named]
+        there = [signal for signal in pieces if signal is not None]
+        unit, per_frame = there[0].unit, there[0].per_frame
+        if any((s.unit, s.per_frame) != (unit, per_frame) for s in there):
+            raise InputError(
+                f"{source}: signal {name} differs in unit or rate between segments; give one "
+                "segment"
+            )
+        gaps = (np.full(length * per_frame, np.nan) for length in lengths)
+        values = [gap if s is None else s.values for s, gap in zip(pieces, gaps, strict=True)]
+        known = [s.checksum_agrees for s in there if s.checksum_agrees is not None]
+        signal = replace(
+            there[0],
+            values=np.concatenate(values)[: frames * per_frame],
+            gain=there[0].gain if len({s.gain for s in there}) == 1 else np.nan,
+            checksum_agrees=all(known) if known else None,
+        )
+        whole.append(signal)
+    return whole
 
 
 def _channel(signal: _Signal) -> Channel:
