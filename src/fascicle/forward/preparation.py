@@ -15,17 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.ecg.action_potential import ActionPotential
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
-from fascicle.forward.eikonal.myocardium import (
-    Myocardium,
-    build_myocardium,
-    find_on_surface,
-)
+from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium, find_on_surface
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
@@ -126,11 +123,8 @@ def build(
 
 
 def _lead_field_gradients(
-    heart: Heart,
-    conduction: Conduction,
-    barycentric: NDArray[np.float64],
-    progress: Progress | None,
-) -> NDArray[np.float64]:
+    heart: Heart, conduction: Conduction, barycentric: Floats, progress: Progress | None
+) -> Floats:
     """Mean ∇Z of each electrode in each tetrahedron (kΩ/mm), shape (9, m, 3)."""
     fields = resolve_lead_fields(heart, conduction, stage_progress(progress, "lead fields", ONCE))
     if fields is not None:

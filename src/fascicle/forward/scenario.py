@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.purkinje.tree import PurkinjeTree
 
@@ -57,7 +57,7 @@ class Slowing:
     centre: tuple[float, float, float] | None = None
     radius: float | None = None
 
-    def segments(self, tree: PurkinjeTree) -> NDArray[np.bool_]:
+    def segments(self, tree: PurkinjeTree) -> Booleans:
         """Which segments of its tree it slows, each by the node it ends in."""
         chosen = tree.parents >= 0  # no segment ends in the root
         of_part = f" of its {self.part}" if self.part is not None else ""
@@ -132,7 +132,7 @@ class Scenario:
                 )
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Floats:
         """Positions of the stimuli in the myocardium (mm), shape (s, 3)."""
         positions = [s.position for s in self.stimuli if s.tree is None]
         return np.array(positions, dtype=float).reshape(-1, 3)
@@ -142,7 +142,7 @@ class Scenario:
         """When they fire (ms)."""
         return [s.time for s in self.stimuli if s.tree is None]
 
-    def check_stimuli(self, distances: NDArray[np.float64]) -> None:
+    def check_stimuli(self, distances: Floats) -> None:
         """Refuse stimuli that are not in the myocardium, given how far they are from it (mm)."""
         for position, distance in zip(self.points, distances, strict=True):
             if distance > FURTHEST_STIMULUS:
@@ -170,7 +170,7 @@ class Scenario:
             fired.append((number, node, stimulus.time))
         return fired
 
-    def speeds(self, trees: Sequence[PurkinjeTree]) -> NDArray[np.float64]:
+    def speeds(self, trees: Sequence[PurkinjeTree]) -> Floats:
         """Factor on the speed of every segment, tree by tree, each by the node it ends in."""
         factors = [np.ones(len(tree.nodes)) for tree in trees]
         for slowing in self.slowings:

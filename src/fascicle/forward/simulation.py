@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.forward.ecg.electrocardiogram import STEP
@@ -37,9 +37,9 @@ class Simulation:
         Times in the trees, how each junction fired, and from where each vertex was.
     """
 
-    leads: NDArray[np.float64]
+    leads: Floats
     onset: float
-    activation: NDArray[np.float64]
+    activation: Floats
     trees: tuple[PurkinjeTree, ...]
     coupled: Activation
 
@@ -66,7 +66,7 @@ class Simulation:
         return float(reached.max() - reached.min())
 
     @property
-    def unreached(self) -> NDArray[np.bool_]:
+    def unreached(self) -> Booleans:
         """Vertices that no front reaches: scar, or isolated tissue; shape (n,).
 
         They are infinitely late in `activation` and contribute nothing to the ECG.
@@ -80,7 +80,7 @@ class Simulation:
         return (offset - onset) * STEP
 
 
-def check_activation(times: NDArray[np.float64]) -> None:
+def check_activation(times: Floats) -> None:
     """Refuse activation times (ms) that give no ECG: none is finite, or they lie too far apart."""
     reached = times[np.isfinite(times)]
     if not len(reached):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.parameter_files import read_parameters
@@ -278,7 +279,7 @@ def sites_table(simulation: Simulation) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _position(point: NDArray[np.float64]) -> str:
+def _position(point: Floats) -> str:
     return ",".join(f"{x:.4f}" for x in point)
 
 

@@ -8,7 +8,8 @@ bins give the histogram back.
 """
 
 import numpy as np
-from numba import njit
+
+from fascicle.kernels.jit import allocating_kernel
 
 CHANNELS = 8  # contiguous in every array
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
@@ -17,7 +18,7 @@ CHANNELS = 8  # contiguous in every array
 GAP = 0.05
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _add(row, c, s):
     """Add c·s; written out because LLVM does not unroll it as a loop."""
     row[0] += c * s[0]
@@ -30,12 +31,12 @@ def _add(row, c, s):
     row[7] += c * s[7]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _dot(w, n, x, y, z):
     return w[0, n] * x + w[1, n] * y + w[2, n] * z
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _strengths(w, x, y, z):
     """|e|·(Gᵢ∇τ·∇Z) in each channel from the differences of the times to the first."""
     return (
@@ -44,7 +45,7 @@ def _strengths(w, x, y, z):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _smear(jumps, t, c, s):
     """Add the jump c·s at time t: third difference of hats, a quartic B-spline (times 4!)."""
     i = int(t)
@@ -58,7 +59,7 @@ def _smear(jumps, t, c, s):
     _add(rows[4], c * (g * g * g * g), s)
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _pooled(y, k):
     """Value k of the isotonic regression of four numbers, by its max-min formula."""
     highest = -np.inf
@@ -72,7 +73,7 @@ def _pooled(y, k):
     return highest
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _spread(a, b, c, d):
     """The four times sorted and moved at least `GAP` apart, as little as possible.
 
@@ -89,7 +90,7 @@ def _spread(a, b, c, d):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _jumps(a, b, c, d):
     """−6/Πⱼ(tₖ − tⱼ) of each of the four times, over the 4! of `_smear`."""
     ab, ac, ad, bc, bd, cd = b - a, c - a, d - a, c - b, d - b, d - c
@@ -99,14 +100,14 @@ def _jumps(a, b, c, d):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _closest(a, b, c, d):
     """Smallest distance between two of four times."""
     first = min(abs(b - a), abs(c - a), abs(d - a))
     return min(first, abs(c - b), abs(d - b), abs(d - c))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating_kernel(error_model="numpy")
 def deposit(time, corners, weights, origin, width, bins):
     """Histogram of |e|·(Gᵢ∇τ·∇Z) over activation time.
 
@@ -165,7 +166,7 @@ def deposit(time, corners, weights, origin, width, bins):
     return width * histogram
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def respond(histogram, kernel, stride, samples):
     """Convolution of a histogram with a kernel, taken every `stride` bins.
 

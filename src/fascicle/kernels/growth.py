@@ -7,9 +7,9 @@ Positions are disk coordinates plus the triangle they lie in, (u, v, triangle); 
 import math
 
 import numpy as np
-from numba import njit
 
 from fascicle.kernels.growth_arrays import NODE, Tree
+from fascicle.kernels.jit import allocating_kernel
 
 GROWN = -1  # status: the tree is complete
 GRID = 64  # cells per side of the hash that finds nearest nodes
@@ -18,7 +18,7 @@ DIAMETER = 2.0  # of the disk: nothing in it is further away
 SOME_LEFT = 1e-300  # mm; what is left of a walk that meets the base on its last step
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _norm(metric, triangle, a, b):
     """√(dᵀGd) for d = (a, b): physical length per unit of disk."""
     return math.sqrt(
@@ -28,7 +28,7 @@ def _norm(metric, triangle, a, b):
     )
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def walk(u, v, triangle, a, b, length, surface):
     """Walk along a direction of the disk, exactly, triangle by triangle.
 
@@ -75,12 +75,12 @@ def walk(u, v, triangle, a, b, length, surface):
         triangle = neighbours[triangle, exit_edge]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _cell(x):
     return min(max(int((x + 1.0) * 0.5 * GRID), 0), GRID - 1)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _square(u, v, node, metric, triangle):
     """Squared distance (mm²) from (u, v) to a node in the metric of a triangle."""
     x, y = u - node.u, v - node.v
@@ -91,7 +91,7 @@ def _square(u, v, node, metric, triangle):
     )
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _nearest(point, kin, nearest, nodes, head, metric):
     """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
 
@@ -118,7 +118,7 @@ def _nearest(point, kin, nearest, nodes, head, metric):
     return best, best_square
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _nearest_of(first, last, point, sister, nearest, nodes, metric):
     """As `_nearest`, among the nodes `first` to `last` - 1, none of which is the branch's own."""
     u, v, triangle = point
@@ -130,7 +130,7 @@ def _nearest_of(first, last, point, sister, nearest, nodes, metric):
     return best, best_square
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _append(tree, point, parent, length, branch):
     """Write the next node and enter it into the hash; returns the tree."""
     nodes, n, head = tree
@@ -144,7 +144,7 @@ def _append(tree, point, parent, length, branch):
     return Tree(nodes, n + 1, head)
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _with_room(tree, more):
     """The tree, in a longer array where `more` nodes would not fit."""
     nodes, n, head = tree
@@ -155,7 +155,7 @@ def _with_room(tree, more):
     return Tree(longer, n, head)
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _lay(start, heading, length, step, branch, tree, surface):
     """Lay a straight stretch of `length` mm from node `start`, the last segment shorter.
 
@@ -177,14 +177,14 @@ def _lay(start, heading, length, step, branch, tree, surface):
     return tree, last, 0.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _turned(heading, angle):
     """Give `heading` turned counter-clockwise."""
     c, s = math.cos(angle), math.sin(angle)
     return c * heading[0] - s * heading[1], s * heading[0] + c * heading[1]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@allocating_kernel(inline="always")
 def _steered(point, heading, nearest, repulsion, nodes, metric):
     """Unit vector d plus w∇d_CP, the gradient of the distance to the nearest node.
 
@@ -202,7 +202,7 @@ def _steered(point, heading, nearest, repulsion, nodes, metric):
     return a, b
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def _sprout(tips, heading, label, rules, tree, surface):
     """Grow one generation: two branches from every tip, advanced a segment at a time in step.
 
@@ -259,7 +259,7 @@ def _sprout(tips, heading, label, rules, tree, surface):
     return tree, end[alive], toward[alive]
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface):
     """Grow one tree.
 
@@ -313,7 +313,7 @@ def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface
     return GROWN, 0.0, tree.nodes[: tree.size]
 
 
-@njit(cache=True, nogil=True)
+@allocating_kernel()
 def lift(nodes, points, vertices, triangles):
     """Positions of the nodes on the endocardium (mm), shape (n, 3).
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
@@ -36,14 +36,14 @@ class Chart:
         G₁₁, G₁₂, G₂₂ of G = JᵀJ with J = ∂x/∂u (mm²): a step Δu has length √(ΔuᵀGΔu).
     """
 
-    points: NDArray[np.float64]
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
-    neighbours: NDArray[np.int64]
-    metric: NDArray[np.float64]
+    points: Floats
+    vertices: Floats
+    triangles: Integers
+    neighbours: Integers
+    metric: Floats
 
     @property
-    def distortion(self) -> NDArray[np.float64]:
+    def distortion(self) -> Floats:
         """Ratio of the largest to the smallest stretch of each triangle, 1 where conformal."""
         g11, g12, g22 = self.metric.T
         mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)
@@ -89,14 +89,14 @@ def build_chart(endocardium: Endocardium) -> Chart:
     return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
 
 
-def signed_areas(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
+def signed_areas(points: Floats, triangles: Integers) -> Floats:
     """Signed area of every triangle in the disk; positive means not folded."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     ab, ac = b - a, c - a
     return np.asarray((ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]) / 2)
 
 
-def _circle_by_arc_length(loop: NDArray[np.float64]) -> NDArray[np.float64]:
+def _circle_by_arc_length(loop: Floats) -> Floats:
     """Points on the unit circle, counter-clockwise, spaced as the loop's vertices are."""
     steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
     angle = 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / steps.sum()
@@ -104,11 +104,8 @@ def _circle_by_arc_length(loop: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mean_value_map(
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    loop: NDArray[np.int64],
-    circle: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    vertices: Floats, triangles: Integers, loop: Integers, circle: Floats
+) -> Floats:
     """Each inner vertex at the mean-value-weighted average of its neighbours (Floater 2003)."""
     n = len(vertices)
     weights = sp.csr_matrix((n, n))
@@ -129,9 +126,7 @@ def _mean_value_map(
     return points
 
 
-def _metric(
-    points: NDArray[np.float64], vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _metric(points: Floats, vertices: Floats, triangles: Integers) -> Floats:
     """G = JᵀJ of every triangle, as (G₁₁, G₁₂, G₂₂)."""
     flat = np.stack([points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2)], axis=-1)
     curved = np.stack(

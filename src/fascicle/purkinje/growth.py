@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
@@ -49,9 +49,9 @@ class GrowthRules:
 class Seed:
     """Where a bundle starts in the disk, and its unit heading there."""
 
-    point: NDArray[np.float64]
+    point: Floats
     triangle: int
-    heading: NDArray[np.float64]
+    heading: Floats
 
 
 def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
@@ -85,7 +85,7 @@ def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
     )
 
 
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _cross(a: Floats, b: Floats) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
@@ -153,11 +153,7 @@ def grow_tree(
 
 
 def grow_from_parameters(
-    side: str,
-    chart: Chart,
-    seed: Seed,
-    parameters: Mapping[str, float],
-    rules: GrowthRules,
+    side: str, chart: Chart, seed: Seed, parameters: Mapping[str, float], rules: GrowthRules
 ) -> PurkinjeTree | InvalidTree:
     """Grow one side's tree from named parameters, with as many fascicles as they name.
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 
 @dataclass(frozen=True, eq=False)  # equal is the same, as fits something made of arrays
@@ -29,10 +30,10 @@ class PurkinjeTree:
     """
 
     side: str
-    nodes: NDArray[np.float64]
-    parents: NDArray[np.int64]
-    lengths: NDArray[np.float64]
-    labels: NDArray[np.int64] | None = None
+    nodes: Floats
+    parents: Integers
+    lengths: Floats
+    labels: Integers | None = None
 
     @property
     def root(self) -> int:
@@ -40,7 +41,7 @@ class PurkinjeTree:
         return int(np.flatnonzero(self.parents < 0)[0])
 
     @cached_property
-    def junctions(self) -> NDArray[np.int64]:
+    def junctions(self) -> Integers:
         """Purkinje-myocardium junctions: the leaves, each once, ascending."""
         leaf = np.ones(len(self.nodes), dtype=bool)
         leaf[self.parents[self.parents >= 0]] = False
@@ -48,7 +49,7 @@ class PurkinjeTree:
         return np.flatnonzero(leaf)
 
     @cached_property
-    def parts(self) -> dict[str, NDArray[np.bool_]]:
+    def parts(self) -> dict[str, Booleans]:
         """The segments (each by the node it ends in) of the bundle and of each fascicle.
 
         Without labels, the bundle reaches from the root to the first fork, and every segment that
@@ -61,7 +62,7 @@ class PurkinjeTree:
             parts[f"fascicle {k}"] = labels == k
         return parts
 
-    def _labels_from_forks(self) -> NDArray[np.int64]:
+    def _labels_from_forks(self) -> Integers:
         children: list[list[int]] = [[] for _ in self.parents]
         for node, parent in enumerate(self.parents):
             if parent >= 0:

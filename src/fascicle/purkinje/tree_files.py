@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
@@ -22,7 +22,7 @@ TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
 SAME_POINT = 1e-4  # mm; ends of polylines closer than this are one node (single precision)
 
 
-def write_tree(path: Path, tree: PurkinjeTree, activation: NDArray[np.float64]) -> None:
+def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
     """Write a tree as VTU lines.
 
     Parameters
@@ -45,7 +45,7 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: NDArray[np.float64]) 
     )
 
 
-def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> PurkinjeTree:
+def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     """Read a tree of lines.
 
     Segments take their length from a cell array ``length`` (mm) if there is one, as in trees that
@@ -101,7 +101,7 @@ def read_tree(path: Path | str, side: str, near: NDArray[np.float64]) -> Purkinj
     return PurkinjeTree(side, nodes, parents, to_parent)
 
 
-def _merged(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _merged(points: Floats) -> tuple[Floats, Integers]:
     """Points with those in one place made one, and the new number of each."""
     pairs = cKDTree(points).query_pairs(SAME_POINT, output_type="ndarray")
     ones = np.ones(len(pairs))
@@ -111,7 +111,7 @@ def _merged(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return points[first], np.asarray(number, dtype=np.int64)
 
 
-def _segments(mesh: MeshFile) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _segments(mesh: MeshFile) -> tuple[Integers, Floats]:
     segments = mesh.require(LINE, "lines")
     ends = mesh.points[segments]
     chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.kernels import ten_tusscher
 
@@ -40,7 +40,7 @@ class CellType:
     start: tuple[float, ...]
 
     @property
-    def constants(self) -> NDArray[np.float64]:
+    def constants(self) -> Floats:
         """The first three as the kernels take them, shape (3,)."""
         return np.array([self.g_ks, self.g_to, float(self.endocardial)])
 
@@ -81,9 +81,9 @@ class CellRun:
         The cell at the end of the beat; pacing can go on from it.
     """
 
-    time: NDArray[np.float64]
-    potential: NDArray[np.float64]
-    state: NDArray[np.float64]
+    time: Floats
+    potential: Floats
+    state: Floats
 
 
 def cell_type(name: str) -> CellType:
@@ -103,7 +103,7 @@ def simulate_cell(
     cell: str,
     cycle_length: float = 1000.0,
     beats: int = 1,
-    state: NDArray[np.float64] | None = None,
+    state: Floats | None = None,
     step: float = STEP,
 ) -> CellRun:
     """Pace one cell and record its last beat.
@@ -155,7 +155,7 @@ def simulate_cell(
     )
 
 
-def _times(short: float, many: int, long: float, more: int) -> NDArray[np.float64]:
+def _times(short: float, many: int, long: float, more: int) -> Floats:
     """0, then `many` short steps, then `more` long ones."""
     first = short * np.arange(many + 1)
     return np.concatenate([first, first[-1] + long * np.arange(1, more + 1)])

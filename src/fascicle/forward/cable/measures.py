@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 
 NEIGHBOURS = 12  # samples on each side of the steepest that the upstroke is interpolated through
 
 
-def resting_potential(potential: NDArray[np.float64]) -> float:
+def resting_potential(potential: Floats) -> float:
     """Potential (mV) that a record starts with, at the end of the diastole before."""
     return float(potential[0])
 
 
-def overshoot(potential: NDArray[np.float64]) -> float:
+def overshoot(potential: Floats) -> float:
     """Highest potential (mV)."""
     return float(potential.max())
 
 
-def max_upstroke(time: NDArray[np.float64], potential: NDArray[np.float64]) -> tuple[float, float]:
+def max_upstroke(time: Floats, potential: Floats) -> tuple[float, float]:
     """Maximum of dU/dt (mV/ms, that is V/s) and its time (ms), between samples by a cubic spline.
 
     Parameters
@@ -40,9 +40,7 @@ def max_upstroke(time: NDArray[np.float64], potential: NDArray[np.float64]) -> t
     return float(slopes[best]), float(candidates[best])
 
 
-def duration(
-    time: NDArray[np.float64], potential: NDArray[np.float64], repolarised: float = 0.9
-) -> float:
+def duration(time: Floats, potential: Floats, repolarised: float = 0.9) -> float:
     """Action potential duration (ms), APD90 unless said otherwise.
 
     From the maximum upstroke until the potential falls through

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.forward.cable.cell import COARSENING, STEP, STIMULUS, cell_type, simulate_cell
 from fascicle.forward.cable.measures import max_upstroke
@@ -42,8 +42,8 @@ class CableRun:
         dx (mm) and the short dt (ms).
     """
 
-    time: NDArray[np.float64]
-    potential: NDArray[np.float64]
+    time: Floats
+    potential: Floats
     speed: float
     spacing: float
     step: float
@@ -127,12 +127,7 @@ class _Cable:
     """The cells of a cable while it is simulated, and what its probes have seen."""
 
     def __init__(
-        self,
-        cell: str,
-        rest: NDArray[np.float64],
-        diffusivity: float,
-        length: float,
-        spacing: float,
+        self, cell: str, rest: Floats, diffusivity: float, length: float, spacing: float
     ) -> None:
         half = round(length / spacing / 2)
         apart = round(BASELINE / spacing)
@@ -143,8 +138,8 @@ class _Cable:
         self.probes = np.array([half - apart, half, half + apart])
         self.baseline = 2 * apart * spacing
         self.now = 0.0
-        self._times: list[NDArray[np.float64]] = [np.zeros(1)]
-        self._traces: list[NDArray[np.float64]] = [self.state[self.probes, ten_tusscher.V][None]]
+        self._times: list[Floats] = [np.zeros(1)]
+        self._traces: list[Floats] = [self.state[self.probes, ten_tusscher.V][None]]
 
     @property
     def passed(self) -> bool:
@@ -152,12 +147,12 @@ class _Cable:
         return bool(self.state[-1, ten_tusscher.V] > DEPOLARISED)
 
     @property
-    def time(self) -> NDArray[np.float64]:
+    def time(self) -> Floats:
         """Since the stimulus (ms)."""
         return np.concatenate(self._times)
 
     @property
-    def potentials(self) -> NDArray[np.float64]:
+    def potentials(self) -> Floats:
         """At the three probes (mV), shape (n, 3)."""
         return np.concatenate(self._traces)
 

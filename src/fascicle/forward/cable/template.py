@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import CableRun, simulate_cable
@@ -53,8 +53,8 @@ class CableTemplate:
     """
 
     cell: str
-    times: NDArray[np.float64]
-    potentials: NDArray[np.float64]
+    times: Floats
+    potentials: Floats
     speed: float
     until: float = UNTIL
 
@@ -70,11 +70,11 @@ class CableTemplate:
         """See `ActionPotential`."""
         return -BEFORE, self.until
 
-    def __call__(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, time: Floats) -> Floats:
         """See `ActionPotential`."""
         return np.asarray(self._window(np.clip(time, *self.span)))
 
-    def full(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+    def full(self, time: Floats) -> Floats:
         """The whole record at `time` (ms since the upstroke), with repolarisation (mV).
 
         Constant before and after it. For plots; see the class for why not for an ECG.
@@ -122,7 +122,7 @@ class CableTemplate:
         return CubicSpline(knots, values, bc_type="clamped")
 
 
-def _smoothstep(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _smoothstep(x: Floats) -> Floats:
     """0 below 0, 1 above 1, and the cubic 3x² − 2x³ between."""
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x * x * (3.0 - 2.0 * x))
@@ -158,7 +158,7 @@ def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate
     return CableTemplate(cell, kept, CubicSpline(times, run.potential)(kept), run.speed, until)
 
 
-def _thinned(times: NDArray[np.float64]) -> NDArray[np.float64]:
+def _thinned(times: Floats) -> Floats:
     """Times at which a record is kept, so that it is small enough to go along with every task."""
     edges = np.clip([-np.inf, *FROM, np.inf], times[0], times[-1])
     parts = [

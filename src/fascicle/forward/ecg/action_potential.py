@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from fascicle.core.arrays import Floats
 
 
 class ActionPotential(Protocol):
@@ -18,5 +17,5 @@ class ActionPotential(Protocol):
     def span(self) -> tuple[float, float]:
         """Times (ms since activation) outside which U is constant to within 1e-6 of its rise."""
 
-    def __call__(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, time: Floats) -> Floats:
         """Transmembrane potential (mV) at `time` (ms since activation)."""

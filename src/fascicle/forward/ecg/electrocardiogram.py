@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, lead_matrix
 from fascicle.forward.ecg.action_potential import ActionPotential
 from fascicle.forward.ecg.lead_field import MM_PER_CM
@@ -19,7 +20,7 @@ STEP = 1.0  # sampling of the ECG (ms)
 RINGING = 12
 
 
-def first_sample(activation: NDArray[np.float64]) -> float:
+def first_sample(activation: Floats) -> float:
     """Time of the first sample of the ECG (ms): 0, or the whole ms before an earlier activation."""
     return float(np.floor(min(0.0, activation.min()) / STEP) * STEP)
 
@@ -49,10 +50,10 @@ class Electrocardiograph:
     bins_per_step: int = 2
 
     @cached_property
-    def _response(self) -> tuple[int, NDArray[np.float64]]:
+    def _response(self) -> tuple[int, Floats]:
         return bin_response(self.action_potential, STEP / self.bins_per_step)
 
-    def channels(self, activation: NDArray[np.float64]) -> NDArray[np.float64]:
+    def channels(self, activation: Floats) -> Floats:
         """Potential of each channel, every `STEP` ms from `first_sample` until all is quiet.
 
         The paper's lead-field integral V(t) = −∫ Gᵢ∇Vm·∇Z dx with Vm = U(t − τ) is
@@ -94,20 +95,18 @@ class Electrocardiograph:
         )
         return np.asarray(respond(histogram, kernel, self.bins_per_step, samples))
 
-    def leads(self, activation: NDArray[np.float64]) -> NDArray[np.float64]:
+    def leads(self, activation: Floats) -> Floats:
         """The twelve leads (mV), shape (12, n_time); see `channels`."""
         return leads_from_independent() @ self.channels(activation)
 
 
-def leads_from_independent() -> NDArray[np.float64]:
+def leads_from_independent() -> Floats:
     """Matrix (12, 8) that completes the leads `INDEPENDENT_LEADS` to the twelve."""
     i, ii, *chest = np.eye(len(INDEPENDENT_LEADS))
     return np.array([i, ii, ii - i, -(i + ii) / 2, i - ii / 2, ii - i / 2, *chest])
 
 
-def bin_response(
-    action_potential: ActionPotential, width: float
-) -> tuple[int, NDArray[np.float64]]:
+def bin_response(action_potential: ActionPotential, width: float) -> tuple[int, Floats]:
     """Response kⱼ to a hat-shaped bin: Σⱼ kⱼ·hat(ξ/width − j) is nearest to U′(ξ).
 
     Nearest in least squares: the error is then orthogonal to every piecewise linear histogram, and
@@ -139,11 +138,8 @@ def bin_response(
 
 
 def channel_weights(
-    barycentric: NDArray[np.float64],
-    volumes: NDArray[np.float64],
-    intracellular: NDArray[np.float64],
-    gradients: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    barycentric: Floats, volumes: Floats, intracellular: Floats, gradients: Floats
+) -> Floats:
     """Weights of `Electrocardiograph` for up to eight lead fields; the other channels stay 0.
 
     Parameters
@@ -170,11 +166,11 @@ def channel_weights(
 
 
 def build_electrocardiograph(
-    corners: NDArray[np.int64],
-    barycentric: NDArray[np.float64],
-    volumes: NDArray[np.float64],
-    intracellular: NDArray[np.float64],
-    gradients: NDArray[np.float64],
+    corners: Integers,
+    barycentric: Floats,
+    volumes: Floats,
+    intracellular: Floats,
+    gradients: Floats,
     action_potential: ActionPotential,
 ) -> Electrocardiograph:
     """Precompute the ECG integral of a heart.

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.measures import HAMMER_STROUD_POINTS
 
 MM_PER_CM = 10.0
 
 
 def unbounded_gradients(
-    vertices: NDArray[np.float64],
-    corners: NDArray[np.int64],
-    electrodes: NDArray[np.float64],
-    conductivity: float,
-) -> NDArray[np.float64]:
+    vertices: Floats, corners: Integers, electrodes: Floats, conductivity: float
+) -> Floats:
     """Mean over each element of ∇Z = −r/(4πσ|r|³), r from the electrode, by quadrature.
 
     Far closer than the gradient of the interpolated Z, which in a flat element can be wrong by
@@ -44,11 +41,7 @@ def unbounded_gradients(
     return gradients * MM_PER_CM / (4 * np.pi * conductivity)
 
 
-def nodal_gradients(
-    lead_fields: NDArray[np.float64],
-    corners: NDArray[np.int64],
-    gradients: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def nodal_gradients(lead_fields: Floats, corners: Integers, gradients: Floats) -> Floats:
     """∇Z of lead fields given at the vertices and linear in each element.
 
     Parameters

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.forward.eikonal.myocardium import LocatedPoints, Myocardium
 from fascicle.forward.eikonal.ray_travel_times import (
     SiteNeighbourhood,
@@ -52,9 +53,9 @@ class Coupling:
     myocardium: Myocardium
     trees: tuple[PurkinjeTree, ...]
     located: LocatedPoints
-    nodes: NDArray[np.int64]
-    junctions: NDArray[np.int64]
-    lengths: NDArray[np.float64]
+    nodes: Integers
+    junctions: Integers
+    lengths: Floats
     forest: Forest
     sites: Sites
 
@@ -89,21 +90,19 @@ class Activation:
         How far each junction lies from where it meets the tissue (mm).
     """
 
-    myocardium: NDArray[np.float64]
-    trees: tuple[NDArray[np.float64], ...]
-    origin: NDArray[np.int64]
-    antidromic: tuple[NDArray[np.bool_], ...]
-    entered_by: tuple[NDArray[np.int64], ...]
-    stimuli: NDArray[np.float64]
-    stimulus_times: NDArray[np.float64]
-    captured: NDArray[np.bool_]
-    junction_distances: tuple[NDArray[np.float64], ...]
+    myocardium: Floats
+    trees: tuple[Floats, ...]
+    origin: Integers
+    antidromic: tuple[Booleans, ...]
+    entered_by: tuple[Integers, ...]
+    stimuli: Floats
+    stimulus_times: Floats
+    captured: Booleans
+    junction_distances: tuple[Floats, ...]
 
 
 def attach(
-    myocardium: Myocardium,
-    trees: Sequence[PurkinjeTree],
-    points: NDArray[np.float64] | None = None,
+    myocardium: Myocardium, trees: Sequence[PurkinjeTree], points: Floats | None = None
 ) -> Coupling:
     """Find where trees and stimuli meet the myocardium.
 
@@ -212,7 +211,7 @@ def _firing_times(
     root_times: Sequence[float],
     stimuli: Sequence[float],
     node_times: Sequence[tuple[int, int, float]],
-) -> NDArray[np.float64]:
+) -> Floats:
     """When each node of the trees, and each stimulus, is fired from outside (ms); inf if not."""
     firing = np.full(len(coupling.lengths), np.inf)
     for tree, first, root_time in zip(coupling.trees, coupling.nodes[:-1], root_times, strict=True):
@@ -224,7 +223,7 @@ def _firing_times(
     return firing
 
 
-def _segment_times(coupling: Coupling, cv: float, speed: ArrayLike) -> NDArray[np.float64]:
+def _segment_times(coupling: Coupling, cv: float, speed: ArrayLike) -> Floats:
     """Travel time (ms) of the segment that ends in each node, inf where it is blocked."""
     factor = np.ones(len(coupling.lengths))
     factor[: coupling.nodes[-1]] = speed
@@ -233,16 +232,14 @@ def _segment_times(coupling: Coupling, cv: float, speed: ArrayLike) -> NDArray[n
     return travel
 
 
-def _site_delays(coupling: Coupling, of_junctions: ArrayLike) -> NDArray[np.float64]:
+def _site_delays(coupling: Coupling, of_junctions: ArrayLike) -> Floats:
     """Delay of each site (ms): of stimuli, none."""
     delays = np.zeros(len(coupling.sites.node))
     delays[: coupling.junctions[-1]] = of_junctions
     return delays
 
 
-def _activation(
-    coupling: Coupling, front: Front, stimulus_times: NDArray[np.float64]
-) -> Activation:
+def _activation(coupling: Coupling, front: Front, stimulus_times: Floats) -> Activation:
     """What the sweep found out, in the heart's numbers and tree by tree."""
     order, vertices = coupling.myocardium.order, len(coupling.myocardium.order)
     in_trees, origin, entered_by = front.time[vertices:], front.origin, front.entered_by
@@ -267,7 +264,7 @@ def _activation(
     )
 
 
-def _first_sites(entered_by: NDArray[np.int64]) -> NDArray[np.int64]:
+def _first_sites(entered_by: Integers) -> Integers:
     """The site at which the front that each site passes on first came into the myocardium.
 
     A site that a front has entered passes it on under its own number; the front is another's.
@@ -281,7 +278,7 @@ def _first_sites(entered_by: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _neighbourhood(
-    located: LocatedPoints, triangles: NDArray[np.int64] | None, myocardium: Myocardium
+    located: LocatedPoints, triangles: Integers | None, myocardium: Myocardium
 ) -> SiteNeighbourhood:
     return find_neighbourhood(
         located.positions, located.elements, triangles, myocardium.mesh, myocardium.travel_times
@@ -289,7 +286,7 @@ def _neighbourhood(
 
 
 def _locate_stimuli(
-    myocardium: Myocardium, points: NDArray[np.float64]
+    myocardium: Myocardium, points: Floats
 ) -> tuple[LocatedPoints, SiteNeighbourhood]:
     """Find points in the myocardium and what is around them; those of last time are kept."""
     key = points.tobytes()
@@ -302,18 +299,16 @@ def _locate_stimuli(
     return found
 
 
-def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
+def _starts(sizes: Sequence[int]) -> Integers:
     """Where each of several consecutive pieces starts, and where the last one ends."""
     return np.concatenate([[0], np.cumsum(np.asarray(sizes, dtype=np.int64))])
 
 
-def _pieces(values: NDArray[Any], starts: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
+def _pieces(values: NDArray[Any], starts: Integers) -> tuple[NDArray[Any], ...]:
     return tuple(values[a:b] for a, b in pairwise(starts))
 
 
-def _joined(
-    trees: Sequence[PurkinjeTree], nodes: NDArray[np.int64], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _joined(trees: Sequence[PurkinjeTree], nodes: Integers, count: int) -> tuple[Integers, Floats]:
     """Parents and lengths of the trees as one."""
     parents, lengths = np.full(count, -1, dtype=np.int64), np.zeros(count)
     for tree, first in zip(trees, nodes[:-1], strict=True):
@@ -323,14 +318,14 @@ def _joined(
     return parents, lengths
 
 
-def _children(parents: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _children(parents: Integers) -> tuple[Integers, Integers]:
     """Where each node's children start, and the children."""
     child = np.flatnonzero(parents >= 0)
     start, order = grouped(parents[child], len(parents))
     return start, child[order]
 
 
-def _parents_first(parents: NDArray[np.int64]) -> NDArray[np.int64]:
+def _parents_first(parents: Integers) -> Integers:
     """The nodes, each after its parent; in their own order if that is so."""
     order = np.arange(len(parents))
     if (parents < order).all():
@@ -342,9 +337,7 @@ def _parents_first(parents: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.argsort(depth, kind="stable")
 
 
-def _readers(
-    myocardium: Myocardium, located: LocatedPoints
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _readers(myocardium: Myocardium, located: LocatedPoints) -> tuple[Integers, Integers]:
     """The sites whose element has each vertex as a corner, as start and list."""
     attached = np.flatnonzero(located.elements >= 0)
     corners = myocardium.mesh.corners[located.elements[attached]].ravel()

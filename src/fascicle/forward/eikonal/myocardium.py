@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.forward.eikonal.ray_travel_times import (
     SiteNeighbourhood,
@@ -52,10 +53,10 @@ class LocatedPoints:
         How far the points asked for are from these (mm).
     """
 
-    positions: NDArray[np.float64]
-    elements: NDArray[np.int64]
-    triangles: NDArray[np.int64]
-    distances: NDArray[np.float64]
+    positions: Floats
+    elements: Integers
+    triangles: Integers
+    distances: Floats
 
     def joined_with(self, other: LocatedPoints) -> LocatedPoints:
         """These points and, after them, the others."""
@@ -98,14 +99,14 @@ class Myocardium:
 
     mesh: EikonalMesh
     travel_times: TravelTimeTable
-    order: NDArray[np.int64]
-    conducts: NDArray[np.bool_]
-    surface: NDArray[np.int64]
-    owner: NDArray[np.int64]
+    order: Integers
+    conducts: Booleans
+    surface: Integers
+    owner: Integers
     tree: igl.AABB
     last_stimuli: dict[bytes, tuple[LocatedPoints, SiteNeighbourhood]] = field(default_factory=dict)
 
-    def on_surface(self, points: NDArray[np.float64]) -> LocatedPoints:
+    def on_surface(self, points: Floats) -> LocatedPoints:
         """Nearest points of the tissue's surface to `points` of shape (n, 3) in mm."""
         square, triangle, nearest = self.tree.squared_distance(
             self.mesh.vertices, self.surface, np.ascontiguousarray(points)
@@ -114,7 +115,7 @@ class Myocardium:
         elements = np.where(self.conducts[elements], elements, -1)
         return LocatedPoints(np.asarray(nearest), elements, np.asarray(triangle), np.sqrt(square))
 
-    def inside(self, points: NDArray[np.float64]) -> LocatedPoints:
+    def inside(self, points: Floats) -> LocatedPoints:
         """The same points where they lie in the tissue, else the nearest of its surface."""
         site = self.on_surface(points)
         if not len(points):
@@ -135,7 +136,7 @@ def build_myocardium(
     heart: Heart,
     conduction: Conduction,
     progress: StageProgress = no_progress,
-    gradients: NDArray[np.float64] | None = None,
+    gradients: Floats | None = None,
 ) -> Myocardium:
     """Precompute metric, squared travel times, adjacency and ray travel times of a heart.
 
@@ -191,14 +192,14 @@ def build_myocardium(
 
 
 def _elements(
-    vertices: NDArray[np.float64],
+    vertices: Floats,
     corners: NDArray[np.int32],
-    place: NDArray[np.int64],
-    fibres: NDArray[np.float64],
-    gradients: NDArray[np.float64],
+    place: Integers,
+    fibres: Floats,
+    gradients: Floats,
     conduction: Conduction,
-    scale: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]:
+    scale: Floats,
+) -> tuple[Floats, Floats, NDArray[np.float32]]:
     """Arrays `cells` and `solver` of an `EikonalMesh`, and its `least` by corner, (m, 4).
 
     `place` is the heart's number of each tetrahedron, by which fibres and gradients are found.
@@ -226,8 +227,8 @@ def _elements(
 
 
 def _edges(
-    corners: NDArray[np.int32], squares: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    corners: NDArray[np.int32], squares: Floats, count: int
+) -> tuple[Integers, NDArray[np.int32], Floats]:
     """The vertices that share an edge with each, and the least travel times to them."""
     one, other = TETRAHEDRON_EDGES.T
     tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
@@ -241,9 +242,7 @@ def _edges(
     return start, head[edge], np.sqrt(least)
 
 
-def _triangles_at(
-    heart: Heart, vertices: NDArray[np.float64], surface: NDArray[np.int64], tree: igl.AABB
-) -> NDArray[np.int64]:
+def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.AABB) -> Integers:
     """The boundary triangles that the endocardia lie on.
 
     Those with their centre near an endocardium, and those nearest to its vertices and triangles.
@@ -262,7 +261,7 @@ def _triangles_at(
     return np.unique(np.concatenate(found))
 
 
-def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -> igl.AABB:
+def find_on_surface(vertices: Floats, surface: Integers) -> igl.AABB:
     """Search tree that finds the nearest of a surface's triangles."""
     tree = igl.AABB()
     tree.init(vertices, surface)
@@ -270,21 +269,21 @@ def find_on_surface(vertices: NDArray[np.float64], surface: NDArray[np.int64]) -
 
 
 def _stars(
-    corners: NDArray[np.int32], conducts: NDArray[np.bool_], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    corners: NDArray[np.int32], conducts: Booleans, count: int
+) -> tuple[Integers, NDArray[np.int32]]:
     """The tetrahedra of each vertex as `EikonalMesh.star` numbers them, and where they start."""
     flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
     start, order = grouped(corners.ravel()[flat], count)
     return start, flat[order].astype(np.int32)
 
 
-def _rounded_down(values: NDArray[np.float64]) -> NDArray[np.float32]:
+def _rounded_down(values: Floats) -> NDArray[np.float32]:
     """Single precision, never above the value."""
     single = values.astype(np.float32)
     return np.nextafter(single, np.float32(-np.inf))
 
 
-def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reach(squares: Floats) -> Floats:
     """Least delay (ms) between a corner and another one that is reached through it; (m, 4, 3).
 
     A front that comes to corner x from direction v, through the face that corner s belongs to,
@@ -311,14 +310,14 @@ def _reach(squares: NDArray[np.float64]) -> NDArray[np.float64]:
     return least
 
 
-def _links(edges: NDArray[np.int64], count: int) -> sp.csr_array:
+def _links(edges: Integers, count: int) -> sp.csr_array:
     """Which vertices share an edge, as a symmetric pattern."""
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
     ones = np.ones(len(rows), dtype=np.int8)
     return sp.coo_array((ones, (rows, columns)), shape=(count, count)).tocsr()
 
 
-def _face_neighbours(corners: NDArray[np.int32], conducts: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _face_neighbours(corners: NDArray[np.int32], conducts: Booleans) -> NDArray[np.int32]:
     """Tetrahedron across the face opposite each corner, -1 where none conducts; shape (m, 4)."""
     faces = np.asarray(igl.tet_tet_adjacency(corners.astype(np.int64))[0])
     neighbours = faces[:, [2, 3, 1, 0]]  # libigl's faces are 012, 013, 123, 203

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.kernels.arrays import (
     CORNERS,
@@ -39,9 +40,9 @@ SILENCE = 1.0  # s before the first report of progress
 
 def build_travel_time_table(
     mesh: EikonalMesh,
-    surface: NDArray[np.int64],
-    owner: NDArray[np.int64],
-    triangles: NDArray[np.int64],
+    surface: Integers,
+    owner: Integers,
+    triangles: Integers,
     progress: StageProgress = no_progress,
 ) -> TravelTimeTable:
     """Trace rays from boundary triangles to the vertices around them.
@@ -87,7 +88,7 @@ def build_travel_time_table(
     )
 
 
-def _how_far(centres: NDArray[np.float64], vertices: KDTree) -> float:
+def _how_far(centres: Floats, vertices: KDTree) -> float:
     """How far the table reaches (mm), given the triangles' centres."""
     some = centres[:: max(1, len(centres) // SAMPLE)]
     most, reach = min(MOST, RAYS_PER_VERTEX * vertices.n), FURTHEST
@@ -99,12 +100,8 @@ def _how_far(centres: NDArray[np.float64], vertices: KDTree) -> float:
 
 
 def _rows(
-    mesh: EikonalMesh,
-    elements: NDArray[np.int64],
-    opposite: NDArray[np.int64],
-    vertices: KDTree,
-    reach: float,
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
+    mesh: EikonalMesh, elements: Integers, opposite: Integers, vertices: KDTree, reach: float
+) -> tuple[Integers, NDArray[np.int32], NDArray[np.float32]]:
     """Rows of the table for the faces opposite a corner of some elements.
 
     How many vertices each has, which, and the squares. A vertex that not all six points have a ray
@@ -150,9 +147,9 @@ class SiteNeighbourhood(NamedTuple):
 
 
 def find_neighbourhood(
-    positions: NDArray[np.float64],
-    elements: NDArray[np.int64],
-    triangles: NDArray[np.int64] | None,
+    positions: Floats,
+    elements: Integers,
+    triangles: Integers | None,
     mesh: EikonalMesh,
     table: TravelTimeTable,
 ) -> SiteNeighbourhood:
@@ -208,7 +205,7 @@ def _used(rays: RayTravelTimes) -> RayTravelTimes:
     return RayTravelTimes(rays.start, rays.target[:used], rays.time[:used])
 
 
-def grouped(groups: NDArray[np.integer], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def grouped(groups: NDArray[np.integer], count: int) -> tuple[Integers, Integers]:
     """Sort items by their group; those of one group stay in the order in which they came.
 
     Parameters
