@@ -75,7 +75,6 @@ class ForwardModel:
         if prepared is None:
             prepared = prepare(heart, self.conduction, self.action_potential, progress)
         self.prepared = prepared
-        self.charts, self.seeds = prepared.charts, prepared.seeds
         self.myocardium = prepared.myocardium
         self.electrocardiograph = prepared.electrocardiograph
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared, self.rules))
