@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 
 
@@ -49,25 +49,25 @@ class ParameterSpace:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
-    def lower(self) -> NDArray[np.float64]:
+    def lower(self) -> Floats:
         """Lower ends of the ranges, each in its own unit."""
         return np.array([parameter.lower for parameter in self.parameters])
 
     @property
-    def upper(self) -> NDArray[np.float64]:
+    def upper(self) -> Floats:
         """Upper ends of the ranges, each in its own unit."""
         return np.array([parameter.upper for parameter in self.parameters])
 
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def to_unit(self, values: Mapping[str, float]) -> NDArray[np.float64]:
+    def to_unit(self, values: Mapping[str, float]) -> Floats:
         """Named values to a point of the unit cube, shape (d,)."""
         check_names(values, self.names)
         vector = np.array([float(values[name]) for name in self.names])
         return np.asarray((vector - self.lower) / (self.upper - self.lower))
 
-    def from_unit(self, point: NDArray[np.float64]) -> dict[str, float]:
+    def from_unit(self, point: Floats) -> dict[str, float]:
         """Point of the unit cube, shape (d,), to named values."""
         vector = self.lower + np.asarray(point) * (self.upper - self.lower)
         return dict(zip(self.names, map(float, vector), strict=True))

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.signal
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Floats
 
 # With a free gain the window must hold this share of the most energy it can hold: otherwise a
 # faint tail of the simulation, blown up, could pass for the QRS.
@@ -32,7 +33,7 @@ class Alignment:
     gain: float
 
 
-def mismatch(recorded: NDArray[np.float64], simulated: NDArray[np.float64]) -> NDArray[np.float64]:
+def mismatch(recorded: Floats, simulated: Floats) -> Floats:
     """The loss y = (1/T) ∫₀ᵀ Σ_leads (V̂ − V)² dt of the paper (eq. "loss"), in mV².
 
     Parameters
@@ -51,9 +52,7 @@ def mismatch(recorded: NDArray[np.float64], simulated: NDArray[np.float64]) -> N
     return np.asarray((difference**2).sum(axis=(-2, -1)) / recorded.shape[-1])
 
 
-def align(
-    simulated: NDArray[np.float64], recorded: NDArray[np.float64], *, free_gain: bool = False
-) -> Alignment:
+def align(simulated: Floats, recorded: Floats, *, free_gain: bool = False) -> Alignment:
     """Find the time shift, and if asked the one gain for all leads, with the least mismatch.
 
     Every shift at which the two overlap is covered: with ‖V̂ − gV‖² = ‖V̂‖² − 2g⟨V̂, V⟩ + g²‖V‖²,
@@ -89,9 +88,7 @@ def align(
     return Alignment(float(mismatch(recorded, placed(simulated, shift, g, length))), shift, g)
 
 
-def placed(
-    simulated: NDArray[np.float64], shift: int, gain: float, length: int
-) -> NDArray[np.float64]:
+def placed(simulated: Floats, shift: int, gain: float, length: int) -> Floats:
     """Cut out the simulated ECG that lies under a recording.
 
     Parameters

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,13 @@ class Evaluation:
         Why the parameters give no tree, for people; None where they give one.
     """
 
-    point: NDArray[np.float64]
+    point: Floats
     loss: float
-    beat_errors: NDArray[np.float64]
+    beat_errors: Floats
     reason: str | None = None
 
     @classmethod
-    def infeasible(cls, point: NDArray[np.float64], reason: str) -> Evaluation:
+    def infeasible(cls, point: Floats, reason: str) -> Evaluation:
         """Make the evaluation of a point (d,) that gives no tree."""
         return cls(point, np.nan, np.empty(0), reason)
 
@@ -42,7 +43,7 @@ class Evaluation:
 
 
 # Evaluates several points of the unit cube, in order, on as many cores as the caller allows.
-Objective = Callable[[Sequence[NDArray[np.float64]]], list[Evaluation]]
+Objective = Callable[[Sequence[Floats]], list[Evaluation]]
 
 
 def best_of(evaluations: Iterable[Evaluation]) -> Evaluation:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
@@ -33,10 +33,10 @@ class Pacing:
 
     before: Sequence[Simulation]
     after: Sequence[Simulation]
-    qrs_before: NDArray[np.float64]
-    qrs_after: NDArray[np.float64]
-    tat_before: NDArray[np.float64]
-    tat_after: NDArray[np.float64]
+    qrs_before: Floats
+    qrs_after: Floats
+    tat_before: Floats
+    tat_after: Floats
 
     def extremes(self) -> dict[str, int]:
         """Networks with the least, the median and the largest total activation time when paced."""
@@ -80,7 +80,7 @@ def pace(model: ForwardModel, networks: Sequence[Network], root_time: float) -> 
 
 def qrs_aligned(
     simulations: Sequence[Simulation],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """ECGs of several simulations from their QRS onsets on.
 
     Returns

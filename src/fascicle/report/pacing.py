@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.report.figures import (
     BLACK,
@@ -37,8 +38,8 @@ class Durations:
         From first to last activation in the myocardium (ms).
     """
 
-    qrs: NDArray[np.float64]
-    total_activation: NDArray[np.float64]
+    qrs: Floats
+    total_activation: Floats
 
 
 def pacing_figure(

@@ -11,14 +11,14 @@ from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.inference.evaluation import Evaluation, Objective
 
 # Points of a step (m, d), and the surrogates' hyper-parameters behind them, from a random generator
 # and the hyper-parameters of the step before.
-Compute = Callable[[np.random.Generator, str | None], tuple[str | None, NDArray[np.float64]]]
+Compute = Callable[[np.random.Generator, str | None], tuple[str | None, Floats]]
 
 
 class Stage(StrEnum):
@@ -117,16 +117,14 @@ class Database:
         with self._transaction() as connection:
             return int(connection.execute(query, (stage,)).fetchone()[0])
 
-    def proposal(self, stage: Stage, step: int) -> tuple[str | None, NDArray[np.float64]] | None:
+    def proposal(self, stage: Stage, step: int) -> tuple[str | None, Floats] | None:
         """Hyper-parameters and flat points of a step; None if it has not been taken."""
         query = "SELECT hyperparameters, points FROM proposals WHERE stage = ? AND step = ?"
         with self._transaction() as connection:
             row = connection.execute(query, (stage, step)).fetchone()
         return (row[0], _floats(row[1])) if row is not None else None
 
-    def propose(
-        self, stage: Stage, step: int, hyperparameters: str | None, points: NDArray[np.float64]
-    ) -> None:
+    def propose(self, stage: Stage, step: int, hyperparameters: str | None, points: Floats) -> None:
         """Store what a step proposes.
 
         Parameters
@@ -185,7 +183,7 @@ class Journal:
         """The only source of randomness of a step."""
         return np.random.default_rng([self._seed, list(Stage).index(stage), step])
 
-    def propose(self, stage: Stage, step: int, compute: Compute) -> NDArray[np.float64]:
+    def propose(self, stage: Stage, step: int, compute: Compute) -> Floats:
         """Give the points of a step, shape (m, d).
 
         Parameters
@@ -202,7 +200,7 @@ class Journal:
             self._database.propose(stage, step, *stored)
         return stored[1].reshape(-1, self._dimension)
 
-    def evaluate(self, stage: Stage, points: Sequence[NDArray[np.float64]]) -> list[Evaluation]:
+    def evaluate(self, stage: Stage, points: Sequence[Floats]) -> list[Evaluation]:
         """Give the outcomes at `points`, each of shape (d,)."""
         first = len(self.records)
         known = self._stored[first : first + len(points)]
@@ -217,7 +215,7 @@ class Journal:
             self._compute(stage, points[start : start + self._workers])
         return [record.evaluation for record in self.records[first:]]
 
-    def _compute(self, stage: Stage, points: Sequence[NDArray[np.float64]]) -> None:
+    def _compute(self, stage: Stage, points: Sequence[Floats]) -> None:
         begin = time.perf_counter()
         outcomes = self._objective(points)
         seconds = (time.perf_counter() - begin) / len(points)
@@ -245,9 +243,9 @@ def _check(evaluation: Evaluation) -> None:
         raise ValueError(f"the loss at {evaluation.point} is {evaluation.loss}, errors {errors}")
 
 
-def _bytes(array: NDArray[np.float64]) -> bytes:
+def _bytes(array: Floats) -> bytes:
     return np.ascontiguousarray(array, dtype="<f8").tobytes()
 
 
-def _floats(blob: bytes) -> NDArray[np.float64]:
+def _floats(blob: bytes) -> Floats:
     return np.frombuffer(blob, dtype="<f8").astype(np.float64)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import LEADS
@@ -35,9 +35,9 @@ class Population:
         That mismatch (mV²).
     """
 
-    values: Mapping[str, NDArray[np.float64]]
-    losses: NDArray[np.float64]
-    distances: NDArray[np.float64]
+    values: Mapping[str, Floats]
+    losses: Floats
+    distances: Floats
     best: Mapping[str, float]
     best_loss: float
 
@@ -81,7 +81,7 @@ def write_population(
     population: Population,
     space: ParameterSpace,
     target: Target,
-    predicted: NDArray[np.float64],
+    predicted: Floats,
 ) -> None:
     """Write a population as ArviZ InferenceData, whole or not at all.
 

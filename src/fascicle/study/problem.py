@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
@@ -40,7 +40,7 @@ class Network:
 
     parameters: Mapping[str, float]
     simulation: Simulation
-    predicted: NDArray[np.float64]
+    predicted: Floats
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Problem:
     free_gain: bool = False
     workers: int = 1
 
-    def __call__(self, points: Sequence[NDArray[np.float64]]) -> list[Evaluation]:
+    def __call__(self, points: Sequence[Floats]) -> list[Evaluation]:
         """Evaluate points of the unit cube, in order."""
         return list(self._in_threads(self.evaluate, points))
 
-    def evaluate(self, point: NDArray[np.float64]) -> Evaluation:
+    def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
         outcome = self.model.simulate(self.space.from_unit(point))
         if isinstance(outcome, InvalidTree):
@@ -91,7 +91,7 @@ class Problem:
         used = self.target.used
         return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
 
-    def predicted(self, simulation: Simulation) -> NDArray[np.float64]:
+    def predicted(self, simulation: Simulation) -> Floats:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
         alignment = self.align(simulation)
         shift = alignment.shift - self.target.qrs_samples.start
@@ -103,7 +103,7 @@ class Problem:
             raise RuntimeError(f"a network of the population does not grow: {simulation.reason}")
         return Network(parameters, simulation, self.predicted(simulation))
 
-    def _beat_errors(self, simulation: Simulation, alignment: Alignment) -> NDArray[np.float64]:
+    def _beat_errors(self, simulation: Simulation, alignment: Alignment) -> Floats:
         """Mismatch with every recorded beat (mV²), shape (n_beats,).
 
         The beats are aligned with one another, so one alignment with their mean serves all.
@@ -113,7 +113,7 @@ class Problem:
         return mismatch(recorded, placed(used, alignment.shift, alignment.gain, recorded.shape[-1]))
 
     @cached_property
-    def _recorded_beats(self) -> NDArray[np.float64]:
+    def _recorded_beats(self) -> Floats:
         """QRS of every beat in the target's leads; a single one is repeated with its noise."""
         target = self.target
         if target.noise is not None:

@@ -10,8 +10,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.inference.evaluation import best_of
@@ -99,7 +99,7 @@ def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None
     write_population(folder / POSTERIOR, population, problem.space, problem.target, predicted)
 
 
-def spread(values: NDArray[np.float64]) -> dict[str, float]:
+def spread(values: Floats) -> dict[str, float]:
     """Minimum, median and maximum of `values` (n,), for a summary."""
     return {
         "minimum": float(values.min()),

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
@@ -79,7 +79,7 @@ class Run:
 
     def _step(
         self, rng: np.random.Generator, hyperparameters: str | None, size: int
-    ) -> tuple[str, NDArray[np.float64]]:
+    ) -> tuple[str, Floats]:
         state = bayesian.State.from_json(surrogate_data(self.journal.records), hyperparameters)
         fitted, points = bayesian.step(rng, state, size)
         return fitted.hyperparameters_to_json(), points
@@ -118,7 +118,7 @@ class Run:
 
     def _candidates(
         self, rng: np.random.Generator, hyperparameters: str | None, number: int
-    ) -> tuple[str, NDArray[np.float64]]:
+    ) -> tuple[str, Floats]:
         """Candidates of a round, no more than it can use."""
         state = bayesian.State.from_json(surrogate_data(self.journal.records), hyperparameters)
         fitted, loss, feasibility = bayesian.refit(state)

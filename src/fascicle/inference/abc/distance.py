@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.inference.evaluation import Evaluation
 
 BANDWIDTHS = 30  # tried, log-spaced
@@ -31,11 +31,11 @@ class ErrorDensity:
         h (mV²).
     """
 
-    errors: NDArray[np.float64]
+    errors: Floats
     bandwidth: float
 
     @classmethod
-    def fit(cls, errors: NDArray[np.float64]) -> ErrorDensity:
+    def fit(cls, errors: Floats) -> ErrorDensity:
         """Choose the bandwidth by leave-one-out cross-validation.
 
         The likelihood of every beat under the others is a closed form, so each beat is left out
@@ -57,13 +57,13 @@ class ErrorDensity:
         scores = [_left_out(e, h) for h in trials]
         return cls(e, float(trials[int(np.argmax(scores))]))
 
-    def __call__(self, e: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, e: Floats) -> Floats:
         """Density (1/mV²) at errors `e` (m,), shape (m,)."""
         z = (e[:, None] - self.errors[None, :]) / self.bandwidth
         norm = len(self.errors) * self.bandwidth * math.sqrt(2 * math.pi)
         return np.asarray(np.exp(-0.5 * z * z).sum(1) / norm)
 
-    def nodes(self) -> NDArray[np.float64]:
+    def nodes(self) -> Floats:
         """Errors e ≥ 0 that resolve the density, ascending."""
         margin = REACH * self.bandwidth
         low, high = max(0.0, self.errors.min() - margin), max(0.0, self.errors.max() + margin)
@@ -88,7 +88,7 @@ def from_reference(evaluation: Evaluation, reference: ErrorDensity) -> float:
     return total_variation(ErrorDensity.fit(evaluation.beat_errors), reference)
 
 
-def _left_out(errors: NDArray[np.float64], bandwidth: float) -> float:
+def _left_out(errors: Floats, bandwidth: float) -> float:
     """Mean log-likelihood of each error under the kernels of all the others (constants dropped)."""
     z = (errors[:, None] - errors[None, :]) / bandwidth
     exponent = -0.5 * z * z

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.inference.abc.settings import CandidateOrder
 from fascicle.inference.surrogate.feasibility import FeasibilityGP
@@ -36,8 +36,8 @@ class Candidates:
         The least variance found among the draws (mV⁴), which sets p_max.
     """
 
-    points: NDArray[np.float64]
-    density: NDArray[np.float64]
+    points: Floats
+    density: Floats
     drawn: int
     accepted: int
     minimum_variance: float
@@ -72,9 +72,7 @@ class InformedPrior:
     variance_min: float
 
     @classmethod
-    def at(
-        cls, loss: LossGP, feasibility: FeasibilityGP, best: NDArray[np.float64]
-    ) -> InformedPrior:
+    def at(cls, loss: LossGP, feasibility: FeasibilityGP, best: Floats) -> InformedPrior:
         """Make the prior whose reference is a known point.
 
         Parameters
@@ -91,10 +89,10 @@ class InformedPrior:
 
     def density(
         self,
-        mean: NDArray[np.float64],
-        variance: NDArray[np.float64],
-        probability: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        mean: Floats,
+        variance: Floats,
+        probability: Floats,
+    ) -> Floats:
         """Density p(θ) of points whose predictions are known.
 
         Parameters
@@ -113,9 +111,7 @@ class InformedPrior:
         gaussian = np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2)
         return np.asarray(probability * gaussian)
 
-    def bound(
-        self, mean: NDArray[np.float64], variance_limit: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def bound(self, mean: Floats, variance_limit: Floats) -> Floats:
         """Bound p(θ) (1/mV²) for all variances up to `variance_limit` (m,), shape (m,).
 
         As a function of s² a normal density rises up to s² = gap², gap = μ − y_min, and falls
@@ -136,9 +132,9 @@ class InformedPrior:
 class _Kept:
     """Draws that may still pass, with r ~ U(0, 1) each."""
 
-    points: NDArray[np.float64]
-    density: NDArray[np.float64]
-    r: NDArray[np.float64]
+    points: Floats
+    density: Floats
+    r: Floats
 
 
 def draw_candidates(
@@ -200,9 +196,7 @@ def draw_candidates(
     return Candidates(points[:limit], density[:limit], draws, int(passed.sum()), least)
 
 
-def _screen(
-    prior: InformedPrior, points: NDArray[np.float64], r: NDArray[np.float64], least: float
-) -> tuple[float, _Kept]:
+def _screen(prior: InformedPrior, points: Floats, r: Floats, least: float) -> tuple[float, _Kept]:
     """Update the least variance, and keep those of one chunk that can still pass."""
     mean, nearness = prior.loss.mean_many(points)
     limit = prior.loss.variance_limit(nearness)

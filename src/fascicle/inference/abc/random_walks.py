@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.inference.abc.distance import ErrorDensity, from_reference
 from fascicle.inference.abc.rejection import Sampling
@@ -28,7 +28,7 @@ from fascicle.inference.evaluation import Evaluation, Objective, best_of
 STEP = (0.01, 0.5)  # of the unit cube, log-uniform: long steps suit what the ECG does not see
 LONGEST = 3  # times the steps asked for; then the walk stops even if θ_min still improves
 
-Move = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
+Move = Callable[[int, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class _Chains:
         return replace(moved, states=kept)
 
 
-def propose(rng: np.random.Generator, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def propose(rng: np.random.Generator, positions: Floats) -> Floats:
     """Propose a step from each position, symmetric in the cube, shape (walks, d).
 
     Gaussian in a random subset of coordinates, with a random scale; reflected at the faces.

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.inference.abc.distance import ErrorDensity, from_reference
 from fascicle.inference.abc.settings import AbcSettings
 from fascicle.inference.evaluation import Evaluation, Objective, best_of
 
 # Candidates (m, d) to try in a round, from its number.
-Propose = Callable[[int], NDArray[np.float64]]
+Propose = Callable[[int], Floats]
 # Progress callback of the sampling: accepted, evaluated, round (from 1).
 RoundProgress = Callable[[int, int, int], None]
 
@@ -33,7 +33,7 @@ class Sampling:
 
     reference: Evaluation
     accepted: tuple[Evaluation, ...]
-    distances: NDArray[np.float64]
+    distances: Floats
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from fascicle.core.arrays import Floats
 
-def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> NDArray[np.float64]:
+
+def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> Floats:
     """Latin hypercube sample of the unit cube, shape (count, dimension).
 
     Every coordinate has exactly one point in each of `count` equal intervals.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
+from fascicle.core.arrays import Floats
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.inference.evaluation import Evaluation, Objective
 
@@ -56,7 +56,7 @@ def refine(
         return
     done = 0
 
-    def losses(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def losses(points: Floats) -> Floats:
         outcomes = objective(list(np.ascontiguousarray(points.T)))
         return np.array([e.loss if e.feasible else np.inf for e in outcomes])
 
@@ -82,9 +82,9 @@ def refine(
     )
 
 
-def spread(known: Sequence[Evaluation]) -> NDArray[np.float64]:
+def spread(known: Sequence[Evaluation]) -> Floats:
     """The best points that are mutually apart, best first, shape (at most `POPULATION`, d)."""
-    chosen: list[NDArray[np.float64]] = []
+    chosen: list[Floats] = []
     for evaluation in sorted((e for e in known if e.feasible), key=lambda e: e.loss):
         if all(np.abs(evaluation.point - other).max() > APART for other in chosen):
             chosen.append(evaluation.point)
