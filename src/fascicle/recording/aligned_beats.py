@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.recording.alignment import LARGEST_SHIFT, cut, detrended
 from fascicle.recording.baseline import quiet_start, subtract_drift
 from fascicle.recording.detection import magnitude
@@ -36,23 +36,23 @@ class AlignedBeats:
         Standard deviation (ms) of the alignment of lead groups; 0 where there is one.
     """
 
-    beats: NDArray[np.float64]
+    beats: Floats
     before: int
     not_before: int
     alignment_sd: float = 0.0
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Floats:
         """Mean beat (mV), shape (12, n_time)."""
         return np.asarray(self.beats.mean(axis=0))
 
     @property
-    def time(self) -> NDArray[np.float64]:
+    def time(self) -> Floats:
         """Time from the R peak (ms), shape (n_time,)."""
         return SAMPLING_STEP * (np.arange(self.beats.shape[2], dtype=np.float64) - self.before)
 
     @property
-    def there(self) -> NDArray[np.bool_]:
+    def there(self) -> Booleans:
         """Which leads there are, shape (12,)."""
         return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
 
@@ -70,9 +70,7 @@ def extent(group: LeadGroup) -> tuple[int, int]:
     return before, after
 
 
-def cut_beats(
-    group: LeadGroup, members: NDArray[np.int64], onset: float | None = None
-) -> AlignedBeats:
+def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -> AlignedBeats:
     """Cut out beats and subtract the line through their isoelectric points.
 
     Parameters
@@ -97,7 +95,7 @@ def cut_beats(
     return AlignedBeats(beats, before, not_before)
 
 
-def _end_of_spikes(group: LeadGroup, members: NDArray[np.int64], before: int) -> int:
+def _end_of_spikes(group: LeadGroup, members: Integers, before: int) -> int:
     """Sample of the window after the spikes that fired most of the beats; 0 if none did."""
     ends = [group.spike_before(int(k)) for k in members]
     offsets = [

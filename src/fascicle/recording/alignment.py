@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Floats, Integers
 
 HALF_WIDTH = 100  # samples each side of R that are compared
 LARGEST_SHIFT = 60  # samples; an R' may be as tall as the R, and that far away
@@ -11,9 +12,7 @@ REACH = HALF_WIDTH + LARGEST_SHIFT
 BLOCK = 64  # beats that are shifted at a time, which bounds the memory
 
 
-def cut(
-    signal: NDArray[np.float64], peaks: NDArray[np.int64], before: int, after: int
-) -> NDArray[np.float64]:
+def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:
     """Windows around peaks; beyond its ends the signal stays as it is there.
 
     Parameters
@@ -34,7 +33,7 @@ def cut(
     return np.stack([signal[:, samples] for samples in within])
 
 
-def detrended(beats: NDArray[np.float64]) -> NDArray[np.float64]:
+def detrended(beats: Floats) -> Floats:
     """Beats (..., n_time) less the straight line that fits each lead of each beat best.
 
     Neither level nor drift then enters a comparison of two beats.
@@ -44,7 +43,7 @@ def detrended(beats: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(beats - beats.mean(axis=-1, keepdims=True) - slope[..., None] * t)
 
 
-def best_shifts(wide: NDArray[np.float64], template: NDArray[np.float64]) -> NDArray[np.int64]:
+def best_shifts(wide: Floats, template: Floats) -> Integers:
     """Shift of each beat at which it correlates best with a template, all leads together.
 
     Parameters
@@ -70,7 +69,7 @@ def best_shifts(wide: NDArray[np.float64], template: NDArray[np.float64]) -> NDA
     return np.concatenate(shifts)
 
 
-def shifted(wide: NDArray[np.float64], shifts: NDArray[np.int64]) -> NDArray[np.float64]:
+def shifted(wide: Floats, shifts: Integers) -> Floats:
     """Detrended beats (n_beats, n_leads, 2·HALF_WIDTH + 1) at the given shifts of `wide` ones."""
     first = LARGEST_SHIFT + shifts
     return detrended(

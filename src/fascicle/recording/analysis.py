@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fascicle.core.arrays import Floats
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
@@ -111,10 +109,10 @@ class Analysis:
     """
 
     recording: Recording
-    signal: NDArray[np.float64]
+    signal: Floats
     beats: tuple[Beat, ...]
     classes: tuple[BeatClass, ...]
-    spikes: NDArray[np.float64]
+    spikes: Floats
     findings: tuple[Finding, ...]
     target: Target
     chosen: str

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.recording.window import spatial_velocity
 
 KNOT = 20  # samples; one period of 50 Hz mains, so that hum averages out
@@ -13,7 +13,7 @@ LATEST = 5  # samples before the QRS; nearer, its first slope is smoothed in
 FARTHEST = 2500  # samples; between isoelectric points farther apart, drift is no straight line
 
 
-def quiet_start(mean: NDArray[np.float64], onset: int, step: float) -> int:
+def quiet_start(mean: Floats, onset: int, step: float) -> int:
     """First sample of the stillest `KNOT` samples just before the QRS.
 
     Parameters
@@ -31,13 +31,7 @@ def quiet_start(mean: NDArray[np.float64], onset: int, step: float) -> int:
     return int(earliest + np.argmin(speed))
 
 
-def subtract_drift(
-    signal: NDArray[np.float64],
-    knots: NDArray[np.int64],
-    peaks: NDArray[np.int64],
-    before: int,
-    n: int,
-) -> NDArray[np.float64]:
+def subtract_drift(signal: Floats, knots: Integers, peaks: Integers, before: int, n: int) -> Floats:
     """Beats with a straight line removed from each lead.
 
     The line of a beat runs through the isoelectric level before its QRS and that before the QRS of
@@ -70,7 +64,7 @@ def subtract_drift(
     return beats
 
 
-def _slope(level: NDArray[np.float64], knots: NDArray[np.int64], beat: int) -> NDArray[np.float64]:
+def _slope(level: Floats, knots: Integers, beat: int) -> Floats:
     """Drift (mV per sample) of each lead from a beat to its nearest neighbour."""
     neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
     near = min(neighbours, key=lambda k: abs(int(knots[k] - knots[beat])), default=beat)

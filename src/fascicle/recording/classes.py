@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.recording.alignment import HALF_WIDTH, REACH, best_shifts, cut, detrended, shifted
 
 ALIKE = 0.2  # of a beat's energy; two beats of one class, correlation 0.9 or more, differ by less
@@ -14,9 +14,7 @@ FAINTEST = 1e-3  # of a template's energy; what is left of it without noise is t
 QUIET = 0.1  # quantile of the energy of all stretches that is taken as noise alone
 
 
-def sort_by_shape(
-    signal: NDArray[np.float64], peaks: NDArray[np.int64], noise: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def sort_by_shape(signal: Floats, peaks: Integers, noise: float) -> tuple[Integers, Integers]:
     """Sort beats into classes of one shape and align each with its class.
 
     The beat that most others resemble founds the first class; every beat that differs from their
@@ -53,7 +51,7 @@ def sort_by_shape(
     return classes, np.asarray(peaks + shifts)
 
 
-def noise_energy(signal: NDArray[np.float64]) -> float:
+def noise_energy(signal: Floats) -> float:
     """Energy (mV² samples) that noise alone has in a window as long as those compared."""
     length = 2 * HALF_WIDTH + 1
     starts = np.arange(0, signal.shape[1] - length + 1, HALF_WIDTH // 2)
@@ -64,9 +62,7 @@ def noise_energy(signal: NDArray[np.float64]) -> float:
     return float(np.quantile((stretches**2).sum(axis=(1, 2)), QUIET))
 
 
-def _class_of_most(
-    wide: NDArray[np.float64], noise: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _class_of_most(wide: Floats, noise: float) -> tuple[Integers, Integers]:
     """Members of the largest class among the beats, and the shift of every beat."""
     still = shifted(wide, np.zeros(len(wide), dtype=np.int64))
     template = still[_central(wide, still, noise)]
@@ -84,7 +80,7 @@ def _class_of_most(
     return members, shift
 
 
-def _central(wide: NDArray[np.float64], still: NDArray[np.float64], noise: float) -> int:
+def _central(wide: Floats, still: Floats, noise: float) -> int:
     """Find the beat that resembles most others."""
     candidates = np.unique(np.linspace(0, len(wide) - 1, MOST_CANDIDATES).round().astype(int))
     alike = np.zeros(len(candidates))
@@ -96,9 +92,7 @@ def _central(wide: NDArray[np.float64], still: NDArray[np.float64], noise: float
     return int(candidates[np.argmax(alike)])
 
 
-def _difference(
-    beats: NDArray[np.float64], template: NDArray[np.float64], expected: float, noise: float
-) -> NDArray[np.float64]:
+def _difference(beats: Floats, template: Floats, expected: float, noise: float) -> Floats:
     """Energy of beats less a template over that of the larger, both without noise."""
     energy = np.maximum((beats**2).sum(axis=(1, 2)), (template**2).sum()) - noise
     left = ((beats - template) ** 2).sum(axis=(1, 2)) - expected

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
 from fascicle.recording.limb_leads import derive_limb_leads
@@ -93,7 +93,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
 
 def _limb_electrodes_swapped(
     recording: Recording, first: str, second: str
-) -> tuple[NDArray[np.float64], Sequence[str]]:
+) -> tuple[Floats, Sequence[str]]:
     """Signal with each limb lead taken from the one that was recorded in its place."""
     limb = lead_matrix()[: len(LIMB_LEADS)]
     order = list(range(len(ELECTRODES)))
@@ -111,7 +111,7 @@ def _limb_electrodes_swapped(
 
 
 def _changed(
-    recording: Recording, signal: NDArray[np.float64], kept: Sequence[str], what: str, how: str
+    recording: Recording, signal: Floats, kept: Sequence[str], what: str, how: str
 ) -> Recording:
     """Recording with a new signal, its computed leads computed anew, and a note."""
     signal, derived = derive_limb_leads(signal, kept)

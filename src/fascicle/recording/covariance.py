@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.recording.target import Target
 
 
@@ -29,14 +29,14 @@ class ResidualCovariance:
         Weight of "no correlation" in each: near 0 with many beats, 1 where they tell nothing.
     """
 
-    sd: NDArray[np.float64]
-    leads: NDArray[np.float64]
-    time: NDArray[np.float64]
+    sd: Floats
+    leads: Floats
+    time: Floats
     shrinkage_leads: float
     shrinkage_time: float
 
     @property
-    def full(self) -> NDArray[np.float64]:
+    def full(self) -> Floats:
         """The whole covariance (mV²), shape (12, n_qrs, 12, n_qrs); tens of MB."""
         return np.asarray(
             np.einsum("lt,ms,lm,ts->ltms", self.sd, self.sd, self.leads, self.time, optimize=True)
@@ -72,7 +72,7 @@ def residual_covariance(target: Target) -> ResidualCovariance:
     return ResidualCovariance(sd, leads, time, *weights)
 
 
-def _correlation(scores: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _correlation(scores: Floats) -> tuple[Floats, float]:
     """Shrunk correlation (p, p) of scores (n_beats, p, q), and the weight of none in it."""
     each = scores @ scores.transpose(0, 2, 1) / scores.shape[2]
     n, raw = len(each), each.mean(axis=0)

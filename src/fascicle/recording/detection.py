@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
 from fascicle.recording.resampling import block_means
 
@@ -25,12 +25,12 @@ REACH = 0.1  # s; from the steepest part of a QRS to its R peak
 NOTCH = 0.012  # s; smoothing that merges the notches of one QRS
 
 
-def magnitude(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+def magnitude(signal: Floats) -> Floats:
     """Root mean square over the independent leads that are there, (12, n) mV to (n,) mV."""
     return np.asarray(np.sqrt(np.mean(signal[complete_leads(signal)] ** 2, axis=0)))
 
 
-def complete_leads(signal: NDArray[np.float64]) -> list[int]:
+def complete_leads(signal: Floats) -> list[int]:
     """Rows to average over: the independent leads, or all when I or II is not there.
 
     Without I or II no two of the other limb leads see the whole frontal plane equally, so a mean
@@ -59,7 +59,7 @@ def complete_leads(signal: NDArray[np.float64]) -> list[int]:
     return there
 
 
-def remove_baseline(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.float64]:
+def remove_baseline(signal: Floats, sampling_rate: float) -> Floats:
     """Signal (..., n) less its slow part; for detection only, it distorts ST and T."""
     from scipy.ndimage import gaussian_filter1d
 
@@ -67,7 +67,7 @@ def remove_baseline(signal: NDArray[np.float64], sampling_rate: float) -> NDArra
     return np.asarray(signal - gaussian_filter1d(signal, width, axis=-1, mode="nearest"))
 
 
-def r_peaks(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int64]:
+def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     r"""R peaks of a recording.
 
     As Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) do for one lead: a band-pass, the
@@ -111,7 +111,7 @@ def r_peaks(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int
     return np.asarray(peaks * factor + factor // 2, dtype=np.int64)
 
 
-def _usual_slopes(leads: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def _usual_slopes(leads: Floats, rate: float) -> Floats:
     """Steepness of each lead in units of its usual QRS, limited; zero for flat leads."""
     from scipy.signal import butter, sosfiltfilt
 
@@ -122,7 +122,7 @@ def _usual_slopes(leads: NDArray[np.float64], rate: float) -> NDArray[np.float64
     return np.asarray(np.minimum(steep / scale, LARGEST_SLOPE))
 
 
-def _usual_height(x: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def _usual_height(x: Floats, rate: float) -> Floats:
     """Median over stretches, each long enough for a beat, of the largest value of x (..., n)."""
     width = min(round(STRETCH * rate), x.shape[-1])
     starts = range(0, x.shape[-1] - width + 1, max(width // 2, 1))
@@ -131,7 +131,7 @@ def _usual_height(x: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     )
 
 
-def _agreement(slopes: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def _agreement(slopes: Floats, rate: float) -> Floats:
     """Squared correlation of each lead's slope with the median over the leads, (k,)."""
     if len(slopes) < 3:
         return np.ones(len(slopes))
@@ -144,18 +144,18 @@ def _agreement(slopes: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     return np.asarray(np.maximum(correlation, 0) ** 2)
 
 
-def _merged(slopes: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def _merged(slopes: Floats, rate: float) -> Floats:
     from scipy.ndimage import gaussian_filter1d
 
     return np.asarray(gaussian_filter1d(slopes, MERGING * rate, axis=-1, mode="constant"))
 
 
-def _trimmed_mean(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _trimmed_mean(slopes: Floats) -> Floats:
     kept = len(slopes) - int(TRIMMED * len(slopes))
     return np.asarray(np.partition(slopes, kept - 1, axis=0)[:kept].mean(axis=0))
 
 
-def _beats(slope: NDArray[np.float64], rate: float) -> NDArray[np.int64]:
+def _beats(slope: Floats, rate: float) -> Integers:
     """Samples about which all leads are steep."""
     from scipy.signal import find_peaks
 
@@ -170,7 +170,7 @@ def _beats(slope: NDArray[np.float64], rate: float) -> NDArray[np.int64]:
     return np.asarray(found[beat])
 
 
-def _tops(height: NDArray[np.float64], marks: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
+def _tops(height: Floats, marks: Integers, rate: float) -> Integers:
     """Sample at which the smoothed height is largest around each mark."""
     from scipy.ndimage import gaussian_filter1d
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from string import ascii_uppercase
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, independent_rows
 from fascicle.recording.alignment import HALF_WIDTH, cut, detrended
 from fascicle.recording.choices import Choices
@@ -57,11 +57,11 @@ class LeadGroup:
 
     start: int
     recording: Recording
-    recorded: NDArray[np.float64]
-    signal: NDArray[np.float64]
-    spikes: NDArray[np.int64]
+    recorded: Floats
+    signal: Floats
+    spikes: Integers
     noise: float
-    peaks: NDArray[np.int64]
+    peaks: Integers
     labels: tuple[str, ...]
 
     @property
@@ -71,17 +71,17 @@ class LeadGroup:
         return "all leads" if len(names) == len(LEADS) else ", ".join(names)
 
     @property
-    def times(self) -> NDArray[np.float64]:
+    def times(self) -> Floats:
         """Times of the R peaks (s from the start of the recording), shape (n_beats,)."""
         return self._time_of(self.peaks)
 
     @property
-    def spike_times(self) -> NDArray[np.float64]:
+    def spike_times(self) -> Floats:
         """Times of the pacing spikes (s from the start of the recording), shape (k,)."""
         return self._time_of(self.spikes[:, 0])
 
     @property
-    def intervals(self) -> NDArray[np.float64]:
+    def intervals(self) -> Floats:
         """Time since the beat before (ms), NaN for the first, shape (n_beats,)."""
         return np.concatenate([[np.nan], SAMPLING_STEP * np.diff(self.peaks)])
 
@@ -99,7 +99,7 @@ class LeadGroup:
         median = np.median(detrended(beats), axis=0)
         return float((median**2).sum() / max(self.noise, np.finfo(float).tiny))
 
-    def of_class(self, label: str) -> NDArray[np.int64]:
+    def of_class(self, label: str) -> Integers:
         """Which beats have a label, increasing."""
         return np.flatnonzero([one == label for one in self.labels])
 
@@ -124,7 +124,7 @@ class LeadGroup:
         near = self.spikes[(self.spikes[:, 1] <= peak) & (self.spikes[:, 0] > peak - reach)]
         return int(near[-1, 1]) if len(near) else None
 
-    def _time_of(self, samples: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _time_of(self, samples: Integers) -> Floats:
         return np.asarray(self.start / self.recording.sampling_rate + samples / TARGET_RATE)
 
     def _width(self, label: str) -> float:
@@ -200,12 +200,12 @@ def _group(recording: Recording, first: int, stop: int, choices: Choices) -> Lea
     )
 
 
-def _independent(signal: NDArray[np.float64]) -> NDArray[np.int64]:
+def _independent(signal: Floats) -> Integers:
     """Rows of the leads that are there and no combination of one another."""
     return independent_rows(np.asarray(np.isfinite(signal).all(axis=1), dtype=np.bool_))
 
 
-def _find_peaks(signal: NDArray[np.float64]) -> NDArray[np.int64]:
+def _find_peaks(signal: Floats) -> Integers:
     """R peaks of a signal (12, n) every `SAMPLING_STEP`; one where there is room for one only."""
     if signal.shape[1] < SHORTEST_RHYTHM * TARGET_RATE:
         return np.array([int(np.argmax(magnitude(detrended(signal))))])
@@ -214,8 +214,8 @@ def _find_peaks(signal: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _name_classes(
-    signal: NDArray[np.float64], classes: NDArray[np.int64], peaks: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    signal: Floats, classes: Integers, peaks: Integers
+) -> tuple[Integers, tuple[str, ...]]:
     """R peaks in the order of time, and the label of each beat's class.
 
     A is the class with the most beats, and of equally many the one with the narrower QRS.
@@ -237,7 +237,7 @@ def _name(place: int) -> str:
     return ascii_uppercase[letter] + (str(again + 1) if again else "")
 
 
-def _to_r_peak(signal: NDArray[np.float64], peaks: NDArray[np.int64]) -> int:
+def _to_r_peak(signal: Floats, peaks: Integers) -> int:
     """Samples from the common mark of aligned beats to the R peak of their median.
 
     It is the median over the leads of each one's R wave, its largest upward deflection, or of its
@@ -251,15 +251,13 @@ def _to_r_peak(signal: NDArray[np.float64], peaks: NDArray[np.int64]) -> int:
     return int(np.median(tops)) + onset - MEDIAN_REACH
 
 
-def _rough_width(signal: NDArray[np.float64], peaks: NDArray[np.int64]) -> float:
+def _rough_width(signal: Floats, peaks: Integers) -> float:
     """QRS duration (ms) of the median of aligned beats."""
     _, onset, offset = _median_beat(signal, peaks)
     return (offset - onset) * SAMPLING_STEP
 
 
-def _median_beat(
-    signal: NDArray[np.float64], peaks: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], int, int]:
+def _median_beat(signal: Floats, peaks: Integers) -> tuple[Floats, int, int]:
     """Median of aligned beats, `MEDIAN_REACH` samples each side of R, and the ends of its QRS."""
     median = np.median(cut(signal, peaks, MEDIAN_REACH, MEDIAN_REACH), axis=0)
     return median, *qrs_window(median, SAMPLING_STEP)

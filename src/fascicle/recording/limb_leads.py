@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS, limb_leads_from
 
 
-def derive_limb_leads(
-    signal: NDArray[np.float64], recorded: Collection[str]
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def derive_limb_leads(signal: Floats, recorded: Collection[str]) -> tuple[Floats, tuple[str, ...]]:
     """Fill the limb leads that were not recorded, by Einthoven's and Goldberger's laws.
 
     Parameters

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.recording.resampling import MAINS
-
-Array = NDArray[np.float64]
 
 FEW_LEADS = 4  # with fewer no lead is left out
 SLOWER_THAN_HUM = 8.0  # ms; standard deviation of the Gaussian that takes hum away
@@ -23,11 +21,11 @@ FROM_CORE = 60.0  # ms; beyond, a beat is at rest as far as hum is concerned
 class Motion:
     """Slope (mV/ms) and curvature (mV/ms²) of each lead, (k, n), and the smoothing (ms) of both."""
 
-    slope: Array
-    curvature: Array
+    slope: Floats
+    curvature: Floats
     smoothing: float
 
-    def speed(self, turning: float, trend: Array | float = 0.0) -> Array:
+    def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
         """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
 
         Curvature counts as speed when multiplied by `turning` (ms). At each instant the fastest
@@ -43,7 +41,7 @@ class Motion:
         return Motion(-self.slope[:, ::-1], self.curvature[:, ::-1], self.smoothing)
 
 
-def derivative(leads: Array, smoothing: float, step: float, order: int) -> Array:
+def derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floats:
     """Derivative (mV/ms or mV/ms²) of leads (k, n), by a Gaussian of `smoothing` ms."""
     from scipy.ndimage import gaussian_filter1d
 
@@ -52,13 +50,13 @@ def derivative(leads: Array, smoothing: float, step: float, order: int) -> Array
     return np.asarray(smooth / step**order)
 
 
-def motion_of(leads: Array, smoothing: float, step: float) -> Motion:
+def motion_of(leads: Floats, smoothing: float, step: float) -> Motion:
     """Motion of leads (k, n), mV."""
     slope = derivative(leads, smoothing, step, 1)
     return Motion(slope, derivative(leads, smoothing, step, 2), smoothing)
 
 
-def without_hum(leads: Array, first: int, last: int, step: float) -> Array:
+def without_hum(leads: Floats, first: int, last: int, step: float) -> Floats:
     """Leads (k, n) less the mains hum of those in which it is most of what is fast at rest."""
     from scipy.ndimage import gaussian_filter1d
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.aligned_beats import AlignedBeats, combine, cut_beats
@@ -176,7 +176,7 @@ def _cut(
     return cut_beats(group, members, choices.onset)
 
 
-def _recorded_signal(recording: Recording, groups: Sequence[LeadGroup]) -> NDArray[np.float64]:
+def _recorded_signal(recording: Recording, groups: Sequence[LeadGroup]) -> Floats:
     """Recorded potential (12, n), mV, at the target's rate, each group of leads in its place."""
     ratio = TARGET_RATE / recording.sampling_rate
     signal = np.full((len(LEADS), round(recording.signal.shape[1] * ratio)), np.nan)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 
@@ -61,12 +61,12 @@ class Recording:
         too long or too coarse in time.
     """
 
-    signal: NDArray[np.float64]
+    signal: Floats
     sampling_rate: float
     source: str
     provenance: dict[str, str] = field(default_factory=dict)
     filters: Filters = field(default_factory=Filters)
-    digits_per_millivolt: NDArray[np.float64] | None = None
+    digits_per_millivolt: Floats | None = None
     derived: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
 
@@ -89,7 +89,7 @@ class Recording:
         return float(self.signal.shape[1] / self.sampling_rate)
 
     @cached_property
-    def recorded(self) -> NDArray[np.bool_]:
+    def recorded(self) -> Booleans:
         """Which of the twelve leads are there, shape (12,)."""
         return np.asarray(np.isfinite(self.signal).any(axis=1))
 
@@ -100,7 +100,7 @@ class Recording:
         return tuple(lead for lead, found in there if found and lead not in self.derived)
 
     @cached_property
-    def spans(self) -> NDArray[np.int64]:
+    def spans(self) -> Integers:
         """First sample of each lead and the one after its last, shape (12, 2); zeros if absent."""
         finite = np.isfinite(self.signal)
         first = np.argmax(finite, axis=1)
@@ -150,9 +150,7 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
         )
 
 
-def _check_gaps(
-    signal: NDArray[np.float64], spans: NDArray[np.int64], rate: float, source: str
-) -> None:
+def _check_gaps(signal: Floats, spans: Integers, rate: float, source: str) -> None:
     """Refuse missing samples, unless they come from recording one group of leads after another."""
     present = np.flatnonzero(spans[:, 1] > 0)
     first, stop = spans[present].T

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.recording.target import SAMPLING_STEP
 
 TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
@@ -17,7 +17,7 @@ FILTER_ORDER = 2  # run forward and backward: 4 in effect, without a shift in ti
 NOTCH_QUALITY = 30.0  # of the notch filter: 50 Hz +- 0.8 Hz
 
 
-def resample(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.float64]:
+def resample(signal: Floats, sampling_rate: float) -> Floats:
     """Signal at `sampling_rate` Hz to one sample every `SAMPLING_STEP`, by a polyphase filter.
 
     Parameters
@@ -39,15 +39,13 @@ def resample(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.fl
     return np.asarray(resample_poly(signal, up, down, axis=-1, padtype="line"))
 
 
-def block_means(signal: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+def block_means(signal: Floats, factor: int) -> Floats:
     """Means of each `factor` successive samples, (..., n) to (..., n // factor)."""
     whole = signal.shape[-1] // factor * factor
     return np.asarray(signal[..., :whole].reshape(*signal.shape[:-1], -1, factor).mean(axis=-1))
 
 
-def filtered(
-    signal: NDArray[np.float64], lowpass_cutoff: float | None, mains: float | None
-) -> NDArray[np.float64]:
+def filtered(signal: Floats, lowpass_cutoff: float | None, mains: float | None) -> Floats:
     """Signal with the filters that a user may ask for, without delay.
 
     Parameters
@@ -64,7 +62,7 @@ def filtered(
     return signal if mains is None else _notch(signal, mains)
 
 
-def _lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
+def _lowpass(signal: Floats, cutoff: float) -> Floats:
     """Butterworth low-pass, forward and backward."""
     from scipy.signal import butter, sosfiltfilt
 
@@ -72,7 +70,7 @@ def _lowpass(signal: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
     return np.asarray(sosfiltfilt(sections, signal, axis=-1))
 
 
-def _notch(signal: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
+def _notch(signal: Floats, frequency: float) -> Floats:
     from scipy.signal import filtfilt, iirnotch
 
     b, a = iirnotch(frequency, NOTCH_QUALITY, fs=TARGET_RATE)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 HALF_WIDTH = 0.005  # s; a pacing pulse, smeared by the recorder, has ended this long after its top
 AROUND = 0.05  # s each side in which a spike must stand out
@@ -20,7 +21,7 @@ SHARE = 3  # one in this many leads shows a spike, at least two
 TRACE = 0.03  # mV; what is left of a spike where it begins and ends
 
 
-def find_spikes(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np.int64]:
+def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     r"""Pacing spikes of a recording.
 
     The prominence of a sample in one lead is how far it lies above (or below) both the samples
@@ -77,7 +78,7 @@ def find_spikes(signal: NDArray[np.float64], sampling_rate: float) -> NDArray[np
     return _extents(signal, tops, reach)
 
 
-def remove_spikes(signal: NDArray[np.float64], spikes: NDArray[np.int64]) -> NDArray[np.float64]:
+def remove_spikes(signal: Floats, spikes: Integers) -> Floats:
     """Signal (12, n) with a straight line across each spike (k, 2), in every lead."""
     without = signal.copy()
     last = signal.shape[1] - 1
@@ -89,19 +90,19 @@ def remove_spikes(signal: NDArray[np.float64], spikes: NDArray[np.int64]) -> NDA
     return without
 
 
-def _shifted(lead: NDArray[np.float64], by: int) -> NDArray[np.float64]:
+def _shifted(lead: Floats, by: int) -> Floats:
     """Value `by` samples later; the ends of the recording go on for ever."""
     return np.asarray(lead[np.clip(np.arange(len(lead)) + by, 0, len(lead) - 1)])
 
 
-def _prominence(lead: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+def _prominence(lead: Floats, reach: int) -> Floats:
     """How far each sample lies beyond both samples `reach` away, on one side of them (mV)."""
     before, after = lead - _shifted(lead, -reach), lead - _shifted(lead, reach)
     same_side = before * after > 0
     return np.where(same_side, np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
-def _movement(lead: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+def _movement(lead: Floats, reach: int) -> Floats:
     """How far the signal moves next to each sample, from `reach` to two or three times that (mV).
 
     The less of both: the other distance may meet the spike of another chamber. A step counts too.
@@ -113,7 +114,7 @@ def _movement(lead: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
     return np.maximum(np.minimum(np.abs(near - far), np.abs(near - farther)), step)
 
 
-def _around(power: NDArray[np.float64], reach: int, width: int) -> NDArray[np.float64]:
+def _around(power: Floats, reach: int, width: int) -> Floats:
     """Mean within `width` samples of each sample, the nearest two `reach` left out (mV²)."""
     from scipy.ndimage import uniform_filter1d
 
@@ -122,21 +123,19 @@ def _around(power: NDArray[np.float64], reach: int, width: int) -> NDArray[np.fl
     return np.asarray(np.maximum(wide - own, 0) / (outer - inner))
 
 
-def _pattern(
-    signal: NDArray[np.float64], tops: NDArray[np.int64], reach: int
-) -> NDArray[np.float64]:
+def _pattern(signal: Floats, tops: Integers, reach: int) -> Floats:
     """Height of each lead at samples above the mean `reach` away, as unit vectors (12, k)."""
     before, after = np.clip([tops - reach, tops + reach], 0, signal.shape[1] - 1)
     height = np.nan_to_num(signal[:, tops] - (signal[:, before] + signal[:, after]) / 2)
     return np.asarray(height / np.maximum(np.linalg.norm(height, axis=0), np.finfo(float).tiny))
 
 
-def _like_any(patterns: NDArray[np.float64], clear: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _like_any(patterns: Floats, clear: Booleans) -> Booleans:
     """Which of the patterns (12, k) resemble one of the clear ones, of either sign."""
     return np.asarray((np.abs(patterns.T @ patterns[:, clear]) > ALIKE).any(axis=1))
 
 
-def _extents(signal: NDArray[np.float64], tops: NDArray[np.int64], reach: int) -> NDArray[np.int64]:
+def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:
     """First sample and the one after the last of each spike, from where any lead leaves a line."""
     spikes = []
     for top in tops:

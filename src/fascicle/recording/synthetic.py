@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from fascicle.core.arrays import Floats
 from fascicle.recording.target import SAMPLING_STEP, Target
 from fascicle.recording.window import qrs_window
 
@@ -17,7 +17,7 @@ REPETITIONS = 10  # as many beats as an ordinary 10 s recording has
 
 
 def synthetic_target(
-    leads: NDArray[np.float64],
+    leads: Floats,
     rng: np.random.Generator,
     beats: int = 10,
     noise: float = 0.03,
@@ -81,9 +81,7 @@ def repeated(target: Target, rng: np.random.Generator, count: int = REPETITIONS)
     return replace(target, beats=target.beats + noise, noise=None)
 
 
-def _smooth_noise(
-    rng: np.random.Generator, shape: tuple[int, ...], sd: float
-) -> NDArray[np.float64]:
+def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], sd: float) -> Floats:
     """Noise (mV) of a standard deviation, smooth along the last axis over some ms."""
     white = rng.standard_normal(shape)
     smooth = gaussian_filter1d(white, NOISE_CORRELATION / SAMPLING_STEP, axis=-1)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fascicle.core.arrays import Booleans, Floats
 
 SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
 
@@ -34,8 +35,8 @@ class Target:
         Standard deviation of every sample (mV), stated by the user; needed for a single beat.
     """
 
-    beats: NDArray[np.float64]
-    time: NDArray[np.float64]
+    beats: Floats
+    time: Floats
     qrs_onset: float
     qrs_offset: float
     heart_rate: float
@@ -45,17 +46,17 @@ class Target:
     noise: float | None = None
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Booleans:
         """Which of the twelve leads are there, shape (12,)."""
         return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
 
     @cached_property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Floats:
         """Mean beat (mV), shape (12, n_time)."""
         return np.asarray(self.beats.mean(axis=0))
 
     @cached_property
-    def standard_deviation(self) -> NDArray[np.float64]:
+    def standard_deviation(self) -> Floats:
         """Beat-to-beat standard deviation (mV), shape (12, n_time)."""
         if self.noise is not None:
             return np.where(self.used[:, None], self.noise, np.nan) * np.ones(len(self.time))
@@ -73,11 +74,11 @@ class Target:
         return slice(int(inside[0]), int(inside[-1]) + 1)
 
     @property
-    def qrs(self) -> NDArray[np.float64]:
+    def qrs(self) -> Floats:
         """Mean QRS (mV), shape (12, n_qrs)."""
         return np.asarray(self.mean[:, self.qrs_samples])
 
     @property
-    def qrs_beats(self) -> NDArray[np.float64]:
+    def qrs_beats(self) -> Floats:
         """QRS of every beat (mV), shape (n_beats, 12, n_qrs)."""
         return np.asarray(self.beats[:, :, self.qrs_samples])

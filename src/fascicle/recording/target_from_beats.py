@@ -128,10 +128,7 @@ def _window(aligned: AlignedBeats, choices: Choices, source: str) -> tuple[float
 
 
 def _provenance(
-    recording: Recording,
-    beats: Sequence[Beat],
-    n_used: int,
-    choices: Choices,
+    recording: Recording, beats: Sequence[Beat], n_used: int, choices: Choices
 ) -> dict[str, str]:
     """Text about everything that decided the target."""
     notes = {

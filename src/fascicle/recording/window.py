@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.recording.detection import complete_leads
 from fascicle.recording.motion import Motion, derivative, motion_of, without_hum
-
-Array = NDArray[np.float64]
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
 NOISY_SMOOTHINGS = (5.0, 6.0, 8.0)  # ms; instead, where the leads are never still otherwise
@@ -76,7 +74,7 @@ ONSET = _Search(level=0.025, turning=8.0, reach=80.0, trend=20.0)
 OFFSET = _Search(level=0.03, turning=5.0, reach=100.0, trend=30.0)
 
 
-def spatial_velocity(signal: Array, step: float) -> Array:
+def spatial_velocity(signal: Floats, step: float) -> Floats:
     r"""Speed of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
 
     Parameters
@@ -96,7 +94,7 @@ def spatial_velocity(signal: Array, step: float) -> Array:
     return np.asarray(np.sqrt(np.mean(slope**2, axis=0)))
 
 
-def qrs_window(signal: Array, step: float, not_before: int = 0) -> tuple[int, int]:
+def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, int]:
     r"""First and last sample of the QRS.
 
     The fastest stretches of the beat are its core; from there outward the QRS lasts until the leads
@@ -146,7 +144,7 @@ def qrs_window(signal: Array, step: float, not_before: int = 0) -> tuple[int, in
     return not_before + onset, not_before + offset
 
 
-def _quiet_motion(leads: Array, step: float) -> Motion:
+def _quiet_motion(leads: Floats, step: float) -> Motion:
     """Motion with as little smoothing as makes its noise slower than the onset of a QRS."""
     motion = motion_of(leads, SMOOTHING, step)
     for wider in NOISY_SMOOTHINGS:
@@ -157,18 +155,18 @@ def _quiet_motion(leads: Array, step: float) -> Motion:
     return motion
 
 
-def _stillest(speed: Array, step: float) -> float:
+def _stillest(speed: Floats, step: float) -> float:
     """Mean speed of the stillest `REST` ms, or of all where there is less."""
     width = min(max(round(REST / step), 1), len(speed))
     return float(np.convolve(speed, np.full(width, 1 / width), mode="valid").min())
 
 
-def _highest(speed: Array, step: float) -> float:
+def _highest(speed: Floats, step: float) -> float:
     """Mean of the fastest `PEAK` ms."""
     return float(np.sort(speed)[-max(round(PEAK / step), 1) :].mean())
 
 
-def _core(speed: Array, step: float) -> tuple[int, int]:
+def _core(speed: Floats, step: float) -> tuple[int, int]:
     """Find the ends of the fast stretch around the highest speed, joined over short gaps.
 
     Where it is longer than any QRS, what counts as fast rises.
@@ -211,7 +209,7 @@ def _still_from(motion: Motion, core: int, search: _Search, step: float) -> int:
     return core + _still_after(relative, core, level, search.reach, step)
 
 
-def _still_after(speed: Array, core: int, level: float, reach: float, step: float) -> int:
+def _still_after(speed: Floats, core: int, level: float, reach: float, step: float) -> int:
     """Count the samples after the core until the leads are still.
 
     Beyond the end of the array everything is still. When nothing is below the level within `reach`,
@@ -233,7 +231,7 @@ def _still_after(speed: Array, core: int, level: float, reach: float, step: floa
 
 
 def window_uncertainty(
-    beats: Array, step: float, not_before: int = 0, noise: float | None = None
+    beats: Floats, step: float, not_before: int = 0, noise: float | None = None
 ) -> tuple[float, float]:
     """Standard deviations of the ends of the QRS that `qrs_window` finds in the mean beat.
 
@@ -285,7 +283,7 @@ def window_uncertainty(
     return float(onset), float(offset)
 
 
-def _noise(rng: np.random.Generator, shape: tuple[int, ...], step: float) -> Array:
+def _noise(rng: np.random.Generator, shape: tuple[int, ...], step: float) -> Floats:
     """`REPEATS` times noise of standard deviation 1, as smooth as a recorder's."""
     from scipy.ndimage import gaussian_filter1d
 

@@ -12,8 +12,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, MultipleLocator
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.recording.target import Target
 from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TICK_SIZE, tidy
@@ -64,7 +64,7 @@ def draw_beats(panels: Sequence[Axes], target: Target) -> None:
         _name_ends(axes, target)
 
 
-def drawn_beats(target: Target) -> NDArray[np.int64]:
+def drawn_beats(target: Target) -> Integers:
     """Which beats are drawn: all, or `MOST_DRAWN` evenly over the recording."""
     count = len(target.beats)
     return np.unique(np.linspace(0, count - 1, min(count, MOST_DRAWN)).round().astype(np.int64))
@@ -91,9 +91,7 @@ def panel_handles(target: Target) -> list[tuple[Any, str]]:  # Matplotlib has no
     return handles
 
 
-def _range(
-    target: Target, mean: NDArray[np.float64], band: tuple[NDArray[np.float64], ...]
-) -> tuple[float, float]:
+def _range(target: Target, mean: Floats, band: tuple[Floats, ...]) -> tuple[float, float]:
     """Limits (mV) that hold the mean where it is shown, and beats and band in the QRS window.
 
     An artefact outside the window may leave the panel rather than flatten all of them.
@@ -116,9 +114,7 @@ def _draw_window(axes: Axes, target: Target) -> None:
         axes.axvline(end, color=BLACK, linewidth=0.7, zorder=1.5)
 
 
-def _draw_lead(
-    axes: Axes, target: Target, lead: int, mean: NDArray[np.float64], spread: NDArray[np.float64]
-) -> None:
+def _draw_lead(axes: Axes, target: Target, lead: int, mean: Floats, spread: Floats) -> None:
     drawn = drawn_beats(target)
     axes.fill_between(
         target.time, mean - spread, mean + spread, color=BLUE, alpha=BAND_OPACITY, linewidth=0

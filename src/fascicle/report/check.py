@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from fascicle.build.check import WALLS, HeartCheck
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart, outward_triangles
 from fascicle.heart.labelled_surface import Label
@@ -72,7 +72,7 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     return figure
 
 
-def body_views(electrodes: NDArray[np.float64]) -> tuple[View, View]:
+def body_views(electrodes: Floats) -> tuple[View, View]:
     """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
     ra, la, ll = electrodes[:3]
     left = unit(la - ra)
@@ -109,12 +109,7 @@ def _draw_seeds(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None
 
 
 def _draw_fibres(
-    axes: Axes,
-    view: View,
-    heart: Heart,
-    check: HeartCheck,
-    labels: tuple[Label, ...],
-    title: str,
+    axes: Axes, view: View, heart: Heart, check: HeartCheck, labels: tuple[Label, ...], title: str
 ) -> None:
     """Short lines along the fibres next to a part of the boundary."""
     vertices = heart.vertices
@@ -154,7 +149,7 @@ def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
     _finish(axes, f"body, {view.name}")
 
 
-def outline(heart: Heart, torso: Torso, tissue: TorsoTissue | None) -> NDArray[np.int64]:
+def outline(heart: Heart, torso: Torso, tissue: TorsoTissue | None) -> Integers:
     """Triangles (k, 3) around one tissue, or, if None, around all: the skin."""
     cells = (
         torso.tetrahedra[torso.tissues == tissue]
@@ -165,12 +160,7 @@ def outline(heart: Heart, torso: Torso, tissue: TorsoTissue | None) -> NDArray[n
 
 
 def _paint(
-    axes: Axes,
-    view: View,
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    colour: str,
-    alpha: float = 1.0,
+    axes: Axes, view: View, vertices: Floats, triangles: Integers, colour: str, alpha: float = 1.0
 ) -> None:
     """Painter's algorithm in one colour, shaded."""
     order = back_to_front(view, vertices, triangles)
@@ -208,7 +198,7 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
     tidy(axes)
 
 
-def _quartiles(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quartiles(angle: Floats) -> Floats:
     """Quartiles of axes (degrees), which -90 and 90 are the same for: about their mean axis."""
     mean = np.degrees(np.angle(np.exp(2j * np.radians(angle)).sum())) / 2
     return np.asarray(mean + np.percentile((angle - mean + 90) % 180 - 90, [25, 50, 75]))

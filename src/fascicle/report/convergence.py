@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.report.figures import (
     BLACK,
@@ -75,19 +76,19 @@ def convergence_figure(
     return figure
 
 
-def running_best(losses: ArrayLike) -> NDArray[np.float64]:
+def running_best(losses: ArrayLike) -> Floats:
     """Smallest loss (mV²) up to each evaluation, shape (n,); NaN before the first feasible one."""
     return np.asarray(np.fmin.accumulate(np.asarray(losses, dtype=float)))
 
 
-def _limits(feasible: NDArray[np.float64]) -> tuple[float, float]:
+def _limits(feasible: Floats) -> tuple[float, float]:
     positive = feasible[feasible > 0]
     if not positive.size:
         return 1e-6, 1.0
     return float(positive.min()) / HEADROOM, float(positive.max()) * HEADROOM
 
 
-def _draw_losses(axes: Axes, values: NDArray[np.float64]) -> None:
+def _draw_losses(axes: Axes, values: Floats) -> None:
     number = np.arange(1, len(values) + 1)
     feasible = np.isfinite(values)
     axes.plot(

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.report.figures import (
@@ -52,8 +53,8 @@ class EcgEnsemble:
     """
 
     label: str
-    time: NDArray[np.float64]
-    leads: NDArray[np.float64]
+    time: Floats
+    leads: Floats
     colour: str
 
     def __post_init__(self) -> None:
@@ -65,22 +66,18 @@ class EcgEnsemble:
             )
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Floats:
         """Mean over the ECGs (mV), shape (12, t)."""
         return np.asarray(np.ma.masked_invalid(self.leads).mean(axis=0).filled(np.nan))
 
     @property
-    def band(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def band(self) -> tuple[Floats, Floats]:
         """Smallest and largest value over the ECGs (mV), each of shape (12, t)."""
         return np.fmin.reduce(self.leads, axis=0), np.fmax.reduce(self.leads, axis=0)
 
 
 def match_figure(
-    time: ArrayLike,
-    recorded: ArrayLike | None,
-    predicted: ArrayLike,
-    *,
-    title: str | None = None,
+    time: ArrayLike, recorded: ArrayLike | None, predicted: ArrayLike, *, title: str | None = None
 ) -> Figure:
     """Draw the recorded ECG against what the networks predict.
 

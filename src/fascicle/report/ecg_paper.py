@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat
 from fascicle.recording.target import SAMPLING_STEP
@@ -111,7 +111,7 @@ def _duration(analysis: Analysis) -> float:
     return float(analysis.signal.shape[1] * SAMPLING_STEP / 1000.0)
 
 
-def _levelled(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _levelled(signal: Floats) -> Floats:
     """Each lead (12, n) less its median, which is its baseline."""
     level = np.full(signal.shape, np.nan)
     for lead, samples in enumerate(signal):
@@ -120,9 +120,7 @@ def _levelled(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     return level
 
 
-def _without_spikes(
-    level: NDArray[np.float64], time: NDArray[np.float64], spikes: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _without_spikes(level: Floats, time: Floats, spikes: Floats) -> Floats:
     """Leads (12, n), flat at pacing spikes and where nothing was recorded."""
     flat = np.nan_to_num(level)
     for sample in np.searchsorted(time, spikes[(spikes >= time[0]) & (spikes <= time[-1])]):
@@ -130,9 +128,7 @@ def _without_spikes(
     return flat
 
 
-def _arrange(
-    level: NDArray[np.float64], height: float, head: float
-) -> tuple[float, NDArray[np.float64]]:
+def _arrange(level: Floats, height: float, head: float) -> tuple[float, Floats]:
     """Gain (share of the standard) and where the baselines lie (mm, negative below the top).
 
     Leads keep apart at every instant; with room to spare, also from one instant to another.
@@ -157,9 +153,7 @@ def _arrange(
     return gain, -head - np.cumsum(needed)[: len(level)]
 
 
-def _within_reach(
-    traces: NDArray[np.float64], flat: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], bool]:
+def _within_reach(traces: Floats, flat: Floats) -> tuple[Floats, bool]:
     """Traces (12, n) in mm without what artefacts and spikes add, and whether there was any."""
     low = np.quantile(flat, RARE, axis=1, keepdims=True) - BEYOND
     high = np.quantile(flat, 1 - RARE, axis=1, keepdims=True) + BEYOND
@@ -184,11 +178,7 @@ def _draw_grid(axes: Axes, start: float, height: float) -> None:
 
 
 def _draw_traces(
-    axes: Axes,
-    time: NDArray[np.float64],
-    traces: NDArray[np.float64],
-    analysis: Analysis,
-    colours: Mapping[str, str],
+    axes: Axes, time: Floats, traces: Floats, analysis: Analysis, colours: Mapping[str, str]
 ) -> None:
     """Each lead as one line per colour, with gaps where another one goes on."""
     shades = np.full(len(time), GREY, dtype=object)
@@ -202,9 +192,7 @@ def _draw_traces(
             axes.plot(time, np.where(here, trace, np.nan), color=colour, linewidth=0.65)
 
 
-def _name_leads(
-    axes: Axes, analysis: Analysis, baselines: NDArray[np.float64], signal: NDArray[np.float64]
-) -> None:
+def _name_leads(axes: Axes, analysis: Analysis, baselines: Floats, signal: Floats) -> None:
     """Names at the left, and a word on rows that stay empty."""
     middle = float(np.mean(axes.get_xlim()))
     recorded = np.asarray(np.isfinite(analysis.signal).any(axis=1))

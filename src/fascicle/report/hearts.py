@@ -12,9 +12,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import BoundaryNorm, to_rgb
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart, outward_triangles
@@ -45,7 +45,7 @@ SCALE_BAR = 20.0  # mm
 PANEL = 1.95  # width, inch
 MARGIN = 1.04  # frame over heart
 
-Box = tuple[NDArray[np.float64], NDArray[np.float64]]
+Box = tuple[Floats, Floats]
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class ActivationRow:
     """
 
     label: str
-    activation: NDArray[np.float64]
-    trees: tuple[tuple[PurkinjeTree, NDArray[np.float64]], ...] = ()
+    activation: Floats
+    trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()
 
 
 def activation_figure(
@@ -145,9 +145,9 @@ def activation_figure(
 class _Surface:
     """The heart's boundary, oriented, with smooth normals for the shading."""
 
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
-    normals: NDArray[np.float64]
+    vertices: Floats
+    triangles: Integers
+    normals: Floats
 
     @classmethod
     def of(cls, heart: Heart) -> _Surface:
@@ -174,7 +174,7 @@ def _has_tree(rows: Sequence[ActivationRow], side: str) -> bool:
     return any(tree.side == side for row in rows for tree, _ in row.trees)
 
 
-def _box(view: View, positions: NDArray[np.float64]) -> Box:
+def _box(view: View, positions: Floats) -> Box:
     """Lower left and upper right corner on the screen (mm)."""
     screen = view.project(positions)[:, :2]
     return screen.min(axis=0), screen.max(axis=0)
@@ -204,11 +204,7 @@ def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
 
 
 def _draw_surface(
-    axes: Axes,
-    view: View,
-    surface: _Surface,
-    activation: NDArray[np.float64],
-    norm: BoundaryNorm,
+    axes: Axes, view: View, surface: _Surface, activation: Floats, norm: BoundaryNorm
 ) -> None:
     """Painter's algorithm on the triangles that face the eye, each cut along the isochrones."""
     order = back_to_front(view, surface.vertices, surface.triangles)
@@ -256,12 +252,7 @@ def _draw_cavity(
 
 
 def _draw_tree(
-    axes: Axes,
-    view: View,
-    tree: PurkinjeTree,
-    times: NDArray[np.float64],
-    far: NDArray[np.bool_],
-    norm: BoundaryNorm,
+    axes: Axes, view: View, tree: PurkinjeTree, times: Floats, far: Booleans, norm: BoundaryNorm
 ) -> None:
     """Segments on the far wall drawn fully, those on the near, glass wall as a faint veil."""
     child = np.flatnonzero(tree.parents >= 0)

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, VERMILION, new_figure
@@ -98,9 +99,7 @@ def short_name(name: str) -> str:
     return f"{side.upper()} {part}\n{quantity} "
 
 
-def _samples(
-    space: ParameterSpace, values: Mapping[str, ArrayLike]
-) -> dict[str, NDArray[np.float64]]:
+def _samples(space: ParameterSpace, values: Mapping[str, ArrayLike]) -> dict[str, Floats]:
     missing = [name for name in space.names if name not in values]
     if missing:
         raise InputError(f"no samples of {', '.join(missing)}; give all {len(space)} parameters")
@@ -114,7 +113,7 @@ def _samples(
 def _draw_marginal(
     axes: Axes,
     parameter: Parameter,
-    sample: NDArray[np.float64],
+    sample: Floats,
     marks: list[tuple[Mapping[str, float], dict[str, Any]]],
 ) -> None:
     edges = np.linspace(parameter.lower, parameter.upper, _bins(len(sample)) + 1)
@@ -137,7 +136,7 @@ def _bins(count: int) -> int:
 def _draw_pair(
     axes: Axes,
     parameters: tuple[Parameter, Parameter],
-    samples: tuple[NDArray[np.float64], NDArray[np.float64]],
+    samples: tuple[Floats, Floats],
     marks: list[tuple[Mapping[str, float], dict[str, Any]]],
 ) -> None:
     x, y = parameters

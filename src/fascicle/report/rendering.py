@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals, unit
@@ -35,18 +35,18 @@ class View:
     """
 
     name: str
-    axes: NDArray[np.float64]
-    centre: NDArray[np.float64]
+    axes: Floats
+    centre: Floats
 
-    def project(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project(self, positions: Floats) -> Floats:
         """Screen coordinates and depth (mm; larger is farther), the shape of `positions`."""
         return np.asarray((positions - self.centre) @ self.axes.T)
 
-    def facing(self, normals: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def facing(self, normals: Floats) -> Booleans:
         """Which normals (k, 3) point towards the eye, shape (k,)."""
         return np.asarray(normals @ self.axes[2] < 0)
 
-    def shade(self, normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shade(self, normals: Floats) -> Floats:
         """Lambert brightness, from `AMBIENT` to 1, of unit normals (k, 3), shape (k,)."""
         light = unit(np.array(LIGHT))
         cosine = np.clip(normals @ self.axes.T @ light, 0, 1)
@@ -83,9 +83,7 @@ def heart_views(heart: Heart) -> dict[str, View]:
     return {name: View(name, np.array(rows), centre) for name, rows in axes.items()}
 
 
-def smooth_normals(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def smooth_normals(vertices: Floats, triangles: Integers) -> Floats:
     """Average normals over neighbours, by area, but not across creases such as the rim of the base.
 
     Returns
@@ -103,9 +101,7 @@ def smooth_normals(
     return unit(np.where(crease[..., np.newaxis], flat, corners).sum(axis=1))
 
 
-def back_to_front(
-    view: View, vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def back_to_front(view: View, vertices: Floats, triangles: Integers) -> Integers:
     """Sort the triangles that face the eye, the farthest first; indices."""
     visible = np.flatnonzero(view.facing(triangle_normals(vertices, triangles)))
     depth = view.project(vertices[triangles[visible]])[..., 2].mean(axis=1)
@@ -113,8 +109,8 @@ def back_to_front(
 
 
 def cut_at_levels(
-    corners: NDArray[np.float64], times: NDArray[np.float64], levels: NDArray[np.float64]
-) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
+    corners: Floats, times: Floats, levels: Floats
+) -> Iterator[tuple[int, int, Floats]]:
     """Cut triangles along isochrones, the time being linear in each.
 
     Parameters
@@ -132,7 +128,7 @@ def cut_at_levels(
         Index of the triangle; of the interval between levels, -1 where time is not finite; and the
         (p, 2) corners of the piece. Triangles come in the order given.
     """
-    known: NDArray[np.bool_] = np.all(np.isfinite(times), axis=1)
+    known: Booleans = np.all(np.isfinite(times), axis=1)
     band = np.clip(np.searchsorted(levels, times, side="right") - 1, 0, len(levels) - 2)
     lowest, highest = band.min(axis=1), band.max(axis=1)
     for k, corner in enumerate(corners):

@@ -31,9 +31,7 @@ SHOWN_AFTER = 450.0  # ms after it
 ZOOM = (-3.0, 80.0)  # ms around the upstroke
 
 
-def template_figure(
-    progress: Progress | None = None,
-) -> tuple[Figure, dict[str, dict[str, float]]]:
+def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str, dict[str, float]]]:
     """Action potentials of the three cell types in a cable, and the template of the ECG.
 
     Parameters
@@ -87,9 +85,7 @@ def measure(template: CableTemplate) -> dict[str, float]:
 
 
 def _draw_whole(
-    axes: Axes,
-    templates: Mapping[str, CableTemplate],
-    table: Mapping[str, Mapping[str, float]],
+    axes: Axes, templates: Mapping[str, CableTemplate], table: Mapping[str, Mapping[str, float]]
 ) -> None:
     time = np.linspace(-SHOWN_BEFORE, SHOWN_AFTER, 4000)
     for cell, template in templates.items():

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.recording.quality.lead_signals import coarse, measured, steady
 from fascicle.recording.recording import Recording
@@ -34,8 +34,8 @@ class Activity:
         Samples per second (Hz).
     """
 
-    wave: NDArray[np.float64]
-    speed: NDArray[np.float64]
+    wave: Floats
+    speed: Floats
     rate: float
 
 
@@ -62,14 +62,14 @@ def activity(recording: Recording) -> Activity:
     return found
 
 
-def mean_activity(speed: NDArray[np.float64]) -> NDArray[np.float64]:
+def mean_activity(speed: Floats) -> Floats:
     """Mean over leads of their activity (m, n), NaN where none is recorded."""
     there = np.isfinite(speed)
     total = np.where(there, np.minimum(speed, LARGEST_WEIGHT), 0.0).sum(axis=0)
     return np.where(there.any(axis=0), total / np.maximum(there.sum(axis=0), 1), np.nan)
 
 
-def beats_of(speed: NDArray[np.float64], rate: float) -> tuple[NDArray[np.int64], float]:
+def beats_of(speed: Floats, rate: float) -> tuple[Integers, float]:
     """Samples at which one activity (n,) is strong, and how far above the usual it is there."""
     from scipy.signal import find_peaks
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fascicle.core.arrays import Integers
 from fascicle.recording.quality.acquisition import check_extent_in_time, check_filters
 from fascicle.recording.quality.digits import check_clipping, check_resolution
 from fascicle.recording.quality.disturbances import check_mains, check_noise, check_wander
@@ -21,7 +19,7 @@ def check_leads(recording: Recording) -> tuple[Finding, ...]:
     return (*check_flatness(recording), *check_duplicates(recording))
 
 
-def check_recording(recording: Recording, peaks: NDArray[np.int64]) -> tuple[Finding, ...]:
+def check_recording(recording: Recording, peaks: Integers) -> tuple[Finding, ...]:
     """Everything that the numbers of a recording with a signal in each lead say against it.
 
     Parameters

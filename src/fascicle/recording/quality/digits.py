@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.recording.quality.finding import Check, Finding
 from fascicle.recording.quality.lead_signals import UV_PER_MV, measured
 from fascicle.recording.recording import Recording
@@ -36,7 +36,7 @@ def check_resolution(recording: Recording) -> list[Finding]:
     return [STEP.worst_lead(steps, message, UV_PER_MV)]
 
 
-def _step_of(values: NDArray[np.float64]) -> float:
+def _step_of(values: Floats) -> float:
     """Smallest difference between distinct (n,) values (mV); 0 where all are the same."""
     gaps = np.diff(np.unique(values[:: max(len(values) // ENOUGH, 1)]))
     gaps = gaps[gaps > ROUNDING]
@@ -60,7 +60,7 @@ def check_clipping(recording: Recording) -> list[Finding]:
     return [CLIPPED.worst_lead(shares, message)]
 
 
-def _share_at_rails(values: NDArray[np.float64], long: float) -> float:
+def _share_at_rails(values: Floats, long: float) -> float:
     """Share of the samples in runs at the lowest or highest value with a steep end."""
     if np.ptp(values) == 0:
         return 0.0
@@ -77,7 +77,7 @@ def _share_at_rails(values: NDArray[np.float64], long: float) -> float:
     return count / len(values)
 
 
-def _runs(at_rail: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(at_rail: Booleans) -> list[tuple[int, int]]:
     """Start and stop of each run of at least `SHORTEST_RUN` samples."""
     edges = np.diff(np.concatenate([[0], at_rail.astype(np.int8), [0]]))
     starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -85,7 +85,7 @@ def _runs(at_rail: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
 
 
-def _steepness(values: NDArray[np.float64], start: int, stop: int) -> float:
+def _steepness(values: Floats, start: int, stop: int) -> float:
     """Larger of the differences between a run and the samples beside it (mV)."""
     before = abs(values[start] - values[start - 1]) if start > 0 else 0.0
     after = abs(values[stop] - values[stop - 1]) if stop < len(values) else 0.0

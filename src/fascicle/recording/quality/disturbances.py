@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
 from fascicle.recording.quality.lead_signals import UV_PER_MV, coarse, measured, smoothed
 from fascicle.recording.recording import Recording
@@ -49,7 +49,7 @@ def check_noise(recording: Recording) -> list[Finding]:
     return [NOISE.worst_lead(noise, message, UV_PER_MV)]
 
 
-def _fast(values: NDArray[np.float64], rate: float) -> float:
+def _fast(values: Floats, rate: float) -> float:
     """Robust standard deviation (mV) of what a moving average takes off."""
     fast = values - smoothed(values, rate)
     fast = fast[:: max(len(fast) // ENOUGH, 1)]
@@ -78,7 +78,7 @@ def check_mains(recording: Recording) -> list[Finding]:
     return [HUM.worst_lead(hum[worst], message, UV_PER_MV)]
 
 
-def _amplitude(values: NDArray[np.float64], rate: float, mains: float) -> float:
+def _amplitude(values: Floats, rate: float, mains: float) -> float:
     """Amplitude (mV) of the hum of one lead."""
     n = min(len(values), round(SEGMENT * rate))
     pieces = values[: len(values) // n * n].reshape(-1, n)
@@ -117,7 +117,7 @@ def check_wander(recording: Recording) -> list[Finding]:
     return [WANDER.worst_lead(wander, message)]
 
 
-def _slow_range(values: NDArray[np.float64], rate: float) -> float:
+def _slow_range(values: Floats, rate: float) -> float:
     """Peak-to-peak amplitude (mV) of one lead below `HIGHEST_WANDER`."""
     from scipy.signal import butter, sosfiltfilt
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
 from fascicle.recording.quality.finding import Check, Finding, Severity
 from fascicle.recording.recording import Recording
@@ -20,7 +20,7 @@ LEFT_LEADS = (LEADS.index("V6"), LEADS.index("V5"))  # the first that is there
 PAIRS = (("RA", "LA"), ("RA", "LL"))
 
 
-def median_beat(recording: Recording, peaks: NDArray[np.int64]) -> NDArray[np.float64]:
+def median_beat(recording: Recording, peaks: Integers) -> Floats:
     """Median over the beats of each lead, at the rate of the recording.
 
     Leads recorded at other times give their own beats: all are taken from the same time around R.
@@ -50,7 +50,7 @@ def median_beat(recording: Recording, peaks: NDArray[np.int64]) -> NDArray[np.fl
     return median
 
 
-def check_limb_electrodes(recording: Recording, median: NDArray[np.float64]) -> list[Finding]:
+def check_limb_electrodes(recording: Recording, median: Floats) -> list[Finding]:
     """Suspect the right arm's electrode of having been exchanged with another limb's.
 
     Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
@@ -96,9 +96,7 @@ def check_limb_electrodes(recording: Recording, median: NDArray[np.float64]) -> 
     return [LIKENESS.found(min(now), message)]
 
 
-def _likeness(
-    leads: NDArray[np.float64], reference: NDArray[np.float64], rate: float
-) -> tuple[float, float]:
+def _likeness(leads: Floats, reference: Floats, rate: float) -> tuple[float, float]:
     """Mean of the correlations in P wave and QRS of leads I and II with another lead."""
     one, two = (
         (_correlation(lead, reference, P_WAVE, rate) + _correlation(lead, reference, QRS, rate)) / 2
@@ -107,12 +105,7 @@ def _likeness(
     return one, two
 
 
-def _correlation(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    wave: tuple[float, float],
-    rate: float,
-) -> float:
+def _correlation(x: Floats, y: Floats, wave: tuple[float, float], rate: float) -> float:
     """Correlation of two leads (n,) over a wave, each less the line between its ends."""
     start, stop = (round((BEFORE + end) * rate) for end in wave)
     a, b = (_detrended(lead[start : stop + 1], max(round(EDGE * rate), 1)) for lead in (x, y))
@@ -120,12 +113,12 @@ def _correlation(
     return float(a @ b) / scale if scale > 0 else 0.0
 
 
-def _detrended(x: NDArray[np.float64], edge: int) -> NDArray[np.float64]:
+def _detrended(x: Floats, edge: int) -> Floats:
     line = np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
     return np.asarray(x - line - (x - line).mean())
 
 
-def _exchanged(leads: NDArray[np.float64], one: str, other: str) -> NDArray[np.float64]:
+def _exchanged(leads: Floats, one: str, other: str) -> Floats:
     """Leads I and II (2, n) as they are with two electrodes exchanged."""
     limb = lead_matrix()[:2, :3]
     order = list(ELECTRODES[:3])

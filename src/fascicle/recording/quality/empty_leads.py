@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
 from fascicle.recording.quality.lead_signals import UV_PER_MV, coarse, measured
@@ -42,7 +42,7 @@ def check_flatness(recording: Recording) -> list[Finding]:
     return [finding, _check_constant(recording, moving)]
 
 
-def _check_constant(recording: Recording, leads: dict[str, NDArray[np.float64]]) -> Finding:
+def _check_constant(recording: Recording, leads: dict[str, Floats]) -> Finding:
     """Find the longest time over which a lead stays at one value."""
     rate = recording.sampling_rate
     constant = {lead: _longest_constant(values) / rate for lead, values in leads.items()}
@@ -63,7 +63,7 @@ def _check_constant(recording: Recording, leads: dict[str, NDArray[np.float64]])
     return CONSTANT.found(longest, message)
 
 
-def _longest_constant(values: NDArray[np.float64]) -> int:
+def _longest_constant(values: Floats) -> int:
     """Number of samples of the longest run of equal ones in (n,) values."""
     changes = np.flatnonzero(np.diff(values))
     ends = np.concatenate([[-1], changes, [len(values) - 1]])
@@ -99,7 +99,7 @@ def check_duplicates(recording: Recording) -> list[Finding]:
     return [COPIES.found(largest, message, Severity.FATAL) for message in messages or [""]]
 
 
-def _standardised(recording: Recording) -> dict[str, tuple[NDArray[np.float64], float]]:
+def _standardised(recording: Recording) -> dict[str, tuple[Floats, float]]:
     """Leads that move, with mean zero and standard deviation one, and what that was (mV)."""
     leads = {}
     for lead, values in measured(recording).items():

@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS
 from fascicle.recording.quality.finding import Severity, leave_out
 from fascicle.recording.recording import Recording
@@ -28,10 +28,7 @@ LARGEST_RATIO = 1.2  # between gains of leads that may still be in mV
 
 
 def explain(
-    recording: Recording,
-    rows: list[int],
-    leads: NDArray[np.float64],
-    zeros: NDArray[np.float64],
+    recording: Recording, rows: list[int], leads: Floats, zeros: Floats
 ) -> tuple[Severity, str]:
     """Find the simplest change of the leads that makes their relations hold.
 
@@ -84,7 +81,7 @@ def explain(
     )
 
 
-def misfits(leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> NDArray[np.float64]:
+def misfits(leads: Floats, zeros: Floats) -> Floats:
     """How far each relation is from zero.
 
     Parameters
@@ -104,31 +101,29 @@ def misfits(leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> NDArray[n
     return np.asarray(np.percentile(rest, PERCENTILE, axis=1))
 
 
-def height(leads: NDArray[np.float64]) -> float:
+def height(leads: Floats) -> float:
     """99th percentile of the largest absolute value among leads (m, n), each less its median."""
     leads = _thinned(leads)
     centred = np.abs(leads - np.median(leads, axis=1, keepdims=True))
     return float(np.percentile(centred.max(axis=0), PERCENTILE))
 
 
-def limit_of(leads: NDArray[np.float64]) -> float:
+def limit_of(leads: Floats) -> float:
     """Misfit (mV) up to which a relation between leads (m, n) holds."""
     return max(LARGEST_MISFIT, LARGEST_SHARE * height(leads))
 
 
-def _thinned(leads: NDArray[np.float64]) -> NDArray[np.float64]:
+def _thinned(leads: Floats) -> Floats:
     """Evenly spread samples of leads (m, n), which serve as relations hold at each sample."""
     return leads[:, :: max(leads.shape[1] // ENOUGH, 1)]
 
 
-def _holds(before: float, leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> bool:
+def _holds(before: float, leads: Floats, zeros: Floats) -> bool:
     """Whether all relations hold now, and better than before (worst misfit in mV)."""
     return float(misfits(leads, zeros).max()) <= min(limit_of(leads), REMAINING * before)
 
 
-def digits_fit(
-    leads: NDArray[np.float64], zeros: NDArray[np.float64], gains: NDArray[np.float64]
-) -> bool:
+def digits_fit(leads: Floats, zeros: Floats, gains: Floats) -> bool:
     """Whether leads times their different gains satisfy the relations.
 
     Parameters
@@ -147,9 +142,7 @@ def digits_fit(
     return bool(misfits(digits, zeros).max() <= largest)
 
 
-def _mistakes(
-    names: list[str], leads: NDArray[np.float64], zeros: NDArray[np.float64]
-) -> list[str]:
+def _mistakes(names: list[str], leads: Floats, zeros: Floats) -> list[str]:
     """Inversions of one lead and exchanges of two that make the relations hold."""
     before = float(misfits(leads, zeros).max())
     found = []
@@ -167,9 +160,7 @@ def _mistakes(
     return found
 
 
-def _single_lead(
-    names: list[str], leads: NDArray[np.float64], zeros: NDArray[np.float64]
-) -> tuple[str, str] | None:
+def _single_lead(names: list[str], leads: Floats, zeros: Floats) -> tuple[str, str] | None:
     """Find the one lead at fault and say how, or None when it is not one or not clear which."""
     before = float(misfits(leads, zeros).max())
     remaining = np.array([_without(k, leads, zeros) for k in range(len(names))])
@@ -186,7 +177,7 @@ def _single_lead(
     return names[best], "does not follow from the other limb leads"
 
 
-def _without(k: int, leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> float:
+def _without(k: int, leads: Floats, zeros: Floats) -> float:
     """Worst misfit (mV) when lead k is left out or, where too few remain, has the best gain."""
     if len(leads) > 3:
         # relations in which the lead no longer occurs
@@ -198,14 +189,14 @@ def _without(k: int, leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> 
     return float(misfits(changed, zeros).max())
 
 
-def _gain(k: int, leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> float:
+def _gain(k: int, leads: Floats, zeros: Floats) -> float:
     """Factor for lead k that makes the relations hold best, by least squares."""
     own = zeros[:, k, None] * leads[k]
     others = zeros @ leads - own
     return float(-(own * others).sum() / max((own * own).sum(), np.finfo(float).tiny))
 
 
-def _gains(leads: NDArray[np.float64], zeros: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _gains(leads: Floats, zeros: Floats) -> Floats | None:
     """How many times too high each lead is, if factors for all of them make the relations hold."""
     size = np.sqrt((leads**2).mean(axis=1))
     if not size.all():

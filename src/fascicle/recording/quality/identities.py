@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS, limb_leads_from
 from fascicle.recording.quality.explanation import (
     LARGEST_MISFIT,
@@ -120,10 +120,7 @@ def _check_group(recording: Recording, group: _Together) -> list[Finding]:
 
 
 def _check_gains(
-    recording: Recording,
-    rows: list[int],
-    leads: NDArray[np.float64],
-    zeros: NDArray[np.float64],
+    recording: Recording, rows: list[int], leads: Floats, zeros: Floats
 ) -> list[Finding]:
     """Find gains per lead that break identities by little, where digits do not break them at all.
 
@@ -141,7 +138,7 @@ def _check_gains(
     return [GAINS.found(ratio, message, Severity.FATAL)]
 
 
-def _identities(rows: list[int]) -> tuple[list[str], NDArray[np.float64]]:
+def _identities(rows: list[int]) -> tuple[list[str], Floats]:
     """Labels and coefficients of the independent identities of some limb leads."""
     absent = [row for row in range(len(LIMB_LEADS)) if row not in rows]
     classic = {

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import block_means
@@ -15,7 +15,7 @@ BASELINE_WIDTH = 0.5  # s; moving average, applied twice, that is taken as basel
 SMOOTH_WIDTH = 0.012  # s; moving average against noise, -3 dB at 37 Hz
 
 
-def measured(recording: Recording) -> dict[str, NDArray[np.float64]]:
+def measured(recording: Recording) -> dict[str, Floats]:
     """Samples (mV) of each lead over its own time; computed leads are left out."""
     spans = recording.spans
     return {
@@ -24,13 +24,13 @@ def measured(recording: Recording) -> dict[str, NDArray[np.float64]]:
     }
 
 
-def coarse(signal: NDArray[np.float64], rate: float) -> tuple[NDArray[np.float64], float]:
+def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:
     """Block means (mV) of a signal (..., n), and their rate (Hz), not below `COARSE_RATE`."""
     factor = max(int(rate / COARSE_RATE), 1)
     return block_means(signal, factor), rate / factor
 
 
-def smoothed(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def smoothed(signal: Floats, rate: float) -> Floats:
     """Signal (..., n) with less noise: its moving average over `SMOOTH_WIDTH`."""
     from scipy.ndimage import uniform_filter1d
 
@@ -38,7 +38,7 @@ def smoothed(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     return np.asarray(uniform_filter1d(signal, width, axis=-1, mode="nearest"))
 
 
-def steady(signal: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+def steady(signal: Floats, rate: float) -> Floats:
     """Signal (..., n), mV, without baseline and with less noise, about 0.6 to 37 Hz.
 
     Moving averages cost the same at any width, so that half an hour takes a moment; they are

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.recording.quality.activity import Activity, activity, beats_of, mean_activity
 from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
@@ -69,7 +69,7 @@ def check_synchrony(recording: Recording) -> list[Finding]:
     return [*findings, JITTER.found(jitter, message, Severity.FATAL)]
 
 
-def _clear_beats(moving: Activity) -> dict[int, NDArray[np.int64]]:
+def _clear_beats(moving: Activity) -> dict[int, Integers]:
     """Leads with clear beats of one shape, and these."""
     found = {row: beats_of(moving.speed[row], moving.rate) for row in range(len(LEADS))}
     return {
@@ -81,7 +81,7 @@ def _clear_beats(moving: Activity) -> dict[int, NDArray[np.int64]]:
     }
 
 
-def _sameness(wave: NDArray[np.float64], times: NDArray[np.int64], rate: float) -> float:
+def _sameness(wave: Floats, times: Integers, rate: float) -> float:
     """Median correlation of one lead's (n,) beats with the one that is most like the others."""
     half, shift = round(HALF_BEAT * rate), round(LARGEST_SHIFT * rate)
     margin = half + shift
@@ -96,7 +96,7 @@ def _sameness(wave: NDArray[np.float64], times: NDArray[np.int64], rate: float) 
     return float(np.nanmedian(alike, axis=1).max())
 
 
-def _agreement(moving: Activity, clear: dict[int, NDArray[np.int64]]) -> NDArray[np.float64]:
+def _agreement(moving: Activity, clear: dict[int, Integers]) -> Floats:
     """Agreement of each pair of leads (12, 12); NaN where they cannot be compared."""
     from scipy.ndimage import maximum_filter1d
 
@@ -113,7 +113,7 @@ def _agreement(moving: Activity, clear: dict[int, NDArray[np.int64]]) -> NDArray
     return np.asarray(np.fmax(ranks, ranks.T))
 
 
-def _groups(rows: list[int], agreement: NDArray[np.float64]) -> tuple[list[list[int]], float]:
+def _groups(rows: list[int], agreement: Floats) -> tuple[list[list[int]], float]:
     """Leads that agree with each other on average, the most first; the lowest such average."""
     from scipy.cluster.hierarchy import fcluster, linkage
     from scipy.spatial.distance import squareform
@@ -130,11 +130,7 @@ def _groups(rows: list[int], agreement: NDArray[np.float64]) -> tuple[list[list[
 
 
 def _apart(
-    recording: Recording,
-    group: list[int],
-    largest: list[int],
-    agreement: NDArray[np.float64],
-    moving: Activity,
+    recording: Recording, group: list[int], largest: list[int], agreement: Floats, moving: Activity
 ) -> Finding:
     """Finding on a group of leads that beats at other times than the largest one."""
     between = agreement[np.ix_(group, largest)]
@@ -168,13 +164,13 @@ def _in_step(moving: Activity, group: list[int], largest: list[int]) -> bool:
     return _spread(1e3 * nearest / moving.rate) <= JITTER.limit
 
 
-def _spread(lags: NDArray[np.float64]) -> float:
+def _spread(lags: Floats) -> float:
     """Standard deviation of the closest half of (n,) lags: every other beat may be ectopic."""
     ordered, half = np.sort(lags), (len(lags) + 1) // 2
     return float((ordered[half - 1 :] - ordered[: len(lags) - half + 1]).min()) / QUARTILES
 
 
-def _beats(moving: Activity, rows: Iterable[int]) -> tuple[NDArray[np.int64], float]:
+def _beats(moving: Activity, rows: Iterable[int]) -> tuple[Integers, float]:
     return beats_of(mean_activity(moving.speed[list(rows)]), moving.rate)
 
 
@@ -192,9 +188,7 @@ def _jitter(moving: Activity) -> float:
     return np.nan if lags is None else _spread(lags)
 
 
-def _lags(
-    limb: NDArray[np.float64], chest: NDArray[np.float64], rate: float
-) -> NDArray[np.float64] | None:
+def _lags(limb: Floats, chest: Floats, rate: float) -> Floats | None:
     """Time (ms) from each beat of one activity (n,) to the other's, by their correlation."""
     times, contrast = beats_of(limb, rate)
     _, contrast_of_chest = beats_of(chest, rate)
@@ -215,7 +209,7 @@ def _lags(
     return np.array(lags) if len(lags) > len(times) / 2 else None
 
 
-def _normalised(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalised(x: Floats) -> Floats:
     """Rows of mean zero and length one."""
     centred = x - x.mean(axis=-1, keepdims=True)
     length = np.linalg.norm(centred, axis=-1, keepdims=True)
