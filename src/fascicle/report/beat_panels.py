@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.recording.target import Target
-from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TICK_SIZE, tidy
+from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TICK_SIZE, finish_axes
 
 ROWS = 3  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 EARLIER, LATER = 80.0, 120.0  # ms that are shown about the QRS window
@@ -140,7 +140,7 @@ def _set_ticks(axes: Axes, lead: int) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes.grid(which="both", color="#EBD9D6", linewidth=0.4)
     axes.set_axisbelow(True)
-    tidy(axes)
+    finish_axes(axes)
     axes.tick_params(labelsize=TICK_SIZE - 1, pad=2)
     axes.tick_params(which="minor", length=0)
     axes.tick_params(labelleft=lead < ROWS, labelbottom=lead % ROWS == ROWS - 1)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from fascicle.build.check import WALLS, HeartCheck
@@ -19,22 +18,30 @@ from fascicle.mesh.topology import boundary_triangles
 from fascicle.report.figures import (
     BLACK,
     BLUE,
+    GREEN,
     GREY,
-    LABEL_SIZE,
     TICK_SIZE,
     TITLE_SIZE,
     VERMILION,
+    finish_axes,
     new_figure,
-    tidy,
+    scale_bar,
+    set_title,
 )
 from fascicle.report.labels import COLOURS as LABEL_COLOURS
-from fascicle.report.rendering import View, back_to_front, heart_views, smooth_normals
+from fascicle.report.painting import paint
+from fascicle.report.rendering import View, heart_views
 
 WIDTH, HEIGHT = 12.0, 7.6  # inch
 MOST_FIBRES = 1500  # lines in one picture
 FIBRE = 0.02  # half the length of such a line, of the heart's extent
+HEART_BAR, BODY_BAR = 20.0, 100.0  # mm
+CAST_OPACITY, GLASS_OPACITY = 0.55, 0.5
+LAYERS, FEWEST_ANGLES = 10, 5  # through the wall; points in a layer that is drawn
+THICKNESS_BINS, THICKEST = 30, 99.0  # edges; percentile up to which they reach
+ROOM_FOR_LEGEND = 1.4  # times the highest bar
 SKIN, LUNG = "#E4D2C3", "#9FC3D9"
-WALL_COLOURS = dict(zip(WALLS, (VERMILION, "#009E73", BLUE), strict=True))
+WALL_COLOURS = dict(zip(WALLS, (VERMILION, GREEN, BLUE), strict=True))
 FIRST = ELECTRODES.index("V1")  # of the chest electrodes
 
 
@@ -68,7 +75,7 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
         _draw_body(axes, view, heart, check)
     _plot_helix(lower[2], check)
     _plot_thickness(lower[3], check)
-    figure.suptitle(heart.name, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    set_title(figure, heart.name)
     return figure
 
 
@@ -92,7 +99,10 @@ def _draw_seeds(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None
         (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM), heart.endocardia, strict=True
     ):
         colour = LABEL_COLOURS[label]
-        _paint(axes, view, endocardium.vertices, endocardium.triangles, colour, 0.55)
+        paint(
+            axes, view, endocardium.vertices, endocardium.triangles, colour, alpha=CAST_OPACITY,
+            autolim=True,
+        )  # fmt: skip
         root, towards = view.project(
             endocardium.vertices[[endocardium.root, endocardium.direction]]
         )[:, :2]
@@ -104,7 +114,7 @@ def _draw_seeds(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None
             f"{endocardium.side.upper()} root", root, (4, 5), textcoords="offset points",
             fontsize=TICK_SIZE, color=BLACK,
         )  # fmt: skip
-    _scale_bar(axes, 20.0)
+    _scale_bar(axes, HEART_BAR)
     _finish(axes, "endocardia and bundles (front)")
 
 
@@ -117,7 +127,7 @@ def _draw_fibres(
     inward = Label.EPICARDIUM not in labels  # endocardia are seen as casts, from the tissue's side
     shown = np.flatnonzero(np.isin(check.mesh.labels, labels))
     faces = triangles[shown][:, ::-1] if inward else triangles[shown]
-    _paint(axes, view, vertices, faces, LABEL_COLOURS[Label.EPICARDIUM])
+    paint(axes, view, vertices, faces, LABEL_COLOURS[Label.EPICARDIUM], autolim=True)
     visible = np.flatnonzero(view.facing(triangle_normals(vertices, faces)))
     visible = visible[:: 1 + len(visible) // MOST_FIBRES]
     middle = view.project(vertices[faces[visible]].mean(axis=1))[:, :2]
@@ -131,11 +141,17 @@ def _draw_fibres(
 def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
     """Skin and lungs as if of glass, the heart, and the electrodes by name."""
     if heart.torso is not None:
-        for tissue, colour, alpha in ((None, SKIN, 0.5), (TorsoTissue.LUNG, LUNG, 0.5)):
+        for tissue, colour in ((None, SKIN), (TorsoTissue.LUNG, LUNG)):
             faces = outline(heart, heart.torso, tissue)
             if len(faces):
-                _paint(axes, view, heart.torso.vertices, faces, colour, alpha)
-    _paint(axes, view, heart.vertices, check.mesh.triangles, LABEL_COLOURS[Label.LV_ENDOCARDIUM])
+                paint(
+                    axes, view, heart.torso.vertices, faces, colour, alpha=GLASS_OPACITY,
+                    autolim=True,
+                )  # fmt: skip
+    paint(
+        axes, view, heart.vertices, check.mesh.triangles, LABEL_COLOURS[Label.LV_ENDOCARDIUM],
+        autolim=True,
+    )  # fmt: skip
     screen = view.project(heart.electrodes)[:, :2]
     colours = [VERMILION if k < FIRST else BLUE for k in range(len(ELECTRODES))]
     axes.scatter(
@@ -145,7 +161,7 @@ def _draw_body(axes: Axes, view: View, heart: Heart, check: HeartCheck) -> None:
         axes.annotate(
             name, position, (3, 3), textcoords="offset points", fontsize=TICK_SIZE - 1, color=BLACK
         )
-    _scale_bar(axes, 100.0)
+    _scale_bar(axes, BODY_BAR)
     _finish(axes, f"body, {view.name}")
 
 
@@ -159,30 +175,13 @@ def outline(heart: Heart, torso: Torso, tissue: TorsoTissue | None) -> Integers:
     return boundary_triangles(cells)[0]
 
 
-def _paint(
-    axes: Axes, view: View, vertices: Floats, triangles: Integers, colour: str, alpha: float = 1.0
-) -> None:
-    """Painter's algorithm in one colour, shaded."""
-    order = back_to_front(view, vertices, triangles)
-    normals = smooth_normals(vertices, triangles)[order]
-    colours = np.array(to_rgb(colour)) * view.shade(normals)[:, np.newaxis]
-    if alpha < 1:
-        colours = np.column_stack([colours, np.full(len(colours), alpha)])
-    axes.add_collection(
-        PolyCollection(
-            list(view.project(vertices[triangles[order]])[..., :2]), facecolors=colours,
-            edgecolors=colours if alpha == 1 else "none", linewidths=0.35, rasterized=True,
-        ),
-    )  # fmt: skip
-
-
 def _plot_helix(axes: Axes, check: HeartCheck) -> None:
     """Median and middle half of the angles over depth, wall by wall."""
     axes.axhline(0, color=GREY, linewidth=0.5)
-    edges = np.linspace(0, 1, 11)
+    edges = np.linspace(0, 1, LAYERS + 1)
     for name, helix in check.helix.items():
         layer = np.digitize(helix.depth, edges[1:-1])
-        there = [k for k in range(10) if (layer == k).sum() > 5]
+        there = [k for k in range(LAYERS) if (layer == k).sum() > FEWEST_ANGLES]
         if not there:
             continue
         spread = np.array([_quartiles(helix.angle[layer == k]) for k in there]).T
@@ -190,12 +189,10 @@ def _plot_helix(axes: Axes, check: HeartCheck) -> None:
         axes.fill_between(middle, spread[0], spread[2], color=WALL_COLOURS[name], alpha=0.15, lw=0)
         axes.plot(middle, spread[1], color=WALL_COLOURS[name], label=name)
     axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))
-    axes.set_xlabel("depth (0 inside, 1 outside)", fontsize=LABEL_SIZE)
-    axes.set_ylabel("helix angle (degrees)", fontsize=LABEL_SIZE)
     if axes.lines[1:]:
         axes.legend(frameon=False, fontsize=TICK_SIZE)
     axes.set_title("fibre angles: median, middle half", fontsize=TITLE_SIZE)
-    tidy(axes)
+    finish_axes(axes, "depth (0 inside, 1 outside)", "helix angle (degrees)")
 
 
 def _quartiles(angle: Floats) -> Floats:
@@ -207,8 +204,10 @@ def _quartiles(angle: Floats) -> Floats:
 def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
     """Share of each wall over its thickness."""
     walls = (check.walls.lv, check.walls.septum, check.walls.rv)
-    largest = max((np.percentile(w.thickness, 99) for w in walls if w.thickness.size), default=1.0)
-    bins = np.linspace(0, float(largest) * 1.1, 30)
+    largest = max(
+        (np.percentile(w.thickness, THICKEST) for w in walls if w.thickness.size), default=1.0
+    )
+    bins = np.linspace(0, float(largest) * 1.1, THICKNESS_BINS)
     for name, wall in zip(WALLS, walls, strict=True):
         if wall.thickness.size:
             share = np.full(wall.thickness.size, 100 / wall.thickness.size)
@@ -216,16 +215,14 @@ def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
                 wall.thickness, bins.tolist(), weights=share, histtype="step",
                 color=WALL_COLOURS[name], label=f"{name}: {wall.median:.1f} mm",
             )  # fmt: skip
-    axes.set_xlabel("wall thickness (mm)", fontsize=LABEL_SIZE)
-    axes.set_ylabel("endocardial points (%)", fontsize=LABEL_SIZE)
     if any(wall.thickness.size for wall in walls):
-        axes.set_ylim(top=1.4 * axes.get_ylim()[1])  # room for the legend
+        axes.set_ylim(top=ROOM_FOR_LEGEND * axes.get_ylim()[1])
         axes.legend(
             frameon=False, fontsize=TICK_SIZE, title="median", title_fontsize=TICK_SIZE,
             loc="upper right",
         )  # fmt: skip
     axes.set_title("wall thickness", fontsize=TITLE_SIZE)
-    tidy(axes)
+    finish_axes(axes, "wall thickness (mm)", "endocardial points (%)")
 
 
 def _finish(axes: Axes, title: str) -> None:
@@ -238,9 +235,4 @@ def _finish(axes: Axes, title: str) -> None:
 def _scale_bar(axes: Axes, length: float) -> None:
     """Draw a bar below the picture, of so many mm."""
     axes.autoscale_view()
-    (left, _), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    axes.plot([left, left + length], [bottom] * 2, color=BLACK, linewidth=2)
-    axes.text(
-        left + length / 2, bottom - 0.015 * (top - bottom), f"{length:.0f} mm", ha="center",
-        va="top", fontsize=TICK_SIZE, color=BLACK,
-    )  # fmt: skip
+    scale_bar(axes, length, below=True)

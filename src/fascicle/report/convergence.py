@@ -17,12 +17,16 @@ from fascicle.report.figures import (
     BLUE,
     GREY,
     LABEL_SIZE,
-    TITLE_SIZE,
+    LEGEND_STYLE,
     VERMILION,
+    finish_axes,
     new_figure,
-    tidy,
+    set_title,
 )
 
+SIZE = (7.0, 3.8)  # inch
+INFEASIBLE_ROW, NAME_ROW = 0.985, 1.02  # of the axes' height
+NO_LIMITS = (1e-6, 1.0)  # mV²; where no loss is above zero
 SHADES = ("#F3F3F3", "#FFFFFF")  # of one stage and the next
 NARROW = 0.15  # share of the evaluations below which a stage is too narrow for its name
 HEADROOM = 1.5  # free space above the largest and below the smallest loss, as a factor
@@ -59,7 +63,7 @@ def convergence_figure(
     feasible = values[np.isfinite(values)]
     if not feasible.size:
         raise InputError(f"none of the {len(values)} evaluations is feasible; nothing to draw")
-    figure = new_figure(7.0, 3.8)
+    figure = new_figure(*SIZE)
     axes = figure.subplots()
     axes.set_yscale("log", nonpositive="clip")  # a loss of exactly 0 lands on the lower edge
     axes.set_ylim(*_limits(feasible))
@@ -67,12 +71,9 @@ def convergence_figure(
     _draw_stages(axes, stages)
     _draw_losses(axes, values)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
-    axes.set_xlabel("evaluation number", fontsize=LABEL_SIZE)
-    axes.set_ylabel("loss (mV²)", fontsize=LABEL_SIZE)
-    tidy(axes)
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=LABEL_SIZE)
-    if title is not None:
-        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    finish_axes(axes, "evaluation number", "loss (mV²)")
+    figure.legend(loc="outside lower center", ncols=3, **LEGEND_STYLE)
+    set_title(figure, title)
     return figure
 
 
@@ -84,7 +85,7 @@ def running_best(losses: ArrayLike) -> Floats:
 def _limits(feasible: Floats) -> tuple[float, float]:
     positive = feasible[feasible > 0]
     if not positive.size:
-        return 1e-6, 1.0
+        return NO_LIMITS
     return float(positive.min()) / HEADROOM, float(positive.max()) * HEADROOM
 
 
@@ -102,8 +103,9 @@ def _draw_losses(axes: Axes, values: Floats) -> None:
     if not feasible.all():
         count = int(np.count_nonzero(~feasible))
         axes.plot(
-            number[~feasible], np.full(count, 0.985), "|", transform=axes.get_xaxis_transform(),
-            markersize=6, markeredgewidth=0.8, color=GREY, label=f"infeasible ({count})",
+            number[~feasible], np.full(count, INFEASIBLE_ROW), "|",
+            transform=axes.get_xaxis_transform(), markersize=6, markeredgewidth=0.8, color=GREY,
+            label=f"infeasible ({count})",
         )  # fmt: skip
 
 
@@ -112,7 +114,7 @@ def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
         axes.axvspan(first - 0.5, last + 0.5, color=SHADES[index % 2], linewidth=0, zorder=0)
         narrow = last - first + 1 < NARROW * len(stages)  # so is slanted, away from its neighbours
         axes.text(
-            (first + last) / 2, 1.02, name, transform=axes.get_xaxis_transform(),
+            (first + last) / 2, NAME_ROW, name, transform=axes.get_xaxis_transform(),
             ha="left" if narrow else "center", va="bottom", rotation=30 if narrow else 0,
             rotation_mode="anchor", fontsize=LABEL_SIZE, color=BLACK,
         )  # fmt: skip

@@ -18,16 +18,24 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.report.figures import (
-    BLACK,
     BLUE,
     GREY,
     LABEL_SIZE,
-    TITLE_SIZE,
+    LEGEND_STYLE,
+    THICK_LINE,
     VERMILION,
+    finish_axes,
     new_figure,
-    tidy,
+    set_title,
+    write_in,
 )
 
+SIZE = (10.0, 6.2)  # inch
+NAME_PLACE = (0.03, 0.95)  # of the axes
+FINE_BOX, COARSE_BOX, TALL = 0.5, 1.0, 8.0  # mV; from a range of `TALL` on, boxes are coarse
+BOX_MARGIN = 0.1  # of a box, at least, above and below
+MOST_FINE_LINES = 50  # small boxes of time that are drawn
+THIN_PINK, THICK_PINK = "#F0E1DF", "#E8CFCB"
 ROWS, COLUMNS = 3, 4  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 SMALL_BOX = 40.0  # ms, one small square of ECG paper at 25 mm/s
 TICK_STEPS = (40.0, 80.0, 200.0, 400.0, 1000.0)  # ms, multiples of the small box
@@ -158,24 +166,20 @@ def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) ->
     """
     if not ensembles:
         raise InputError("no ECG to draw; give at least one ensemble")
-    figure = new_figure(10.0, 6.2)
+    figure = new_figure(*SIZE)
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True)
     for index, lead in enumerate(LEADS):
         axes = panels[index % ROWS, index // ROWS]
         for ensemble in ensembles:
             _draw_lead(axes, ensemble, index)
-        axes.text(
-            0.03, 0.95, lead, transform=axes.transAxes, va="top",
-            fontsize=TITLE_SIZE, fontweight="bold", color=BLACK,
-        )  # fmt: skip
+        write_in(axes, *NAME_PLACE, lead, va="top", fontweight="bold")
     _set_scales(panels.flat, ensembles)
     figure.legend(
         [_handle(ensemble) for ensemble in ensembles],
         [ensemble.label for ensemble in ensembles],
-        loc="outside upper right", ncols=len(ensembles), frameon=False, fontsize=LABEL_SIZE,
+        loc="outside upper right", ncols=len(ensembles), **LEGEND_STYLE,
     )  # fmt: skip
-    if title is not None:
-        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    set_title(figure, title)
     figure.supxlabel("time (ms)", fontsize=LABEL_SIZE)
     figure.supylabel("potential (mV)", fontsize=LABEL_SIZE)
     return figure
@@ -191,7 +195,7 @@ def _ensemble(label: str, unit: str, time: ArrayLike, leads: ArrayLike, colour: 
 
 def _handle(ensemble: EcgEnsemble) -> Any:  # Matplotlib's stubs know no tuples of artists
     """Line on band, as in the panels."""
-    line = Line2D([], [], color=ensemble.colour, linewidth=1.3)
+    line = Line2D([], [], color=ensemble.colour, linewidth=THICK_LINE)
     if len(ensemble.leads) == 1:
         return (line,)
     return (Patch(color=ensemble.colour, alpha=BAND_OPACITY, linewidth=0), line)
@@ -205,7 +209,7 @@ def _draw_lead(axes: Axes, ensemble: EcgEnsemble, lead: int) -> None:
             color=ensemble.colour, alpha=BAND_OPACITY, linewidth=0,
         )  # fmt: skip
     axes.plot(
-        ensemble.time, ensemble.mean[lead], color=ensemble.colour, linewidth=1.3,
+        ensemble.time, ensemble.mean[lead], color=ensemble.colour, linewidth=THICK_LINE,
         label=ensemble.label,
     )  # fmt: skip
 
@@ -216,18 +220,18 @@ def _set_scales(panels: Iterable[Axes], ensembles: Sequence[EcgEnsemble]) -> Non
     stop = max(float(ensemble.time.max()) for ensemble in ensembles)
     low = min(float(np.nanmin(ensemble.leads)) for ensemble in ensembles)
     high = max(float(np.nanmax(ensemble.leads)) for ensemble in ensembles)
-    box = 0.5 if high - low <= 8 else 1.0  # mV
-    bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
+    box = FINE_BOX if high - low <= TALL else COARSE_BOX
+    bottom, top = box * np.floor(low / box - BOX_MARGIN), box * np.ceil(high / box + BOX_MARGIN)
     tick = next((s for s in TICK_STEPS if (stop - start) / s <= MOST_TICKS), TICK_STEPS[-1])
     for axes in panels:
         axes.set(xlim=(start, stop), ylim=(bottom, top))
         axes.xaxis.set_major_locator(MultipleLocator(tick))
         axes.yaxis.set_major_locator(MultipleLocator(2 * box))
-        if stop - start <= 50 * SMALL_BOX:
+        if stop - start <= MOST_FINE_LINES * SMALL_BOX:
             axes.xaxis.set_minor_locator(MultipleLocator(SMALL_BOX))
         axes.yaxis.set_minor_locator(MultipleLocator(box))
-        axes.grid(which="minor", color="#F0E1DF", linewidth=0.5)
-        axes.grid(which="major", color="#E8CFCB", linewidth=0.7)
+        axes.grid(which="minor", color=THIN_PINK, linewidth=0.5)
+        axes.grid(which="major", color=THICK_PINK, linewidth=0.7)
         axes.set_axisbelow(True)
-        tidy(axes)
+        finish_axes(axes)
         axes.tick_params(which="minor", length=0)

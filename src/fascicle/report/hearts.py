@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, to_rgb
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
@@ -26,7 +26,11 @@ from fascicle.report.figures import (
     TICK_SIZE,
     TITLE_SIZE,
     new_figure,
+    scale_bar,
+    set_title,
+    write_in,
 )
+from fascicle.report.painting import add_polygons, paint
 from fascicle.report.rendering import (
     View,
     back_to_front,
@@ -43,6 +47,9 @@ CAVITY = "#F1E9E4"  # endocardium behind the trees
 VIEWS = ("RV side", "anterior", "LV side", "base")
 SCALE_BAR = 20.0  # mm
 PANEL = 1.95  # width, inch
+BAR_ROOM, TITLE_ROOM = 1.1, 0.5  # inch, at the right and above
+ROW_NAME = (-0.02, 0.5)  # of the first panel
+MOST_TIMES = 10  # of the colour bar
 MARGIN = 1.04  # frame over heart
 
 Box = tuple[Floats, Floats]
@@ -114,7 +121,7 @@ def activation_figure(
     tree_boxes = [_box(views[f"{e.side.upper()} side"], e.vertices) for e in cavities]
     width, height = np.max([high - low for low, high in boxes], axis=0)
     shape = float(height / width)
-    figure = new_figure(PANEL * len(names) + 1.1, PANEL * shape * len(rows) + 0.5)
+    figure = new_figure(PANEL * len(names) + BAR_ROOM, PANEL * shape * len(rows) + TITLE_ROOM)
     panels = figure.subplots(len(rows), len(names), squeeze=False)
     norm = _bands(rows)
     surface = _Surface.of(heart)
@@ -123,21 +130,17 @@ def activation_figure(
             _draw_surface(axes, views[name], surface, row.activation, norm)
         for axes, cavity in zip(axes_row[len(VIEWS) :], cavities, strict=True):
             _draw_cavity(axes, views[f"{cavity.side.upper()} side"], cavity, row, norm)
-        axes_row[0].text(
-            -0.02, 0.5, row.label, transform=axes_row[0].transAxes, rotation=90, ha="right",
-            va="center", fontsize=TITLE_SIZE, color=BLACK,
-        )  # fmt: skip
+        write_in(axes_row[0], *ROW_NAME, row.label, rotation=90, ha="right", va="center")
     _frame_panels(panels[:, : len(VIEWS)].tolist(), boxes, names[: len(VIEWS)], shape)
     if cavities:
         _frame_panels(panels[:, len(VIEWS) :].tolist(), tree_boxes, names[len(VIEWS) :], shape)
     bar = figure.colorbar(
         ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28, shrink=0.9,
-        ticks=norm.boundaries[:: 1 + len(norm.boundaries) // 10],
+        ticks=norm.boundaries[:: 1 + len(norm.boundaries) // MOST_TIMES],
     )  # fmt: skip
     bar.set_label("activation (ms)", fontsize=LABEL_SIZE)
     bar.ax.tick_params(labelsize=TICK_SIZE)
-    if title is not None:
-        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    set_title(figure, title)
     return figure
 
 
@@ -217,14 +220,7 @@ def _draw_surface(
     middle = (levels[:-1] + levels[1:]) / 2
     palette = np.vstack([matplotlib.colormaps[COLOURS](norm(middle))[:, :3], to_rgb(SILENT)])
     colours = palette[band] * view.shade(surface.normals[order])[owner, np.newaxis]
-    # a hairline in the face's own colour closes the gaps that antialiasing leaves
-    axes.add_collection(
-        PolyCollection(
-            [polygon for _, _, polygon in pieces], facecolors=colours, edgecolors=colours,
-            linewidths=0.35, rasterized=True,
-        ),
-        autolim=False,
-    )  # fmt: skip
+    add_polygons(axes, [polygon for _, _, polygon in pieces], colours)
 
 
 def _draw_cavity(
@@ -232,17 +228,8 @@ def _draw_cavity(
 ) -> None:
     """Draw the far wall of a cavity, as if the near one were glass, and the trees in it."""
     vertices, triangles = endocardium.vertices, endocardium.triangles
-    order = back_to_front(view, vertices, triangles)
+    paint(axes, view, vertices, triangles, CAVITY)
     normals = smooth_normals(vertices, triangles)
-    colours = np.array(to_rgb(CAVITY)) * view.shade(normals[order])[:, np.newaxis]
-    polygons = view.project(vertices[triangles[order]])[..., :2]
-    axes.add_collection(
-        PolyCollection(
-            list(polygons), facecolors=colours, edgecolors=colours, linewidths=0.35,
-            rasterized=True,
-        ),
-        autolim=False,
-    )  # fmt: skip
     centres = cKDTree(vertices[triangles].mean(axis=1))
     for tree, times in row.trees:
         if tree.side == endocardium.side:
@@ -291,10 +278,4 @@ def _frame_panels(
             axes.set(xlim=(x - width, x + width), ylim=(y - height, y + height), aspect="equal")
             axes.set_axis_off()
         panels[0][column].set_title(name, fontsize=TITLE_SIZE, color=BLACK)
-    corner = panels[-1][0]
-    (left, _), (bottom, _) = corner.get_xlim(), corner.get_ylim()
-    corner.plot([left, left + SCALE_BAR], [bottom] * 2, color=BLACK, linewidth=2, clip_on=False)
-    corner.text(
-        left + SCALE_BAR / 2, bottom + 0.03 * height, f"{SCALE_BAR:.0f} mm", ha="center",
-        va="bottom", fontsize=TICK_SIZE, color=BLACK,
-    )  # fmt: skip
+    scale_bar(panels[-1][0], SCALE_BAR)

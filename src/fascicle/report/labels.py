@@ -4,36 +4,42 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import NEEDED, Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import triangle_areas, unit
+from fascicle.mesh.measures import triangle_areas
 from fascicle.mesh.topology import boundary_loops
 from fascicle.report.figures import (
     BLACK,
     BLUE,
-    LABEL_SIZE,
-    TICK_SIZE,
+    GREEN,
+    LEGEND_STYLE,
+    ORANGE,
+    PURPLE,
+    SKY,
     TITLE_SIZE,
     VERMILION,
+    YELLOW,
     new_figure,
+    scale_bar,
+    set_title,
 )
-from fascicle.report.rendering import View, back_to_front, smooth_normals
+from fascicle.report.painting import paint
+from fascicle.report.rendering import View, upright_frame
 
 # Okabe and Ito's palette, and a light grey for what the others stand out from.
 COLOURS = {
-    Label.BASE: "#F0E442",
+    Label.BASE: YELLOW,
     Label.EPICARDIUM: "#C4C4C4",
     Label.LV_ENDOCARDIUM: VERMILION,
     Label.RV_ENDOCARDIUM: BLUE,
-    Label.MITRAL: "#E69F00",
-    Label.AORTIC: "#CC79A7",
-    Label.TRICUSPID: "#009E73",
-    Label.PULMONARY: "#56B4E9",
+    Label.MITRAL: ORANGE,
+    Label.AORTIC: PURPLE,
+    Label.TRICUSPID: GREEN,
+    Label.PULMONARY: SKY,
 }
 NAMES = {
     Label.BASE: "base",
@@ -49,6 +55,7 @@ ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
 VIEWS = ("front", "back", "base", "front, without epicardium")
 PANEL = 2.6  # width, inch
 LEGEND = 1.9
+TITLE_ROOM = 0.6  # inch, above the panels
 MARGIN = 1.04  # frame over surface
 SCALE_BAR = 20.0  # mm
 MM2_PER_CM2 = 100.0
@@ -83,7 +90,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
     corners = [view.project(surface.vertices[surface.triangles])[..., :2] for view in views]
     boxes = [(c.min(axis=(0, 1)), c.max(axis=(0, 1))) for c in corners]
     width, height = MARGIN * np.max([high - low for low, high in boxes], axis=0)
-    figure = new_figure(len(VIEWS) * PANEL + LEGEND, PANEL * float(height / width) + 0.6)
+    figure = new_figure(len(VIEWS) * PANEL + LEGEND, PANEL * float(height / width) + TITLE_ROOM)
     panels = figure.subplots(1, len(VIEWS))
     for axes, view, (low, high) in zip(panels, views, boxes, strict=True):
         _draw(axes, view, surface, cast=view.name == VIEWS[-1])
@@ -95,11 +102,9 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
         )
         axes.set_axis_off()
         axes.set_title(view.name, fontsize=TITLE_SIZE, color=BLACK)
-    _scale_bar(panels[0])
-    figure.legend(
-        handles=_legend(surface), loc="outside right center", frameon=False, fontsize=LABEL_SIZE
-    )
-    figure.suptitle(surface.name, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    scale_bar(panels[0], SCALE_BAR)
+    figure.legend(handles=_legend(surface), loc="outside right center", **LEGEND_STYLE)
+    set_title(figure, surface.name)
     return figure
 
 
@@ -116,20 +121,18 @@ def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
 def _views(surface: LabelledSurface | LabelledMesh) -> list[View]:
     """Cameras in the frame of the left cavity's opening and apex and of the right cavity."""
     left_cavity, right_cavity = (surface.having(label) for label in ENDOCARDIA)
-    rims = boundary_loops(left_cavity)
-    if not rims:
+    loops = boundary_loops(left_cavity)
+    if not loops:
         raise InputError(
             f"{surface.name}: the LV endocardium is closed; label the base, where it is open"
         )
-    opening = surface.vertices[max(rims, key=len)].mean(axis=0)
+    opening = surface.vertices[max(loops, key=len)].mean(axis=0)
     wall = surface.vertices[np.unique(left_cavity)]
-    up = unit(opening - wall[np.argmax(np.linalg.norm(wall - opening, axis=1))])
-    left = wall.mean(axis=0) - surface.vertices[np.unique(right_cavity)].mean(axis=0)
-    left = unit(left - (left @ up) * up)
-    back = np.cross(up, left)
-    frame = np.array([left, back, up])
-    along = surface.vertices[np.unique(surface.triangles)] @ frame.T
-    centre = (along.min(axis=0) + along.max(axis=0)) / 2 @ frame
+    apex = wall[np.argmax(np.linalg.norm(wall - opening, axis=1))]
+    towards_left = wall.mean(axis=0) - surface.vertices[np.unique(right_cavity)].mean(axis=0)
+    (left, back, up), centre = upright_frame(
+        opening - apex, towards_left, surface.vertices[np.unique(surface.triangles)]
+    )
     rows = ((left, up, back), (-left, up, -back), (left, back, -up), (left, up, back))
     return [View(name, np.array(axes), centre) for name, axes in zip(VIEWS, rows, strict=True)]
 
@@ -142,18 +145,8 @@ def _draw(axes: Axes, view: View, surface: LabelledSurface | LabelledMesh, *, ca
         triangles, labels = triangles[shown], labels[shown]
         walls = np.isin(labels, ENDOCARDIA)
         triangles = np.where(walls[:, np.newaxis], triangles[:, ::-1], triangles)
-    order = back_to_front(view, surface.vertices, triangles)
-    normals = smooth_normals(surface.vertices, triangles)[order]
-    palette = np.array([to_rgb(COLOURS[Label(label)]) for label in labels[order]])
-    colours = palette * view.shade(normals)[:, np.newaxis]
-    # a hairline in the face's own colour closes the gaps that antialiasing leaves
-    axes.add_collection(
-        PolyCollection(
-            list(view.project(surface.vertices[triangles[order]])[..., :2]), facecolors=colours,
-            edgecolors=colours, linewidths=0.35, rasterized=True,
-        ),
-        autolim=False,
-    )  # fmt: skip
+    colours = np.array([to_rgb(COLOURS[Label(label)]) for label in labels])
+    paint(axes, view, surface.vertices, triangles, colours)
 
 
 def _legend(surface: LabelledSurface | LabelledMesh) -> list[Patch]:
@@ -161,12 +154,3 @@ def _legend(surface: LabelledSurface | LabelledMesh) -> list[Patch]:
         Patch(facecolor=COLOURS[label], label=f"{NAMES[label]}\n{area:.1f} cm²")
         for label, area in label_areas(surface).items()
     ]
-
-
-def _scale_bar(axes: Axes) -> None:
-    (left, _), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    axes.plot([left, left + SCALE_BAR], [bottom] * 2, color=BLACK, linewidth=2, clip_on=False)
-    axes.text(
-        left + SCALE_BAR / 2, bottom + 0.015 * (top - bottom), f"{SCALE_BAR:.0f} mm", ha="center",
-        va="bottom", fontsize=TICK_SIZE, color=BLACK,
-    )  # fmt: skip

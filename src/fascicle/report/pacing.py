@@ -16,13 +16,18 @@ from fascicle.report.figures import (
     BLACK,
     GREY,
     LABEL_SIZE,
+    LEGEND_STYLE,
     TICK_SIZE,
-    TITLE_SIZE,
     VERMILION,
+    finish_axes,
     new_figure,
-    tidy,
+    set_title,
 )
 
+SIZE = (6.0, 4.2)  # inch
+PAIR_LINE, MEDIAN_LINE, DOT = 0.6, 2.5, 4.5  # points
+MEDIAN_BAR = (0.06, 0.24)  # from the dots outwards, of the distance between before and after
+SIDE_ROOM = 0.4  # beside the dots
 INTERVAL = (5.0, 95.0)  # percentiles given with the median change
 
 
@@ -71,7 +76,7 @@ def pacing_figure(
     InputError
         If the two have different numbers of networks.
     """
-    figure = new_figure(6.0, 4.2)
+    figure = new_figure(*SIZE)
     panels = figure.subplots(1, 2, sharey=True)
     quantities = [
         ("QRS duration (ms)", before.qrs, after.qrs),
@@ -82,14 +87,13 @@ def pacing_figure(
         axes.set_xticks([0, 1], labels, fontsize=LABEL_SIZE)
         axes.tick_params(labelleft=True)
     handles = [
-        Line2D([], [], color=GREY, linewidth=0.6, marker="o", markersize=4.5, label="network"),
-        Line2D([], [], color=GREY, linewidth=2.5, label="median"),
+        Line2D(
+            [], [], color=GREY, linewidth=PAIR_LINE, marker="o", markersize=DOT, label="network"
+        ),
+        Line2D([], [], color=GREY, linewidth=MEDIAN_LINE, label="median"),
     ]
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=2, frameon=False, fontsize=LABEL_SIZE
-    )
-    if title is not None:
-        figure.suptitle(title, fontsize=TITLE_SIZE, x=0.01, ha="left")
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, **LEGEND_STYLE)
+    set_title(figure, title)
     return figure
 
 
@@ -100,14 +104,16 @@ def _draw_pairs(axes: Axes, name: str, before: ArrayLike, after: ArrayLike) -> N
             f"{name}: {pairs[0].shape} values before and {pairs[1].shape} after; "
             "give one of each for every network"
         )
-    axes.plot([0, 1], np.array(pairs), color=GREY, linewidth=0.6, alpha=0.5)
+    axes.plot([0, 1], np.array(pairs), color=GREY, linewidth=PAIR_LINE, alpha=0.5)
     for position, values, colour in zip((0, 1), pairs, (GREY, VERMILION), strict=True):
         axes.plot(
-            np.full(values.size, position), values, "o", color=colour, markersize=4.5, alpha=0.7,
+            np.full(values.size, position), values, "o", color=colour, markersize=DOT, alpha=0.7,
             markeredgewidth=0,
         )  # fmt: skip
-        outward = np.array([-0.06, -0.24]) if position == 0 else np.array([0.06, 0.24])
-        axes.plot(position + outward, [np.nanmedian(values)] * 2, color=colour, linewidth=2.5)
+        outward = np.array(MEDIAN_BAR) * (1 if position else -1)
+        axes.plot(
+            position + outward, [np.nanmedian(values)] * 2, color=colour, linewidth=MEDIAN_LINE
+        )
     change = pairs[1] - pairs[0]
     low, high = np.nanpercentile(change, INTERVAL)
     axes.set_title(
@@ -115,11 +121,10 @@ def _draw_pairs(axes: Axes, name: str, before: ArrayLike, after: ArrayLike) -> N
         f"(5–95 %: {_signed(float(low))} to {_signed(float(high))} ms)",
         fontsize=TICK_SIZE, color=BLACK,
     )  # fmt: skip
-    axes.set_xlim(-0.4, 1.4)
-    axes.set_ylabel(name, fontsize=LABEL_SIZE)
-    axes.grid(axis="y", color="#EAEAEA", linewidth=0.6)
+    axes.set_xlim(-SIDE_ROOM, 1 + SIDE_ROOM)
+    axes.grid(axis="y", color="#EAEAEA", linewidth=PAIR_LINE)
     axes.set_axisbelow(True)
-    tidy(axes)
+    finish_axes(axes, y=name)
 
 
 def _signed(change: float) -> str:

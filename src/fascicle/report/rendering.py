@@ -67,13 +67,8 @@ def heart_views(heart: Heart) -> dict[str, View]:
         the first of them towards the eye brings it: the front down, the left on the right.
     """
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-    up = unit(base - apex)
-    left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
-    left = unit(left - (left @ up) * up)
-    back = np.cross(up, left)
-    frame = np.array([left, back, up])
-    along = heart.vertices @ frame.T
-    centre = (along.min(axis=0) + along.max(axis=0)) / 2 @ frame
+    towards_left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
+    (left, back, up), centre = upright_frame(base - apex, towards_left, heart.vertices)
     axes = {
         "anterior": (left, up, back),
         "RV side": (-back, up, left),
@@ -83,8 +78,32 @@ def heart_views(heart: Heart) -> dict[str, View]:
     return {name: View(name, np.array(rows), centre) for name, rows in axes.items()}
 
 
+def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors to the left, the back and upwards, and the centre of what is shown.
+
+    Parameters
+    ----------
+    up, left : (3,) array
+        Upwards, and roughly to the patient's left (mm).
+    positions : (n, 3) array
+        What is shown (mm).
+
+    Returns
+    -------
+    frame : (3, 3) array
+        Rows are the unit vectors.
+    centre : (3,) array
+        Middle of the box along them that holds the positions (mm).
+    """
+    up = unit(up)
+    left = unit(left - (left @ up) * up)
+    frame = np.array([left, np.cross(up, left), up])
+    along = positions @ frame.T
+    return frame, (along.min(axis=0) + along.max(axis=0)) / 2 @ frame
+
+
 def smooth_normals(vertices: Floats, triangles: Integers) -> Floats:
-    """Average normals over neighbours, by area, but not across creases such as the rim of the base.
+    """Average normals over neighbours, by area, but not across creases as at the edge of the base.
 
     Returns
     -------

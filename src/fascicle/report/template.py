@@ -17,15 +17,18 @@ from fascicle.report.figures import (
     BLACK,
     BLUE,
     GREY,
-    LABEL_SIZE,
     TICK_SIZE,
-    TITLE_SIZE,
     VERMILION,
+    finish_axes,
     new_figure,
-    tidy,
+    set_title,
 )
 
 COLOURS = {"endocardial": BLUE, "midmyocardial": GREY, "epicardial": VERMILION}
+SIZE = (9.0, 3.8)  # inch
+LEGEND_PLACE = (0.08, 0.4)  # of the axes
+POINTS = 4000  # of each curve
+LINE = 1.2  # points
 SHOWN_BEFORE = 20.0  # ms before the upstroke
 SHOWN_AFTER = 450.0  # ms after it
 ZOOM = (-3.0, 80.0)  # ms around the upstroke
@@ -55,20 +58,16 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
     if progress is not None:
         progress("template", len(CELLS), len(CELLS), "")
     table = {cell: measure(template) for cell, template in templates.items()}
-    figure = new_figure(9.0, 3.8)
+    figure = new_figure(*SIZE)
     whole, zoom = figure.subplots(1, 2)
     _draw_whole(whole, templates, table)
     _draw_zoom(zoom, templates, default_template())
     for axes in (whole, zoom):
-        axes.set_xlabel("time since activation (ms)", fontsize=LABEL_SIZE)
-        axes.set_ylabel("transmembrane potential (mV)", fontsize=LABEL_SIZE)
         axes.legend(
-            frameon=False, fontsize=TICK_SIZE, loc="center left", bbox_to_anchor=(0.08, 0.4)
+            frameon=False, fontsize=TICK_SIZE, loc="center left", bbox_to_anchor=LEGEND_PLACE
         )
-        tidy(axes)
-    figure.suptitle(
-        "Ten Tusscher–Panfilov 2006 cells in a cable", fontsize=TITLE_SIZE, x=0.01, ha="left"
-    )
+        finish_axes(axes, "time since activation (ms)", "transmembrane potential (mV)")
+    set_title(figure, "Ten Tusscher–Panfilov 2006 cells in a cable")
     return figure, table
 
 
@@ -87,11 +86,11 @@ def measure(template: CableTemplate) -> dict[str, float]:
 def _draw_whole(
     axes: Axes, templates: Mapping[str, CableTemplate], table: Mapping[str, Mapping[str, float]]
 ) -> None:
-    time = np.linspace(-SHOWN_BEFORE, SHOWN_AFTER, 4000)
+    time = np.linspace(-SHOWN_BEFORE, SHOWN_AFTER, POINTS)
     for cell, template in templates.items():
         apd = table[cell]["apd90"]
         axes.plot(
-            time, template.full(time), color=COLOURS[cell], linewidth=1.2,
+            time, template.full(time), color=COLOURS[cell], linewidth=LINE,
             label=f"{cell}, APD90 {apd:.0f} ms",
         )  # fmt: skip
         axes.plot(apd, template.full(np.array(apd)), "o", color=COLOURS[cell], markersize=4)
@@ -99,9 +98,9 @@ def _draw_whole(
 
 
 def _draw_zoom(axes: Axes, templates: Mapping[str, CableTemplate], used: CableTemplate) -> None:
-    time = np.linspace(*ZOOM, 4000)
+    time = np.linspace(*ZOOM, POINTS)
     for cell, template in templates.items():
-        axes.plot(time, template.full(time), color=COLOURS[cell], linewidth=1.2, label=cell)
-    axes.plot(time, used(time), "--", color=BLACK, linewidth=1.2, label=f"template ({used.cell})")
+        axes.plot(time, template.full(time), color=COLOURS[cell], linewidth=LINE, label=cell)
+    axes.plot(time, used(time), "--", color=BLACK, linewidth=LINE, label=f"template ({used.cell})")
     axes.axvline(used.span[1], color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(*ZOOM)
