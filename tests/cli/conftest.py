@@ -153,7 +153,7 @@ def run(monkeypatch, capfd):
     from fascicle.cli import main
 
     # a slow machine takes more than a second to prepare a heart, and then says so
-    monkeypatch.setattr("fascicle.forward.eikonal.ray_travel_times.PATIENCE", 600.0)
+    monkeypatch.setattr("fascicle.forward.eikonal.ray_travel_times.SILENCE", 600.0)
 
     def call(*arguments):
         monkeypatch.setattr("sys.argv", ["fascicle", *map(str, arguments)])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +17,7 @@ from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
+    from fascicle.recording.choices import Choices
     from fascicle.recording.quality.finding import Finding
     from fascicle.recording.recording import Recording
     from fascicle.recording.target import Target
@@ -24,64 +27,72 @@ _MOST_BEATS = 100_000  # of the longest recording, by far
 _WIDTH = 15  # of the first column
 
 
+RecordingArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="WFDB (.hea), DICOM (.dcm), HL7 aECG or MUSE (.xml), SCP-ECG (.scp), EDF (.edf), "
+        "HDF5 (.h5), MATLAB (.mat) or a table (.csv, .tsv)."
+    ),
+]
+TargetOption = Annotated[
+    Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
+]
+Onset = Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")]
+Offset = Annotated[float | None, typer.Option(help="QRS offset (ms from R).")]
+BeatClass = Annotated[
+    str | None, typer.Option("--class", help="Class of the beats to use; A has the most.")
+]
+Beats = Annotated[str | None, typer.Option(help="Numbers of the beats to use, such as 1-4,7.")]
+ExcludeBeat = Annotated[
+    list[str] | None, typer.Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
+]
+Leads = Annotated[
+    str | None,
+    typer.Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
+]
+Invert = Annotated[list[str] | None, typer.Option(help="Lead that was recorded upside down.")]
+Swap = Annotated[
+    list[str] | None, typer.Option(help="Exchanged electrodes or leads, such as RA-LA or V1-V2.")
+]
+SharedGain = Annotated[
+    bool,
+    typer.Option("--shared-gain", help="All leads share one gain, whatever the file says of each."),
+]
+DigitsPerMv = Annotated[
+    float | None,
+    typer.Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
+]
+Noise = Annotated[float | None, typer.Option(help="Standard deviation of a single beat (mV).")]
+SamplingRate = Annotated[
+    float | None, typer.Option(help="Samples per second (Hz), if the file does not say.")
+]
+Unit = Annotated[
+    str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
+]
+Lowpass = Annotated[float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")]
+Notch = Annotated[
+    float | None, typer.Option(help="Mains hum to remove, 50 or 60 (Hz); none by default.")
+]
+
+
 def target(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            help="WFDB (.hea), DICOM (.dcm), HL7 aECG or MUSE (.xml), SCP-ECG (.scp), EDF (.edf), "
-            "HDF5 (.h5), MATLAB (.mat) or a table (.csv, .tsv)."
-        ),
-    ],
-    out: Annotated[
-        Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
-    ],
-    onset: Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")] = None,
-    offset: Annotated[float | None, typer.Option(help="QRS offset (ms from R).")] = None,
-    beat_class: Annotated[
-        str | None, typer.Option("--class", help="Class of the beats to use; A has the most.")
-    ] = None,
-    beats: Annotated[
-        str | None, typer.Option(help="Numbers of the beats to use, such as 1-4,7.")
-    ] = None,
-    exclude_beat: Annotated[
-        list[str] | None, typer.Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
-    ] = None,
-    leads: Annotated[
-        str | None,
-        typer.Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
-    ] = None,
-    invert: Annotated[
-        list[str] | None, typer.Option(help="Lead that was recorded upside down.")
-    ] = None,
-    swap: Annotated[
-        list[str] | None,
-        typer.Option(help="Exchanged electrodes or leads, such as RA-LA or V1-V2."),
-    ] = None,
-    shared_gain: Annotated[
-        bool,
-        typer.Option(
-            "--shared-gain", help="All leads share one gain, whatever the file says of each."
-        ),
-    ] = False,
-    digits_per_mv: Annotated[
-        float | None,
-        typer.Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
-    ] = None,
-    noise: Annotated[
-        float | None, typer.Option(help="Standard deviation of a single beat (mV).")
-    ] = None,
-    sampling_rate: Annotated[
-        float | None, typer.Option(help="Samples per second (Hz), if the file does not say.")
-    ] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
-    ] = None,
-    lowpass: Annotated[
-        float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")
-    ] = None,
-    notch: Annotated[
-        float | None, typer.Option(help="Mains hum to remove, 50 or 60 (Hz); none by default.")
-    ] = None,
+    recording: RecordingArgument,
+    out: TargetOption,
+    onset: Onset = None,
+    offset: Offset = None,
+    beat_class: BeatClass = None,
+    beats: Beats = None,
+    exclude_beat: ExcludeBeat = None,
+    leads: Leads = None,
+    invert: Invert = None,
+    swap: Swap = None,
+    shared_gain: SharedGain = False,
+    digits_per_mv: DigitsPerMv = None,
+    noise: Noise = None,
+    sampling_rate: SamplingRate = None,
+    unit: Unit = None,
+    lowpass: Lowpass = None,
+    notch: Notch = None,
 ) -> None:
     """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
 
@@ -97,37 +108,87 @@ def target(
     fascicle target ecg.csv --out t.nc --unit uV --sampling-rate 500
     ```
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.recording.choices import Choices
+
+    picture = _picture_beside(out, recording)
+    choices = Choices(
+        onset=onset,
+        offset=offset,
+        beat_class=beat_class,
+        beats=None if beats is None else _numbers(beats),
+        exclude=tuple(number for text in exclude_beat or () for number in _numbers(text)),
+        noise=noise,
+        lowpass=lowpass,
+        notch=notch,
+    )
+    corrections = _Corrections(_gain(shared_gain, digits_per_mv), invert or [], swap or [])
+    read = partial(_read, recording, leads, sampling_rate, unit)
+    analysis = _make_target(read, corrections, choices, out, picture)
+    print_analysis(analysis)
+    _line("target", str(out))
+    _line("picture", str(picture))
+
+
+@dataclass(frozen=True)
+class _Corrections:
+    """What the user sets right in a recording: digits per mV, leads upside down, exchanges."""
+
+    gain: float | None
+    inverted: Sequence[str]
+    swapped: Sequence[str]
+
+    def applied(self, recording: Recording) -> Recording:
+        """Recording after the gain, then polarity, then exchanged cables are set right."""
+        from fascicle.recording.corrections import invert, share_gain, swap
+
+        if self.gain is not None:
+            recording = share_gain(recording, self.gain)
+        for text in self.inverted:
+            for lead in _leads(text):
+                recording = invert(recording, lead)
+        for text in self.swapped:
+            names = [part.strip() for part in re.split(r"[-,]", text)]
+            if len(names) != 2:
+                raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
+            recording = swap(recording, _electrode_or_lead(names[0]), _electrode_or_lead(names[1]))
+        return recording
+
+
+def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
+    """Digits per mV that all leads share; None where each has its own."""
     from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT
+
+    if digits_per_mv is not None and not shared:
+        raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
+    if not shared:
+        return None
+    return digits_per_mv if digits_per_mv is not None else DIGITS_PER_MILLIVOLT
+
+
+def _make_target(
+    read: Callable[[], Recording],
+    corrections: _Corrections,
+    choices: Choices,
+    out: Path,
+    picture: Path,
+) -> Analysis:
+    """Read, correct and analyse a recording; write its target and the page that shows it."""
+    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.target_files import write_target
     from fascicle.report.figures import save
     from fascicle.report.recording import recording_figure
 
-    picture = _picture_beside(out, recording)
-    if digits_per_mv is not None and not shared_gain:
-        raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
-    choices = Choices(
-        onset, offset, beat_class, None if beats is None else _numbers(beats),
-        tuple(n for text in exclude_beat or () for n in _numbers(text)), noise, lowpass, notch,
-    )  # fmt: skip
-    gain = None
-    if shared_gain:
-        gain = digits_per_mv if digits_per_mv is not None else DIGITS_PER_MILLIVOLT
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
-        read = _read(recording, leads, sampling_rate, unit)
+        recording = read()
         progress("recording", 1, 3, "beats")
-        analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
+        analysis = analyse(corrections.applied(recording), choices)
         progress("recording", 2, 3, "picture")
-        figure = recording_figure(analysis)
-        save(figure, picture)
+        save(recording_figure(analysis), picture)
         write_target(analysis.target, out)
         progress("recording", 3, 3, "")
-    print_analysis(analysis)
-    print(f"{'target':<{_WIDTH}}{out}")
-    print(f"{'picture':<{_WIDTH}}{picture}")
+    return analysis
 
 
 def print_analysis(analysis: Analysis) -> None:
@@ -184,7 +245,7 @@ def _print_target(target: Target) -> None:
 
 
 def _figure(value: float) -> str:
-    """Four digits at most, or a dash for what the file does not tell."""
+    """Four digits at most, or a dash for what the file does not say."""
     if math.isnan(value):
         return "-"
     if abs(value) >= 1e6:
@@ -232,26 +293,7 @@ def _read(
     return read_recording(path, leads=wanted, sampling_rate=sampling_rate, unit=unit)
 
 
-def _corrected(
-    recording: Recording, gain: float | None, inverted: Sequence[str], swapped: Sequence[str]
-) -> Recording:
-    """Apply the user's corrections: gain first, then polarity, then exchanged cables."""
-    from fascicle.recording.corrections import invert, share_gain, swap
-
-    if gain is not None:
-        recording = share_gain(recording, gain)
-    for text in inverted:
-        for lead in _leads(text):
-            recording = invert(recording, lead)
-    for text in swapped:
-        names = [part.strip() for part in re.split(r"[-,]", text)]
-        if len(names) != 2:
-            raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
-        recording = swap(recording, _place(names[0]), _place(names[1]))
-    return recording
-
-
-def _place(text: str) -> str:
+def _electrode_or_lead(text: str) -> str:
     """Name of an electrode or a lead as it is written elsewhere."""
     from fascicle.recording.readers.names import lead_name
 
