@@ -24,7 +24,6 @@ from fascicle.kernels.jit import kernel
 # Rows of a state: potential, gates, receptor, concentrations
 (V, M, H, J, D, F, F2, F_CASS, R, S, XR1, XR2, XS, R_PRIME,
  CA_I, CA_SR, CA_SS, NA_I, K_I) = range(19)  # fmt: skip
-STATES = 19
 
 # What the layers of the wall differ in: conductances (nS/pF) of the slow delayed rectifier and the
 # transient outward current, and whether the latter's inactivation is the endocardial one
