@@ -15,11 +15,18 @@ from hypothesis import strategies as st
 from refusals import fuzzing, outcome, refused
 
 from fascicle.core.leads import LEADS, lead_matrix
-from fascicle.recording.readers import isolated
+from fascicle.recording.readers import isolated, read
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.readers.read_options import ReadOptions
 
 RATE, N = 500, 1000
+
+
+@pytest.fixture(autouse=True)
+def in_process(request, monkeypatch):
+    """Read good files in this process, which takes half a second less each."""
+    if request.cls not in (TestIsolated, TestFuzz):
+        monkeypatch.setattr(read, "_ISOLATED", ())
 
 
 @pytest.fixture
@@ -320,15 +327,6 @@ class TestHdf5Refused:
         save_hdf5(path, by_lead(signal) | {str(k): 0 for k in range(1001)})
         assert read_recording(path).signal == pytest.approx(signal, abs=0)
 
-    def test_declared_length_of_a_text(self, tmp_path, signal):
-        path = save_hdf5(tmp_path / "a.h5", {"ecg": signal, "leads": list(LEADS)})
-        with h5py.File(path) as file:
-            offset = file["leads"].id.get_offset()
-        content = bytearray(path.read_bytes())
-        content[offset : offset + 4] = (2**31 - 1).to_bytes(4, "little")
-        path.write_bytes(content)
-        refused(path, "damaged")
-
 
 class TestIsolated:
     """Whatever the library does, the caller sees one refusal."""
@@ -360,6 +358,24 @@ class TestIsolated:
         more = np.array([2**15, 2**15], dtype="<i4").tobytes()
         path.write_bytes(content.replace(shape, more, 1))
         refused(path, "damaged", "8.00 GiB")
+
+    def test_declared_length_of_a_text(self, tmp_path, signal):
+        path = save_hdf5(tmp_path / "a.h5", {"ecg": signal, "leads": list(LEADS)})
+        with h5py.File(path) as file:
+            offset = file["leads"].id.get_offset()
+        content = bytearray(path.read_bytes())
+        content[offset : offset + 4] = (2**31 - 1).to_bytes(4, "little")
+        path.write_bytes(content)
+        refused(path, "damaged")
+
+    @pytest.mark.parametrize("code", [3, 16, 17])  # an object, a function, a string
+    def test_damaged_class_of_a_variable(self, tmp_path, signal, code):
+        path = save_matlab(tmp_path / "a.mat", {"x": 1.0} | by_lead(signal))
+        content = bytearray(path.read_bytes())
+        assert content[144] == 6  # class of the first variable: double
+        content[144] = code
+        path.write_bytes(content)
+        refused(path, "damaged")
 
     def test_error_of_our_own_is_no_refusal(self, tmp_path):
         with pytest.raises(RuntimeError, match="AttributeError"):
@@ -420,15 +436,6 @@ class TestMatlab:
     def test_what_is_no_number(self, tmp_path, signal, value):
         variables = by_lead(signal) | {"fs": 500, "units": "mV", "V1": value}
         refused(save_matlab(tmp_path / "a.mat", variables), "lead 'V1'", "no real numbers")
-
-    @pytest.mark.parametrize("code", [3, 16, 17])  # an object, a function, a string
-    def test_damaged_class_of_a_variable(self, tmp_path, signal, code):
-        path = save_matlab(tmp_path / "a.mat", {"x": 1.0} | by_lead(signal))
-        content = bytearray(path.read_bytes())
-        assert content[144] == 6  # class of the first variable: double
-        content[144] = code
-        path.write_bytes(content)
-        refused(path, "damaged")
 
     def test_names_that_are_no_texts(self, tmp_path, signal):
         names = np.empty(12, dtype=object)

@@ -13,10 +13,17 @@ from clinical_files import replaced, saved
 from refusals import refused
 
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
+from fascicle.recording.readers import read
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 
 ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
+
+
+@pytest.fixture(autouse=True)
+def in_process(monkeypatch):
+    """Read SCP-ECG files in this process, which takes half a second less each."""
+    monkeypatch.setattr(read, "_ISOLATED", ())
 
 
 @pytest.fixture(scope="module")

@@ -134,7 +134,7 @@ class TestRead:
         path = write(tmp_path / "a.edf", signals(signal, prefiltering=text))
         assert read_recording(path).filters == filters
 
-    def test_strictest_filter_where_leads_differ(self, tmp_path, signal):
+    def test_narrowest_passband_where_leads_differ(self, tmp_path, signal):
         first = signals(signal[:6], LEADS[:6], prefiltering="HP:0.5Hz LP:100Hz")
         rest = signals(signal[6:], LEADS[6:], prefiltering="HP:0.05Hz LP:40Hz")
         path = write(tmp_path / "a.edf", [*first, *rest])
