@@ -207,7 +207,7 @@ class TestFuzz:
         sections[number] = mutated(head, changes) + tail
         sound_or_refused(tmp_path / "a.scp", files.scp_record(sections))
 
-    @_LONG
+    @_SHORT
     @given(
         st.sampled_from([b"", b"<RestingECG>", b"<AnnotatedECG>", bytes(16) + b"SCPECG"]),
         st.binary(max_size=200),
