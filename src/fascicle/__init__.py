@@ -15,22 +15,29 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fascicle.core.errors import InputError
-    from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-    from fascicle.forward.model import ForwardModel
-    from fascicle.forward.scenario import Scenario, Slowing, Stimulus
-    from fascicle.forward.simulation import Simulation
-    from fascicle.heart.conduction import Conduction, Region
-    from fascicle.heart.folder import load_heart
-    from fascicle.heart.heart import Heart
-    from fascicle.purkinje.growth import GrowthRules
-    from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
-    from fascicle.recording.choices import Choices
-    from fascicle.recording.pipeline import analyse, make_target
-    from fascicle.recording.readers.read import read_recording
-    from fascicle.recording.target_files import read_target
-    from fascicle.study.fit import fit, load_study
-    from fascicle.study.settings import FitSettings
+    from fascicle.core.errors import InputError as InputError
+    from fascicle.core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
+    from fascicle.core.parameters import NETWORK_SPACE as NETWORK_SPACE
+    from fascicle.forward.model import ForwardModel as ForwardModel
+    from fascicle.forward.scenario import Scenario as Scenario
+    from fascicle.forward.scenario import Slowing as Slowing
+    from fascicle.forward.scenario import Stimulus as Stimulus
+    from fascicle.forward.simulation import Simulation as Simulation
+    from fascicle.heart.conduction import Conduction as Conduction
+    from fascicle.heart.conduction import Region as Region
+    from fascicle.heart.folder import load_heart as load_heart
+    from fascicle.heart.heart import Heart as Heart
+    from fascicle.purkinje.growth import GrowthRules as GrowthRules
+    from fascicle.purkinje.tree import InvalidTree as InvalidTree
+    from fascicle.purkinje.tree import PurkinjeTree as PurkinjeTree
+    from fascicle.recording.choices import Choices as Choices
+    from fascicle.recording.pipeline import analyse as analyse
+    from fascicle.recording.pipeline import make_target as make_target
+    from fascicle.recording.readers.read import read_recording as read_recording
+    from fascicle.recording.target_files import read_target as read_target
+    from fascicle.study.fit import fit as fit
+    from fascicle.study.fit import load_study as load_study
+    from fascicle.study.settings import FitSettings as FitSettings
 
 __version__ = version("fascicle")
 
@@ -61,31 +68,7 @@ _HOMES = {
     "read_target": "fascicle.recording.target_files",
 }
 
-__all__ = [
-    "EXAMPLE_PARAMETERS",
-    "NETWORK_SPACE",
-    "Choices",
-    "Conduction",
-    "FitSettings",
-    "ForwardModel",
-    "GrowthRules",
-    "Heart",
-    "InputError",
-    "InvalidTree",
-    "PurkinjeTree",
-    "Region",
-    "Scenario",
-    "Simulation",
-    "Slowing",
-    "Stimulus",
-    "analyse",
-    "fit",
-    "load_heart",
-    "load_study",
-    "make_target",
-    "read_recording",
-    "read_target",
-]
+__all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> Any:
