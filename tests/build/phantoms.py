@@ -112,3 +112,20 @@ def ellipsoid_segmentation(
     affine[:3, :3] = turn @ slices * spacing
     affine[:3, 3] = turn @ slices @ low + centre
     return Phantom(Segmentation(labels(points), affine, name), turn, np.asarray(centre))
+
+
+def segmentation_volumes(
+    segmentation: Segmentation, labels: SegmentationLabels
+) -> dict[str, float]:
+    """Volumes in the whole map, also above the base (ml): voxel count times voxel volume."""
+    count = {
+        name: np.isin(segmentation.labels, numbers).sum() * segmentation.voxel_volume / 1000
+        for name, numbers in labels.parts()
+    }
+    scar = count.get("scar", 0.0)
+    return {
+        "lv": count["LV blood"],
+        "rv": count["RV blood"],
+        "myocardium": count["myocardium"] + scar,
+        "scar": scar,
+    }

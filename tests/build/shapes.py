@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pyvista as pv
 from scipy.integrate import quad
+from scipy.spatial import cKDTree
 
+from fascicle.build.anatomy import Anatomy
+from fascicle.build.labelled_mesh_files import labelled_tetrahedra
+from fascicle.build.labelled_surface_files import labelled_surface
 from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.measures import closed_volume
 
 # Half-axes across and along (mm) of ellipsoids cut off at z = 0, the apices below, and how far to
 # the side of the left ventricle the right one is. The right cavity is what its inner ellipsoid
@@ -93,3 +101,23 @@ def _lens(r: float, s: float, apart: float) -> float:
         + s**2 * np.arctan2(half_chord, apart - x)
         - apart * half_chord
     )
+
+
+def volume_of(surface: LabelledSurface) -> float:
+    """Volume within a closed surface (mm³), positive where it faces outwards."""
+    return closed_volume(surface.vertices, surface.triangles)
+
+
+def read_labelled_surface(path: Path, **options) -> LabelledSurface:
+    """Read a file of triangles; the options are those of `labelled_surface`."""
+    return labelled_surface(read_mesh(path), **options)
+
+
+def read_labelled_mesh(path: Path, **options) -> Anatomy:
+    """Read a file of tetrahedra; the options are those of `labelled_tetrahedra`."""
+    return labelled_tetrahedra(read_mesh(path), **options)
+
+
+def in_mesh(mesh, surface) -> np.ndarray:
+    """Which vertex of a mesh each vertex of a surface is, or the nearest one."""
+    return cKDTree(mesh.vertices).query(surface.vertices)[1]

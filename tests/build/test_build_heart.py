@@ -12,10 +12,10 @@ from anatomies import EPI, LV, NETWORK, RV
 from scipy.spatial import cKDTree
 
 import fascicle
+from fascicle.build.anatomy import Source
+from fascicle.build.build_heart import Body, build_heart
 from fascicle.build.check import cavity_volume, check_heart
 from fascicle.build.endocardia import endocardia
-from fascicle.build.pipeline import Body, build_heart
-from fascicle.build.source import Source
 from fascicle.core.errors import InputError
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
@@ -32,16 +32,16 @@ STAGES = ["fibres", "torso", "lead fields"]
 
 
 @pytest.fixture(scope="module")
-def told():
+def steps():
     return []
 
 
 @pytest.fixture(scope="module")
-def idealised(tmp_path_factory, told):
+def idealised(tmp_path_factory, steps):
     """Folder of a heart in the idealised torso, from tetrahedra."""
     folder = tmp_path_factory.mktemp("idealised")
     source = Source(anatomies.write_vtu(folder / "mesh.vtu", labelled=True))
-    built = build_heart(source, name="in a torso", progress=lambda *step: told.append(step))
+    built = build_heart(source, name="in a torso", progress=lambda *step: steps.append(step))
     write_heart(built.heart, folder / "heart")
     return folder / "heart"
 
@@ -151,9 +151,9 @@ class TestIdealisedTorso:
             towards = (place - centre) / np.linalg.norm(place - centre)
             assert slope @ towards > 0.2 * np.linalg.norm(slope)
 
-    def test_the_stages_are_told_to_their_end(self, in_torso, told):
-        assert list(dict.fromkeys(stage for stage, *_ in told)) == STAGES
-        last = {stage: (done, total) for stage, done, total, _ in told}
+    def test_the_stages_are_told_to_their_end(self, in_torso, steps):
+        assert list(dict.fromkeys(stage for stage, *_ in steps)) == STAGES
+        last = {stage: (done, total) for stage, done, total, _ in steps}
         assert all(done == total for done, total in last.values())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shapes import in_mesh
 
 from fascicle.build.endocardia import endocardia
 from fascicle.core.errors import InputError
@@ -82,7 +83,7 @@ def test_the_smaller_of_two_openings_is_closed_and_marked():
     assert lv.valve.sum() == 2 * (5 + 4) - 2  # a polygon of n sides has n - 2 triangles
     areas = np.linalg.norm(triangle_normals(lv.vertices, lv.triangles[lv.valve]), axis=1)
     assert areas.sum() == pytest.approx(5 * 4 * (40 / SIZE) ** 2)
-    assert (lv.vertices == mesh.vertices[lv.mesh_vertex]).all()
+    assert (lv.vertices == mesh.vertices[in_mesh(mesh, lv)]).all()
     again = oriented_into_cavity(lv.vertices, lv.triangles, "lv")
     assert (again == lv.triangles).all()
 

@@ -9,9 +9,9 @@ import meshio
 import numpy as np
 import pytest
 from builders import block_of_random_tissue, line_tree
+from shapes import read_labelled_mesh
 
 from fascicle.build.export import export_heart
-from fascicle.build.labelled_mesh_files import read_labelled_mesh
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.boundary_labels import labelled_mesh
@@ -110,7 +110,8 @@ def test_gmsh_agrees_with_meshio(tmp_path, heart):
 @pytest.mark.parametrize("kind", ["opencarp", "gmsh"])
 def test_what_goes_out_has_every_label(tmp_path, default_heart, kind):
     export_heart(default_heart, tmp_path / OUT[kind], kind)
-    read = read_labelled_mesh(tmp_path / MESH[kind])
+    anatomy = read_labelled_mesh(tmp_path / MESH[kind])
+    read = anatomy.mesh
     known = labelled_mesh(default_heart)
     order = [np.lexsort(np.sort(mesh.triangles).T) for mesh in (read, known)]
     same = [np.sort(mesh.triangles)[at] for mesh, at in zip((read, known), order, strict=True)]
@@ -118,7 +119,7 @@ def test_what_goes_out_has_every_label(tmp_path, default_heart, kind):
     np.testing.assert_array_equal(read.labels[order[0]], known.labels[order[1]])
     assert np.unique(read.labels).tolist() == sorted(NEEDED)
     np.testing.assert_array_equal(read.tetrahedra, default_heart.tetrahedra)
-    assert read.notes == ()
+    assert anatomy.notes == ()
 
 
 def test_opencarp_takes_trees(tmp_path, heart):

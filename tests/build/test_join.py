@@ -152,12 +152,12 @@ def test_gap_is_named_measured_and_placed(coarse):
     away = coarse[BASE][0] + np.array([0, 0, 4.0]), coarse[BASE][1]
     refused(
         {**coarse, BASE: away},
-        r"rims of epicardium and base are up to [34]\.\d mm apart \(at \(-?\d+, -?\d+, -?\d+\) mm",
+        r"loops of epicardium and base are up to [34]\.\d mm apart \(at \(-?\d+\.\d, .* mm",
     )
 
 
 def test_swapped_sides(coarse):
-    refused({**coarse, LV: coarse[RV], RV: coarse[LV]}, "LV and RV seem to be swapped")
+    refused({**coarse, LV: coarse[RV], RV: coarse[LV]}, "LV and RV endocardium seem to be swapped")
 
 
 def test_right_ventricle_of_another_frame(coarse):
@@ -184,12 +184,19 @@ def test_hole_and_closed_part(coarse, geo1):
     vertices, triangles = coarse[EPI]
     inner = ~np.isin(triangles, np.concatenate(igl.boundary_loop_all(triangles))).any(axis=1)
     holed = np.delete(triangles, np.flatnonzero(inner)[0], axis=0)
-    refused({**coarse, EPI: (vertices, holed)}, r"epicardium: the surface has 2 rims .* 3 vertices")
-    refused({**coarse, EPI: geo1[:2]}, r"epicardium: the surface has no rim \(it is closed\)")
+    refused(
+        {**coarse, EPI: (vertices, holed)},
+        r"epicardium: the surface has 2 boundary loops .* 3 vertices",
+    )
+    refused(
+        {**coarse, EPI: geo1[:2]}, r"epicardium: the surface has no boundary loop \(it is closed\)"
+    )
 
 
 def test_base_without_holes_and_crowded_edge(coarse):
-    refused({**coarse, BASE: coarse[EPI]}, "base: the surface has 1 rim .* must have three")
+    refused(
+        {**coarse, BASE: coarse[EPI]}, "base: the surface has 1 boundary loop.* must have three"
+    )
     vertices, triangles = coarse[RV]
     fin = np.array([[*triangles[0, :2], triangles[len(triangles) // 2, 2]]])
     crowded = vertices, np.vstack([triangles, fin])
@@ -203,10 +210,12 @@ def test_rims_that_cross_leave_no_room_for_a_base(coarse):
     middle = moved[rim].mean(axis=0)
     far = rim[np.argmax(np.linalg.norm(moved[rim] - middle, axis=1))]
     moved[far] += 0.5 * (moved[far] - middle)
-    refused({**coarse, RV: (moved, triangles)}, "seen from the base, the rims of epi", base=False)
+    refused(
+        {**coarse, RV: (moved, triangles)}, "seen from the base, the boundary loop of", base=False
+    )
 
 
-def test_told(coarse):
-    told = []
-    join_surfaces(*(coarse[k] for k in (LV, RV, EPI, BASE)), "geo1", lambda *s: told.append(s))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+def test_progress(coarse):
+    steps = []
+    join_surfaces(*(coarse[k] for k in (LV, RV, EPI, BASE)), "geo1", lambda *s: steps.append(s))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]

@@ -9,10 +9,10 @@ import meshio
 import numpy as np
 import pytest
 import pyvista as pv
-from shapes import biventricular_surface
+from shapes import biventricular_surface, read_labelled_surface
 
-from fascicle.build.repair import prepared_surface
-from fascicle.build.surface_files import has_labels, read_labelled_surface
+from fascicle.build.labelled_surface_files import has_labels
+from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.formats.read import read_mesh

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from anatomies import BASE, EPI, LV, RV
 
-from fascicle.build.pipeline import heart_of
-from fascicle.build.source import Anatomy
+from fascicle.build.anatomy import Anatomy
+from fascicle.build.build_heart import heart_of
 from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.labelled_surface import LabelledMesh

@@ -7,15 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import RV_WALL, biventricular_surface, exact_volume
+from shapes import (
+    RV_WALL,
+    biventricular_surface,
+    exact_volume,
+    in_mesh,
+    read_labelled_surface,
+    volume_of,
+)
 
-from fascicle.build import meshing
+from fascicle.build import volume_meshing
 from fascicle.build.endocardia import endocardia
-from fascicle.build.meshing import available_memory, check_memory, mesh_surface
-from fascicle.build.remeshing import remeshed_surface, without_short_edges
-from fascicle.build.repair import enclosed_volume, prepared_surface
-from fascicle.build.surface_files import read_labelled_surface
-from fascicle.build.wall import wall_thickness
+from fascicle.build.surface_remeshing import remeshed_surface, without_short_edges
+from fascicle.build.surface_repair import prepared_surface
+from fascicle.build.volume_meshing import available_memory, check_memory, mesh_surface
+from fascicle.build.wall_thickness import wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
@@ -46,7 +52,7 @@ def mesh(surface, steps) -> LabelledMesh:
 def test_tetrahedra_fill_the_exact_volume(mesh, surface):
     volumes = signed_volumes(mesh.vertices, mesh.tetrahedra)
     assert volumes.min() > 0
-    assert volumes.sum() == pytest.approx(enclosed_volume(surface), rel=0.01)
+    assert volumes.sum() == pytest.approx(volume_of(surface), rel=0.01)
     assert volumes.sum() == pytest.approx(exact_volume(), rel=0.02)
 
 
@@ -63,7 +69,7 @@ def test_the_labelled_triangles_are_the_boundary_and_face_outwards(mesh):
     assert {*map(frozenset, boundary.tolist())} == {*map(frozenset, mesh.triangles.tolist())}
     outside = LabelledSurface(mesh.vertices, mesh.triangles, mesh.labels)
     volume = signed_volumes(mesh.vertices, mesh.tetrahedra).sum()
-    assert enclosed_volume(outside) == pytest.approx(volume, rel=1e-9)
+    assert volume_of(outside) == pytest.approx(volume, rel=1e-9)
 
 
 def test_labels_stay_where_they_were(mesh, surface):
@@ -85,9 +91,9 @@ def test_walls_keep_their_thickness(mesh, surface):
 
 def test_the_endocardia_are_disks_in_register_with_the_mesh(mesh):
     for side, label in zip(endocardia(mesh), ENDOCARDIA, strict=True):
-        assert (side.vertices == mesh.vertices[side.mesh_vertex]).all()
+        assert (side.vertices == mesh.vertices[in_mesh(mesh, side)]).all()
         assert not side.valve.any()
-        own = np.sort(side.mesh_vertex[side.triangles], axis=1)
+        own = np.sort(in_mesh(mesh, side)[side.triangles], axis=1)
         assert {*map(tuple, own)} == {*map(tuple, np.sort(mesh.having(label), axis=1))}
         again = oriented_into_cavity(side.vertices, side.triangles, "endocardium")
         assert (again == side.triangles).all()
@@ -126,7 +132,7 @@ def test_a_coarse_edge_length_is_refused(surface):
 
 def test_an_edge_length_that_would_not_fit_in_memory_is_refused(surface, monkeypatch):
     check_memory(surface, 2.0)
-    monkeypatch.setattr(meshing, "available_memory", lambda: 1e9)
+    monkeypatch.setattr(volume_meshing, "available_memory", lambda: 1e9)
     with pytest.raises(InputError, match=r"2\.8e\+05 vertices, .* 1\.7 GB and 1\.0 GB are free"):
         check_memory(surface, 1.0)
     with pytest.raises(InputError, match="must be above 0"):
@@ -144,7 +150,7 @@ def test_short_edges_are_closed_up_and_the_surface_stays_closed(surface):
     assert len(shortened.vertices) < 0.95 * len(surface.vertices)
     assert (lengths < 1.0).mean() < 0.002
     assert boundary_loops(shortened.triangles) == []
-    assert enclosed_volume(shortened) == pytest.approx(enclosed_volume(surface), rel=2e-3)
+    assert volume_of(shortened) == pytest.approx(volume_of(surface), rel=2e-3)
     assert len(shortened.vertices) - len(shortened.triangles) / 2 == 2  # Euler: a sphere
 
 
@@ -164,17 +170,17 @@ def mean_heart(data_folder: Path) -> LabelledSurface:
 
 def test_a_real_surface_at_2_mm(mean_heart):
     surface = prepared_surface(mean_heart)
-    assert enclosed_volume(surface) == pytest.approx(144.8e3, rel=1e-3)
+    assert volume_of(surface) == pytest.approx(144.8e3, rel=1e-3)
     mesh = mesh_surface(surface, 2.0)
     found = quality(mesh.vertices, mesh.tetrahedra)
-    assert found.volumes.sum() == pytest.approx(enclosed_volume(surface), rel=2e-3)
+    assert found.volumes.sum() == pytest.approx(volume_of(surface), rel=2e-3)
     assert found.edges.mean() == pytest.approx(2.0, rel=0.05)
     assert found.angles.min() > 8
     before, after = wall_thickness(surface), wall_thickness(mesh)
     assert after.lv.median == pytest.approx(before.lv.median, rel=0.01)
     assert after.rv.median == pytest.approx(before.rv.median, rel=0.01)
     for side in endocardia(mesh):
-        assert (side.vertices == mesh.vertices[side.mesh_vertex]).all()
+        assert (side.vertices == mesh.vertices[in_mesh(mesh, side)]).all()
         assert len(boundary_loops(side.triangles)) == 1
 
 

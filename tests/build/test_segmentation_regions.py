@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from phantoms import ALIGNED, LABELS, OBLIQUE, SCAR_CENTRE, ellipsoid_segmentation, labels_at
+from phantoms import (
+    ALIGNED,
+    LABELS,
+    OBLIQUE,
+    SCAR_CENTRE,
+    ellipsoid_segmentation,
+    labels_at,
+    segmentation_volumes,
+)
 
 from fascicle.build.segmentation.image import (
     Segmentation,
     SegmentationLabels,
     regions_at,
-    segmentation_volumes,
 )
 from fascicle.core.errors import InputError
 

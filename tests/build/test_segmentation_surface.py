@@ -18,9 +18,10 @@ from phantoms import (
     exact_volumes,
     labels_at,
     quadric,
+    segmentation_volumes,
 )
 
-from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, segmentation_volumes
+from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
 from fascicle.build.segmentation.surface import RV_WALL, surface_from_segmentation
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
@@ -137,7 +138,7 @@ def test_without_rv_wall_one_is_added():
 
     phantom = ellipsoid_segmentation((1.25, 1.25, 8.0), labels=lv_muscle_alone)
     notes = []
-    surface = surface_from_segmentation(phantom.segmentation, LABELS, noted=notes.append)
+    surface = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
     check_topology(surface)
     assert "map: 66% of the RV blood borders on no tissue, so an RV wall of 3 mm was added" in notes
     vertices = phantom.to_heart(surface.vertices)
@@ -172,7 +173,7 @@ def closed_over(points):
 def test_maps_that_are_not_cut_are_cut_below_the_rim(labels, lowest, how):
     phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=OBLIQUE, labels=labels)
     notes = []
-    surface = surface_from_segmentation(phantom.segmentation, LABELS, noted=notes.append)
+    surface = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
     check_topology(surface)
     assert how in notes[0]
     base = phantom.to_heart(surface.vertices[np.unique(surface.having(Label.BASE))])
@@ -189,7 +190,7 @@ def test_papillary_muscle_across_the_cavity_is_given_to_the_blood():
 
     phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=OBLIQUE, labels=with_strand)
     notes = []
-    surface = surface_from_segmentation(phantom.segmentation, LABELS, noted=notes.append)
+    surface = surface_from_segmentation(phantom.segmentation, LABELS, notes=notes)
     check_topology(surface)
     assert any("lv endocardium: gaps up to" in note for note in notes)
 
@@ -212,7 +213,7 @@ def test_empty_cavity_is_refused():
         labels[labels == 1] = 0
 
     with pytest.raises(InputError, match=r"map: LV blood \(label 1\) has 0 voxels"):
-        segmentation_volumes(relabelled(drain), LABELS)
+        surface_from_segmentation(relabelled(drain), LABELS)
 
 
 def test_two_large_pieces_of_tissue_are_refused():
@@ -227,13 +228,13 @@ def test_two_large_pieces_of_tissue_are_refused():
         surface_from_segmentation(relabelled(cut), LABELS)
 
 
-def test_islands_are_dropped_and_noted():
+def test_small_components_are_dropped_and_noted():
     def add(labels):
         labels[1:3, 1:3, 1:3] = 3
 
     notes = []
-    surface = surface_from_segmentation(relabelled(add), LABELS, noted=notes.append)
-    assert notes[0].startswith("map: 1 islands of tissue (0.22 ml in all)")
+    surface = surface_from_segmentation(relabelled(add), LABELS, notes=notes)
+    assert notes[0].startswith("map: 1 small components of tissue (0.22 ml in all)")
     plain = ellipsoid_segmentation((3.0, 3.0, 3.0))
     assert plain.to_heart(surface.vertices).min(axis=0)[0] > -LV_OUTER[0] - 1.5
 
@@ -246,9 +247,9 @@ def test_heart_in_metres_is_refused():
         surface_from_segmentation(Segmentation(segmentation.labels, affine, "map"), LABELS)
 
 
-def test_steps_are_told():
-    told = []
+def test_progress():
+    steps = []
     surface_from_segmentation(
-        relabelled(lambda labels: None), LABELS, lambda done, total: told.append((done, total))
+        relabelled(lambda labels: None), LABELS, lambda done, total: steps.append((done, total))
     )
-    assert told == [(k, 6) for k in range(1, 7)]
+    assert steps == [(k, 6) for k in range(1, 7)]

@@ -25,7 +25,7 @@ from anatomies import (
 
 import fascicle
 from fascicle.build.check import cavity_volume
-from fascicle.build.meshing import mesh_surface
+from fascicle.build.volume_meshing import mesh_surface
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.heart.heart import digest_of
 from fascicle.heart.labelled_surface import LabelledMesh
@@ -68,14 +68,14 @@ MESHED: dict[str, LabelledMesh] = {}
 def meshed_once(monkeypatch):
     """Mesh no surface twice: one that is the same to the last bit gives the same mesh."""
 
-    def mesh(surface, edge_length, told=None):
+    def mesh(surface, edge_length, progress=None):
         arrays = (surface.vertices, surface.triangles, surface.labels, np.array(edge_length))
         key = digest_of(*arrays)
         if key not in MESHED:
-            MESHED[key] = mesh_surface(surface, edge_length, told)
+            MESHED[key] = mesh_surface(surface, edge_length, progress)
         return replace(MESHED[key], name=surface.name)
 
-    monkeypatch.setattr("fascicle.build.source.mesh_surface", mesh)
+    monkeypatch.setattr("fascicle.build.read_anatomy.mesh_surface", mesh)
 
 
 @pytest.fixture

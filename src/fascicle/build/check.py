@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
 
-from fascicle.build.wall import Walls, wall_thickness
+from fascicle.build.wall_thickness import Walls, wall_thickness
+from fascicle.core.arrays import Floats
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.conduction import Conduction
@@ -31,7 +31,7 @@ LV_WALL, RV_WALL = (4.0, 25.0), (1.5, 12.0)  # mm, median
 FLAT = 5.0  # degrees; a dihedral angle below it spoils gradients
 DISTORTED = 12.0  # stretch of a chart in one direction over the other
 TURN = 20.0  # degrees by which the helix angle must rise through the wall to be called reversed
-LAYERS = 5  # in which the helix angle is told, from endocardium to epicardium
+LAYERS = 5  # in which the helix angle is given, from endocardium to epicardium
 MOST = 20_000  # tetrahedra whose angles are measured
 WALLS = ("LV free wall", "septum", "RV free wall")
 
@@ -48,10 +48,10 @@ class HelixAngles:
         Of their fibres to the circumference, within the wall (degrees, above -90, up to 90).
     """
 
-    depth: NDArray[np.float64]
-    angle: NDArray[np.float64]
+    depth: Floats
+    angle: Floats
 
-    def in_layers(self) -> NDArray[np.float64]:
+    def in_layers(self) -> Floats:
         """Mean axis of the angles in `LAYERS` layers (degrees); NaN where there is no fibre."""
         layer = np.minimum((self.depth * LAYERS).astype(int), LAYERS - 1)
         # fibres have no sign: angles are averaged on the doubled circle
@@ -156,9 +156,7 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     return found
 
 
-def _helix(
-    fibres: NDArray[np.float64], outward: NDArray[np.float64], up: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _helix(fibres: Floats, outward: Floats, up: Floats) -> Floats:
     """Angle of fibres to the circumference (degrees)."""
     across = outward / np.linalg.norm(outward, axis=1, keepdims=True)
     along = up - (across @ up)[:, None] * across

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.build.opencarp import ONE_REGION, write_opencarp
+from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.assembly import REGION, SHEET
+from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.folder import LEAD_FIELD
 from fascicle.heart.heart import Heart
 from fascicle.heart.label_names import SURFACE_NAMES
@@ -55,8 +57,6 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
             f"format '{kind}' is unknown; use one of {', '.join(get_args(ExportFormat))}"
         )
     if kind == "opencarp":
-        from fascicle.heart.boundary_labels import labelled_mesh
-
         with atomic_folder(out) as temporary:
             write_opencarp(heart, labelled_mesh(heart), temporary / "heart", trees)
         return
@@ -106,8 +106,6 @@ def write_gmsh(heart: Heart, path: Path) -> None:
     """
     import meshio
 
-    from fascicle.heart.boundary_labels import labelled_mesh
-
     surface = labelled_mesh(heart)
     tags, groups = _volume_groups(heart)
     cells, numbers = [("tetra", heart.tetrahedra)], [tags]
@@ -126,7 +124,7 @@ def write_gmsh(heart: Heart, path: Path) -> None:
         meshio.gmsh.write(temporary, mesh, fmt_version="2.2", binary=True)
 
 
-def _volume_groups(heart: Heart) -> tuple[NDArray[np.int64], dict[str, NDArray[np.int64]]]:
+def _volume_groups(heart: Heart) -> tuple[Integers, dict[str, Integers]]:
     """Group number of each tetrahedron, and number and dimension of each group by name.
 
     Numbers of groups start at 1, while regions may be 0 or less.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fascicle.build.surface_label_arrays import label_boundary
+from fascicle.build.anatomy import Anatomy
+from fascicle.build.file_labels import label_boundary
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.assembly import FIBRE_NAMES
 from fascicle.heart.fibres.directions import average_to_tetrahedra
@@ -17,9 +16,8 @@ from fascicle.heart.label_names import Names
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
 from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, MeshFile
-from fascicle.mesh.formats.read import read_mesh
-from fascicle.mesh.measures import signed_volumes
-from fascicle.mesh.topology import boundary_triangles
+from fascicle.mesh.measures import signed_volumes, unit
+from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 
 REGION_NAMES = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
 SHEET_NAMES = ("sheet", "sheets", "s0", "sheet_direction")
@@ -29,73 +27,10 @@ TURNED = (
 )
 
 
-@dataclass(frozen=True)
-class TissueMesh:
-    """Tetrahedra of the ventricular myocardium and what their file says about them.
-
-    Attributes
-    ----------
-    vertices : (n, 3) array
-        Positions (mm); every one belongs to a tetrahedron.
-    tetrahedra : (m, 4) array
-        Vertex indices, positively oriented, in the file's order.
-    triangles : (b, 3) array
-        The boundary, as vertex indices, counter-clockwise seen from outside the tissue.
-    labels : (b,) array or None
-        A `Label` for each boundary triangle; None if the file labels none.
-    regions : (m,) array or None
-        A whole number for each tetrahedron.
-    fibres, sheets : (m, 3) array or None
-        Unit directions of each tetrahedron.
-    name : str
-        The file.
-    notes : tuple of str
-        What was changed on reading, for people.
-    """
-
-    vertices: NDArray[np.float64]
-    tetrahedra: NDArray[np.int64]
-    triangles: NDArray[np.int64]
-    labels: NDArray[np.int64] | None
-    regions: NDArray[np.int64] | None
-    fibres: NDArray[np.float64] | None
-    sheets: NDArray[np.float64] | None
-    name: str
-    notes: tuple[str, ...] = ()
-
-    def boundary_surface(
-        self,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """Vertices (k, 3) of the boundary alone, its triangles (b, 3), and the k vertex indices.
-
-        The triangles are in the order of `triangles`, so labels found for them fit `labelled`.
-        """
-        used, corners = np.unique(self.triangles, return_inverse=True)
-        return self.vertices[used], corners.reshape(-1, 3).astype(np.int64), used
-
-    def labelled(self, labels: NDArray[np.int64] | None = None) -> LabelledMesh:
-        """Mesh with these labels (b,) of its boundary triangles, or with the file's own.
-
-        Raises
-        ------
-        InputError
-            If there are neither.
-        """
-        chosen = labels if labels is not None else self.labels
-        if chosen is None:
-            raise InputError(
-                f"{self.name}: no surface labels in this file; label the triangles of epicardium, "
-                "base, LV and RV endocardium"
-            )
-        return LabelledMesh(
-            self.vertices, self.tetrahedra, self.triangles, chosen, self.regions, self.name
-        )
-
-
-def read_labelled_mesh(
-    path: Path | str, *, array: str | None = None, names: Names | None = None
-) -> TissueMesh:
-    """Read tetrahedra and the labels of their surface.
+def labelled_tetrahedra(
+    mesh: MeshFile, array: str | None = None, names: Names | None = None
+) -> Anatomy:
+    """Tetrahedra of a file, the labels of their surface, regions, fibres and sheets.
 
     The labels come from
 
@@ -109,7 +44,7 @@ def read_labelled_mesh(
 
     Parameters
     ----------
-    path : path
+    mesh : MeshFile
         VTK, VTU, Gmsh or openCARP file; in mm, openCARP's in µm.
     array : str, optional
         Name of the array of labels, if it has another one.
@@ -117,39 +52,42 @@ def read_labelled_mesh(
         The file's own names or numbers (as text) of labels, where they are not understood;
         `fascicle.heart.label_names.labels_by_number` makes them from ``{"lv": 3}``.
 
+    Returns
+    -------
+    Anatomy
+        Vertices that no tetrahedron has are left out; labels are 0 if the file has none.
+
     Raises
     ------
     InputError
-        If the file cannot be read; if tetrahedra are flat, overlap or are inverted (unless all
-        are: then they are turned, and `TissueMesh.notes` says so), or lie in several pieces; if
-        labels are missing or unknown, contradict one another, or lie on triangles that are not on
-        the boundary; if regions are not whole numbers or fibres have no length; if it is not in mm.
+        If tetrahedra are flat, overlap or are inverted (unless all are: then they are turned, and
+        `Anatomy.notes` says so), or lie in several pieces; if labels are missing or unknown,
+        contradict one another, or lie on triangles that are not on the boundary; if regions are not
+        whole numbers or fibres have no length; if it is not in mm.
     """
-    mesh = read_mesh(path, "tissue mesh")
     file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     name = str(mesh.path)
-    used, corners = np.unique(file_tetrahedra, return_inverse=True)
-    vertices = mesh.points[used]
+    vertices, tetrahedra = without_unused_vertices(mesh.points, file_tetrahedra)
     check_units(name, vertices)
-    tetrahedra, notes = _positively_oriented(vertices, corners.reshape(-1, 4).astype(np.int64))
+    tetrahedra, notes = _positively_oriented(vertices, tetrahedra)
     check_tetrahedra(name, vertices, tetrahedra)
     triangles, _ = boundary_triangles(tetrahedra)
-    return TissueMesh(
-        vertices=vertices,
-        tetrahedra=tetrahedra,
-        triangles=triangles,
-        labels=label_boundary(mesh, used[triangles], array, names if names is not None else {}),
-        regions=_regions(mesh),
+    boundary = np.unique(file_tetrahedra)[triangles]
+    labels = label_boundary(mesh, boundary, array, names if names is not None else {})
+    if labels is None:
+        labels = np.zeros(len(triangles), dtype=np.int64)
+    return Anatomy(
+        LabelledMesh(vertices, tetrahedra, triangles, labels, _regions(mesh), name),
         fibres=_directions(mesh, FIBRE_NAMES),
         sheets=_directions(mesh, SHEET_NAMES),
-        name=name,
         notes=notes,
+        own_mesh=True,
     )
 
 
 def _positively_oriented(
-    vertices: NDArray[np.float64], tetrahedra: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    vertices: Floats, tetrahedra: Integers
+) -> tuple[Integers, tuple[str, ...]]:
     """Tetrahedra, turned if every single one is inverted, and a note if they were.
 
     It may be another program's convention, or the file may be mirrored.
@@ -159,15 +97,13 @@ def _positively_oriented(
     return tetrahedra, ()
 
 
-def _named(
-    arrays: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]
-) -> tuple[str, NDArray[np.float64]] | None:
+def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, Floats] | None:
     """First array with one of these names, in the order of the names."""
     lower = {key.lower(): key for key in arrays}
     return next(((lower[name], arrays[lower[name]]) for name in names if name in lower), None)
 
 
-def _regions(mesh: MeshFile) -> NDArray[np.int64] | None:
+def _regions(mesh: MeshFile) -> Integers | None:
     found = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
     if found is None:
         return None
@@ -180,7 +116,7 @@ def _regions(mesh: MeshFile) -> NDArray[np.int64] | None:
     return values.astype(np.int64)
 
 
-def _directions(mesh: MeshFile, names: tuple[str, ...]) -> NDArray[np.float64] | None:
+def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
     """Unit directions of the tetrahedra, from a cell or else a point array so named."""
     tetrahedra = mesh.cells[TETRAHEDRON]
     found = _named(mesh.cell_data.get(TETRAHEDRON, {}), names)
@@ -197,4 +133,4 @@ def _directions(mesh: MeshFile, names: tuple[str, ...]) -> NDArray[np.float64] |
         everywhere = np.broadcast_to([1.0, 0.0, 0.0], values.shape).copy()  # for unused points
         everywhere[at] = values[at]
         return average_to_tetrahedra(everywhere, tetrahedra)
-    return np.asarray(values / np.linalg.norm(values, axis=1, keepdims=True))
+    return unit(values)

@@ -1,8 +1,8 @@
 """Writing hearts and trees for openCARP, and reading such trees.
 
 A tree is a mesh of line elements. openCARP has no format of its own for trees; the `.pkje` files of
-its predecessor CARP allow a cable two sons at most and hold no lengths, so they cannot carry ours.
-The convention:
+its predecessor CARP allow a cable at most two children and hold no lengths, so they cannot carry
+ours. The convention:
 
 ``<stem>.pts``, ``<stem>.elem``
     Nodes (µm), in the tree's order, and ``Ln parent child tag`` for every segment, in the order of
@@ -22,9 +22,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Integers
 from fascicle.core.files import write_text
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.endocardium import Endocardium
@@ -84,7 +84,7 @@ def write_opencarp(
         write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)
 
 
-def _write_surface(stem: Path, triangles: NDArray[np.int64]) -> None:
+def _write_surface(stem: Path, triangles: Integers) -> None:
     """Write triangles of the mesh, and their vertices; nothing if there are none."""
     if not len(triangles):
         return

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,12 +10,35 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fascicle.cli.arguments import HeartArgument, OutOption
+from fascicle.cli.heart_options import (
+    AnatomyArgument,
+    BaseOption,
+    ChestOption,
+    EdgeLengthOption,
+    ElectrodesOption,
+    FirstPartOption,
+    HeightOption,
+    LabelArrayOption,
+    LabelsFileOption,
+    LabelsOption,
+    LungOption,
+    LvAnglesOption,
+    NamedOutOption,
+    PartOption,
+    PoseOption,
+    RvAnglesOption,
+    SeedOption,
+    TorsoOption,
+    WeightOption,
+    fibre_angles,
+    label_numbers,
+    seeds_of,
+)
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.heart.heart import Heart
     from fascicle.heart.labelled_surface import LabelledMesh
-    from fascicle.heart.seeds import ChosenSeed
     from fascicle.purkinje.chart import Chart
 
 heart_app = typer.Typer(
@@ -25,98 +46,28 @@ heart_app = typer.Typer(
     help="Build heart folders from an anatomy or a finished mesh; check and export them.",
 )
 
-ANATOMY, FIBRES, BODY, SEEDS = "Anatomy", "Fibres", "Torso and electrodes", "Bundles"
-SeedOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Point of the endocardium: its number, from 0, or x,y,z in mm.", rich_help_panel=SEEDS
-    ),
-]
-
 
 @heart_app.command("build")
 def heart_build(
-    anatomy: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Closed surface (VTP, VTK, STL, OBJ, PLY), segmentation (NIfTI, NRRD) or "
-            "tetrahedra (VTU, VTK, Gmsh, openCARP .pts)."
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write; without it, named as the file.")
-    ] = None,
-    edge_length: Annotated[float, typer.Option(help="Mean edge of the mesh (mm).")] = 2.0,
-    labels: Annotated[
-        str | None,
-        typer.Option(
-            help="Numbers in the file, as base=1,epicardium=2,lv=3,rv=4 (surfaces) or "
-            "lv=1,rv=2,myocardium=3,scar=4 (segmentations).",
-            rich_help_panel=ANATOMY,
-        ),
-    ] = None,
-    label_array: Annotated[
-        str | None,
-        typer.Option(help="Array that holds them; otherwise 'class'.", rich_help_panel=ANATOMY),
-    ] = None,
-    labels_file: Annotated[
-        Path | None,
-        typer.Option(help="Labels of an STL: one number a line.", rich_help_panel=ANATOMY),
-    ] = None,
-    lv_endocardium: Annotated[
-        Path | None,
-        typer.Option(
-            help="Separate surfaces instead of one file; they need not meet exactly.",
-            rich_help_panel=ANATOMY,
-        ),
-    ] = None,
-    rv_endocardium: Annotated[Path | None, typer.Option(rich_help_panel=ANATOMY)] = None,
-    epicardium: Annotated[Path | None, typer.Option(rich_help_panel=ANATOMY)] = None,
-    base: Annotated[
-        Path | None,
-        typer.Option(help="May be left out: it is made.", rich_help_panel=ANATOMY),
-    ] = None,
-    lv_angles: Annotated[
-        str,
-        typer.Option(
-            help="Helix angles, endocardium,epicardium (degrees).", rich_help_panel=FIBRES
-        ),
-    ] = "60,-60",
-    rv_angles: Annotated[str, typer.Option(rich_help_panel=FIBRES)] = "90,-25",
-    torso: Annotated[
-        str,
-        typer.Option(
-            help="'idealised', 'none' (unbounded conductor), or a closed surface of the skin.",
-            rich_help_panel=BODY,
-        ),
-    ] = "idealised",
-    lung: Annotated[
-        list[Path] | None,
-        typer.Option(help="Closed surface of a lung, with --torso FILE.", rich_help_panel=BODY),
-    ] = None,
-    height: Annotated[
-        float | None, typer.Option(help="Of the person (m).", rich_help_panel=BODY)
-    ] = None,
-    weight: Annotated[float | None, typer.Option(help="kg.", rich_help_panel=BODY)] = None,
-    chest: Annotated[
-        float | None, typer.Option(help="Circumference (cm).", rich_help_panel=BODY)
-    ] = None,
-    pose: Annotated[
-        Literal["standard", "ras", "lps"],
-        typer.Option(
-            help="How the heart lies in the idealised torso: 'standard' by its axes, or 'ras' "
-            "(NIfTI) or 'lps' (DICOM) where its coordinates are the patient's.",
-            rich_help_panel=BODY,
-        ),
-    ] = "standard",
-    electrodes: Annotated[
-        Path | None,
-        typer.Option(
-            help="Nine electrodes, CSV name,x,y,z or JSON; without it, at the standard places of "
-            "the idealised torso.",
-            rich_help_panel=BODY,
-        ),
-    ] = None,
+    anatomy: AnatomyArgument = None,
+    out: NamedOutOption = None,
+    edge_length: EdgeLengthOption = 2.0,
+    labels: LabelsOption = None,
+    label_array: LabelArrayOption = None,
+    labels_file: LabelsFileOption = None,
+    lv_endocardium: FirstPartOption = None,
+    rv_endocardium: PartOption = None,
+    epicardium: PartOption = None,
+    base: BaseOption = None,
+    lv_angles: LvAnglesOption = "60,-60",
+    rv_angles: RvAnglesOption = "90,-25",
+    torso: TorsoOption = "idealised",
+    lung: LungOption = None,
+    height: HeightOption = None,
+    weight: WeightOption = None,
+    chest: ChestOption = None,
+    pose: PoseOption = "standard",
+    electrodes: ElectrodesOption = None,
     lv_root: SeedOption = None,
     lv_direction: SeedOption = None,
     rv_root: SeedOption = None,
@@ -133,34 +84,34 @@ def heart_build(
     fascicle heart build --lv-endocardium lv.stl --rv-endocardium rv.stl --epicardium epi.stl
     ```
     """
-    from fascicle.build.pipeline import Body, build_heart
-    from fascicle.build.source import Source
+    from fascicle.build.anatomy import Source
+    from fascicle.build.build_heart import Body, build_heart
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.heart.fibres.rules import FibreAngles
     from fascicle.heart.folder import check_heart_folder
+    from fascicle.torso.body_size import BodySize
 
-    parts = {
-        "lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base,
-    }  # fmt: skip
+    parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
     source = Source(
         file=anatomy,
         parts={part: path for part, path in parts.items() if path is not None},
-        numbers=_numbers(labels),
+        numbers=label_numbers(labels),
         array=label_array,
         labels_file=labels_file,
     )
-    lv_endo, lv_epi = _angles("--lv-angles", lv_angles)
-    rv_endo, rv_epi = _angles("--rv-angles", rv_angles)
-    seeds = _seeds(lv_root, lv_direction, rv_root, rv_direction)
+    angles = fibre_angles(lv_angles, rv_angles)
+    seeds = seeds_of(lv_root, lv_direction, rv_root, rv_direction)
     folder = out if out is not None else Path(source.name)
-    given = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
-    check_heart_folder(folder, [path for path in given if path is not None and path.is_file()])
+    files = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
+    check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
+    sizes = {"height": height, "weight": weight, "chest": chest}
+    given = {name: value for name, value in sizes.items() if value is not None}
+    size = BodySize(**given) if given else None
     with TerminalProgress() as progress:
         built = build_heart(
             source,
             edge_length=edge_length,
-            angles=FibreAngles(lv_endo, lv_epi, rv_endo, rv_epi),
-            body=Body(torso, tuple(lung or ()), height, weight, chest, pose, electrodes),
+            angles=angles,
+            body=Body(torso, tuple(lung or ()), size, pose, electrodes),
             seeds=seeds,
             name=folder.resolve().name,
             progress=progress,
@@ -203,7 +154,7 @@ def heart_import(
             "lv": read_mesh(lv_endocardium, "LV endocardium"),
             "rv": read_mesh(rv_endocardium, "RV endocardium"),
         },
-        seeds=_seeds(lv_root, lv_direction, rv_root, rv_direction),
+        seeds=seeds_of(lv_root, lv_direction, rv_root, rv_direction),
         electrodes=electrodes,
         name=out.resolve().name,
     )
@@ -302,64 +253,3 @@ def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, C
         except InputError as error:
             raise InputError(f"{sources.get(endocardium.side, heart.name)}: {error}") from None
     return charts
-
-
-def _numbers(labels: str | None) -> dict[str, int] | None:
-    """Read 'lv=3,rv=4' as names and numbers."""
-    if labels is None:
-        return None
-    numbers: dict[str, int] = {}
-    for item in labels.split(","):
-        name, _, number = item.partition("=")
-        name = name.strip().lower()
-        if name in numbers:
-            raise InputError(f"--labels {labels}: '{name}' is there twice; give one number each")
-        try:
-            numbers[name] = int(number)
-        except ValueError:
-            raise InputError(
-                f"--labels {labels}: '{item}' is not a name and a number; write lv=3,rv=4"
-            ) from None
-    return numbers
-
-
-def _angles(option: str, text: str) -> tuple[float, float]:
-    """Read '60,-60' (degrees), endocardium and epicardium, as rad."""
-    values = _floats(text)
-    if values is None or len(values) != 2 or max(map(abs, values)) > 90:
-        raise InputError(
-            f"{option} {text}: give two angles between -90 and 90 degrees, endocardium,epicardium"
-        )
-    return math.radians(values[0]), math.radians(values[1])
-
-
-def _seeds(
-    lv_root: str | None, lv_direction: str | None, rv_root: str | None, rv_direction: str | None
-) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
-    return {
-        "lv": (_seed("--lv-root", lv_root), _seed("--lv-direction", lv_direction)),
-        "rv": (_seed("--rv-root", rv_root), _seed("--rv-direction", rv_direction)),
-    }
-
-
-def _seed(option: str, text: str | None) -> ChosenSeed:
-    if text is None:
-        return None
-    if re.fullmatch(r"\s*-?\d+\s*", text):
-        return int(text)
-    values = _floats(text)
-    if values is None or len(values) != 3:
-        raise InputError(
-            f"{option} {text}: give the number of a point of the endocardium, from 0, or its "
-            "position x,y,z (mm)"
-        )
-    return values[0], values[1], values[2]
-
-
-def _floats(text: str) -> list[float] | None:
-    """Finite numbers between commas, or None where they are not."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        return None
-    return values if all(map(math.isfinite, values)) else None

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,33 +103,6 @@ def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
                 f"--labels: label number {number} is given two meanings; give each number one"
             )
     return labels
-
-
-def array_of_labels(arrays: Mapping[str, NDArray[Any]], array: str | None) -> str | None:
-    """Which of these arrays holds labels: the one asked for, or else one of `LABEL_NAMES`."""
-    if array is not None:
-        return array if array in arrays else None
-    lower = {key.lower(): key for key in arrays}
-    return next((lower[name] for name in LABEL_NAMES if name in lower), None)
-
-
-def no_such_array(path: Path, array: str, known: Iterable[str]) -> InputError:
-    """The error for a file in which neither triangles nor points have the array of labels.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    array : str
-        The array that was asked for.
-    known : iterable of str
-        Names of the arrays that are there.
-    """
-    listed = ", ".join(sorted(known)) or "none"
-    return InputError(
-        f"{path}: no array '{array}' on triangles or points; there are: {listed}; name one of "
-        "them (--label-array)"
-    )
 
 
 def whole_numbers(source: str, values: NDArray[Any]) -> Integers:

@@ -26,9 +26,20 @@ class Label(IntEnum):
     TRICUSPID = 7
     PULMONARY = 8
 
+    @property
+    def words(self) -> str:
+        """Name for messages."""
+        return self.name.replace("_", " ").lower()
+
 
 BASAL = (Label.BASE, Label.MITRAL, Label.AORTIC, Label.TRICUSPID, Label.PULMONARY)
 NEEDED = (Label.BASE, Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+
+
+def missing_parts(labels: Integers) -> list[str]:
+    """Names of the parts that no triangle is labelled as; a valve opening counts as base."""
+    found = {Label.BASE if label in BASAL else label for label in np.unique(labels)}
+    return [label.words for label in NEEDED if label not in found]
 
 
 class _Labelled:

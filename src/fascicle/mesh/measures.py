@@ -27,6 +27,12 @@ def edge_lengths(vertices: Floats, edges: NDArray[np.integer]) -> Floats:
     return np.asarray(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1))
 
 
+def loop_length(vertices: Floats, loop: Integers) -> float:
+    """Length of a closed line through some vertices (k,)."""
+    points = vertices[loop]
+    return float(np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).sum())
+
+
 def mean_edge_length(vertices: Floats, cells: Integers) -> float:
     """Mean edge length of triangles (m, 3) or tetrahedra (m, 4)."""
     return float(edge_lengths(vertices, np.asarray(igl.edges(cells))).mean())

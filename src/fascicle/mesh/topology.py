@@ -5,8 +5,11 @@ from __future__ import annotations
 import igl
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 # Corners of the face opposite each corner of a tetrahedron, counter-clockwise seen from outside
 TETRAHEDRON_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
@@ -61,3 +64,38 @@ def without_unused_vertices(vertices: Floats, cells: Integers) -> tuple[Floats, 
     """Vertices (n, 3) that some cell (m, k) has, in their order, and the cells renumbered."""
     used, renumbered = np.unique(cells, return_inverse=True)
     return vertices[used], renumbered.reshape(cells.shape).astype(np.int64)
+
+
+def components_of(pairs: Integers, count: int) -> Integers:
+    """Component that each of `count` things is in, numbered from 0; pairs (k, 2) are linked."""
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def merged_vertices(vertices: Floats, tolerance: float) -> Integers:
+    """For each vertex (n, 3) the first one that it is merged with, shape (n,).
+
+    Vertices within the tolerance (mm) of one another, or linked by others that are, become one.
+    """
+    pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
+    group = components_of(pairs, len(vertices))
+    _, first = np.unique(group, return_index=True)
+    return np.asarray(first[group], dtype=np.int64)
+
+
+def whole_triangles(triangles: Integers) -> Booleans:
+    """Which triangles (m, 3) have three different corners and are not there before, shape (m,)."""
+    corners = np.sort(triangles, axis=1)
+    _, first = np.unique(corners, axis=0, return_index=True)
+    whole = np.zeros(len(triangles), dtype=bool)
+    whole[first] = True
+    return np.asarray(whole & (corners[:, 1:] != corners[:, :-1]).all(axis=1))
+
+
+def places_in(triangles: Integers, others: Integers) -> Integers:
+    """Which of the others (n, 3) each triangle (m, 3) is, in any order of corners; -1 for none."""
+    rows = np.sort(np.concatenate([others, triangles]), axis=1)
+    _, number = np.unique(rows, axis=0, return_inverse=True)
+    place = np.full(number.max() + 1, -1)
+    place[number[: len(others)]] = np.arange(len(others))
+    return np.asarray(place[number[len(others) :]])

@@ -1,225 +1,191 @@
-"""A base where none was given: the surface between the three rims."""
+"""The base between the boundary loops of epicardium and endocardia."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
+import igl
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array
-from scipy.sparse.linalg import splu
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
 
-from fascicle.build.joining.boundary_loops import split_at
-from fascicle.build.joining.parts import Part, point
+from fascicle.build.joining.parts import SAME_POINT, OpenSurface
+from fascicle.build.surface_checks import place
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.mesh.measures import edge_lengths, mean_edge_length
+from fascicle.mesh.planar import best_plane, constrained_delaunay
+from fascicle.mesh.topology import unique_edges
 
-ROUNDS = 20  # of splitting sides that the triangulation does not have
-CLEAR = 0.7  # of the spacing that inner points keep from the rims
-
-
-@dataclass(frozen=True)
-class _Outline:
-    """A closed polygon in a plane, and which vertex of a rim each corner is (-1: new)."""
-
-    places: NDArray[np.float64]
-    own: NDArray[np.int64]
-    points: NDArray[np.float64]
-
-    def split(self, sides: NDArray[np.int64]) -> _Outline:
-        """Insert the middle of sides, counted by their first corner."""
-        after = sides + 1
-        middle = [(x + np.roll(x, -1, axis=0))[sides] / 2 for x in (self.places, self.points)]
-        return _Outline(
-            np.insert(self.places, after, middle[0], axis=0),
-            np.insert(self.own, after, -1),
-            np.insert(self.points, after, middle[1], axis=0),
-        )
+LARGEST_GAP = 2.5  # mm; farther apart, boundary loops are not the same one
+FADE = 7.5  # mm from the loops at which a base's heights are its own again
+CLEAR = 0.7  # of the spacing that inner points keep from the loops
+FOLDED = 0.05  # of a base's area may lie under the rest, seen along its normal
 
 
-def with_made_base(
-    parts: list[Part], name: str
-) -> tuple[list[Part], list[NDArray[np.int64]], Part, list[NDArray[np.int64]]]:
-    """Span a base between the rims of the epicardium and the endocardia.
+class Outline(NamedTuple):
+    """The boundary loops that a base is spanned between, one after the other.
 
-    The rims are laid out in the plane that fits them best and triangulated there; sides that a
-    Delaunay triangulation does not have are halved until it has them. Heights follow the rims
-    smoothly.
+    Their vertices (k, 3) in mm, their edges (k, 2) as indices of these points, the names of the
+    parts that they belong to, and which of these each point belongs to (k,).
+    """
+
+    points: Floats
+    sides: Integers
+    names: tuple[str, ...]
+    owner: Integers
+
+
+# A base that ends on an outline: its vertices within (n, 3) in mm, and its triangles (m, 3) as
+# indices of the outline's points and, after them, of these
+Base = tuple[Floats, Integers]
+
+
+def outline_of(parts: list[OpenSurface]) -> Outline:
+    """Outline of a base between parts with one boundary loop each."""
+    loops = [part.loops[0] for part in parts]
+    points = [part.vertices[loop] for part, loop in zip(parts, loops, strict=True)]
+    starts = np.cumsum([0, *map(len, loops)])
+    numbers = [start + np.arange(len(loop)) for start, loop in zip(starts, loops, strict=False)]
+    sides = [np.column_stack([of_loop, np.roll(of_loop, -1)]) for of_loop in numbers]
+    owner = np.repeat(np.arange(len(parts)), list(map(len, loops)))
+    return Outline(np.vstack(points), np.vstack(sides), tuple(part.what for part in parts), owner)
+
+
+def made_base(outline: Outline, name: str) -> Base:
+    """Span a smooth base between boundary loops.
+
+    The loops are laid out in the plane that fits them best and triangulated there, with a regular
+    grid of points between them. The heights of these over the plane are harmonic.
 
     Parameters
     ----------
-    parts : list of Part
-        Epicardium, LV and RV endocardium, each with one rim.
+    outline : Outline
+        The loops.
     name : str
         What to call the whole in messages.
-
-    Returns
-    -------
-    parts : list of Part
-        The same, with vertices added to edges of the rims where needed.
-    corners : list of (k,) arrays
-        The rims' vertices in them.
-    base : Part
-        The surface between.
-    on_base : list of (k,) arrays
-        The same rims' vertices in the base.
 
     Raises
     ------
     InputError
-        If the rims, seen from the base, cross.
+        If the loops, seen from the base, cross or almost touch.
     """
-    rims = [part.rims[0] for part in parts]
-    points = [part.vertices[rim] for part, rim in zip(parts, rims, strict=True)]
-    centre, frame = _plane(points)
-    outlines = [_Outline(((p - centre) @ frame.T)[:, :2], np.arange(len(p)), p) for p in points]
-    _check_disjoint(outlines, [part.what for part in parts], name)
-    outlines, triangles, inner = _triangulated(outlines, name)
-    rim_points = np.vstack([outline.points for outline in outlines])
-    heights = _heights(triangles, (rim_points - centre) @ frame[2], len(inner))
-    lifted = np.column_stack([inner, heights]) @ frame + centre
-    base = Part("base", np.vstack([rim_points, lifted]), triangles)
-    counts = np.cumsum([0, *(len(outline.own) for outline in outlines)])
-    on_base = [np.arange(a, b) for a, b in pairwise(counts)]
-    split = [
-        split_at(part, rim, outline.own, outline.points)
-        for part, rim, outline in zip(parts, rims, outlines, strict=True)
-    ]
-    return [part for part, _ in split], [corners for _, corners in split], base, on_base
-
-
-def _plane(points: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre and axes, the normal last, of the plane that fits all rims, by length."""
-    weights = np.concatenate([np.linalg.norm(p - np.roll(p, 1, axis=0), axis=1) for p in points])
-    whole = np.vstack(points)
-    centre = weights @ whole / weights.sum()
-    centred = np.sqrt(weights)[:, np.newaxis] * (whole - centre)
-    return centre, np.linalg.svd(centred, full_matrices=False)[2]
-
-
-def _check_disjoint(outlines: list[_Outline], names: list[str], name: str) -> None:
-    """Refuse rims that cross themselves or one another, or endocardia outside the epicardium."""
-    start = np.vstack([o.places for o in outlines])
-    end = np.vstack([np.roll(o.places, -1, axis=0) for o in outlines])
-    owner = np.repeat(np.arange(len(outlines)), [len(o.places) for o in outlines])
-    points = np.vstack([o.points for o in outlines])
-    for i in range(len(start)):
-        crossed = _crossings(start[i], end[i], start[i + 1 :], end[i + 1 :])
-        if crossed.size:
-            one, other = names[owner[i]], names[owner[i + 1 + crossed[0]]]
-            what = f" of {one} crosses itself" if one == other else f"s of {one} and {other} cross"
-            raise InputError(
-                f"{name}: seen from the base, the rim{what} about {point(points[i])} mm, so no "
-                "base can be made; trim the rims or give a base"
-            )
-    for outline, what in zip(outlines[1:], names[1:], strict=True):
-        if not _inside(outline.places[:1], outlines[0].places)[0]:
-            raise InputError(
-                f"{name}: the rim of {what} (about {point(outline.points.mean(axis=0))} mm) lies "
-                "outside that of the epicardium; give parts of one heart, in one frame"
-            )
-
-
-def _crossings(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], d: NDArray[np.float64]
-) -> NDArray[np.int64]:
-    """Which segments from c to d (k, 2) the one from a to b properly crosses."""
-
-    def side(
-        p: NDArray[np.float64], q: NDArray[np.float64], r: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        u, v = q - p, r - p
-        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
-
-    apart = (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
-    return np.flatnonzero(apart)
-
-
-def _inside(points: NDArray[np.float64], polygon: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points (k, 2) lie in a polygon, by counting the sides to their right."""
-    x, y = points[:, 0, np.newaxis], points[:, 1, np.newaxis]
-    xa, ya = polygon.T
-    xb, yb = np.roll(polygon, -1, axis=0).T
-    spans = (ya > y) != (yb > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        right = x < xa + (y - ya) * (xb - xa) / (yb - ya)
-    return np.asarray((spans & right).sum(axis=1) % 2 == 1)
-
-
-def _triangulated(
-    outlines: list[_Outline], name: str
-) -> tuple[list[_Outline], NDArray[np.int64], NDArray[np.float64]]:
-    """Delaunay triangles between the outlines, which have all their sides, and inner points."""
-    inner = _inner_points(outlines)
-    for _ in range(ROUNDS):
-        places = np.vstack([*(o.places for o in outlines), inner])
-        triangles = np.asarray(Delaunay(places).simplices, dtype=np.int64)
-        middle = places[triangles].mean(axis=1)
-        kept = _inside(middle, outlines[0].places)
-        for outline in outlines[1:]:
-            kept &= ~_inside(middle, outline.places)
-        missing = _missing_sides(outlines, triangles[kept])
-        if not any(sides.size for sides in missing):
-            return outlines, triangles[kept], inner
-        outlines = [o.split(sides) for o, sides in zip(outlines, missing, strict=True)]
-    raise InputError(
-        f"{name}: no base could be made between the rims, which almost touch; trim the rims or "
-        "give a base"
-    )
-
-
-def _inner_points(outlines: list[_Outline]) -> NDArray[np.float64]:
-    """Corners of a triangular grid between the outlines, as far apart as the rims' vertices."""
-    rim = np.vstack([o.places for o in outlines])
-    spacing = float(
-        np.mean(
-            [
-                np.linalg.norm(o.places - np.roll(o.places, 1, axis=0), axis=1).mean()
-                for o in outlines
-            ]
-        )
-    )
-    low, high = rim.min(axis=0), rim.max(axis=0)
+    flat, centre, frame = _flattened(outline)
+    spacing = float(edge_lengths(flat, outline.sides).mean())
+    low, high = flat.min(axis=0), flat.max(axis=0)
     rows = np.arange(low[1], high[1], spacing * np.sqrt(3) / 2)
     columns = np.arange(low[0], high[0], spacing)
     x = columns + spacing / 2 * (np.arange(len(rows)) % 2)[:, np.newaxis]
     grid = np.column_stack([x.ravel(), np.repeat(rows, len(columns))])
-    grid = grid[cKDTree(rim).query(grid)[0] > CLEAR * spacing]
-    kept = _inside(grid, outlines[0].places)
-    for outline in outlines[1:]:
-        kept &= ~_inside(grid, outline.places)
-    return np.asarray(grid[kept])
+    grid = grid[cKDTree(flat[:, :2]).query(grid)[0] > CLEAR * spacing]
+    inner, triangles = _triangulated(flat[:, :2], grid, outline, name)
+    fixed = np.arange(len(flat))
+    plane = np.vstack([flat, np.column_stack([inner, np.zeros(len(inner))])])
+    heights = igl.harmonic(plane * [1, 1, 0], triangles, fixed, flat[:, 2:], 1)
+    plane[len(flat) :, 2] = np.ravel(heights)[len(flat) :]
+    return plane[len(flat) :] @ frame + centre, triangles
 
 
-def _missing_sides(
-    outlines: list[_Outline], triangles: NDArray[np.int64]
-) -> list[NDArray[np.int64]]:
-    """Sides of each outline that are not an edge of just one triangle, by their first corner."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    there = {(int(a), int(b)) for a, b in edges[count == 1]}
-    missing, offset = [], 0
-    for outline in outlines:
-        corners = offset + np.arange(len(outline.own))
-        sides = np.sort(np.column_stack([corners, np.roll(corners, -1)]), axis=1)
-        absent = [k for k, (a, b) in enumerate(sides.tolist()) if (a, b) not in there]
-        missing.append(np.array(absent, dtype=np.int64))
-        offset += len(corners)
-    return missing
+def fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
+    """Fit a given base to the boundary loops of the parts around it, which stay where they are.
+
+    Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
+    and those of the loops are triangulated anew in the plane that fits the loops best, and near
+    the loops the base rises or sinks to their height.
+
+    Parameters
+    ----------
+    outline : Outline
+        The loops.
+    base : OpenSurface
+        The surface between, with three boundary loops.
+    name : str
+        What to call the whole in messages.
+
+    Raises
+    ------
+    InputError
+        If loops are farther apart than `LARGEST_GAP`; or if they do not coincide and the base,
+        seen along its normal, folds over itself, or the loops cross.
+    """
+    boundary = np.concatenate(base.loops)
+    within = np.setdiff1d(np.arange(len(base.vertices)), boundary)
+    gap, nearest = cKDTree(outline.points).query(base.vertices[boundary])
+    if gap.max() < SAME_POINT and np.array_equal(np.sort(nearest), np.arange(len(outline.points))):
+        number = np.empty(len(base.vertices), dtype=np.int64)
+        number[boundary] = nearest
+        number[within] = len(boundary) + np.arange(len(within))
+        return base.vertices[within], number[base.triangles]
+    _check_gap(outline, base, boundary, name)
+    flat, centre, frame = _flattened(outline)
+    own = (base.vertices - centre) @ frame.T
+    _check_unfolded(own, base, name)
+    distance, nearest = cKDTree(flat[:, :2]).query(own[within, :2])
+    clear = distance > CLEAR * mean_edge_length(base.vertices, base.triangles)
+    within, distance, nearest = within[clear], distance[clear], nearest[clear]
+    beside = boundary[cKDTree(own[boundary]).query(flat)[1]]
+    rise = (flat[:, 2] - own[beside, 2])[nearest] * np.maximum(1 - distance / FADE, 0)
+    own[within, 2] += rise
+    inner, triangles = _triangulated(flat[:, :2], own[within, :2], outline, name)
+    _, row = cKDTree(own[within, :2]).query(inner)
+    return own[within[row]] @ frame + centre, triangles
 
 
-def _heights(
-    triangles: NDArray[np.int64], rim: NDArray[np.float64], count: int
-) -> NDArray[np.float64]:
-    """Heights of `count` inner points over the plane (mm), each the mean of its neighbours'."""
-    edges = np.unique(
-        np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
+def _flattened(outline: Outline) -> tuple[Floats, Floats, Floats]:
+    """Points in the frame of the plane that fits them best, by length; its centre and axes."""
+    centre, frame = best_plane(outline.points, edge_lengths(outline.points, outline.sides))
+    return (outline.points - centre) @ frame.T, centre, frame
+
+
+def _triangulated(
+    places: Floats, inner: Floats, outline: Outline, name: str
+) -> tuple[Floats, Integers]:
+    """Triangles between the loops in a plane, and the inner points that they use."""
+    count = len(places)
+    loops = [np.flatnonzero(outline.owner == k) for k in range(len(outline.names))]
+    triangles, missing = constrained_delaunay(np.vstack([places, inner]), loops)
+    if missing.size:
+        raise InputError(
+            f"{name}: seen from the base, the boundary loop of "
+            f"{outline.names[outline.owner[missing[0]]]} crosses or almost touches another or "
+            f"itself about {place(outline.points[missing[0]])}, so no base fits between; trim the "
+            "parts there"
+        )
+    inside = triangles >= count
+    used, number = np.unique(triangles[inside], return_inverse=True)
+    triangles[inside] = count + number
+    return inner[used - count], triangles
+
+
+def _check_gap(outline: Outline, base: OpenSurface, boundary: Integers, name: str) -> None:
+    """Refuse a base whose boundary loops are not those of the parts."""
+    edges, shared = unique_edges(base.triangles)
+    to_base, _, _ = igl.point_mesh_squared_distance(
+        outline.points, base.vertices, edges[shared == 1]
     )
-    size = len(rim) + count
-    half = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
-    whole = csr_array(half + half.T)
-    laplacian = csr_array(diags_array(np.asarray(whole.sum(axis=1)).ravel()) - whole)
-    free = np.arange(len(rim), size)
-    pull = np.asarray(-(laplacian[free][:, : len(rim)] @ rim))
-    return np.asarray(splu(csc_array(laplacian[free][:, free])).solve(pull))
+    from_base, _, _ = igl.point_mesh_squared_distance(
+        base.vertices[boundary], outline.points, outline.sides
+    )
+    _, nearest = cKDTree(outline.points).query(base.vertices[boundary])
+    points = np.vstack([outline.points, base.vertices[boundary]])
+    owner = np.concatenate([outline.owner, outline.owner[nearest]])
+    gap = np.sqrt(np.concatenate([to_base, from_base]))
+    for k, part in enumerate(outline.names):
+        worst = int(np.argmax(np.where(owner == k, gap, 0)))
+        if gap[worst] > LARGEST_GAP:
+            raise InputError(
+                f"{name}: the boundary loops of {part} and base are up to {gap[worst]:.1f} mm "
+                f"apart (at {place(points[worst])}), more than {LARGEST_GAP:g} mm; bring them "
+                "together, or give no base to have one made"
+            )
+
+
+def _check_unfolded(own: Floats, base: OpenSurface, name: str) -> None:
+    a, b, c = (own[base.triangles[:, k], :2] for k in range(3))
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    folded = min(area[area > 0].sum(), -area[area < 0].sum()) / np.abs(area).sum()
+    if folded > FOLDED:
+        raise InputError(
+            f"{name}: the boundary loops of the base do not meet those of the other parts, and it "
+            f"cannot be fitted to them, as {folded:.0%} of it is folded over the rest; make them "
+            "meet, or give no base to have one made"
+        )

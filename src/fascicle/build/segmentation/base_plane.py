@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.build.segmentation.image import Bodies
+from fascicle.core.arrays import Booleans, Floats
 
 # The LV is open at the base where blood that borders on no tissue covers at least this fraction of
 # its largest cross-section; less is a hole in the label map.
@@ -40,27 +40,28 @@ class BasePlane:
         What it was found by, for a message.
     """
 
-    point: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    point: Floats
+    normal: Floats
     how: str
 
-    def height(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def height(self, points: Floats) -> Floats:
         """Distance above the plane (mm), negative in the ventricles."""
         return np.asarray((points - self.point) @ self.normal)
 
 
 @dataclass(frozen=True)
-class _Faces:
-    """Faces between a voxel of LV blood and one of something else.
+class Faces:
+    """Faces between a voxel of a ventricle's blood and one of something else.
 
-    Centres (n, 3), vectors with the face's area as length that leave the blood (n, 3), and whether
-    tissue is on the other side, or nothing at all (neither tissue nor RV blood).
+    Centres (n, 3) of the voxels of blood and of the faces, vectors with the face's area as length
+    that leave the blood (n, 3), and whether nothing is on the other side: neither tissue nor the
+    other ventricle's blood (n,).
     """
 
-    centres: NDArray[np.float64]
-    areas: NDArray[np.float64]
-    tissue: NDArray[np.bool_]
-    free: NDArray[np.bool_]
+    voxels: Floats
+    centres: Floats
+    areas: Floats
+    free: Booleans
 
 
 def find_base_plane(bodies: Bodies) -> BasePlane:
@@ -83,7 +84,7 @@ def find_base_plane(bodies: Bodies) -> BasePlane:
     """
     blood = bodies.positions(bodies.lv)
     centre = blood.mean(axis=0)
-    faces = _blood_faces(bodies)
+    faces = blood_faces(bodies, bodies.lv, bodies.rv)
     size = np.linalg.norm(faces.areas, axis=1)
     axis = np.linalg.eigh(np.cov((blood - centre).T))[1][:, 2]
     along = (blood - centre) @ axis
@@ -105,37 +106,42 @@ def find_base_plane(bodies: Bodies) -> BasePlane:
     return flat if kept_flat >= KEPT * int((across.height(blood) < 0).sum()) else across
 
 
-def _blood_faces(bodies: Bodies) -> _Faces:
+def blood_faces(bodies: Bodies, blood: Booleans, other: Booleans) -> Faces:
+    """Faces of one ventricle's blood.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        The segmentation.
+    blood, other : (i, j, k) boolean arrays
+        Blood of this ventricle and of the other one.
+    """
     axes = bodies.affine[:3, :3]
-    centres, areas, tissue, free = [], [], [], []
+    voxels, centres, areas, free = [], [], [], []
     for k in range(3):
         across = np.cross(axes[:, (k + 1) % 3], axes[:, (k + 2) % 3])
         across *= np.sign(across @ axes[:, k])
         for step in (-1, 1):
-            beside = np.roll(bodies.lv, -step, axis=k)
-            index = np.argwhere(bodies.lv & ~beside)
-            other = index.copy()
-            other[:, k] += step
-            is_tissue, is_rv = (mask[tuple(other.T)] for mask in (bodies.tissue, bodies.rv))
-            centres.append((index + other) / 2 @ axes.T + bodies.affine[:3, 3])
+            index = np.argwhere(blood & ~np.roll(blood, -step, axis=k))
+            beside = index.copy()
+            beside[:, k] += step
+            voxels.append(index @ axes.T + bodies.affine[:3, 3])
+            centres.append((index + beside) / 2 @ axes.T + bodies.affine[:3, 3])
             areas.append(np.tile(step * across, (len(index), 1)))
-            tissue.append(is_tissue)
-            free.append(~is_tissue & ~is_rv)
-    return _Faces(
-        np.concatenate(centres), np.concatenate(areas), np.concatenate(tissue), np.concatenate(free)
+            free.append(~(bodies.tissue | other)[tuple(beside.T)])
+    return Faces(
+        np.concatenate(voxels), np.concatenate(centres), np.concatenate(areas), np.concatenate(free)
     )
 
 
-def _largest_section(
-    bodies: Bodies, along: NDArray[np.float64], axis: NDArray[np.float64]
-) -> float:
+def _largest_section(bodies: Bodies, along: Floats, axis: Floats) -> float:
     """Largest cross-section of the LV blood (mm²)."""
     width = max(bodies.thickness(axis), LEVEL)
     counts = np.bincount(np.floor((along - along.min()) / width).astype(np.int64))
     return float(counts.max() * abs(np.linalg.det(bodies.affine[:3, :3])) / width)
 
 
-def _flat_opening(bodies: Bodies, faces: _Faces, centre: NDArray[np.float64]) -> BasePlane | None:
+def _flat_opening(bodies: Bodies, faces: Faces, centre: Floats) -> BasePlane | None:
     """The plane that holds most of the opening (by random samples); None if it is not flat."""
     points, areas = faces.centres[faces.free], faces.areas[faces.free]
     size = np.linalg.norm(areas, axis=1)
@@ -169,9 +175,7 @@ def _flat_opening(bodies: Bodies, faces: _Faces, centre: NDArray[np.float64]) ->
     return BasePlane(middle, normal, "the flat end of the label map")
 
 
-def _level(
-    bodies: Bodies, faces: _Faces, centre: NDArray[np.float64], axis: NDArray[np.float64]
-) -> tuple[float, str]:
+def _level(bodies: Bodies, faces: Faces, centre: Floats, axis: Floats) -> tuple[float, str]:
     """Height of the plane above the centre of the LV blood (mm), and how it was found."""
     along = (faces.centres - centre) @ axis
     # only the part of a face that looks sideways belongs to the ring

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import warnings
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.build.segmentation.image import Segmentation
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 
+LONGEST = 200  # characters of what a reader says
 NRRD_FORMATS = (".nrrd", ".nhdr")
 LARGEST = 1 << 30  # voxels; four times a CT of the whole thorax at 0.5 mm
 LARGEST_LABEL = 1 << 31
@@ -72,14 +76,20 @@ def read_segmentation(path: Path | str) -> Segmentation:
     return Segmentation(_whole_numbers(path, values), affine, str(path), space)
 
 
-def _damaged(path: Path, error: BaseException) -> InputError:
-    said = " ".join(str(error).split())[:200] or type(error).__name__
-    return InputError(
-        f"{path}: damaged, truncated or mislabelled ({said}); export or copy it again"
-    )
+@contextmanager
+def _refusing_damage(path: Path, *errors: type[Exception]) -> Iterator[None]:
+    """Say in one line what a reader found wrong."""
+    refused: tuple[type[Exception], ...] = (*DAMAGED, *errors)
+    try:
+        yield
+    except refused as error:
+        found = " ".join(str(error).split())[:LONGEST] or type(error).__name__
+        raise InputError(
+            f"{path}: damaged, truncated or mislabelled ({found}); export or copy it again"
+        ) from None
 
 
-def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
+def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
     import nibabel
     from nibabel.filebasedimages import ImageFileError
     from nibabel.imageglobals import LoggingOutputSuppressor
@@ -87,16 +97,15 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    damaged = (*DAMAGED, ImageFileError, HeaderDataError, WrapStructError)
-    try:
-        # nibabel mends headers on reading, and says so in the log: a missing spacing becomes 1
-        with LoggingOutputSuppressor():
-            image = nibabel.load(path)
-            with ImageOpener(path) as file:
-                header = type(image.header).from_fileobj(file, check=False)
+    # nibabel mends headers on reading, and says so in the log: a missing spacing becomes 1
+    with (
+        _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError),
+        LoggingOutputSuppressor(),
+    ):
+        image = nibabel.load(path)
+        with ImageOpener(path) as file:
+            header = type(image.header).from_fileobj(file, check=False)
         shape = tuple(int(n) for n in image.shape)
-    except damaged as error:
-        raise _damaged(path, error) from None
     if not isinstance(image, nibabel.Nifti1Image | nibabel.Nifti2Image):
         raise InputError(f"{path}: not a NIfTI file inside; convert it to NIfTI")
     _check_shape(path, shape)
@@ -115,39 +124,29 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
     unit = int(header["xyzt_units"]) & NIFTI_SPATIAL_UNITS
     if unit not in NIFTI_UNITS:
         raise InputError(f"{path}: unknown unit of length {unit} (xyzt_units); write it in mm")
-    try:
+    with _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
         values = np.asanyarray(image.dataobj)
-    except damaged as error:
-        raise _damaged(path, error) from None
     affine = np.array(image.affine, dtype=np.float64)
     affine[:3] *= NIFTI_UNITS[unit]
     return values, affine, "RAS"
 
 
-def _read_nrrd(path: Path) -> tuple[NDArray[Any], NDArray[np.float64], str]:
+def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
     import nrrd
 
-    damaged = (*DAMAGED, nrrd.NRRDError)
-    try:
+    with _refusing_damage(path, nrrd.NRRDError):
         header = nrrd.read_header(str(path))
         shape = tuple(int(n) for n in header["sizes"])
-    except damaged as error:
-        raise _damaged(path, error) from None
     _check_shape(path, shape)
     affine = _nrrd_affine(path, header)
     space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            values, _ = nrrd.read(str(path))
-    except damaged as error:
-        raise _damaged(path, error) from None
-    if values.shape != shape:
-        raise _damaged(path, ValueError(f"{values.shape} values, {shape} in the header"))
+    with _refusing_damage(path, nrrd.NRRDError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        values, _ = nrrd.read(str(path))
     return values, affine, space
 
 
-def _nrrd_affine(path: Path, header: dict[str, Any]) -> NDArray[np.float64]:
+def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     """Voxel index to mm, in the file's own space."""
     space = str(header.get("space", "3D-right-handed")).lower()
     if space not in SPACES:  # in a left-handed one the heart would be mirrored
@@ -202,7 +201,7 @@ def _check_shape(path: Path, shape: tuple[int, ...]) -> None:
         )
 
 
-def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.int64]:
+def _whole_numbers(path: Path, values: NDArray[Any]) -> Integers:
     if values.dtype.kind in "iub":
         return values.astype(np.int64)
     if values.dtype.kind != "f":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, find_objects, label
 from scipy.spatial import cKDTree
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.validate import check_units
 
@@ -17,13 +17,10 @@ MM3_PER_ML = 1000.0
 # Voxel axes that are this far from right angles (cosine) are more than rounding in the file.
 LARGEST_SHEAR = 0.01
 # Pieces smaller than this fraction of the whole are slips of the segmentation.
-ISLAND = 0.01
+SMALL = 0.01
 SHOWN = 12  # so many labels of a map are named in a message
 NEIGHBOURS = np.ones((3, 3, 3), dtype=bool)
 BACKGROUND = 0
-
-# Told of every choice that changes what was segmented, one line each
-Noted = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -47,8 +44,8 @@ class Segmentation:
         If the voxels have no size, or their axes are not at right angles.
     """
 
-    labels: NDArray[np.int64]
-    affine: NDArray[np.float64]
+    labels: Integers
+    affine: Floats
     name: str = "segmentation"
     space: str = ""
 
@@ -68,7 +65,7 @@ class Segmentation:
             )
 
     @property
-    def spacing(self) -> NDArray[np.float64]:
+    def spacing(self) -> Floats:
         """Distance of neighbouring voxel centres along each index (mm)."""
         return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
 
@@ -146,50 +143,22 @@ class Bodies:
         What to call the segmentation in messages.
     """
 
-    lv: NDArray[np.bool_]
-    rv: NDArray[np.bool_]
-    tissue: NDArray[np.bool_]
-    affine: NDArray[np.float64]
+    lv: Booleans
+    rv: Booleans
+    tissue: Booleans
+    affine: Floats
     name: str
 
-    def positions(self, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def positions(self, mask: Booleans) -> Floats:
         """Centres of the voxels of a mask (mm), shape (n, 3)."""
         return np.argwhere(mask) @ self.affine[:3, :3].T + self.affine[:3, 3]
 
-    def thickness(self, normal: NDArray[np.float64]) -> float:
+    def thickness(self, normal: Floats) -> float:
         """Extent of a voxel along a unit vector (mm)."""
         return float(np.abs(normal @ self.affine[:3, :3]).sum())
 
 
-def segmentation_volumes(
-    segmentation: Segmentation, labels: SegmentationLabels
-) -> dict[str, float]:
-    """Volumes in the whole map, also above the base: voxel count times voxel volume.
-
-    Returns
-    -------
-    dict of str to float
-        ``"lv"``, ``"rv"`` (blood), ``"myocardium"`` (scar included) and ``"scar"`` (ml).
-
-    Raises
-    ------
-    InputError
-        If a label is not in the map.
-    """
-    count = {name: int(mask.sum()) for name, mask in _masks(segmentation, labels).items()}
-    ml = segmentation.voxel_volume / MM3_PER_ML
-    scar = count.get("scar", 0)
-    return {
-        "lv": count["LV blood"] * ml,
-        "rv": count["RV blood"] * ml,
-        "myocardium": (count["myocardium"] + scar) * ml,
-        "scar": scar * ml,
-    }
-
-
-def regions_at(
-    segmentation: Segmentation, labels: SegmentationLabels, points: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
     """Whether points lie in scar: the label of the nearest voxel of muscle or scar.
 
     At a surface the voxel around a point of the tissue may well be blood or background.
@@ -226,10 +195,15 @@ def regions_at(
     return regions
 
 
-def bodies_of(
-    segmentation: Segmentation, labels: SegmentationLabels, noted: Noted | None = None
-) -> Bodies:
-    """Masks of the parts, each in one piece, with islands given to what surrounds them.
+def bodies_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Bodies:
+    """Masks of the parts, each in one piece, with small components given to what surrounds them.
+
+    Parameters
+    ----------
+    segmentation, labels : Segmentation, SegmentationLabels
+        The map.
+    notes : list of str
+        A line is added for every part that had small components.
 
     Raises
     ------
@@ -245,15 +219,13 @@ def bodies_of(
         parts[mask] = kinds[part]
     parts, affine = _cropped(parts, segmentation.affine)
     for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
-        _one_piece(parts, kind, part, segmentation, noted)
+        _remove_small_components(parts, kind, part, segmentation, notes)
     parts, affine = _cropped(parts, affine)
     check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
     return Bodies(parts == 1, parts == 2, parts == 3, affine, name)
 
 
-def _cropped(
-    parts: NDArray[np.int8], affine: NDArray[np.float64]
-) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8], Floats]:
     """Leave one voxel of background around everything."""
     box = find_objects((parts > 0).astype(np.int8))[0]
     affine = affine.copy()
@@ -261,7 +233,7 @@ def _cropped(
     return np.pad(parts[box], 1), affine
 
 
-def _masks(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, NDArray[np.bool_]]:
+def _masks(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, Booleans]:
     """The mask of each part, by its name; every one of them has voxels."""
     masks = {}
     for name, numbers in labels.parts():
@@ -280,21 +252,17 @@ def _masks(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, 
     return masks
 
 
-def _one_piece(
-    parts: NDArray[np.int8],
-    kind: int,
-    part: str,
-    segmentation: Segmentation,
-    noted: Noted | None,
+def _remove_small_components(
+    parts: NDArray[np.int8], kind: int, part: str, segmentation: Segmentation, notes: list[str]
 ) -> None:
-    """Give the islands of a part to what surrounds most of each, in place."""
+    """Give the small components of a part to what surrounds most of each, in place."""
     pieces, n = label(parts == kind, structure=NEIGHBOURS)
     if n == 1:
         return
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(sizes.argmax())
     ml = sizes * segmentation.voxel_volume / MM3_PER_ML
-    large = np.flatnonzero(sizes > ISLAND * sizes.sum())
+    large = np.flatnonzero(sizes > SMALL * sizes.sum())
     if large.size > 1:
         listed = ", ".join(f"{v:.3g}" for v in sorted(ml[large], reverse=True)[:SHOWN])
         raise InputError(
@@ -306,14 +274,13 @@ def _one_piece(
             continue
         around = tuple(slice(max(one.start - 1, 0), one.stop + 1) for one in box)
         here = pieces[around] == piece + 1
-        rim = binary_dilation(here, NEIGHBOURS) & ~here
-        parts[around][here] = np.bincount(parts[around][rim]).argmax()
-    if noted is not None:
-        noted(
-            f"{segmentation.name}: {n - 1} islands of {part} ({ml.sum() - ml[largest]:.2g} ml in "
-            "all) were given to what surrounds them"
-        )
+        border = binary_dilation(here, NEIGHBOURS) & ~here
+        parts[around][here] = np.bincount(parts[around][border]).argmax()
+    notes.append(
+        f"{segmentation.name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
+        "in all) were given to what surrounds them"
+    )
 
 
-def _listed(numbers: NDArray[np.float64] | tuple[int, ...]) -> str:
+def _listed(numbers: Floats | tuple[int, ...]) -> str:
     return ", ".join(f"{number:.3g}" if number % 1 else f"{int(number)}" for number in numbers)

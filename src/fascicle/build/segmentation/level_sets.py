@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates, spline_filter
 
 from fascicle.build.segmentation.base_plane import BasePlane
 from fascicle.build.segmentation.image import Bodies
+from fascicle.core.arrays import Booleans, Floats
 
 # Standard deviation of the smoothing, in voxels along their finest direction, and in edges of the
 # grid: enough to level the staircase, which is one voxel high, and what the grid cannot resolve.
@@ -36,16 +36,16 @@ class Grid:
         Distance of neighbouring nodes (mm).
     """
 
-    origin: NDArray[np.float64]
-    axes: NDArray[np.float64]
+    origin: Floats
+    axes: Floats
     shape: tuple[int, int, int]
     edge: float
 
-    def positions(self, index: NDArray[np.float64]) -> NDArray[np.float64]:
+    def positions(self, index: Floats) -> Floats:
         """Positions (mm) of points given in node indices, shape (n, 3)."""
         return np.asarray(self.origin + self.edge * index @ self.axes)
 
-    def nodes_in(self, affine: NDArray[np.float64]) -> NDArray[np.float64]:
+    def nodes_in(self, affine: Floats) -> Floats:
         """All nodes, in the indices of a voxel grid, shape (3, i, j, k)."""
         back = np.linalg.inv(affine)
         steps = self.edge * back[:3, :3] @ self.axes.T
@@ -85,8 +85,23 @@ def grid_below(plane: BasePlane, bodies: Bodies, edge: float) -> Grid:
     return Grid(plane.point + corner @ axes, axes, (int(shape[0]), int(shape[1]), layers), edge)
 
 
-def continued_above(mask: NDArray[np.bool_], bodies: Bodies, plane: BasePlane) -> NDArray[np.bool_]:
-    """Put above the base plane what is just below it, so that no smoothing rounds the rim."""
+def continued_above(mask: Booleans, bodies: Bodies, plane: BasePlane) -> Booleans:
+    """Continue a body above the base plane as it is just below, so that smoothing keeps its edge.
+
+    Parameters
+    ----------
+    mask : (i, j, k) boolean array
+        A body, on the voxel grid of `bodies`.
+    bodies : Bodies
+        The segmentation.
+    plane : BasePlane
+        The base.
+
+    Returns
+    -------
+    (i + 2 p, j + 2 p, k + 2 p) boolean array
+        The body, with p = `PADDING` voxels around it.
+    """
     half = bodies.thickness(plane.normal) / 2
     # room for the smoothing to see above the plane
     mask, back = np.pad(mask, PADDING), np.linalg.inv(bodies.affine)
@@ -103,9 +118,7 @@ def continued_above(mask: NDArray[np.bool_], bodies: Bodies, plane: BasePlane) -
     return mask
 
 
-def level_set(
-    mask: NDArray[np.bool_], bodies: Bodies, plane: BasePlane, grid: Grid
-) -> NDArray[np.float64]:
+def level_set(mask: Booleans, bodies: Bodies, plane: BasePlane, grid: Grid) -> Floats:
     """Signed distance to the smoothed surface of a mask, at the nodes of a grid.
 
     The distance to the mask's voxels is interpolated between them, which between thick slices
@@ -152,7 +165,7 @@ def level_set(
     return np.asarray(values - level, dtype=np.float64)
 
 
-def _volume_below(mask: NDArray[np.bool_], bodies: Bodies, plane: BasePlane) -> float:
+def _volume_below(mask: Booleans, bodies: Bodies, plane: BasePlane) -> float:
     """Volume of a padded mask below the plane (mm³); voxels that it cuts count in part."""
     axes = bodies.affine[:3, :3]
     height = plane.height((np.argwhere(mask) - PADDING) @ axes.T + bodies.affine[:3, 3])
@@ -160,7 +173,7 @@ def _volume_below(mask: NDArray[np.bool_], bodies: Bodies, plane: BasePlane) -> 
     return float(share.sum() * abs(np.linalg.det(axes)))
 
 
-def closed_by(values: NDArray[np.float64], radius: float, edge: float) -> NDArray[np.float64]:
+def closed_by(values: Floats, radius: float, edge: float) -> Floats:
     """Morphological closing of a body given by its signed distance, with a ball.
 
     Parameters

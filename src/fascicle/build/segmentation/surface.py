@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import binary_fill_holes, label, map_coordinates
 
-from fascicle.build.segmentation.base_plane import BasePlane, find_base_plane
-from fascicle.build.segmentation.image import (
-    Bodies,
-    Noted,
-    Segmentation,
-    SegmentationLabels,
-    bodies_of,
-)
+from fascicle.build.segmentation.base_plane import BasePlane, blood_faces, find_base_plane
+from fascicle.build.segmentation.image import Bodies, Segmentation, SegmentationLabels, bodies_of
 from fascicle.build.segmentation.level_sets import Grid, closed_by, grid_below, level_set
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
-from fascicle.mesh.topology import boundary_loops
+from fascicle.mesh.measures import turned_outwards
+from fascicle.mesh.topology import boundary_loops, unique_edges, without_unused_vertices
 
 EDGE = 1.0  # mm, of the cubes that the surface is cut from
 # Wall of the RV where none was segmented: it is 3 to 5 mm thick (Ho and Nihoyannopoulos, Heart
@@ -44,10 +40,14 @@ CLOSING_BALLS = (2.0, 4.0, 6.0)  # mm
 SNAP = 0.05
 FAR = 1e9  # mm, above the base
 STEPS = 6
+# That the parts of the ventricles' surface have
+BOUNDARY_LOOPS = {
+    Label.LV_ENDOCARDIUM: 1,
+    Label.RV_ENDOCARDIUM: 1,
+    Label.EPICARDIUM: 1,
+    Label.BASE: 3,
+}
 STRAY = 0.01  # of all triangles; so many may lie outside the largest piece
-
-# Told how many of how many steps are done
-Told = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ class _Levels:
     `gaps` is the distance to the epicardium before holes in the wall were closed.
     """
 
-    outer: NDArray[np.float64]
-    lv: NDArray[np.float64]
-    rv: NDArray[np.float64]
-    gaps: NDArray[np.float64]
+    outer: Floats
+    lv: Floats
+    rv: Floats
+    gaps: Floats
 
     def below(self, layers: int) -> _Levels:
         return _Levels(*(part[:, :, :layers] for part in (self.outer, self.lv, self.rv, self.gaps)))
@@ -69,8 +69,8 @@ class _Levels:
 def surface_from_segmentation(
     segmentation: Segmentation,
     labels: SegmentationLabels,
-    told: Told | None = None,
-    noted: Noted | None = None,
+    progress: StageProgress = no_progress,
+    notes: list[str] | None = None,
 ) -> LabelledSurface:
     """Extract the surface of the ventricles from a label map, cut flat at the base.
 
@@ -88,11 +88,11 @@ def surface_from_segmentation(
         The label map.
     labels : SegmentationLabels
         Which number stands for what.
-    told : callable, optional
-        Told how many of how many steps are done.
-    noted : callable, optional
-        Told, in one line each, what was found or changed: islands, an added wall, the base plane,
-        mended cavities.
+    progress : StageProgress
+        Called with the steps done and in all.
+    notes : list of str, optional
+        A line is added for everything found or changed: small components, an added wall, the base
+        plane, mended cavities.
 
     Returns
     -------
@@ -105,44 +105,26 @@ def surface_from_segmentation(
     InputError
         If a label is not in the map, a part falls into pieces, or no plane cuts both cavities open.
     """
-    tell = _told_in_turn(told)
-    say = noted if noted is not None else _silent
-    bodies = _coarsened(bodies_of(segmentation, labels, noted))
-    tell()
+    notes = notes if notes is not None else []
+    bodies = _coarsened(bodies_of(segmentation, labels, notes))
+    progress(1, STEPS)
     plane = find_base_plane(bodies)
     grid = grid_below(plane, bodies, EDGE)
-    tell()
+    progress(2, STEPS)
     lv = level_set(bodies.lv, bodies, plane, grid)
     rv = level_set(bodies.rv, bodies, plane, grid)
-    tell()
+    progress(3, STEPS)
     filled = binary_fill_holes(bodies.lv | bodies.rv | bodies.tissue)
     outer = level_set(filled, bodies, plane, grid)
-    tell()
-    gaps = _with_rv_wall(bodies, plane, outer, rv, say)
-    levels = _walled(lv, rv, gaps)
+    progress(4, STEPS)
+    levels = _walled(lv, rv, _with_rv_wall(bodies, plane, outer, rv, notes))
     layers = _base_layer(levels, bodies.name)
-    say(f"{bodies.name}: cut at {plane.how}, {(grid.shape[2] - layers) * grid.edge:g} mm below it")
-    tell()
-    grid = replace(grid, shape=(grid.shape[0], grid.shape[1], layers))
-    surface = _closed_surface(levels.below(layers), grid, bodies.name, say)
-    tell()
+    below = (grid.shape[2] - layers) * grid.edge
+    notes.append(f"{bodies.name}: cut at {plane.how}, {below:g} mm below it")
+    progress(5, STEPS)
+    surface = _closed_surface(levels.below(layers), grid, bodies.name, notes)
+    progress(STEPS, STEPS)
     return surface
-
-
-def _silent(_: str) -> None:
-    pass
-
-
-def _told_in_turn(told: Told | None) -> Callable[[], None]:
-    done = 0
-
-    def tell() -> None:
-        nonlocal done
-        done += 1
-        if told is not None:
-            told(done, STEPS)
-
-    return tell
 
 
 def _coarsened(bodies: Bodies) -> Bodies:
@@ -161,27 +143,16 @@ def _coarsened(bodies: Bodies) -> Bodies:
 
 
 def _with_rv_wall(
-    bodies: Bodies,
-    plane: BasePlane,
-    outer: NDArray[np.float64],
-    rv: NDArray[np.float64],
-    say: Noted,
-) -> NDArray[np.float64]:
+    bodies: Bodies, plane: BasePlane, outer: Floats, rv: Floats, notes: list[str]
+) -> Floats:
     """Distance to the epicardium, with a wall around the RV if the map has none."""
-    bare = whole = 0.0
-    for k in range(3):
-        for step in (-1, 1):
-            index = np.argwhere(bodies.rv & ~np.roll(bodies.rv, -step, axis=k))
-            height = plane.height(index @ bodies.affine[:3, :3].T + bodies.affine[:3, 3])
-            index = index[height < -bodies.thickness(plane.normal)]
-            index[:, k] += step
-            beside = tuple(index.T)
-            area = 1 / float(np.linalg.norm(bodies.affine[:3, k]))  # to within a factor for all
-            whole += area * len(index)
-            bare += area * int((~bodies.tissue[beside] & ~bodies.lv[beside]).sum())
+    faces = blood_faces(bodies, bodies.rv, bodies.lv)
+    deep = plane.height(faces.voxels) < -bodies.thickness(plane.normal)
+    size = np.linalg.norm(faces.areas, axis=1) * deep
+    bare, whole = float(size[faces.free].sum()), float(size.sum())
     if whole == 0 or bare < WALL_MISSING * whole:
         return outer
-    say(
+    notes.append(
         f"{bodies.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
         f"{RV_WALL:g} mm was added"
     )
@@ -192,7 +163,7 @@ def _with_rv_wall(
     return np.asarray(np.minimum(outer, wall) - fillet)
 
 
-def _walled(lv: NDArray[np.float64], rv: NDArray[np.float64], gaps: NDArray[np.float64]) -> _Levels:
+def _walled(lv: Floats, rv: Floats, gaps: Floats) -> _Levels:
     """Close holes in the septum and in the outer walls."""
     rv = np.maximum(rv, THINNEST - lv)
     return _Levels(np.minimum(gaps, np.minimum(lv, rv) - THINNEST), lv, rv, gaps)
@@ -215,7 +186,7 @@ def _base_layer(levels: _Levels, name: str) -> int:
     )
 
 
-def _wrong_with_section(levels: _Levels, k: int, areas: list[NDArray[np.int64]]) -> str:
+def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
     """Why a layer cannot be the base; empty if it can."""
     outer = levels.outer[:, :, k] < 0
     if label(outer)[1] != 1:
@@ -227,8 +198,8 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[NDArray[np.int64]])
             return f"the {side} is closed or small"
         if label(blood)[1] != 1:
             return f"the {side} has {label(blood)[1]} openings"
-        rim = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < EDGE)
-        bare = float((levels.gaps[:, :, k][rim] > 0).mean())
+        border = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < EDGE)
+        bare = float((levels.gaps[:, :, k][border] > 0).mean())
         if bare > GAP:
             return f"{bare:.0%} of the {side} has no wall"
         tissue &= ~blood
@@ -236,7 +207,7 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[NDArray[np.int64]])
     return "" if openings == 2 else f"the section has {openings} openings"
 
 
-def _closed_surface(levels: _Levels, grid: Grid, name: str, say: Noted) -> LabelledSurface:
+def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) -> LabelledSurface:
     """Extract the surface; mend the cavities where they are not disks."""
     attempts = {Label.LV_ENDOCARDIUM: 0, Label.RV_ENDOCARDIUM: 0}
     cavities = {Label.LV_ENDOCARDIUM: levels.lv, Label.RV_ENDOCARDIUM: levels.rv}
@@ -244,29 +215,27 @@ def _closed_surface(levels: _Levels, grid: Grid, name: str, say: Noted) -> Label
         lv, rv = (_mended(cavity, attempts[kind], grid.edge) for kind, cavity in cavities.items())
         tried = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
         surface = _extract(tried, grid, name)
-        wrong = _wrong_with_topology(surface)
-        if not wrong:
+        wrong = _wrong_topology(surface)
+        if wrong is None:
             break
-        part = next(iter(wrong))
+        part, found = wrong
         if attempts.get(part, len(CLOSING_BALLS) + 1) > len(CLOSING_BALLS):
             raise InputError(
-                f"{name}: {wrong[part]}; fill holes in the walls and take papillary muscles and "
+                f"{name}: {found}; fill holes in the walls and take papillary muscles and "
                 "trabeculae that cross the cavities out of the myocardium"
             )
         attempts[part] += 1
     for kind, attempt in attempts.items():
         if attempt:
-            gap = 2 * CLOSING_BALLS[attempt - 2]
-            how = (
-                "threads of blood were taken away"
-                if attempt == 1
-                else f"gaps up to {gap:g} mm wide around papillary muscles were filled"
-            )
-            say(f"{name}: {kind.name.replace('_', ' ').lower()}: {how}, to leave no handles")
+            how = "threads of blood were taken away"
+            if attempt > 1:
+                gap = 2 * CLOSING_BALLS[attempt - 2]
+                how = f"gaps up to {gap:g} mm wide around papillary muscles were filled"
+            notes.append(f"{name}: {kind.words}: {how}, to leave no handles")
     return surface
 
 
-def _mended(cavity: NDArray[np.float64], attempt: int, edge: float) -> NDArray[np.float64]:
+def _mended(cavity: Floats, attempt: int, edge: float) -> Floats:
     if attempt == 0:
         return cavity
     if attempt == 1:
@@ -282,9 +251,7 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     top = tissue.shape[2] - 1
     tissue = np.concatenate([tissue, np.full((*tissue.shape[:2], 1), FAR)], axis=2)
     vertices, triangles = _marching_cubes(tissue)
-    triangles = _largest_piece(triangles, name)
-    used, triangles = np.unique(triangles, return_inverse=True)
-    vertices, triangles = vertices[used], triangles.reshape(-1, 3).astype(np.int64)
+    vertices, triangles = without_unused_vertices(vertices, _largest_piece(triangles, name))
     # the last vertices lie a millionth of an edge above the plane, for the layer on top
     vertices[:, 2] = np.minimum(vertices[:, 2], top)
     base = (vertices[triangles, 2] == top).all(axis=1)
@@ -298,30 +265,23 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     return LabelledSurface(grid.positions(vertices), triangles, labels.astype(np.int64), name)
 
 
-def _marching_cubes(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _marching_cubes(values: Floats) -> tuple[Floats, Integers]:
     """Surface of {values < 0}, in node indices, with outward normals."""
-    inside = values < 0
     corners = np.array(
         [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
     )
-    shape = np.array(values.shape) - 1
-    count = np.zeros(shape, dtype=np.int8)
-    for i, j, k in corners:
-        count += inside[i : i + shape[0], j : j + shape[1], k : k + shape[2]]
-    cells = np.argwhere((count > 0) & (count < len(corners)))
+    inside = sliding_window_view(values < 0, (2, 2, 2))
+    cells = np.argwhere(inside.any(axis=(3, 4, 5)) & ~inside.all(axis=(3, 4, 5)))
     nodes = np.ravel_multi_index(tuple(np.moveaxis(cells[:, None] + corners, 2, 0)), values.shape)
     used, cubes = np.unique(nodes, return_inverse=True)
     positions = np.stack(np.unravel_index(used, values.shape), axis=1).astype(np.float64)
     vertices, triangles, _ = igl.marching_cubes(
         values.ravel()[used], positions, cubes.reshape(-1, 8).astype(np.int64), 0.0
     )
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    if float(np.einsum("ij,ij->", a, np.cross(b, c))) < 0:
-        triangles = triangles[:, ::-1]
-    return vertices, np.ascontiguousarray(triangles, dtype=np.int64)
+    return vertices, turned_outwards(vertices, triangles)
 
 
-def _largest_piece(triangles: NDArray[np.int64], name: str) -> NDArray[np.int64]:
+def _largest_piece(triangles: Integers, name: str) -> Integers:
     _, pieces = igl.facet_components(triangles)
     sizes = np.bincount(pieces)
     if sizes.max() < (1 - STRAY) * len(triangles):
@@ -333,29 +293,20 @@ def _largest_piece(triangles: NDArray[np.int64], name: str) -> NDArray[np.int64]
     return np.asarray(triangles[pieces == sizes.argmax()])
 
 
-def _wrong_with_topology(surface: LabelledSurface) -> dict[Label, str]:
-    """What keeps parts of a surface from being those of two ventricles, by part."""
-    needed = {
-        Label.LV_ENDOCARDIUM: 1,
-        Label.RV_ENDOCARDIUM: 1,
-        Label.EPICARDIUM: 1,
-        Label.BASE: 3,
-    }
-    wrong = {}
-    for part, n_loops in needed.items():
+def _wrong_topology(surface: LabelledSurface) -> tuple[Label, str] | None:
+    """First part of a surface that is not like that of two ventricles, and what is wrong."""
+    for part, n_loops in BOUNDARY_LOOPS.items():
         own = surface.having(part)
         loops = len(boundary_loops(own))
-        edges = np.unique(np.sort(own[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-        euler = np.unique(own).size - len(edges) + len(own)
+        euler = np.unique(own).size - len(unique_edges(own)[0]) + len(own)
         # a sphere with n holes has Euler characteristic 2 − n, and each handle takes away 2
         if loops != n_loops or euler != 2 - n_loops:
             handles = (2 - loops - euler) // 2
-            wrong[part] = (
-                f"the {part.name.replace('_', ' ').lower()} has {loops} borders and {handles} "
-                f"handles, {n_loops} and 0 needed"
+            return part, (
+                f"the {part.words} has {loops} borders and {handles} handles, {n_loops} and 0 "
+                "needed"
             )
     triangles = surface.triangles
-    whole = igl.is_edge_manifold(triangles)[0] and igl.is_vertex_manifold(triangles).all()
-    if not wrong and not whole:
-        wrong[Label.EPICARDIUM] = "the surface of the tissue touches itself"
-    return wrong
+    if not (igl.is_edge_manifold(triangles)[0] and igl.is_vertex_manifold(triangles).all()):
+        return Label.EPICARDIUM, "the surface of the tissue touches itself"
+    return None

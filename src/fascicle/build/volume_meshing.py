@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fascicle.build.label_borders import cleaned_labels
-from fascicle.build.remeshing import remeshed_surface
-from fascicle.build.repair import enclosed_volume
-from fascicle.build.wall import check_edge_length, wall_thickness
+from fascicle.build.label_cleaning import cleaned_labels
+from fascicle.build.surface_remeshing import remeshed_surface
+from fascicle.build.wall_thickness import check_edge_length, wall_thickness
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
+from fascicle.mesh.measures import closed_volume
 from fascicle.mesh.meshing import NOTHING, Interface, as_float64, as_int32, tetrahedralise
-from fascicle.mesh.topology import boundary_triangles
+from fascicle.mesh.topology import boundary_triangles, places_in
 
 # Vertices in a cube with the edge length's side (measured: 2.0 at 1 mm, 2.2 at 2 mm, 2.4 at 3 mm on
 # a heart of 145 ml; the more the larger the share of the surface), and what they need at the peak
@@ -25,12 +25,11 @@ VERTICES_PER_CUBE = 2.2
 MEMORY_PER_VERTEX = 6e3  # bytes
 
 TISSUE = 1  # Netgen's number of what is inside
-
-Told = Callable[[int, int], None]
+STAGES = 3
 
 
 def mesh_surface(
-    surface: LabelledSurface, edge_length: float, told: Told | None = None
+    surface: LabelledSurface, edge_length: float, progress: StageProgress = no_progress
 ) -> LabelledMesh:
     """Fill a closed labelled surface with tetrahedra.
 
@@ -42,11 +41,11 @@ def mesh_surface(
     Parameters
     ----------
     surface : LabelledSurface
-        Closed and facing outwards, as `fascicle.build.repair.prepared_surface` gives it.
+        Closed and facing outwards, as `fascicle.build.surface_repair.prepared_surface` gives it.
     edge_length : float
         Mean length of the tetrahedra's edges (mm), kept within 5 %.
-    told : callable, optional
-        Told how many of the three steps are done.
+    progress : StageProgress
+        Called with the steps done and in all.
 
     Raises
     ------
@@ -56,24 +55,19 @@ def mesh_surface(
     """
     check_edge_length(wall_thickness(surface), edge_length, surface.name)
     check_memory(surface, edge_length)
-    report = told if told is not None else _nobody
-    report(0, 3)
+    progress(0, STAGES)
     remeshed = remeshed_surface(surface, edge_length)
-    report(1, 3)
+    progress(1, STAGES)
     vertices, tetrahedra, _ = tetrahedralise(
         [Interface(remeshed.vertices, remeshed.triangles, TISSUE, NOTHING)],
         f"{surface.name}: the inside of the surface with edges of {edge_length:g} mm",
         "give a shorter edge length, or smooth the surface",
         maxh=edge_length,
     )
-    report(2, 3)
+    progress(2, STAGES)
     mesh = _refined(remeshed, vertices, tetrahedra, edge_length)
-    report(3, 3)
+    progress(STAGES, STAGES)
     return mesh
-
-
-def _nobody(done: int, total: int) -> None:
-    """Stand in for whom nobody gave."""
 
 
 def check_memory(surface: LabelledSurface, edge_length: float) -> None:
@@ -86,7 +80,7 @@ def check_memory(surface: LabelledSurface, edge_length: float) -> None:
     """
     if not (np.isfinite(edge_length) and edge_length > 0):
         raise InputError(f"edge length: {edge_length:g} mm; it must be above 0")
-    volume = enclosed_volume(surface)
+    volume = closed_volume(surface.vertices, surface.triangles)
     vertices = VERTICES_PER_CUBE * volume / edge_length**3
     needed, free = MEMORY_PER_VERTEX * vertices, available_memory()
     if needed > free:
@@ -100,9 +94,9 @@ def check_memory(surface: LabelledSurface, edge_length: float) -> None:
 
 def available_memory() -> float:
     """Memory that programs may still take (bytes); infinite where the system does not say."""
-    told = Path("/proc/meminfo")
-    if told.exists():  # Linux, which counts what its caches would give back
-        for line in told.read_text().splitlines():
+    meminfo = Path("/proc/meminfo")
+    if meminfo.exists():  # Linux, which counts what its caches would give back
+        for line in meminfo.read_text().splitlines():
             if line.startswith("MemAvailable:"):
                 return float(line.split()[1]) * 1024
     if "SC_PHYS_PAGES" in getattr(os, "sysconf_names", {}):
@@ -111,10 +105,7 @@ def available_memory() -> float:
 
 
 def _refined(
-    surface: LabelledSurface,
-    vertices: NDArray[np.float64],
-    tetrahedra: NDArray[np.int64],
-    edge_length: float,
+    surface: LabelledSurface, vertices: Floats, tetrahedra: Integers, edge_length: float
 ) -> LabelledMesh:
     """The same boundary with tetrahedra of the edge length, and its labels."""
     import mmgpy
@@ -131,7 +122,10 @@ def _refined(
     labelled, labels = mesh.get_triangles_with_refs()
     boundary, _ = boundary_triangles(refined)
     positions = np.array(mesh.get_vertices(), dtype=float)
-    kept = _looked_up(boundary, np.asarray(labelled, dtype=np.int64), labels)
+    at = places_in(boundary, np.asarray(labelled, dtype=np.int64))
+    if at.min() < 0:
+        raise RuntimeError("the boundary is not the surface that was to be kept")
+    kept = np.asarray(labels, dtype=np.int64)[at]
     return LabelledMesh(
         vertices=positions,
         tetrahedra=refined,
@@ -139,16 +133,3 @@ def _refined(
         labels=cleaned_labels(positions, boundary, kept),  # coarse borders can touch themselves
         name=surface.name,
     )
-
-
-def _looked_up(
-    triangles: NDArray[np.int64], labelled: NDArray[np.int64], labels: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Labels of triangles, of which the labelled ones are the same in another order."""
-    rows, known = np.sort(triangles, axis=1), np.sort(labelled, axis=1)
-    order, order_known = np.lexsort(rows.T), np.lexsort(known.T)
-    if not np.array_equal(rows[order], known[order_known]):
-        raise RuntimeError("the boundary is not the surface that was to be kept")
-    found = np.empty(len(triangles), dtype=np.int64)
-    found[order] = np.asarray(labels)[order_known]
-    return found

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fascicle.build.endocardia import endocardia
-from fascicle.build.source import Anatomy, Source, read_anatomy
+from fascicle.build.anatomy import Anatomy, Source
+from fascicle.build.endocardia import EndocardialSurface, endocardia
+from fascicle.build.read_anatomy import read_anatomy
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes
@@ -45,8 +48,8 @@ class Body:
         ``"idealised"``, ``"none"`` (unbounded conductor), or the file of a closed skin surface.
     lungs : tuple of Path
         Closed surfaces, with a skin of the user's own.
-    height, weight, chest : float, optional
-        Of the person, to scale the idealised torso (m, kg, cm).
+    size : BodySize, optional
+        Of the person, to scale the idealised torso.
     pose : {"standard", "ras", "lps"}
         See `fascicle.torso.heart_pose.body_frame`.
     electrodes : Path, optional
@@ -55,53 +58,41 @@ class Body:
 
     torso: str = IDEALISED
     lungs: tuple[Path, ...] = ()
-    height: float | None = None
-    weight: float | None = None
-    chest: float | None = None
+    size: BodySize | None = None
     pose: Pose = "standard"
     electrodes: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.torso != IDEALISED and self.electrodes is None:
-            raise InputError(
-                f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
-                "idealised torso has places for them)"
-            )
-        idle = [name for name in ("height", "weight", "chest") if getattr(self, name) is not None]
-        if self.pose != "standard":
-            idle.append("pose")
-        if idle and self.torso != IDEALISED:
-            raise InputError(
-                f"--{idle[0]} goes with the idealised torso, not with --torso {self.torso}; leave "
-                "it out"
-            )
+        if self.torso != IDEALISED:
+            if self.electrodes is None:
+                raise InputError(
+                    f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
+                    "idealised torso has places for them)"
+                )
+            if self.size is not None or self.pose != "standard":
+                option = "--pose" if self.size is None else "--height, --weight or --chest"
+                raise InputError(
+                    f"{option} goes with the idealised torso, not with --torso {self.torso}; leave "
+                    "it out"
+                )
         if self.lungs and self.torso in (IDEALISED, NONE):
             raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
-        self._check_before_meshing()
-
-    def _check_before_meshing(self) -> None:
-        """Refuse at once what would otherwise be found out after minutes."""
-        files = [path for path in (self.electrodes, *self.lungs) if path is not None]
-        if self.torso == IDEALISED:
-            _ = self.build
-        elif self.torso != NONE:
-            files.append(Path(self.torso))
-        for path in files:
+        # what would otherwise be found out after minutes is refused at once
+        skin = () if self.torso in (IDEALISED, NONE) else (Path(self.torso),)
+        for path in (*skin, *self.lungs):
             if not path.is_file():
-                raise InputError(f"{path}: no such file (torso or electrodes); check the path")
-        if self.electrodes is not None:
-            read_electrodes(self.electrodes)
+                raise InputError(f"{path}: no such file (torso); check the path")
+        _ = self.positions
 
-    @property
-    def build(self) -> BodySize:
-        """What the idealised torso is scaled by."""
-        given = {"height": self.height, "weight": self.weight, "chest": self.chest}
-        return BodySize(**{name: value for name, value in given.items() if value is not None})
+    @cached_property
+    def positions(self) -> Floats | None:
+        """Electrodes of the file (9, 3) (mm), if there is one."""
+        return None if self.electrodes is None else read_electrodes(self.electrodes)
 
 
 @dataclass(frozen=True)
 class BuiltHeart:
-    """A heart, and what its builder should tell whoever asked for it.
+    """A heart, and what to say about how it was made.
 
     Attributes
     ----------
@@ -145,7 +136,7 @@ def build_heart(
     name : str
         What to call the heart.
     progress : Progress, optional
-        Told how far it is.
+        Progress callback.
 
     Raises
     ------
@@ -157,10 +148,10 @@ def build_heart(
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
     heart = in_body(heart, anatomy.mesh, body, progress)
-    return BuiltHeart(heart, anatomy, (*anatomy.notes, *_kept(anatomy)))
+    return BuiltHeart(heart, anatomy, (*anatomy.notes, *_notes_on_what_was_kept(anatomy)))
 
 
-def _kept(anatomy: Anatomy) -> list[str]:
+def _notes_on_what_was_kept(anatomy: Anatomy) -> list[str]:
     """What the source had already, so that options about it do nothing."""
     notes = []
     if anatomy.own_mesh:
@@ -177,44 +168,67 @@ def heart_of(
     name: str = "heart",
     progress: Progress | None = None,
 ) -> Heart:
-    """Fibres, endocardia and seeds of an anatomy; its electrodes are nowhere yet.
+    """Fibres, endocardia and seeds of an anatomy; its electrodes are not placed yet (NaN).
 
-    See `build_heart` for the parameters.
+    Parameters
+    ----------
+    anatomy : Anatomy
+        The labelled mesh.
+    angles, seeds, name, progress
+        As in `build_heart`.
     """
     mesh, seeds = anatomy.mesh, seeds if seeds is not None else {}
     fibres, sheets = anatomy.fibres, anatomy.sheets
     if fibres is None:
         ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
         fibres, sheets = ruled.fibre, ruled.sheet
-    lv, rv = endocardia(mesh)
-    surfaces = {"lv": lv, "rv": rv}
-    chosen = {
-        side: choose_seeds(
-            f"{mesh.name}: {side.upper()}",
-            seeds.get(side, (None, None)),
-            (ours.vertices, ours.triangles, ours.valve),
-            theirs.vertices,
-        )
-        for side, ours, theirs in (("lv", lv, rv), ("rv", rv, lv))
-    }
+    surfaces = dict(zip(("lv", "rv"), endocardia(mesh), strict=True))
     left, right = (
-        Endocardium(
-            side, s.vertices, s.triangles, *chosen[side], s.valve if s.valve.any() else None
-        )
-        for side, s in surfaces.items()
+        _seeded(mesh.name, side, surfaces, seeds.get(side, (None, None))) for side in surfaces
     )
-    nowhere = np.full((9, 3), np.nan)  # until the body is known
+    unplaced = np.full((len(ELECTRODES), 3), np.nan)
     return Heart(
-        mesh.vertices, mesh.tetrahedra, fibres, left, right, nowhere, name, mesh.regions, sheets
+        mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name, mesh.regions, sheets
     )
+
+
+def _seeded(
+    name: str,
+    side: str,
+    surfaces: Mapping[str, EndocardialSurface],
+    chosen: tuple[ChosenSeed, ChosenSeed],
+) -> Endocardium:
+    """An endocardium with the seeds that were chosen, or else those of the anatomy."""
+    own = surfaces[side]
+    (other,) = (surface for theirs, surface in surfaces.items() if theirs != side)
+    root, direction = choose_seeds(f"{name}: {side.upper()}", chosen, own, other.vertices)
+    valve = own.valve if own.valve.any() else None
+    return Endocardium(side, own.vertices, own.triangles, root, direction, valve)
 
 
 def in_body(
     heart: Heart, mesh: LabelledMesh, body: Body, progress: Progress | None = None
 ) -> Heart:
-    """Put torso, electrodes and lead fields around a heart of this mesh."""
-    surfaces = _surfaces(mesh, body)
-    heart = replace(heart, electrodes=_electrodes(body, surfaces))
+    """Put torso, electrodes and lead fields around a heart.
+
+    Parameters
+    ----------
+    heart : Heart
+        Its electrodes do not count.
+    mesh : LabelledMesh
+        Its tetrahedra, with their boundary labelled.
+    body : Body
+        What surrounds it.
+    progress : Progress, optional
+        Progress callback.
+    """
+    surfaces = _torso_surfaces(mesh, body)
+    positions = body.positions
+    if positions is None and surfaces is not None:
+        positions = surfaces.electrodes
+    if positions is None:
+        raise ValueError("only the idealised torso has places for electrodes")
+    heart = replace(heart, electrodes=positions)
     source = str(body.electrodes) if body.electrodes is not None else mesh.name
     check_electrodes(source, heart.electrodes, heart)
     check_not_mirrored(source, heart)
@@ -227,18 +241,10 @@ def in_body(
     return replace(heart, lead_fields=fields)
 
 
-def _surfaces(mesh: LabelledMesh, body: Body) -> TorsoSurfaces | None:
+def _torso_surfaces(mesh: LabelledMesh, body: Body) -> TorsoSurfaces | None:
     """Skin and lungs, in the heart's frame; None for an unbounded conductor."""
     if body.torso == NONE:
         return None
     if body.torso == IDEALISED:
-        return idealised_torso(mesh, body.build, body.pose)
+        return idealised_torso(mesh, body.size if body.size is not None else BodySize(), body.pose)
     return read_torso_surfaces(Path(body.torso), body.lungs, mesh)
-
-
-def _electrodes(body: Body, surfaces: TorsoSurfaces | None) -> NDArray[np.float64]:
-    if body.electrodes is not None:
-        return read_electrodes(body.electrodes)
-    if surfaces is None or surfaces.electrodes is None:
-        raise ValueError("only the idealised torso has places for electrodes")
-    return surfaces.electrodes

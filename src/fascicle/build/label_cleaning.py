@@ -1,24 +1,20 @@
-"""Borders between the labels of a surface: clean loops, without islands, teeth and pinches."""
+"""Labels of a surface whose borders are clean loops."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.heart.labelled_surface import BASAL, Label
-from fascicle.mesh.measures import triangle_normals
-from fascicle.mesh.topology import interior_edges
+from fascicle.mesh.measures import edge_lengths, triangle_areas, triangle_normals, unit
+from fascicle.mesh.topology import components_of, interior_edges
 
 ENDOCARDIAL = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-ISLAND = 0.05  # of the area with this label; smaller pieces apart from the rest are mistakes
+SMALL = 0.05  # of the area with this label; smaller pieces apart from the rest are mistakes
 ROUNDS = 20  # of cleaning; each leaves less to do, and real surfaces need two or three
 
 
-def labels_from_points(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], at_points: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integers) -> Integers:
     """Labels of triangles from those of their corners.
 
     Whether the points on the edge of the base are labelled as base or as what lies below differs
@@ -48,37 +44,32 @@ def labels_from_points(
     return min(candidates, key=lambda labels: _border_cost(vertices, triangles, labels))
 
 
-def _commonest(corners: NDArray[np.int64], counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _commonest(corners: Integers, counted: Booleans) -> Integers:
     """The label that most of the counted corners have, the lowest of equals, shape (m,)."""
     kinds = np.array(sorted(Label), dtype=np.int64)
     votes = ((corners[:, :, None] == kinds) & counted[:, :, None]).sum(axis=1)
     return np.asarray(kinds[votes.argmax(axis=1)])
 
 
-def _border_cost(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], labels: NDArray[np.int64]
-) -> tuple[float, float]:
+def _border_cost(vertices: Floats, triangles: Integers, labels: Integers) -> tuple[float, float]:
     """Length of border from endocardium to epicardium, and bluntness of the base's borders."""
     edges, across, _ = interior_edges(triangles)
     one, other = labels[across].T
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    length = edge_lengths(vertices, edges)
     touch = (one != other) & ~np.isin(one, BASAL) & ~np.isin(other, BASAL)
     rim = np.isin(one, BASAL) != np.isin(other, BASAL)
-    normals = triangle_normals(vertices, triangles)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals = unit(triangle_normals(vertices, triangles))
     cosine = np.einsum("ij,ij->i", normals[across[:, 0]], normals[across[:, 1]])
     return float(length[touch].sum()), float((cosine * length)[rim].sum() / length[rim].sum())
 
 
-def cleaned_labels(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], labels: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Labels without small islands, teeth and pinches.
+def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> Integers:
+    """Labels without small components, spurs and non-manifold vertices.
 
-    An island, a piece with less than a twentieth of its label's area, takes the label that it
-    borders on longest; a basal one only if it borders on one label alone, since an annulus may be
-    small. A tooth, a triangle with two neighbours of the base, becomes base, and so do the
-    triangles around a vertex where an endocardium touches itself.
+    A component with less than a twentieth of its label's area takes the label that it borders on
+    longest; a basal one only if it borders on one label alone, since an annulus may be small. A
+    spur, a triangle with two neighbours of the base, becomes base, and so do the triangles around a
+    vertex where an endocardium touches itself.
 
     Parameters
     ----------
@@ -88,30 +79,27 @@ def cleaned_labels(
         A `Label` for each triangle.
     """
     edges, across, _ = interior_edges(triangles)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    area = np.linalg.norm(triangle_normals(vertices, triangles), axis=1)
+    length = edge_lengths(vertices, edges)
+    area = triangle_areas(vertices, triangles)
     labels = labels.copy()
     for _ in range(ROUNDS):
         before = labels.copy()
-        _drown_islands(labels, across, length, area)
-        _cut_teeth(labels, across)
+        _remove_small_components(labels, across, length, area)
+        _remove_spurs(labels, across)
         for label in ENDOCARDIAL:
-            _open_pinches(labels, triangles, edges, across, label)
+            _split_non_manifold_vertices(labels, triangles, edges, across, label)
         if (labels == before).all():
             break
     return labels
 
 
-def _drown_islands(
-    labels: NDArray[np.int64],
-    across: NDArray[np.int64],
-    length: NDArray[np.float64],
-    area: NDArray[np.float64],
+def _remove_small_components(
+    labels: Integers, across: Integers, length: Floats, area: Floats
 ) -> None:
     """Give small pieces the label around them, in place."""
     same = labels[across[:, 0]] == labels[across[:, 1]]
-    graph = coo_array((np.ones(same.sum()), across[same].T), shape=(len(labels),) * 2)
-    count, piece = connected_components(graph, directed=False)
+    piece = components_of(across[same], len(labels))
+    count = piece.max() + 1
     of_piece = np.zeros(count, dtype=np.int64)
     of_piece[piece] = labels
     areas = np.bincount(piece, area, count)
@@ -120,12 +108,12 @@ def _drown_islands(
     for here, there in ((0, 1), (1, 0)):
         rows = across[~same]
         np.add.at(border, (piece[rows[:, here]], labels[rows[:, there]]), length[~same])
-    islands = (areas < ISLAND * whole[of_piece]) & border.any(axis=1)
-    islands &= ~np.isin(of_piece, BASAL) | ((border > 0).sum(axis=1) == 1)
-    labels[:] = np.where(islands, border.argmax(axis=1), of_piece)[piece]
+    small = (areas < SMALL * whole[of_piece]) & border.any(axis=1)
+    small &= ~np.isin(of_piece, BASAL) | ((border > 0).sum(axis=1) == 1)
+    labels[:] = np.where(small, border.argmax(axis=1), of_piece)[piece]
 
 
-def _cut_teeth(labels: NDArray[np.int64], across: NDArray[np.int64]) -> None:
+def _remove_spurs(labels: Integers, across: Integers) -> None:
     """Give triangles that reach into the base with two edges its label, in place."""
     for label in BASAL:
         around = np.zeros(len(labels), dtype=np.int64)
@@ -134,12 +122,8 @@ def _cut_teeth(labels: NDArray[np.int64], across: NDArray[np.int64]) -> None:
         labels[(around >= 2) & ~np.isin(labels, BASAL)] = label
 
 
-def _open_pinches(
-    labels: NDArray[np.int64],
-    triangles: NDArray[np.int64],
-    edges: NDArray[np.int64],
-    across: NDArray[np.int64],
-    label: Label,
+def _split_non_manifold_vertices(
+    labels: Integers, triangles: Integers, edges: Integers, across: Integers, label: Label
 ) -> None:
     """Give the triangles around a vertex where the border passes twice another label, in place."""
     inside = labels[across] == label

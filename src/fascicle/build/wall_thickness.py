@@ -1,4 +1,4 @@
-"""The walls of the ventricles: how thick they are, and which ventricle is which."""
+"""How thick the walls of the ventricles are."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
-from fascicle.mesh.topology import boundary_loops
 
 # How thick a layer of regular tetrahedra of edge length 1 is that lie as flat as they can, between
 # two opposite edges.
@@ -20,7 +18,7 @@ LAYERS = 2.0  # that the wall must have room for
 
 
 @dataclass(frozen=True)
-class Wall:
+class WallThickness:
     """The thickness of one wall.
 
     Attributes
@@ -31,8 +29,8 @@ class Wall:
         The distance from each to the other side of the wall (mm).
     """
 
-    vertices: NDArray[np.int64]
-    thickness: NDArray[np.float64]
+    vertices: Integers
+    thickness: Floats
 
     @property
     def median(self) -> float:
@@ -44,9 +42,9 @@ class Wall:
 class Walls:
     """The free wall of the left ventricle, the septum, and the free wall of the right one."""
 
-    lv: Wall
-    septum: Wall
-    rv: Wall
+    lv: WallThickness
+    septum: WallThickness
+    rv: WallThickness
 
 
 def wall_thickness(body: LabelledSurface | LabelledMesh) -> Walls:
@@ -73,15 +71,13 @@ def wall_thickness(body: LabelledSurface | LabelledMesh) -> Walls:
     )
     is_septum, is_free = across < outwards, rv_outwards <= rv_across
     return Walls(
-        lv=Wall(of_left[~is_septum], outwards[~is_septum]),
-        septum=Wall(of_left[is_septum], across[is_septum]),
-        rv=Wall(of_right[is_free], rv_outwards[is_free]),
+        lv=WallThickness(of_left[~is_septum], outwards[~is_septum]),
+        septum=WallThickness(of_left[is_septum], across[is_septum]),
+        rv=WallThickness(of_right[is_free], rv_outwards[is_free]),
     )
 
 
-def _distances(
-    vertices: NDArray[np.float64], at: NDArray[np.int64], to: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _distances(vertices: Floats, at: Integers, to: Integers) -> Floats:
     squared, _, _ = igl.point_mesh_squared_distance(vertices[at], vertices, to)
     return np.asarray(np.sqrt(squared))
 
@@ -90,8 +86,17 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
     """Refuse an edge length for which the walls are too thin.
 
     The median thickness of each wall must have room for two layers of tetrahedra even where they
-    lie as flat as they can (an edge length over √2 each). By the median a few thin places, as
-    there are at the apex and next to the base, refuse nothing.
+    lie as flat as they can (an edge length over √2 each). As medians count, a few thin places do
+    not matter, such as those at the apex and next to the base.
+
+    Parameters
+    ----------
+    walls : Walls
+        Their thickness.
+    edge_length : float
+        Of the tetrahedra (mm).
+    name : str
+        What to call the heart in messages.
 
     Raises
     ------
@@ -112,41 +117,3 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
             f"{there[thinnest]:.2g} mm thick (median): fewer than two elements fit across; give "
             f"{np.floor(largest * 100) / 100:.2f} mm or less"
         )
-
-
-def check_not_swapped(surface: LabelledSurface | LabelledMesh) -> None:
-    """Refuse a body whose left and right endocardium have each other's label.
-
-    The left ventricle has the thicker free wall and the rounder cavity: the right one is bent
-    around it. Where both say the opposite of the labels these are swapped. One alone does not
-    refuse: a hypertrophied right ventricle has a thick wall, and a dilated one is round.
-
-    Raises
-    ------
-    InputError
-        With both thicknesses and roundnesses.
-    """
-    walls = wall_thickness(surface)
-    left, right = (
-        _convexity(surface.vertices, surface.having(label))
-        for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-    )
-    if walls.lv.median < walls.rv.median and left < right:
-        raise InputError(
-            f"{surface.name}: LV and RV endocardium seem to be swapped: the wall around the one "
-            f"labelled LV is {walls.lv.median:.1f} mm thick and its cavity fills {left:.0%} of its "
-            f"convex hull, for RV {walls.rv.median:.1f} mm and {right:.0%}; exchange the two labels"
-        )
-
-
-def _convexity(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
-    """The share of its convex hull that a cavity fills, its openings closed by fans."""
-    closed = [triangles]
-    points = [vertices]
-    for loop in boundary_loops(triangles):
-        centre = len(vertices) + len(points) - 1
-        points.append(vertices[loop].mean(axis=0, keepdims=True))
-        closed.append(np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), centre)]))
-    a, b, c = np.concatenate(points)[np.concatenate(closed)].transpose(1, 0, 2)
-    volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6))
-    return volume / float(ConvexHull(vertices[np.unique(triangles)]).volume)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fascicle.build.classification.ambient_occlusion import Patchwork, unit
+from fascicle.build.classification.dual_graph import DualGraph
+from fascicle.core.arrays import Floats, Integers
+from fascicle.mesh.measures import unit
 
 REACH = 10.0  # mm along the edge of an opening over which its direction is taken
 FARTHEST = 50.0  # mm from an opening to which the base may reach
 
 
-def local_up(patchwork: Patchwork, regions: NDArray[np.int64]) -> NDArray[np.float64]:
+def cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
     """Cosine between each triangle's normal and the way up out of the wall.
 
     Up is normal to the plane of the nearest opening and, since rims undulate, to the opening's
@@ -20,7 +21,7 @@ def local_up(patchwork: Patchwork, regions: NDArray[np.int64]) -> NDArray[np.flo
 
     Parameters
     ----------
-    patchwork : Patchwork
+    graph : DualGraph
         The closed surface.
     regions : (m,) array
         0 and 1 in the cavities, 2 outside them.
@@ -30,21 +31,21 @@ def local_up(patchwork: Patchwork, regions: NDArray[np.int64]) -> NDArray[np.flo
     (m,) array
         Cosines; -1 farther than `FARTHEST` from both openings.
     """
-    sides = regions[patchwork.edges[0]]
-    middle = patchwork.vertices[patchwork.edges[1]].mean(axis=1)
+    sides = regions[graph.edges[0]]
+    middle = graph.vertices[graph.edges[1]].mean(axis=1)
     edges, directions = [], []
     for cavity in (0, 1):
         edge = middle[(sides == cavity).sum(axis=1) == 1]
-        inside = patchwork.centres[regions == cavity].mean(axis=0)
+        inside = graph.centres[regions == cavity].mean(axis=0)
         edges.append(edge)
         directions.append(_upwards(edge, inside))
-    distance, nearest = cKDTree(np.vstack(edges)).query(patchwork.centres)
+    distance, nearest = cKDTree(np.vstack(edges)).query(graph.centres)
     up = np.vstack(directions)[nearest]
-    cosine = np.einsum("ij,ij->i", patchwork.smooth_normals, up)
+    cosine = np.einsum("ij,ij->i", graph.smooth_normals, up)
     return np.where(distance > FARTHEST, -1.0, cosine)
 
 
-def _upwards(edge: NDArray[np.float64], inside: NDArray[np.float64]) -> NDArray[np.float64]:
+def _upwards(edge: Floats, inside: Floats) -> Floats:
     """Unit vectors up out of the wall at the points of an opening's edge."""
     centre = edge.mean(axis=0)
     normal = np.linalg.svd(edge - centre, full_matrices=False)[2][2]

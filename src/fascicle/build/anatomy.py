@@ -1,0 +1,90 @@
+"""The files that a heart is built from, and the labelled mesh that they become."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import LabelledMesh
+
+PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
+OPTIONS = {"numbers": "--labels", "array": "--label-array", "labels_file": "--labels-file"}
+
+
+@dataclass(frozen=True)
+class Source:
+    """The files that a heart is built from.
+
+    Attributes
+    ----------
+    file : Path or None
+        A closed surface, a segmentation or a tetrahedral mesh; None if there are parts.
+    parts : mapping of str to Path
+        Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
+    numbers : mapping of str to int, optional
+        Which number in the file stands for what.
+    array : str, optional
+        The array of labels.
+    labels_file : Path, optional
+        Labels of a surface whose file holds none.
+    """
+
+    file: Path | None
+    parts: Mapping[str, Path] = field(default_factory=dict)
+    numbers: Mapping[str, int] | None = None
+    array: str | None = None
+    labels_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        if (self.file is None) == (not self.parts):
+            raise InputError(
+                "give either one file (surface, segmentation or mesh) or separate surfaces "
+                "(--lv-endocardium, --rv-endocardium, --epicardium)"
+            )
+        missing = [part for part in PARTS[:3] if self.parts and part not in self.parts]
+        if missing:
+            raise InputError(
+                f"separate surfaces: {', '.join(missing)} missing; give all of --lv-endocardium, "
+                "--rv-endocardium and --epicardium"
+            )
+
+    def check_unused(self, what: str, *names: str) -> None:
+        """Refuse options that would do nothing for this kind of anatomy."""
+        for name in names:
+            if getattr(self, name) is not None:
+                raise InputError(f"{OPTIONS[name]} says nothing about {what}; leave it out")
+
+    @property
+    def name(self) -> str:
+        """What to call it: the file without its endings."""
+        path = self.file if self.file is not None else self.parts["epicardium"].resolve().parent
+        return path.name.split(".")[0] or "heart"
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """A labelled mesh, and what else its files say.
+
+    Attributes
+    ----------
+    mesh : LabelledMesh
+        Tetrahedra and their labelled boundary; labels are 0 as long as they are not known.
+    fibres, sheets : (m, 3) array, optional
+        Unit directions, where the source has them.
+    notes : tuple of str
+        What was decided on the way, for people.
+    guessed : bool
+        Whether the labels were found from the shape, so that they should be looked at.
+    own_mesh : bool
+        Whether the tetrahedra are the source's own.
+    """
+
+    mesh: LabelledMesh
+    fibres: Floats | None = None
+    sheets: Floats | None = None
+    notes: tuple[str, ...] = ()
+    guessed: bool = False
+    own_mesh: bool = False
