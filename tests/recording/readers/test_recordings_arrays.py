@@ -488,6 +488,7 @@ fuzz = fuzzing(25)  # each starts a process
 flips = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=8)
 
 
+@pytest.mark.slow
 class TestFuzz:
     @pytest.fixture(autouse=True)
     def short(self, monkeypatch):
