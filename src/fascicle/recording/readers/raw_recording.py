@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
-from fascicle.recording.limb_leads import derive_limb_leads
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
 from fascicle.recording.readers.read_options import ReadOptions
-from fascicle.recording.recording import Filters, Recording, check_extent
+from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
 
 
 @dataclass(frozen=True)
