@@ -249,12 +249,3 @@ def test_a_heart_that_is_partly_silent_is_drawn_and_a_wholly_silent_one_refused(
     assert len(activation_figure(heart, [ActivationRow("blocked", activation)]).axes) == 5
     with pytest.raises(InputError, match="ever activated"):
         activation_figure(heart, [ActivationRow("none", np.full(len(activation), np.inf))])
-
-
-def test_times_of_another_mesh_are_refused(heart):
-    with pytest.raises(
-        InputError, match=r"row 'x': times of shape \(3,\); the heart needs \(\d+,\)"
-    ):
-        activation_figure(heart, [ActivationRow("x", np.zeros(3))])
-    with pytest.raises(InputError, match="at least one row"):
-        activation_figure(heart, [])

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.recording.target import Target
-from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TICK_SIZE, finish_axes
+from fascicle.report import style
 
 ROWS = 3  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 EARLIER, LATER = 80.0, 120.0  # ms that are shown about the QRS window
@@ -52,11 +52,11 @@ def draw_beats(panels: Sequence[Axes], target: Target) -> None:
         else:
             axes.text(
                 0.5, 0.5, "not used", transform=axes.transAxes, ha="center", va="center",
-                fontsize=TICK_SIZE, color=GREY,
+                fontsize=style.TICK_SIZE, color=style.GREY,
             )  # fmt: skip
         axes.text(
-            0.02, 0.96, LEADS[lead], transform=axes.transAxes, va="top", fontsize=LABEL_SIZE,
-            fontweight="bold", color=BLACK if target.used[lead] else GREY,
+            0.02, 0.96, LEADS[lead], transform=axes.transAxes, va="top", fontsize=style.LABEL_SIZE,
+            fontweight="bold", color=style.BLACK if target.used[lead] else style.GREY,
         )  # fmt: skip
         axes.set(xlim=(start, stop), ylim=(low, high))
         _set_ticks(axes, lead)
@@ -74,8 +74,8 @@ def panel_handles(target: Target) -> list[tuple[Any, str]]:  # Matplotlib has no
     """What a legend of the panels shows: an artist and its text each."""
     drawn, count = len(drawn_beats(target)), len(target.beats)
     beats = f"{drawn} of {count} beats" if drawn < count else f"{count} beats"
-    band = Patch(color=BLUE, alpha=BAND_OPACITY, linewidth=0)
-    mean = Line2D([], [], color=BLACK, linewidth=1.3)
+    band = Patch(color=style.BLUE, alpha=BAND_OPACITY, linewidth=0)
+    mean = Line2D([], [], color=style.BLACK, linewidth=1.3)
     if target.noise is not None:
         noise = f"± {target.noise:.3g} mV, noise as stated"
         handles: list[tuple[Any, str]] = [
@@ -84,8 +84,8 @@ def panel_handles(target: Target) -> list[tuple[Any, str]]:  # Matplotlib has no
     else:
         handles = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
     if count > 1:
-        handles.insert(0, (Line2D([], [], color=BLUE, linewidth=0.6), beats))
-    handles.append((Patch(facecolor=WINDOW, edgecolor=BLACK, linewidth=0.6), "QRS window"))
+        handles.insert(0, (Line2D([], [], color=style.BLUE, linewidth=0.6), beats))
+    handles.append((Patch(facecolor=WINDOW, edgecolor=style.BLACK, linewidth=0.6), "QRS window"))
     if target.onset_sd > 0 or target.offset_sd > 0:
         handles.append((Patch(color=UNCERTAIN, linewidth=0), "its ends ± 1 SD"))
     return handles
@@ -111,24 +111,24 @@ def _draw_window(axes: Axes, target: Target) -> None:
     ):  # fmt: skip
         if spread > 0:
             axes.axvspan(end - spread, end + spread, color=UNCERTAIN, linewidth=0, zorder=0.3)
-        axes.axvline(end, color=BLACK, linewidth=0.7, zorder=1.5)
+        axes.axvline(end, color=style.BLACK, linewidth=0.7, zorder=1.5)
 
 
 def _draw_lead(axes: Axes, target: Target, lead: int, mean: Floats, spread: Floats) -> None:
     drawn = drawn_beats(target)
     axes.fill_between(
-        target.time, mean - spread, mean + spread, color=BLUE, alpha=BAND_OPACITY, linewidth=0
+        target.time, mean - spread, mean + spread, color=style.BLUE, alpha=BAND_OPACITY, linewidth=0
     )
     if len(target.beats) > 1:
         axes.add_collection(
             LineCollection(
                 [np.stack([target.time, beat], axis=1) for beat in target.beats[drawn, lead]],
-                colors=BLUE, linewidths=0.45 if len(drawn) <= FEW else 0.25,
+                colors=style.BLUE, linewidths=0.45 if len(drawn) <= FEW else 0.25,
                 alpha=0.8 if len(drawn) <= FEW else 0.5, zorder=1.8,
             ),
             autolim=False,
         )  # fmt: skip
-    axes.plot(target.time, mean, color=BLACK, linewidth=1.1)
+    axes.plot(target.time, mean, color=style.BLACK, linewidth=1.1)
 
 
 def _set_ticks(axes: Axes, lead: int) -> None:
@@ -140,8 +140,8 @@ def _set_ticks(axes: Axes, lead: int) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes.grid(which="both", color="#EBD9D6", linewidth=0.4)
     axes.set_axisbelow(True)
-    finish_axes(axes)
-    axes.tick_params(labelsize=TICK_SIZE - 1, pad=2)
+    style.finish_axes(axes)
+    axes.tick_params(labelsize=style.TICK_SIZE - 1, pad=2)
     axes.tick_params(which="minor", length=0)
     axes.tick_params(labelleft=lead < ROWS, labelbottom=lead % ROWS == ROWS - 1)
 
@@ -152,5 +152,5 @@ def _name_ends(axes: Axes, target: Target) -> None:
         axes.annotate(
             f"{end:.0f}".replace("-", "\N{MINUS SIGN}"), (end, 1.0),
             xycoords=axes.get_xaxis_transform(), xytext=(0, 1.5), textcoords="offset points",
-            ha=side, va="bottom", fontsize=TICK_SIZE - 1, color=BLACK,
+            ha=side, va="bottom", fontsize=style.TICK_SIZE - 1, color=style.BLACK,
         )  # fmt: skip

@@ -12,7 +12,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat
 from fascicle.recording.target import SAMPLING_STEP
-from fascicle.report.figures import BLACK, GREY, TICK_SIZE
+from fascicle.report import style
 
 SHOWN = 10.0  # s
 PACE = 19.0  # mm/s; ten seconds then fill a page of A4
@@ -91,7 +91,12 @@ def draw_strip(
     _number(axes, shown, colours, letters=len(analysis.classes) > 1)
     spikes = analysis.spikes[(analysis.spikes >= start) & (analysis.spikes < start + SHOWN)]
     axes.vlines(
-        spikes, 0.6 - rows[-1], SPIKE_ROW - rows[-1], color=BLACK, linewidth=0.8, label="spikes"
+        spikes,
+        0.6 - rows[-1],
+        SPIKE_ROW - rows[-1],
+        color=style.BLACK,
+        linewidth=0.8,
+        label="spikes",
     )
     return gain, cut
 
@@ -174,14 +179,14 @@ def _draw_grid(axes: Axes, start: float, height: float) -> None:
     seconds = start + np.arange(SHOWN + 1)
     axes.set_xticks(seconds, [f"{second:g}" for second in seconds[:-1]] + [f"{seconds[-1]:g} s"])
     axes.get_xticklabels()[-1].set_horizontalalignment("right")
-    axes.tick_params(labelsize=TICK_SIZE - 1, width=0.5, length=2, pad=1.5)
+    axes.tick_params(labelsize=style.TICK_SIZE - 1, width=0.5, length=2, pad=1.5)
 
 
 def _draw_traces(
     axes: Axes, time: Floats, traces: Floats, analysis: Analysis, colours: Mapping[str, str]
 ) -> None:
     """Each lead as one line per colour, with gaps where another one goes on."""
-    shades = np.full(len(time), GREY, dtype=object)
+    shades = np.full(len(time), style.GREY, dtype=object)
     following = [beat.time - BEFORE for beat in analysis.beats[1:]] + [np.inf]
     for beat, end in zip(analysis.beats, following, strict=True):
         stretch = slice(*np.searchsorted(time, (beat.time - BEFORE, min(beat.time + AFTER, end))))
@@ -199,8 +204,8 @@ def _name_leads(axes: Axes, analysis: Analysis, baselines: Floats, signal: Float
     for lead, baseline in enumerate(baselines):
         axes.annotate(
             LEADS[lead], (0.0, baseline), xycoords=axes.get_yaxis_transform(), xytext=(-3, 0),
-            textcoords="offset points", ha="right", va="center", fontsize=TICK_SIZE,
-            fontweight="bold", color=BLACK if recorded[lead] else GREY,
+            textcoords="offset points", ha="right", va="center", fontsize=style.TICK_SIZE,
+            fontweight="bold", color=style.BLACK if recorded[lead] else style.GREY,
         )  # fmt: skip
         if np.isfinite(signal[lead]).any():
             continue
@@ -209,7 +214,15 @@ def _name_leads(axes: Axes, analysis: Analysis, baselines: Floats, signal: Float
             samples = np.flatnonzero(np.isfinite(analysis.signal[lead]))[[0, -1]]
             begin, end = samples * SAMPLING_STEP / 1000.0
             word = f"recorded from {begin:.1f} to {end:.1f} s"
-        axes.text(middle, baseline, word, ha="center", va="center", fontsize=TICK_SIZE, color=GREY)
+        axes.text(
+            middle,
+            baseline,
+            word,
+            ha="center",
+            va="center",
+            fontsize=style.TICK_SIZE,
+            color=style.GREY,
+        )
 
 
 def _number(

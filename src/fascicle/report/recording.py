@@ -13,9 +13,10 @@ from matplotlib.lines import Line2D
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, BeatClass
+from fascicle.report import style
 from fascicle.report.beat_panels import ROWS, draw_beats, panel_handles
 from fascicle.report.ecg_paper import PACE, PAPER_GAIN, PAPER_PACE, SHOWN, draw_strip, strip_start
-from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, new_figure
+from fascicle.report.figures import new_figure
 from fascicle.report.fitted_text import shortened, wrapped
 
 MM = 1 / 25.4  # inch
@@ -73,17 +74,17 @@ def recording_figure(analysis: Analysis) -> Figure:
 def class_colours(analysis: Analysis) -> dict[str, str]:
     """Colour of each class: blue for the chosen one, grey where the others run out."""
     others = [known.label for known in analysis.classes if known.label != analysis.chosen]
-    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], GREY)
-    return colours | dict(zip(others, OTHER_COLOURS, strict=False)) | {analysis.chosen: BLUE}
+    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], style.GREY)
+    return colours | dict(zip(others, OTHER_COLOURS, strict=False)) | {analysis.chosen: style.BLUE}
 
 
 def _head(figure: Figure, analysis: Analysis) -> float:
     """Name, measures and warnings; returns how far down (mm) they reach."""
     name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
-    size = TITLE_SIZE + 1
+    size = style.TITLE_SIZE + 1
     name = shortened(name, size, TEXT_WIDTH, "bold")
     _write(figure, TEXT_LEFT, 10.0, name, size=size, weight="bold")
-    _write(figure, TEXT_LEFT, 15.0, _measures_text(analysis), size=LABEL_SIZE)
+    _write(figure, TEXT_LEFT, 15.0, _measures_text(analysis), size=style.LABEL_SIZE)
     warnings = _warning_lines(analysis)
     for k, line in enumerate(warnings):
         _write(figure, TEXT_LEFT, 19.5 + k * LINE, line)
@@ -142,12 +143,12 @@ def _class_legend(
     rest = [known for known in analysis.classes if known not in named]
     if rest:
         count = sum(known.count for known in rest)
-        handles.append((_line(GREY, 2.2), f"{len(rest)} more classes, {count} beats"))
-    handles.append((_number_mark(BLUE), "filled number: beat used"))
+        handles.append((_line(style.GREY, 2.2), f"{len(rest)} more classes, {count} beats"))
+    handles.append((_number_mark(style.BLUE), "filled number: beat used"))
     if not all(beat.used for beat in analysis.beats):
         handles.append((_number_mark("white"), "hollow number: beat not used"))
     if len(analysis.spikes):
-        mark = Line2D([], [], color=BLACK, linestyle="none", marker="|", markersize=5)
+        mark = Line2D([], [], color=style.BLACK, linestyle="none", marker="|", markersize=5)
         handles.append((mark, "pacing spike"))
     room = TEXT_WIDTH / LEGEND_COLUMNS - 12.0  # mm, less the mark and the gaps
     handles = [(mark, shortened(text, SMALL, room)) for mark, text in handles]
@@ -167,7 +168,7 @@ def _line(colour: str, width: float) -> Line2D:
 def _number_mark(fill: str) -> Line2D:
     return Line2D(
         [], [], linestyle="none", marker="s", markersize=5.5, markerfacecolor=fill,
-        markeredgecolor=BLUE, markeredgewidth=0.7,
+        markeredgecolor=style.BLUE, markeredgewidth=0.7,
     )  # fmt: skip
 
 
@@ -236,9 +237,9 @@ def _axes(figure: Figure, left: float, top: float, width: float, height: float) 
     )
 
 
-def _write(figure: Figure, left: float, base: float, text: str, **style: Any) -> None:
+def _write(figure: Figure, left: float, base: float, text: str, **looks: Any) -> None:
     """Text at a place in mm from the upper left corner of the page; a $ is a $."""
-    chosen: dict[str, Any] = {"size": SMALL, "color": BLACK, "parse_math": False} | style
+    chosen: dict[str, Any] = {"size": SMALL, "color": style.BLACK, "parse_math": False} | looks
     figure.text(left / PAGE_WIDTH, 1 - base / PAGE_HEIGHT, text, **chosen)
 
 
