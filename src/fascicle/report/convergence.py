@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -94,8 +95,8 @@ def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
 
 def stage_runs(stages: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Name, first and last evaluation (counted from 1) of each stretch of one stage."""
-    first = 0
-    for index in range(1, len(stages) + 1):
-        if index == len(stages) or stages[index] != stages[first]:
-            yield stages[first], first + 1, index
-            first = index
+    first = 1
+    for name, run in groupby(stages):
+        last = first + len(list(run)) - 1
+        yield name, first, last
+        first = last + 1

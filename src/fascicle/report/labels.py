@@ -8,8 +8,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import NEEDED, Label, LabelledMesh, LabelledSurface
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import triangle_areas
 from fascicle.mesh.topology import boundary_loops
 from fascicle.report import style
@@ -59,18 +58,7 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
     Figure
         The views of `VIEWS`, all in one scale, in which every label has a colour; the legend gives
         the area of each. The front is where it is if LV and RV are labelled rightly.
-
-    Raises
-    ------
-    InputError
-        If one of the labels is missing, or an endocardium is not open.
     """
-    for label in NEEDED:
-        if not (surface.labels == label).any():
-            raise InputError(
-                f"{surface.name}: no triangle is labelled {NAMES[label]} ({label.value}); label "
-                "the whole surface"
-            )
     views = _views(surface)
     shown = surface.vertices[np.unique(surface.triangles)]
     boxes = [view.box(shown) for view in views]
@@ -104,12 +92,7 @@ def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
 def _views(surface: LabelledSurface | LabelledMesh) -> list[View]:
     """Cameras in the frame of the left cavity's opening and apex and of the right cavity."""
     left_cavity, right_cavity = (surface.having(label) for label in ENDOCARDIA)
-    loops = boundary_loops(left_cavity)
-    if not loops:
-        raise InputError(
-            f"{surface.name}: the LV endocardium is closed; label the base, where it is open"
-        )
-    opening = surface.vertices[max(loops, key=len)].mean(axis=0)
+    opening = surface.vertices[max(boundary_loops(left_cavity), key=len)].mean(axis=0)
     wall = surface.vertices[np.unique(left_cavity)]
     apex = wall[np.argmax(np.linalg.norm(wall - opening, axis=1))]
     towards_left = wall.mean(axis=0) - surface.vertices[np.unique(right_cavity)].mean(axis=0)

@@ -18,7 +18,7 @@ SIZE = (6.0, 4.2)  # inch
 PAIR_LINE, MEDIAN_LINE, DOT = 0.6, 2.5, 4.5  # points
 MEDIAN_BAR = (0.06, 0.24)  # from the dots outwards, of the distance between before and after
 SIDE_ROOM = 0.4  # beside the dots
-INTERVAL = (5.0, 95.0)  # percentiles given with the median change
+PERCENTILES = (5.0, 50.0, 95.0)  # of the change
 
 
 def pacing_figure(pacing: Pacing, labels: tuple[str, str]) -> Figure:
@@ -66,18 +66,13 @@ def _draw_pairs(axes: Axes, pairs: Floats) -> None:
         bar = position + np.array(MEDIAN_BAR) * (1 if position else -1)
         axes.plot(bar, [np.nanmedian(values)] * 2, color=colour, linewidth=MEDIAN_LINE)
     change = pairs[1] - pairs[0]
-    low, high = np.nanpercentile(change, INTERVAL)
+    low, middle, high = (
+        style.whole(value, signed=True) for value in np.nanpercentile(change, PERCENTILES)
+    )
     axes.set_title(
-        f"median change {_signed(float(np.nanmedian(change)))} ms\n"
-        f"(5–95 %: {_signed(float(low))} to {_signed(float(high))} ms)",
+        f"median change {middle} ms\n(5–95 %: {low} to {high} ms)",
         fontsize=style.TICK_SIZE, color=style.BLACK,
     )  # fmt: skip
     axes.set_xlim(-SIDE_ROOM, 1 + SIDE_ROOM)
     axes.grid(axis="y", color="#EAEAEA", linewidth=PAIR_LINE)
     axes.set_axisbelow(True)
-
-
-def _signed(change: float) -> str:
-    """Write a whole number with a true minus sign; no sign on zero."""
-    whole = round(change)
-    return "0" if whole == 0 else f"{whole:+d}".replace("-", "−")

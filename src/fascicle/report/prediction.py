@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, atomic_path, write_text
 from fascicle.core.leads import LEADS
@@ -66,16 +67,17 @@ def write_pacing(
     return pacing
 
 
+def _durations(pacing: Pacing) -> dict[str, Floats]:
+    return {
+        "qrs_duration_before_ms": pacing.qrs_before,
+        "qrs_duration_after_ms": pacing.qrs_after,
+        "total_activation_time_before_ms": pacing.tat_before,
+        "total_activation_time_after_ms": pacing.tat_after,
+    }
+
+
 def _table(pacing: Pacing) -> str:
-    table = pd.DataFrame(
-        {
-            "qrs_duration_before_ms": pacing.qrs_before,
-            "qrs_duration_after_ms": pacing.qrs_after,
-            "total_activation_time_before_ms": pacing.tat_before,
-            "total_activation_time_after_ms": pacing.tat_after,
-        },
-        [f"{k:02d}" for k in range(len(pacing.after))],
-    )
+    table = pd.DataFrame(_durations(pacing), [f"{k:02d}" for k in range(len(pacing.after))])
     return str(table.to_csv(index_label="network", float_format="%.2f", lineterminator="\n"))
 
 
@@ -83,10 +85,7 @@ def _summary(pacing: Pacing, root_time: float) -> dict[str, object]:
     return {
         "root_time_ms": root_time,
         "networks": len(pacing.after),
-        "qrs_duration_before_ms": spread(pacing.qrs_before),
-        "qrs_duration_after_ms": spread(pacing.qrs_after),
-        "total_activation_time_before_ms": spread(pacing.tat_before),
-        "total_activation_time_after_ms": spread(pacing.tat_after),
+        **{name: spread(durations) for name, durations in _durations(pacing).items()},
         "activation_maps": {name: f"network {k:02d}" for name, k in pacing.extremes().items()},
     }
 

@@ -170,13 +170,11 @@ def paint(
     if alpha < 1:
         faces = np.column_stack([faces, np.full(len(faces), alpha)])
     polygons = list(view.project(vertices[triangles[order]])[..., :2])
-    add_polygons(axes, polygons, faces, hairline=alpha == 1)
+    add_polygons(axes, polygons, faces)
 
 
-def add_polygons(
-    axes: Axes, polygons: Sequence[Floats], colours: Floats, *, hairline: bool = True
-) -> None:
-    """Draw polygons in the order given.
+def add_polygons(axes: Axes, polygons: Sequence[Floats], colours: Floats) -> None:
+    """Draw polygons in the order given; opaque ones are joined by a hairline.
 
     Parameters
     ----------
@@ -185,11 +183,9 @@ def add_polygons(
     polygons : sequence of (p, 2) arrays
         Corners (mm).
     colours : (k, 3) or (k, 4) array
-        Of each.
-    hairline : bool
-        Whether neighbours are joined by a hairline, which transparent ones cannot be.
+        Red, green, blue and, of transparent ones, opacity of each.
     """
-    edges = colours if hairline else "none"
+    edges = colours if colours.shape[1] == 3 else "none"
     collection = PolyCollection(
         list(polygons), facecolors=colours, edgecolors=edges, linewidths=HAIRLINE, rasterized=True
     )

@@ -69,6 +69,12 @@ def write_in(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
     axes.text(x, y, text, transform=axes.transAxes, **(defaults | style))
 
 
+def whole(value: float, *, signed: bool = False) -> str:
+    """Write a rounded number with a true minus sign; `signed` also gives a plus, but none to 0."""
+    rounded = round(value)
+    return f"{rounded:{'+' if signed and rounded else ''}d}".replace("-", "\N{MINUS SIGN}")
+
+
 def scale_bar(axes: Axes, length: float, *, below: bool = False) -> None:
     """Draw a bar at the lower left.
 
