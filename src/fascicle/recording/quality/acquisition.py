@@ -41,10 +41,8 @@ def check_extent_in_time(recording: Recording) -> list[Finding]:
 def check_filters(recording: Recording) -> list[Finding]:
     """Say what the filters that the file names do to the QRS.
 
-    Returns
-    -------
-    list of Finding
-        Low-pass, high-pass and notch (Hz); NaN where the file does not say, which is fine.
+    The figures are the low-pass, high-pass and notch (Hz); NaN where the file does not say, which
+    is fine.
 
     References
     ----------
@@ -80,10 +78,7 @@ def _or_nan(value: float | None) -> float:
 def check_resolution(recording: Recording) -> list[Finding]:
     """Find leads that were stored too coarsely.
 
-    Returns
-    -------
-    list of Finding
-        The largest step between two neighbouring values of a lead (uV).
+    The figure is the largest step between two neighbouring values of a lead (uV).
     """
     steps = {lead: _step_of(values) for lead, values in measured(recording).items()}
     message = (
@@ -103,10 +98,7 @@ def _step_of(values: Floats) -> float:
 def check_clipping(recording: Recording) -> list[Finding]:
     """Find leads that stay at their highest or lowest value where they were still rising.
 
-    Returns
-    -------
-    list of Finding
-        The largest share of a lead's samples that lie at such a rail.
+    The figure is the largest share of a lead's samples that lie at such a rail.
     """
     long = LONG_RUN * recording.sampling_rate
     shares = {lead: _share_at_rails(values, long) for lead, values in measured(recording).items()}

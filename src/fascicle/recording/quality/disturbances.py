@@ -39,11 +39,8 @@ RANGE = (1.0, 99.0)  # percentiles taken as lowest and highest
 def check_flatness(recording: Recording) -> list[Finding]:
     """Find leads without signal, and leads that lose it for a while.
 
-    Returns
-    -------
-    list of Finding
-        The smallest standard deviation of a lead (uV), and the longest time (s) over which a lead
-        stays at one value.
+    The figures are the smallest standard deviation of a lead (uV), and the longest time (s) over
+    which a lead stays at one value.
     """
     leads = measured(recording)
     spread = {lead: float(values.std()) for lead, values in leads.items()}
@@ -90,10 +87,7 @@ def _longest_constant(values: Floats) -> int:
 def check_duplicates(recording: Recording) -> list[Finding]:
     """Find leads that are the same as another, or its exact negative.
 
-    Returns
-    -------
-    list of Finding
-        The largest absolute correlation between two leads of the same size.
+    The figure is the largest absolute correlation between two leads of the same size.
     """
     largest, messages = 0.0, []
     leads = _standardised(recording)
@@ -130,11 +124,8 @@ def _standardised(recording: Recording) -> dict[str, tuple[Floats, float]]:
 def check_noise(recording: Recording) -> list[Finding]:
     """Find noisy leads, and leads that are nothing but noise.
 
-    Returns
-    -------
-    list of Finding
-        The largest standard deviation (uV) of a lead above 37 Hz, by the median absolute deviation:
-        the QRS takes too little of the time to count.
+    The figure is the largest standard deviation (uV) of a lead above 37 Hz, by the median absolute
+    deviation: the QRS takes too little of the time to count.
     """
     rate = recording.sampling_rate
     noise = {lead: _fast(values, rate) for lead, values in measured(recording).items()}
@@ -160,11 +151,8 @@ def _fast(values: Floats, rate: float) -> float:
 def check_mains(recording: Recording) -> list[Finding]:
     """Find hum at 50 or 60 Hz and its harmonics.
 
-    Returns
-    -------
-    list of Finding
-        The largest amplitude (uV) in a lead: the power of the lines less that of the spectrum
-        beside them (mean over `SEGMENT` s pieces), as amplitude of one sine.
+    The figure is the largest amplitude (uV) in a lead: the power of the lines less that of the
+    spectrum beside them (mean over `SEGMENT` s pieces), as amplitude of one sine.
     """
     leads, rate = measured(recording), recording.sampling_rate
     hum = {
@@ -204,10 +192,7 @@ def _amplitude(values: Floats, rate: float, mains: float) -> float:
 def check_wander(recording: Recording) -> list[Finding]:
     """Find leads whose baseline wanders.
 
-    Returns
-    -------
-    list of Finding
-        The largest peak-to-peak amplitude (mV) of a lead below 0.5 Hz.
+    The figure is the largest peak-to-peak amplitude (mV) of a lead below 0.5 Hz.
     """
     rate = recording.sampling_rate
     wander = {lead: _slow_range(values, rate) for lead, values in measured(recording).items()}
