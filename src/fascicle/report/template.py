@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 
 from fascicle.core.progress import Progress
 from fascicle.forward.cable.cell import CELLS
-from fascicle.forward.cable.measures import duration, max_upstroke, overshoot, resting_potential
-from fascicle.forward.cable.stored import default_template, stored_template
-from fascicle.forward.cable.template import CableTemplate
+from fascicle.forward.cable.measures import duration, max_upstroke
+from fascicle.forward.cable.template import CableTemplate, default_template, stored_template
 from fascicle.report import style
 from fascicle.report.figures import new_figure
 
@@ -67,8 +66,8 @@ def measure(template: CableTemplate) -> dict[str, float]:
     """One row of the table of `template_figure`."""
     times, potentials = template.times, template.potentials
     return {
-        "resting_potential": resting_potential(potentials),
-        "overshoot": overshoot(potentials),
+        "resting_potential": float(potentials[0]),
+        "overshoot": float(potentials.max()),
         "max_upstroke": max_upstroke(times, potentials)[0],
         "apd90": duration(times, potentials),
         "conduction_velocity": template.speed,
