@@ -22,7 +22,7 @@ from fascicle.forward.cable.cell import CELLS
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import simulate_cable
 from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, template_of
-from fascicle.forward.ecg.action_potential import ActionPotential
+from fascicle.forward.ecg.electrocardiogram import ActionPotential
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart

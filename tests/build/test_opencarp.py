@@ -15,9 +15,8 @@ from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh, read_surf, read_vtx, write_vtx
 from fascicle.mesh.formats.read import read_mesh
-from fascicle.purkinje.opencarp_trees import write_opencarp_tree
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.purkinje.tree_files import read_tree
+from fascicle.purkinje.tree_files import read_tree, write_opencarp_tree
 
 SIZE = 60.0  # mm
 TREE = [".pts", ".elem", ".lon", "_length.dat"]

@@ -38,8 +38,8 @@ from fascicle.mesh.formats.opencarp import (
     write_opencarp_mesh,
     write_vtx,
 )
-from fascicle.purkinje.opencarp_trees import write_opencarp_tree
 from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.purkinje.tree_files import write_opencarp_tree
 
 ONE_REGION = 1  # the tag of every element of a heart without regions
 # An endocardium whose vertices are this close (mm) to the mesh's is part of it: text files round.

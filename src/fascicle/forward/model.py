@@ -12,8 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import NETWORK_SPACE, check_names
 from fascicle.core.progress import Progress
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.ecg.action_potential import ActionPotential
-from fascicle.forward.ecg.electrocardiogram import first_sample
+from fascicle.forward.ecg.electrocardiogram import ActionPotential, first_sample
 from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario

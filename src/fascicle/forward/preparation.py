@@ -18,8 +18,11 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.ecg.action_potential import ActionPotential
-from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
+from fascicle.forward.ecg.electrocardiogram import (
+    ActionPotential,
+    Electrocardiograph,
+    build_electrocardiograph,
+)
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium, find_on_surface
 from fascicle.heart.conduction import Conduction
