@@ -245,17 +245,7 @@ NODE = np.dtype(
 
 
 class Rules(NamedTuple):
-    """What is held fixed: see `fascicle.purkinje.growth.GrowthRules`.
-
-    Attributes
-    ----------
-    step : float
-        Length of a segment (mm).
-    segments, generations : int
-        Segments of a branch, and how often the ends branch.
-    repulsion, branch_angle, clearance : float
-        Weight w, angle (rad), and the distance to foreign nodes in segments.
-    """
+    """What is held fixed: `fascicle.purkinje.growth.GrowthRules`, with `step` = l_b/N_s (mm)."""
 
     step: float
     segments: int

@@ -193,12 +193,9 @@ def build_electrocardiograph(
     ----------
     corners : (m, 4) array
         Vertices of each tetrahedron.
-    barycentric : (m, 4, 3) array
-        Gradients of its barycentric coordinates (1/mm).
-    volumes : (m,) array
-        Its volume (mm³).
-    intracellular : (m, 3, 3) array
-        Gᵢ (mS/cm); zero in tissue that does not conduct, which then contributes nothing.
+    barycentric, volumes, intracellular
+        See `channel_weights`; Gᵢ is zero in tissue that does not conduct, which then contributes
+        nothing.
     gradients : (9, m, 3) array
         Mean ∇Z of each electrode in each tetrahedron (kΩ/mm): `lead_field.unbounded_gradients`, or
         `lead_field.nodal_gradients` of lead fields known at the vertices.
