@@ -16,8 +16,8 @@ from refusals import fuzzing, outcome, refused
 
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers import isolated, read
+from fascicle.recording.readers.raw_recording import ReadOptions
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.readers.read_options import ReadOptions
 
 RATE, N = 500, 1000
 

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, one_line
-from fascicle.recording.readers.damaged import LIBRARY_ERRORS, refuse_damaged
+from fascicle.recording.readers.content import LIBRARY_ERRORS, refuse_damaged
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.raw_recording import Channel, RawRecording, gain_of
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions, gain_of
 from fascicle.recording.recording import Filters
 
 LARGEST_XML = 64 * 2**20  # bytes; 30 min of 12 leads at 500 Hz, in digits

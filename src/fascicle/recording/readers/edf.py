@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import refuse_damaged
 from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.raw_recording import (
     Channel,
     RawRecording,
+    ReadOptions,
     gain_of,
     narrowest_passband,
 )
-from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import Filters, check_extent
 
 if TYPE_CHECKING:

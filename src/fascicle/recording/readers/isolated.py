@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError
-from fascicle.recording.readers.raw_recording import Channel, RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.recording import Filters
 
 TIME_LIMIT = 60.0  # s; the longest recording takes some 5 s

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import refuse_damaged
 from fascicle.recording.readers.metadata import (
     Entry,
     Key,
@@ -27,8 +27,7 @@ from fascicle.recording.readers.metadata import (
     name_lists,
 )
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.raw_recording import Channel, RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.recording import check_extent
 
 _FEWEST = 2  # names that must be leads, so that a stray variable `i` makes no recording

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError, printable
 from fascicle.recording.readers.metadata import declared_rate
-from fascicle.recording.readers.raw_recording import Channel, RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.readers.table_text import Column, Table, lead_or_rhythm, open_table
 from fascicle.recording.recording import check_extent
 
