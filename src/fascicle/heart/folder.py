@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.cache import user_cache
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_folder, check_folder, check_nothing_lost
+from fascicle.core.files import atomic_folder, check_folder, check_nothing_lost, user_cache
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.assembly import REGION, SHEET, VALVE, assemble_heart
 from fascicle.heart.electrodes import write_electrodes

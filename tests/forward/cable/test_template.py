@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.core.cache import VARIABLE
 from fascicle.core.errors import InputError
+from fascicle.core.files import CACHE_VARIABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.cable import template as module
 from fascicle.forward.cable.measures import max_upstroke
@@ -40,7 +40,7 @@ def folder(tmp_path, monkeypatch, template):
         made.append(cell)
         return template
 
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     monkeypatch.setattr(module, "simulate_cable", make)
     monkeypatch.setattr(module, "template_of", lambda run, cell: run)
     return tmp_path / "cache", made
@@ -156,7 +156,7 @@ def test_unwritable_cache_is_done_without(folder, template, monkeypatch, tmp_pat
     _, made = folder
     blocked = tmp_path / "a file"
     blocked.write_text("")
-    monkeypatch.setenv(VARIABLE, str(blocked))
+    monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     assert stored_template("endocardial") == template
     assert stored_template("endocardial") == template
     assert made == ["endocardial"] * 2

@@ -14,9 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from fascicle.core.arrays import Floats
-from fascicle.core.cache import user_cache
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path
+from fascicle.core.files import atomic_path, user_cache
 from fascicle.forward.cable import cell, measures, propagation
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import CableRun, simulate_cable
@@ -192,7 +191,7 @@ def default_template() -> CableTemplate:
 def stored_template(cell: str) -> CableTemplate:
     """The template of a cell type, from the cache or else simulated and kept there.
 
-    The file lies in `fascicle.core.cache.user_cache`; its name is a hash of the code and constants
+    The file lies in `fascicle.core.files.user_cache`; its name is a hash of the code and constants
     that decide the content, and of this package's version. A damaged or unwritable cache only means
     that it is computed again.
 

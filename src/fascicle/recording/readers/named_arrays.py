@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.recording.readers.content import refuse_damaged
 from fascicle.recording.readers.metadata import (
@@ -150,7 +150,7 @@ def raw_recording_of(
     )
 
 
-def _values(array: Array) -> NDArray[np.float64]:
+def _values(array: Array) -> Floats:
     """Read an array; values that stand for missing samples become NaN."""
     values = np.array(array.stored[()], dtype=np.float64).reshape(array.shape)
     values[np.isin(values, missing_values(array.metadata))] = np.nan

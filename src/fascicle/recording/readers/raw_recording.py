@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
@@ -69,7 +69,7 @@ class Channel:
     """
 
     name: str
-    values: NDArray[np.float64]
+    values: Floats
     unit: str | None
     lead: str | None = None
     digits_per_millivolt: float | None = None
@@ -194,7 +194,7 @@ def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | N
     )
 
 
-def _check_derived(signal: NDArray[np.float64], derived: Sequence[str], source: str) -> None:
+def _check_derived(signal: Floats, derived: Sequence[str], source: str) -> None:
     """Refuse limb leads that cannot follow because the two were not recorded together."""
     rows = [LEADS.index(lead) for lead in derived]
     empty = [LEADS[row] for row in rows if not np.isfinite(signal[row]).any()]
@@ -207,7 +207,7 @@ def _check_derived(signal: NDArray[np.float64], derived: Sequence[str], source: 
 
 def _in_millivolts(
     leads: Mapping[str, Channel], source: str, options: ReadOptions
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Leads as (12, n) mV and the gains (12,) of their digits; NaN for what is not there."""
     lengths = {lead: len(channel.values) for lead, channel in leads.items()}
     if len(set(lengths.values())) != 1:

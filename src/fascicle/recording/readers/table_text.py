@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.metadata import Entry, declared_unit, entry_of
@@ -95,7 +95,7 @@ class Table:
             )
         return commented if unit is None else unit
 
-    def numbers(self, column: Column) -> NDArray[np.float64]:
+    def numbers(self, column: Column) -> Floats:
         """Cells of a column as numbers (n,); empty cells are NaN."""
         import pandas as pd
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.recording.readers.content import refuse_damaged, sha256_of
 from fascicle.recording.readers.names import lead_name, millivolts
@@ -87,7 +87,7 @@ class _Signal:
 
     name: str
     unit: str
-    values: NDArray[np.float64]
+    values: Floats
     per_frame: int
     gain: float
     checksum_agrees: bool | None
