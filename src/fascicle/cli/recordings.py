@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -121,37 +120,39 @@ def target(
         lowpass=lowpass,
         notch=notch,
     )
-    corrections = _Corrections(_gain(shared_gain, digits_per_mv), invert or [], swap or [])
     read = partial(_read, recording, leads, sampling_rate, unit)
-    analysis = _make_target(read, corrections, choices, out, picture)
+    correct = partial(
+        _corrected,
+        gain=_gain(shared_gain, digits_per_mv),
+        inverted=invert or (),
+        swapped=swap or (),
+    )
+    analysis = _make_target(read, correct, choices, out, picture)
     print_analysis(analysis)
     _line("target", str(out))
     _line("picture", str(picture))
 
 
-@dataclass(frozen=True)
-class _Corrections:
-    """What the user sets right in a recording: digits per mV, leads upside down, exchanges."""
+def _corrected(
+    recording: Recording, gain: float | None, inverted: Sequence[str], swapped: Sequence[str]
+) -> Recording:
+    """Recording after the gain (digits per mV), then polarity, then exchanges are set right."""
+    from fascicle.recording.corrections import invert, share_gain, swap
+    from fascicle.recording.readers.names import lead_name
 
-    gain: float | None
-    inverted: Sequence[str]
-    swapped: Sequence[str]
-
-    def applied(self, recording: Recording) -> Recording:
-        """Recording after the gain, then polarity, then exchanged cables are set right."""
-        from fascicle.recording.corrections import invert, share_gain, swap
-
-        if self.gain is not None:
-            recording = share_gain(recording, self.gain)
-        for text in self.inverted:
-            for lead in _leads(text):
-                recording = invert(recording, lead)
-        for text in self.swapped:
-            names = [part.strip() for part in re.split(r"[-,]", text)]
-            if len(names) != 2:
-                raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
-            recording = swap(recording, _electrode_or_lead(names[0]), _electrode_or_lead(names[1]))
-        return recording
+    if gain is not None:
+        recording = share_gain(recording, gain)
+    for text in inverted:
+        for lead in _leads(text):
+            recording = invert(recording, lead)
+    for text in swapped:
+        names = [part.strip() for part in re.split(r"[-,]", text)]
+        if len(names) != 2:
+            raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
+        # leads by their standard names, electrodes in capitals
+        one, other = (lead_name(name) or name.upper() for name in names)
+        recording = swap(recording, one, other)
+    return recording
 
 
 def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
@@ -167,7 +168,7 @@ def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
 
 def _make_target(
     read: Callable[[], Recording],
-    corrections: _Corrections,
+    correct: Callable[[Recording], Recording],
     choices: Choices,
     out: Path,
     picture: Path,
@@ -183,7 +184,7 @@ def _make_target(
         progress("recording", 0, 3, "reading")
         recording = read()
         progress("recording", 1, 3, "beats")
-        analysis = analyse(corrections.applied(recording), choices)
+        analysis = analyse(correct(recording), choices)
         progress("recording", 2, 3, "picture")
         save(recording_figure(analysis), picture)
         write_target(analysis.target, out)
@@ -291,13 +292,6 @@ def _read(
 
     wanted = None if leads is None else _leads(leads)
     return read_recording(path, leads=wanted, sampling_rate=sampling_rate, unit=unit)
-
-
-def _electrode_or_lead(text: str) -> str:
-    """Name of an electrode or a lead as it is written elsewhere."""
-    from fascicle.recording.readers.names import lead_name
-
-    return lead_name(text) or text.upper()
 
 
 def _leads(text: str) -> list[str]:
