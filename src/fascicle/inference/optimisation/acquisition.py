@@ -72,11 +72,6 @@ class Box:
     upper: Floats
 
     @classmethod
-    def everywhere(cls, dimension: int) -> Box:
-        """Take the whole cube."""
-        return cls(np.zeros(dimension), np.ones(dimension))
-
-    @classmethod
     def around(cls, centre: Floats, radius: float) -> Box:
         """Take what of the cube is within `radius` of `centre` in every coordinate."""
         return cls(np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0))

@@ -145,6 +145,6 @@ def _box(rng: np.random.Generator, best: Floats) -> Box:
     (Eriksson et al., NeurIPS 2019), is what finds improvements.
     """
     if rng.random() >= LOCAL_SHARE:
-        return Box.everywhere(len(best))
+        return Box(np.zeros(len(best)), np.ones(len(best)))
     low, high = np.log(LOCAL_RADIUS)
     return Box.around(best, float(np.exp(rng.uniform(low, high))))

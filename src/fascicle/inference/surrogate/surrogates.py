@@ -107,11 +107,8 @@ class FeasibilityGP:
 
         Parameters
         ----------
-        observations : Observations
-        start : Hyperparameters or None
-            Where to start; None starts at the modes of the priors.
-        iterations : int
-            At most so many L-BFGS-B iterations.
+        observations, start, iterations
+            As for `LossGP.fit`.
         """
         if observations.feasible.all():
             return cls(None, 1.0)

@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 _BLOCK = 256  # bytes of the fixed part of the header
 _RECORDS = slice(236, 244)  # of it: the number of data records
-_UNKNOWN = (
-    b"-1      "  # data records; stays in the header where the recorder did not close the file
-)
+_UNKNOWN = b"-1      "  # stays there where the recorder did not close the file
 _DIGITS = (-32768, 32767)  # what 16 bits hold
 # Chest leads may name Wilson's terminal, the reference that makes them unipolar
 _WILSON = re.compile(r"(?<=V[1-6])-(WCT|Wilson)$", re.IGNORECASE)
