@@ -104,11 +104,8 @@ def _read_muse(path: Path, root: ET.Element, options: ReadOptions) -> RawRecordi
     off = [lead.label for lead in record.leads if "LeadOff" in lead.annotations]
     remarks += [f"lead off: {', '.join(off)}"] if off else []
     # of the rhythm, not rounded to an integer as the library does
-    kinds = (
-        (_child(waveform, "WaveformType").lower(), waveform)
-        for waveform in root.findall("Waveform")
-    )
-    rhythm = next(waveform for kind, waveform in kinds if kind in ("rhythm", ""))
+    waves = root.findall("Waveform")
+    rhythm = next(w for w in waves if _child(w, "WaveformType").lower() in ("rhythm", ""))
     base, exponent = _number(_child(rhythm, "SampleBase")), _child(rhythm, "SampleExponent")
     rate = options.agreed_rate(path, float(base * 10 ** _number(exponent or "0")))
     return _raw_recording(path, record, rate, "GE MUSE XML", remarks)

@@ -97,11 +97,8 @@ def _unpacked(path: Path, stored: Any) -> RawRecording:
 def _packed(raw: RawRecording) -> tuple[dict[str, Any], dict[str, Any]]:
     """Take a raw recording apart: JSON, and arrays by name."""
     arrays = {f"values_{k}": channel.values for k, channel in enumerate(raw.channels)}
-    fields = [dict(vars(channel)) for channel in raw.channels]
-    for channel in fields:
-        del channel["values"]
-    filters = asdict(raw.filters)
-    return vars(raw) | {"channels": fields, "filters": filters}, arrays
+    fields = [{k: v for k, v in vars(c).items() if k != "values"} for c in raw.channels]
+    return vars(raw) | {"channels": fields, "filters": asdict(raw.filters)}, arrays
 
 
 def _limit_resources() -> None:
