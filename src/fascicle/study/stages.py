@@ -53,11 +53,9 @@ class Run:
         return Population.of(self.space, self._sample(), best_of(self.journal.evaluations))
 
     def _initial(self) -> None:
-        count, size = self.settings.initial, self.settings.workers
+        count, size, dimension = self.settings.initial, self.settings.workers, len(self.space)
         design = self.journal.propose(
-            Stage.INITIAL,
-            0,
-            lambda rng, _: (None, bayesian.latin_hypercube(rng, count, len(self.space))),
+            Stage.INITIAL, 0, lambda rng, _: (None, bayesian.latin_hypercube(rng, count, dimension))
         )
         for start in range(0, count, size):
             self.journal.evaluate(Stage.INITIAL, list(design[start : start + size]))
