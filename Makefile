@@ -1,14 +1,11 @@
-# Two commands: `make demo` and `make test`; `make test-slow` runs the slow tests. All set up .venv
-# first, once.
+# Two commands: `make demo` and `make test`. Both set up .venv first, once.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# on all cores, tests of one file together, since they share what takes long to make
-PYTEST := $(BIN)/pytest -n auto --dist loadfile
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test test-slow clean
+.PHONY: demo test clean
 
 demo: $(INSTALLED)
 	$(BIN)/fascicle demo
@@ -18,10 +15,7 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(PYTEST) -m "not slow"
-
-test-slow: $(INSTALLED)
-	$(PYTEST) -m slow
+	$(BIN)/pytest
 
 # The stamp is made last, so an interrupted set-up starts again.
 $(INSTALLED): pyproject.toml constraints.txt

@@ -10,7 +10,8 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
 from fascicle.recording.corrections import invert, share_gain, swap
-from fascicle.recording.recording import Recording, derive_limb_leads
+from fascicle.recording.limb_leads import derive_limb_leads
+from fascicle.recording.recording import Recording
 
 
 @pytest.fixture

@@ -50,10 +50,10 @@ def barycentric_coordinate(cells, t, corner, x, y, z):
 
     Parameters
     ----------
-    cells, t
-        See `travel`.
-    corner : int
-        Which of the tetrahedron's corners.
+    cells : (m, 22) array
+        See `fascicle.kernels.arrays.EikonalMesh`.
+    t, corner : int
+        The tetrahedron, and which of its corners.
     x, y, z : float
         The point (mm).
     """

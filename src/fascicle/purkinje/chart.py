@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import igl
 import numpy as np
@@ -15,7 +15,8 @@ from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
 
 
-class Chart(NamedTuple):
+@dataclass(frozen=True)
+class Chart:
     """A bijective map between an endocardium and the unit disk, linear on each triangle.
 
     The disk is seen from inside the cavity: counter-clockwise there is counter-clockwise on the

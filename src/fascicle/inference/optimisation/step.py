@@ -1,4 +1,4 @@
-"""Bayesian optimisation: the first points, and one step."""
+"""One step of Bayesian optimisation."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import json
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import qmc
+from numpy.typing import NDArray
 
-from fascicle.core.arrays import Floats
 from fascicle.inference.optimisation.acquisition import (
     LOCAL_CENTRES,
     Box,
@@ -16,33 +15,15 @@ from fascicle.inference.optimisation.acquisition import (
     maximise,
 )
 from fascicle.inference.surrogate.exponential import Hyperparameters
+from fascicle.inference.surrogate.feasibility import FeasibilityGP
+from fascicle.inference.surrogate.loss_gp import LossGP
 from fascicle.inference.surrogate.observations import Observations
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
 from fascicle.inference.surrogate.threads import one_thread
 
 LOCAL_SHARE = 0.6  # of the proposals
 LOCAL_RADIUS = (0.03, 0.3)  # of the unit cube, log-uniform
 COLD_ITERATIONS = 100
 WARM_ITERATIONS = 10
-
-
-def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> Floats:
-    """Latin hypercube sample of the unit cube, shape (count, dimension).
-
-    Every coordinate has exactly one point in each of `count` equal intervals.
-
-    Parameters
-    ----------
-    rng : Generator
-        The only source of randomness.
-    count, dimension : int
-
-    References
-    ----------
-    M. D. McKay, R. J. Beckman, W. J. Conover, "A comparison of three methods for selecting values
-    of input variables in the analysis of output from a computer code", Technometrics 21 (1979).
-    """
-    return np.asarray(qmc.LatinHypercube(d=dimension, rng=rng).random(count), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -89,7 +70,9 @@ def refit(state: State) -> tuple[State, LossGP, FeasibilityGP]:
 
 
 @one_thread
-def step(rng: np.random.Generator, state: State, batch: int = 1) -> tuple[State, Floats]:
+def step(
+    rng: np.random.Generator, state: State, batch: int = 1
+) -> tuple[State, NDArray[np.float64]]:
     """Propose the next points to evaluate.
 
     Refits the surrogates, then maximises expected improvement times the probability of
@@ -114,7 +97,7 @@ def step(rng: np.random.Generator, state: State, batch: int = 1) -> tuple[State,
     """
     fitted, loss, feasibility = refit(state)
     known = state.observations
-    proposals: list[Floats] = []
+    proposals: list[NDArray[np.float64]] = []
     for _ in range(batch):
         if proposals:
             loss, known = loss.with_guess(known, proposals[-1])
@@ -128,7 +111,7 @@ def _iterations(start: Hyperparameters | None) -> int:
 
 def _propose(
     rng: np.random.Generator, observations: Observations, loss: LossGP, feasibility: FeasibilityGP
-) -> Floats:
+) -> NDArray[np.float64]:
     points = observations.points[observations.feasible]
     mean, _ = loss.gp.predict(points)
     order = np.argsort(mean, kind="stable")
@@ -137,7 +120,7 @@ def _propose(
     return maximise(rng, acquisition, centres, observations.points, _box(rng, centres[0]))
 
 
-def _box(rng: np.random.Generator, best: Floats) -> Box:
+def _box(rng: np.random.Generator, best: NDArray[np.float64]) -> Box:
     """Where to look for the next point: near the best one, or everywhere.
 
     In twelve dimensions expected improvement everywhere is mostly that of corners far from all
@@ -145,6 +128,6 @@ def _box(rng: np.random.Generator, best: Floats) -> Box:
     (Eriksson et al., NeurIPS 2019), is what finds improvements.
     """
     if rng.random() >= LOCAL_SHARE:
-        return Box(np.zeros(len(best)), np.ones(len(best)))
+        return Box.everywhere(len(best))
     low, high = np.log(LOCAL_RADIUS)
     return Box.around(best, float(np.exp(rng.uniform(low, high))))
