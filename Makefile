@@ -1,11 +1,14 @@
-# Two commands: `make demo` and `make test`. Both set up .venv first, once.
+# Two commands: `make demo` and `make test`; `make test-slow` runs the slow tests. All set up .venv
+# first, once.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# on all cores, tests of one file together, since they share what takes long to make
+PYTEST := $(BIN)/pytest -n auto --dist loadfile
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test clean
+.PHONY: demo test test-slow clean
 
 demo: $(INSTALLED)
 	$(BIN)/fascicle demo
@@ -15,7 +18,10 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest
+	$(PYTEST) -m "not slow"
+
+test-slow: $(INSTALLED)
+	$(PYTEST) -m slow
 
 # The stamp is made last, so an interrupted set-up starts again.
 $(INSTALLED): pyproject.toml constraints.txt

@@ -21,8 +21,8 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.cable.cell import CELLS
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import simulate_cable
-from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, make_template, template_of
-from fascicle.forward.ecg.action_potential import ActionPotential
+from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, template_of
+from fascicle.forward.ecg.electrocardiogram import ActionPotential
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart
@@ -79,7 +79,7 @@ def print_ecgs() -> None:
 
     show("tanh, 1 ms", Upstroke(), None)
     for cell in CELLS:
-        template: CableTemplate = make_template(cell, LONGEST)
+        template: CableTemplate = template_of(simulate_cable(cell), cell, LONGEST)
         longest = None
         for until in UNTIL:
             cut = replace(template, until=until)

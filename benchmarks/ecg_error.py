@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchmarks.references import unbounded
-from fascicle.forward.cable.stored import default_template
+from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.heart.conduction import Conduction

@@ -43,8 +43,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fascicle.inference.optimisation import acquisition as own
-from fascicle.inference.optimisation.design import latin_hypercube
-from fascicle.inference.optimisation.step import State, step
+from fascicle.inference.optimisation.step import State, latin_hypercube, step
 from fascicle.inference.surrogate.observations import Observations
 
 if TYPE_CHECKING:

@@ -93,11 +93,11 @@ def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
 
 def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
     """Time and memory of the forward run on a prepared heart; for a process of its own."""
-    from fascicle.forward.cable.stored import default_template
+    from fascicle.forward.cable.template import default_template
     from fascicle.forward.model import ForwardModel
-    from fascicle.forward.preparation import load_with_heart
+    from fascicle.forward.preparation import load
 
-    heart, prepared = load_with_heart(path, default_template())
+    heart, prepared = load(path, default_template())
     model = ForwardModel(heart, prepared=prepared)
     new = networks(parameters)
     model.simulate(next(new))

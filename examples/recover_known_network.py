@@ -20,7 +20,7 @@ import numpy as np
 
 import fascicle
 from fascicle.cli.terminal_progress import TerminalProgress
-from fascicle.core.parameter_files import read_parameters
+from fascicle.core.parameters import read_parameters
 from fascicle.recording.synthetic import synthetic_target
 from fascicle.report.figures import save
 from fascicle.report.pairs import pair_figure

@@ -15,6 +15,8 @@ from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import signed_volumes
 
+pytestmark = pytest.mark.slow
+
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "ecg_error.py"
 ELECTRODES = np.array(
     [

@@ -21,6 +21,8 @@ from builders import activate, box_tissue, conduction_for, ray_times
 
 from benchmarks.references import solve_from_vertices
 
+pytestmark = pytest.mark.slow
+
 SIZE = np.array([24.0, 24.0, 12.0])  # mm
 SOURCE = SIZE * [0.43, 0.55, 0.48]
 FINEST = 0.5  # mm

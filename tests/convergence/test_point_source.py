@@ -30,6 +30,8 @@ from builders import (
 from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 
+pytestmark = pytest.mark.slow
+
 SIZE = 40.0  # mm
 SPEEDS = (0.6, 0.25)  # mm/ms along and across the fibre
 ISOTROPIC = (0.6, 0.6)  # mm/ms

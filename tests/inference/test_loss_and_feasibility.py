@@ -5,9 +5,8 @@ import pytest
 from differences import central_differences
 
 from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.feasibility import FeasibilityGP
-from fascicle.inference.surrogate.loss_gp import LossGP
 from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
 
 HYPER = Hyperparameters((1.0, 1.0), 1.0, 1e-4)
 

@@ -7,8 +7,7 @@ import pytest
 from differences import central_differences
 
 from fascicle.inference.optimisation.acquisition import FeasibleLogImprovement, perturbed
-from fascicle.inference.optimisation.design import latin_hypercube
-from fascicle.inference.optimisation.step import State, refit, step
+from fascicle.inference.optimisation.step import State, latin_hypercube, refit, step
 from fascicle.inference.surrogate.observations import Observations
 
 

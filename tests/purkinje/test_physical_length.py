@@ -30,12 +30,12 @@ def traced_length(endocardium, chart, positions):
     foot, edge = chart.points[i], chart.points[j] - chart.points[i]
     length = 0.0
     for k in range(len(disk) - 1):
-        along = disk[k + 1] - disk[k]
-        determinant = along[0] * edge[:, 1] - along[1] * edge[:, 0]
+        step = disk[k + 1] - disk[k]
+        determinant = step[0] * edge[:, 1] - step[1] * edge[:, 0]
         x, y = (foot - disk[k]).T
         with np.errstate(divide="ignore", invalid="ignore"):
             along = (x * edge[:, 1] - y * edge[:, 0]) / determinant
-            across = (x * along[1] - y * along[0]) / determinant
+            across = (x * step[1] - y * step[0]) / determinant
         cut = np.flatnonzero((along > 0) & (along < 1) & (across >= 0) & (across <= 1))
         cut = cut[along[cut].argsort()]
         at = across[cut, None]

@@ -10,8 +10,7 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
 from fascicle.recording.corrections import invert, share_gain, swap
-from fascicle.recording.limb_leads import derive_limb_leads
-from fascicle.recording.recording import Recording
+from fascicle.recording.recording import Recording, derive_limb_leads
 
 
 @pytest.fixture

@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 from quality_recordings import beating, fatal, row, warned, with_lead
 
-from fascicle.recording.quality.acquisition import check_extent_in_time, check_filters
-from fascicle.recording.quality.digits import check_clipping, check_resolution
-from fascicle.recording.quality.disturbances import check_mains, check_noise, check_wander
-from fascicle.recording.quality.empty_leads import check_duplicates, check_flatness
+from fascicle.recording.quality.acquisition import (
+    check_clipping,
+    check_extent_in_time,
+    check_filters,
+    check_resolution,
+)
+from fascicle.recording.quality.disturbances import (
+    check_duplicates,
+    check_flatness,
+    check_mains,
+    check_noise,
+    check_wander,
+)
 from fascicle.recording.quality.finding import Severity
 from fascicle.recording.recording import Filters, Recording
 

@@ -12,6 +12,8 @@ from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
 
+pytestmark = pytest.mark.slow
+
 SAME_BEAT = 0.2  # s; marks of several leads closer than this belong to one beat
 RATES = (35, 60, 90, 130, 180)  # beats per minute
 

@@ -9,6 +9,8 @@ from clinical import assert_left_bundle_branch_block, assert_normal
 import fascicle
 from fascicle.mesh.topology import boundary_loops
 
+pytestmark = pytest.mark.slow
+
 VOLUME = 144.8  # ml, of the myocardium; data's SOURCE.txt
 
 

@@ -12,6 +12,8 @@ from fascicle.recording.detection import r_peaks
 from fascicle.recording.resampling import resample
 from fascicle.recording.window import qrs_window, window_uncertainty
 
+pytestmark = pytest.mark.slow
+
 TRIM = 2  # leads left out at each end: one lead marked oddly does not decide
 SAME_BEAT = 200  # ms
 BEFORE, AFTER = 250, 450  # ms around the R peak

@@ -1,9 +1,7 @@
 import numpy as np
-import pytest
 
-from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.report.ecg import EcgEnsemble, before_after_figure, ecg_figure, match_figure
+from fascicle.report.ecg import EcgGroup, ecg_figure
 
 TIME = np.arange(-40.0, 81.0)
 
@@ -11,6 +9,13 @@ TIME = np.arange(-40.0, 81.0)
 def ecgs(count, time=TIME, seed=0):
     rng = np.random.default_rng(seed)
     return rng.uniform(-1.5, 2.0, (count, 12, len(time)))
+
+
+def figure_of(predicted, recorded=None):
+    groups = [EcgGroup("predicted", "network", TIME, predicted, "#D55E00")]
+    if recorded is not None:
+        groups.insert(0, EcgGroup("recorded", "beat", TIME, recorded, "#0072B2"))
+    return ecg_figure(groups)
 
 
 def band_edges(axes, index):
@@ -28,7 +33,7 @@ def panel(figure, lead):
 
 def test_lines_are_means_and_bands_run_from_minimum_to_maximum():
     beats, networks = ecgs(4), ecgs(6, seed=1)
-    figure = match_figure(TIME, beats, networks)
+    figure = figure_of(networks, beats)
     for index, lead in enumerate(LEADS):
         axes = panel(figure, lead)
         recorded, predicted = axes.lines
@@ -42,7 +47,7 @@ def test_lines_are_means_and_bands_run_from_minimum_to_maximum():
 
 
 def test_leads_stand_in_the_clinical_columns():
-    figure = match_figure(TIME, None, ecgs(2))
+    figure = figure_of(ecgs(2))
     figure.draw_without_rendering()
     columns = [("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6")]
     corners = [[panel(figure, lead).get_position() for lead in column] for column in columns]
@@ -55,7 +60,7 @@ def test_leads_stand_in_the_clinical_columns():
 def test_all_leads_share_one_scale_that_holds_every_value():
     networks = ecgs(3)
     networks[2, 7, 30] = -6.2  # one network's V2 alone
-    figure = match_figure(TIME, ecgs(2), networks)
+    figure = figure_of(networks, ecgs(2))
     limits = {(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}
     assert len(limits) == 1
     (start, stop), (bottom, top) = limits.pop()
@@ -67,7 +72,11 @@ def test_all_leads_share_one_scale_that_holds_every_value():
 
 def test_before_and_after_keep_their_own_time():
     later = np.arange(0.0, 151.0)
-    figure = before_after_figure(TIME, ecgs(3), later, ecgs(3, later), labels=("LBBB", "paced"))
+    groups = [
+        EcgGroup("LBBB", "network", TIME, ecgs(3), "#6B6B6B"),
+        EcgGroup("paced", "network", later, ecgs(3, later), "#D55E00"),
+    ]
+    figure = ecg_figure(groups)
     before, after = panel(figure, "V5").lines
     assert len(before.get_xdata()) == len(TIME)
     assert len(after.get_xdata()) == len(later)
@@ -81,19 +90,12 @@ def test_an_ecg_that_ended_leaves_the_mean_to_the_others():
     networks = ecgs(3)
     networks[0, :, 100:] = np.nan
     networks[:, :, -1] = np.nan
-    line = panel(match_figure(TIME, None, networks), "I").lines[0].get_ydata()
+    line = panel(figure_of(networks), "I").lines[0].get_ydata()
     np.testing.assert_allclose(line[110], networks[1:, 0, 110].mean())
     assert np.isnan(line[-1])
 
 
 def test_single_beat_has_a_line_and_no_band():
-    figure = match_figure(TIME, ecgs(1)[0], ecgs(5))
+    figure = figure_of(ecgs(5), ecgs(1))
     assert len(panel(figure, "V1").collections) == 1
     assert figure.legends[0].get_texts()[0].get_text() == "recorded (1 beat)"
-
-
-def test_wrong_shapes_are_refused():
-    with pytest.raises(InputError, match=r"\(3, 9, 121\).*\(n, 12, 121\)"):
-        EcgEnsemble("predicted", TIME, np.zeros((3, 9, 121)), "k")
-    with pytest.raises(InputError, match="at least one"):
-        ecg_figure([])

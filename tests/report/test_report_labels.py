@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
@@ -97,10 +96,3 @@ def test_left_is_on_the_right_from_the_front_and_from_the_base(surface):
             for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
         )
         assert left > right + 20
-
-
-def test_missing_label_is_refused(surface):
-    labels = np.where(surface.labels == Label.BASE, Label.EPICARDIUM, surface.labels)
-    unlabelled = LabelledSurface(surface.vertices, surface.triangles, labels, "block")
-    with pytest.raises(InputError, match=r"block: no triangle is labelled base \(1\)"):
-        labels_figure(unlabelled)

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from fascicle.core.errors import InputError
 from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace
 from fascicle.report.pairs import pair_figure, short_name
 
@@ -73,11 +72,3 @@ def test_names_of_the_standard_space_are_short_and_distinct():
     assert len(names) == len(NETWORK_SPACE)
     assert max(len(line) for name in names for line in name.split("\n")) <= 10
     assert short_name("anisotropy_ratio") == "anisotropy ratio\n"
-
-
-def test_missing_and_ragged_samples_are_refused():
-    values = samples()
-    with pytest.raises(InputError, match="cv"):
-        pair_figure(SPACE, {k: v for k, v in values.items() if k != "cv"})
-    with pytest.raises(InputError, match="'cv': 7"):
-        pair_figure(SPACE, {**values, "cv": values["cv"][:7]})

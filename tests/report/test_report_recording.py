@@ -13,9 +13,10 @@ from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 from fascicle.report.beat_panels import MOST_DRAWN
 from fascicle.report.ecg_paper import strip_start
-from fascicle.report.figures import BLUE, RESOLUTION, save
+from fascicle.report.figures import RESOLUTION, save
 from fascicle.report.fitted_text import drawable, shortened, width, wrapped
 from fascicle.report.recording import class_colours, recording_figure
+from fascicle.report.style import BLUE
 
 HEIGHTS = np.array([0.6, 0.9, 0.3, -0.75, 0.15, 0.6, -1.2, -1.8, -1.5, 0.5, 1.4, 1.2])  # mV
 BEFORE, AFTER = 200, 300  # ms about R

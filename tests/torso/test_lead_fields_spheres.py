@@ -28,6 +28,8 @@ from fascicle.torso.lead_fields import (
     solve_neumann,
 )
 
+pytestmark = pytest.mark.slow
+
 RADIUS = 100.0  # mm, about a chest
 RADII, AT = [50.0, 75.0, 100.0], [0.5, 0.75, 1.0]
 LAYERS = 20

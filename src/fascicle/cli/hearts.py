@@ -9,31 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from fascicle.cli import heart_options as options
 from fascicle.cli.arguments import HeartArgument, OutOption
-from fascicle.cli.heart_options import (
-    AnatomyArgument,
-    BaseOption,
-    ChestOption,
-    EdgeLengthOption,
-    ElectrodesOption,
-    FirstPartOption,
-    HeightOption,
-    LabelArrayOption,
-    LabelsFileOption,
-    LabelsOption,
-    LungOption,
-    LvAnglesOption,
-    NamedOutOption,
-    PartOption,
-    PoseOption,
-    RvAnglesOption,
-    SeedOption,
-    TorsoOption,
-    WeightOption,
-    fibre_angles,
-    label_numbers,
-    seeds_of,
-)
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,29 +26,29 @@ heart_app = typer.Typer(
 
 @heart_app.command("build")
 def heart_build(
-    anatomy: AnatomyArgument = None,
-    out: NamedOutOption = None,
-    edge_length: EdgeLengthOption = 2.0,
-    labels: LabelsOption = None,
-    label_array: LabelArrayOption = None,
-    labels_file: LabelsFileOption = None,
-    lv_endocardium: FirstPartOption = None,
-    rv_endocardium: PartOption = None,
-    epicardium: PartOption = None,
-    base: BaseOption = None,
-    lv_angles: LvAnglesOption = "60,-60",
-    rv_angles: RvAnglesOption = "90,-25",
-    torso: TorsoOption = "idealised",
-    lung: LungOption = None,
-    height: HeightOption = None,
-    weight: WeightOption = None,
-    chest: ChestOption = None,
-    pose: PoseOption = "standard",
-    electrodes: ElectrodesOption = None,
-    lv_root: SeedOption = None,
-    lv_direction: SeedOption = None,
-    rv_root: SeedOption = None,
-    rv_direction: SeedOption = None,
+    anatomy: options.AnatomyArgument = None,
+    out: options.NamedOutOption = None,
+    edge_length: options.EdgeLengthOption = 2.0,
+    labels: options.LabelsOption = None,
+    label_array: options.LabelArrayOption = None,
+    labels_file: options.LabelsFileOption = None,
+    lv_endocardium: options.FirstPartOption = None,
+    rv_endocardium: options.PartOption = None,
+    epicardium: options.PartOption = None,
+    base: options.BaseOption = None,
+    lv_angles: options.LvAnglesOption = "60,-60",
+    rv_angles: options.RvAnglesOption = "90,-25",
+    torso: options.TorsoOption = "idealised",
+    lung: options.LungOption = None,
+    height: options.HeightOption = None,
+    weight: options.WeightOption = None,
+    chest: options.ChestOption = None,
+    pose: options.PoseOption = "standard",
+    electrodes: options.ElectrodesOption = None,
+    lv_root: options.SeedOption = None,
+    lv_direction: options.SeedOption = None,
+    rv_root: options.SeedOption = None,
+    rv_direction: options.SeedOption = None,
 ) -> None:
     """Build a heart folder from an anatomy: mesh, fibres, seeds, torso, electrodes, lead fields.
 
@@ -94,12 +71,12 @@ def heart_build(
     source = Source(
         file=anatomy,
         parts={part: path for part, path in parts.items() if path is not None},
-        numbers=label_numbers(labels),
+        numbers=options.label_numbers(labels),
         array=label_array,
         labels_file=labels_file,
     )
-    angles = fibre_angles(lv_angles, rv_angles)
-    seeds = seeds_of(lv_root, lv_direction, rv_root, rv_direction)
+    angles = options.fibre_angles(lv_angles, rv_angles)
+    seeds = options.seeds_of(lv_root, lv_direction, rv_root, rv_direction)
     folder = out if out is not None else Path(source.name)
     files = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
     check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
@@ -131,10 +108,10 @@ def heart_import(
     rv_endocardium: Annotated[Path, typer.Option(help="RV endocardium, open at the base.")],
     electrodes: Annotated[Path, typer.Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
     out: OutOption,
-    lv_root: SeedOption = None,
-    lv_direction: SeedOption = None,
-    rv_root: SeedOption = None,
-    rv_direction: SeedOption = None,
+    lv_root: options.SeedOption = None,
+    lv_direction: options.SeedOption = None,
+    rv_root: options.SeedOption = None,
+    rv_direction: options.SeedOption = None,
 ) -> None:
     """Make a heart folder of finished parts: mesh, fibres, endocardia, electrodes.
 
@@ -154,7 +131,7 @@ def heart_import(
             "lv": read_mesh(lv_endocardium, "LV endocardium"),
             "rv": read_mesh(rv_endocardium, "RV endocardium"),
         },
-        seeds=seeds_of(lv_root, lv_direction, rv_root, rv_direction),
+        seeds=options.seeds_of(lv_root, lv_direction, rv_root, rv_direction),
         electrodes=electrodes,
         name=out.resolve().name,
     )

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +15,6 @@ from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
-    from fascicle.recording.choices import Choices
     from fascicle.recording.quality.finding import Finding
     from fascicle.recording.recording import Recording
     from fascicle.recording.target import Target
@@ -108,7 +105,13 @@ def target(
     fascicle target ecg.csv --out t.nc --unit uV --sampling-rate 500
     ```
     """
+    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.recording.choices import Choices
+    from fascicle.recording.pipeline import analyse
+    from fascicle.recording.readers.read import read_recording
+    from fascicle.recording.target_files import write_target
+    from fascicle.report.figures import save
+    from fascicle.report.recording import recording_figure
 
     picture = _picture_beside(out, recording)
     choices = Choices(
@@ -121,37 +124,42 @@ def target(
         lowpass=lowpass,
         notch=notch,
     )
-    corrections = _Corrections(_gain(shared_gain, digits_per_mv), invert or [], swap or [])
-    read = partial(_read, recording, leads, sampling_rate, unit)
-    analysis = _make_target(read, corrections, choices, out, picture)
+    gain = _gain(shared_gain, digits_per_mv)
+    with TerminalProgress() as progress:
+        progress("recording", 0, 3, "reading")
+        wanted = None if leads is None else _leads(leads)
+        read = read_recording(recording, leads=wanted, sampling_rate=sampling_rate, unit=unit)
+        progress("recording", 1, 3, "beats")
+        analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
+        progress("recording", 2, 3, "picture")
+        save(recording_figure(analysis), picture)
+        write_target(analysis.target, out)
+        progress("recording", 3, 3, "")
     print_analysis(analysis)
     _line("target", str(out))
     _line("picture", str(picture))
 
 
-@dataclass(frozen=True)
-class _Corrections:
-    """What the user sets right in a recording: digits per mV, leads upside down, exchanges."""
+def _corrected(
+    recording: Recording, gain: float | None, inverted: Sequence[str], swapped: Sequence[str]
+) -> Recording:
+    """Recording after the gain (digits per mV), then polarity, then exchanges are set right."""
+    from fascicle.recording.corrections import invert, share_gain, swap
+    from fascicle.recording.readers.names import lead_name
 
-    gain: float | None
-    inverted: Sequence[str]
-    swapped: Sequence[str]
-
-    def applied(self, recording: Recording) -> Recording:
-        """Recording after the gain, then polarity, then exchanged cables are set right."""
-        from fascicle.recording.corrections import invert, share_gain, swap
-
-        if self.gain is not None:
-            recording = share_gain(recording, self.gain)
-        for text in self.inverted:
-            for lead in _leads(text):
-                recording = invert(recording, lead)
-        for text in self.swapped:
-            names = [part.strip() for part in re.split(r"[-,]", text)]
-            if len(names) != 2:
-                raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
-            recording = swap(recording, _electrode_or_lead(names[0]), _electrode_or_lead(names[1]))
-        return recording
+    if gain is not None:
+        recording = share_gain(recording, gain)
+    for text in inverted:
+        for lead in _leads(text):
+            recording = invert(recording, lead)
+    for text in swapped:
+        names = [part.strip() for part in re.split(r"[-,]", text)]
+        if len(names) != 2:
+            raise InputError(f"--swap {text}: give two names, such as RA-LA or V1-V2")
+        # leads by their standard names, electrodes in capitals
+        one, other = (lead_name(name) or name.upper() for name in names)
+        recording = swap(recording, one, other)
+    return recording
 
 
 def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
@@ -163,32 +171,6 @@ def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
     if not shared:
         return None
     return digits_per_mv if digits_per_mv is not None else DIGITS_PER_MILLIVOLT
-
-
-def _make_target(
-    read: Callable[[], Recording],
-    corrections: _Corrections,
-    choices: Choices,
-    out: Path,
-    picture: Path,
-) -> Analysis:
-    """Read, correct and analyse a recording; write its target and the page that shows it."""
-    from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.recording.pipeline import analyse
-    from fascicle.recording.target_files import write_target
-    from fascicle.report.figures import save
-    from fascicle.report.recording import recording_figure
-
-    with TerminalProgress() as progress:
-        progress("recording", 0, 3, "reading")
-        recording = read()
-        progress("recording", 1, 3, "beats")
-        analysis = analyse(corrections.applied(recording), choices)
-        progress("recording", 2, 3, "picture")
-        save(recording_figure(analysis), picture)
-        write_target(analysis.target, out)
-        progress("recording", 3, 3, "")
-    return analysis
 
 
 def print_analysis(analysis: Analysis) -> None:
@@ -282,22 +264,6 @@ def _picture_beside(out: Path, recording: Path) -> Path:
         if path.exists() and recording.exists() and path.samefile(recording):
             raise InputError(f"{path}: is the recording itself; give another name to write to")
     return picture
-
-
-def _read(
-    path: Path, leads: str | None, sampling_rate: float | None, unit: str | None
-) -> Recording:
-    from fascicle.recording.readers.read import read_recording
-
-    wanted = None if leads is None else _leads(leads)
-    return read_recording(path, leads=wanted, sampling_rate=sampling_rate, unit=unit)
-
-
-def _electrode_or_lead(text: str) -> str:
-    """Name of an electrode or a lead as it is written elsewhere."""
-    from fascicle.recording.readers.names import lead_name
-
-    return lead_name(text) or text.upper()
 
 
 def _leads(text: str) -> list[str]:

@@ -17,15 +17,10 @@ from rich.progress import (
 
 from fascicle.core.errors import InputError
 
+# of the stages that are not called by their own names
 NAMES = {
     "compilation": "compiling (first run)",
-    "recording": "recording",
     "template": "cables",
-    "surface": "surface",
-    "meshing": "meshing",
-    "fibres": "fibres",
-    "torso": "torso",
-    "lead fields": "lead fields",
     "preparation": "preparing the heart",
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all, and where the user's cache is."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import platformdirs
+
 from fascicle.core.errors import InputError
 
+CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -151,3 +154,9 @@ def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
             f"{path}: cannot read '{suffix or 'no suffix'}' as {purpose}; "
             f"use one of {', '.join(formats)}"
         )
+
+
+def user_cache() -> Path:
+    """Folder for what belongs to no heart and no study; it may be deleted at any time."""
+    chosen = os.environ.get(CACHE_VARIABLE)
+    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("fascicle"))

@@ -1,15 +1,18 @@
-"""The parameter space: names, units, ranges, and and the map to the unit cube and back."""
+"""The parameter space: names, units, ranges, the map from the unit cube; files of parameters."""
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,6 @@ class ParameterSpace:
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def to_unit(self, values: Mapping[str, float]) -> Floats:
-        """Named values to a point of the unit cube, shape (d,)."""
-        check_names(values, self.names)
-        vector = np.array([float(values[name]) for name in self.names])
-        return np.asarray((vector - self.lower) / (self.upper - self.lower))
-
     def from_unit(self, point: Floats) -> dict[str, float]:
         """Point of the unit cube, shape (d,), to named values."""
         vector = self.lower + np.asarray(point) * (self.upper - self.lower)
@@ -98,6 +95,29 @@ def check_names(values: Mapping[str, float], names: tuple[str, ...]) -> None:
             if len(missing) > 1
             else f"missing parameter {missing[0]}; add it"
         )
+
+
+def read_parameters(path: Path | str) -> dict[str, float]:
+    """Read the twelve parameters of a network from a TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not TOML, or a parameter is unknown, missing or not finite.
+    """
+    path = Path(path)
+    check_file(path, (".toml",), "parameters")
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
+        raise InputError(f"{path}: not valid TOML ({error}); write lines like 'cv = 3.0'") from None
+    try:
+        check_names(values, NETWORK_SPACE.names)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except OverflowError:
+        raise InputError(f"{path}: a number has too many digits; correct it") from None
+    return {name: float(values[name]) for name in NETWORK_SPACE.names}
 
 
 # A network with an ECG within normal limits: QRS 90 to 100 ms, normal axis, transition at V3 or V4.

@@ -8,7 +8,7 @@ from threading import Timer
 import numpy as np
 
 from fascicle.core.progress import Progress
-from fascicle.forward.cable.stored import default_template
+from fascicle.forward.cable.template import default_template
 from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.preparation import build
 from fascicle.heart.conduction import Conduction

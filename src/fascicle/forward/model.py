@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import lru_cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import NETWORK_SPACE, check_names
 from fascicle.core.progress import Progress
-from fascicle.forward.cable.stored import default_template
-from fascicle.forward.ecg.action_potential import ActionPotential
-from fascicle.forward.ecg.electrocardiogram import first_sample
+from fascicle.forward.cable.template import default_template
+from fascicle.forward.ecg.electrocardiogram import ActionPotential, first_sample
 from fascicle.forward.eikonal.activation import attach, solve
-from fascicle.forward.many import simulate_elsewhere
-from fascicle.forward.preparation import Prepared, prepare
+from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation, check_activation
 from fascicle.heart.conduction import Conduction
@@ -24,6 +24,8 @@ from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
 PHYSIOLOGY = ("root_time", "cv")  # parameters that change no tree
+
+_Settings = tuple[Conduction, GrowthRules, ActionPotential]
 
 
 class ForwardModel:
@@ -38,7 +40,7 @@ class ForwardModel:
     rules : GrowthRules, optional
         What is held fixed while trees grow.
     action_potential : ActionPotential, optional
-        The template U; `fascicle.forward.cable.stored.default_template` if not given.
+        The template U; `fascicle.forward.cable.template.default_template` if not given.
     prepared : Prepared, optional
         What `fascicle.forward.preparation.prepare` makes of heart and conduction, if it is at hand.
     progress : Progress, optional
@@ -191,7 +193,31 @@ class ForwardModel:
         """
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), parameters))
-        return simulate_elsewhere(self, ForwardModel, parameters, executor, scenario)
+        with TemporaryDirectory(prefix="fascicle-") as folder:
+            path = Path(folder) / "model.npz"
+            save(path, self.prepared, self.heart)
+            settings = self.conduction, self.rules, self.action_potential
+            futures = [
+                executor.submit(_simulate_elsewhere, path, settings, dict(p), scenario)
+                for p in parameters
+            ]
+            return [future.result() for future in futures]
+
+
+# The model that this process, as a worker of another one, has read, by the file it came from
+_READ: dict[Path, ForwardModel] = {}
+
+
+def _simulate_elsewhere(
+    path: Path, settings: _Settings, parameters: dict[str, float], scenario: Scenario | None
+) -> Simulation | InvalidTree:
+    model = _READ.get(path)
+    if model is None:
+        heart, prepared = load(path, settings[-1])
+        model = ForwardModel(heart, *settings, prepared)
+        _READ.clear()  # another thread of this worker may have read another model
+        _READ[path] = model
+    return model.simulate(parameters, scenario)
 
 
 def _grow_trees(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
-from collections.abc import Iterable
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.ecg.action_potential import ActionPotential
-from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
+from fascicle.forward.ecg.electrocardiogram import (
+    ActionPotential,
+    Electrocardiograph,
+    build_electrocardiograph,
+)
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium, find_on_surface
 from fascicle.heart.conduction import Conduction
@@ -30,12 +32,11 @@ from fascicle.kernels.arrays import EikonalMesh, TravelTimeTable
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
-from fascicle.torso.lead_fields import resolve_lead_fields
+from fascicle.torso.resolve import resolve_lead_fields
 
-FORMAT = 4  # of the files; another number makes them anew
+FORMAT = 5  # of the files; another number makes them anew
 ONCE = "once per heart"
 KEPT = 4  # files in a heart's cache; the oldest go
-HEART_ARRAYS = ("vertices", "tetrahedra", "fibres", "electrodes")
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,8 @@ def prepare(
     content = f"{version('fascicle')} {FORMAT} {heart.digest} {conduction}"
     path = heart.folder / DISPOSABLE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
     try:
-        return load(path, heart, action_potential)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return load(path, action_potential, heart)[1]
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
         prepared = build(heart, conduction, action_potential, progress)  # not there, or damaged
     # somebody else's cache, a full disk, or another process tidying up: only this cache is lost
     with suppress(OSError, InputError):
@@ -146,99 +147,60 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
     prepared : Prepared
         What is written.
     heart : Heart, optional
-        The heart it was prepared from, if that is to be read back, too (`load_with_heart`).
+        The heart it was prepared from, if that is to be read back, too.
     """
-    myocardium, ecg = prepared.myocardium, prepared.electrocardiograph
-    arrays: dict[str, NDArray[np.generic]] = {
-        f"mesh.{name}": np.asarray(value) for name, value in myocardium.mesh._asdict().items()
+    myocardium = prepared.myocardium
+    parts = {
+        "mesh": myocardium.mesh._asdict(),
+        "travel_times": myocardium.travel_times._asdict(),
+        "myocardium": _attributes(myocardium, "order", "conducts", "surface", "owner"),
+        "ecg": _attributes(prepared.electrocardiograph, "corners", "weights"),
+        **{side: chart._asdict() for side, chart in prepared.charts.items()},
     }
-    for name, value in myocardium.travel_times._asdict().items():
-        arrays[f"travel_times.{name}"] = np.asarray(value)
-    for name in ("order", "conducts", "surface", "owner"):
-        arrays[f"myocardium.{name}"] = getattr(myocardium, name)
-    for name in ("corners", "weights"):
-        arrays[f"ecg.{name}"] = getattr(ecg, name)
-    for side, chart in prepared.charts.items():
-        for name in ("points", "neighbours", "metric"):
-            arrays[f"{side}.{name}"] = getattr(chart, name)
     if heart is not None:
-        for name in HEART_ARRAYS:
-            arrays[f"heart.{name}"] = getattr(heart, name)
-        for endocardium in heart.endocardia:
-            for name in ("vertices", "triangles", "root", "direction"):
-                arrays[f"{endocardium.side}.{name}"] = np.asarray(getattr(endocardium, name))
+        parts["heart"] = _attributes(heart, "vertices", "tetrahedra", "fibres", "electrodes")
+        for e in heart.endocardia:
+            surface = _attributes(e, "vertices", "triangles", "root", "direction")
+            parts[f"{e.side} endocardium"] = surface
+    arrays = {f"{part}.{n}": value for part, values in parts.items() for n, value in values.items()}
     with atomic_path(path) as temporary:
         np.savez(temporary, allow_pickle=False, **arrays)
 
 
-def load(path: Path, heart: Heart, action_potential: ActionPotential) -> Prepared:
-    """Read what `save` wrote for this heart.
+def _attributes(part: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(part, name) for name in names}
+
+
+def load(
+    path: Path, action_potential: ActionPotential, heart: Heart | None = None
+) -> tuple[Heart, Prepared]:
+    """Read what `save` wrote.
 
     Parameters
     ----------
     path : Path
         NPZ file.
-    heart, action_potential : Heart, ActionPotential
-        What it was prepared for.
+    action_potential : ActionPotential
+        The template U.
+    heart : Heart, optional
+        What it was prepared for, if that was not written, too.
     """
-    return _prepared(_arrays(path), heart, action_potential)
-
-
-def load_with_heart(path: Path, action_potential: ActionPotential) -> tuple[Heart, Prepared]:
-    """Read a file that `save` wrote with the heart in it."""
-    arrays = _arrays(path)
-    endocardia = [
-        Endocardium(
-            side,
-            arrays[f"{side}.vertices"],
-            arrays[f"{side}.triangles"],
-            int(arrays[f"{side}.root"]),
-            int(arrays[f"{side}.direction"]),
-        )
-        for side in ("lv", "rv")
-    ]
-    lv, rv = endocardia
-    vertices, tetrahedra, fibres, electrodes = (arrays[f"heart.{name}"] for name in HEART_ARRAYS)
-    heart = Heart(vertices, tetrahedra, fibres, lv, rv, electrodes)
-    return heart, _prepared(arrays, heart, action_potential)
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
     with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
-
-
-def _fields(arrays: dict[str, NDArray[Any]], prefix: str, names: Iterable[str]) -> dict[str, Any]:
-    """Fields of a named tuple; an array without dimensions is a number."""
-    found = {name: arrays[f"{prefix}.{name}"] for name in names}
-    return {name: value if value.ndim else float(value) for name, value in found.items()}
-
-
-def _prepared(
-    arrays: dict[str, NDArray[Any]], heart: Heart, action_potential: ActionPotential
-) -> Prepared:
-    charts = {
-        e.side: Chart(
-            arrays[f"{e.side}.points"],
-            e.vertices,
-            e.triangles,
-            arrays[f"{e.side}.neighbours"],
-            arrays[f"{e.side}.metric"],
-        )
-        for e in heart.endocardia
-    }
-    mesh = EikonalMesh(**_fields(arrays, "mesh", EikonalMesh._fields))
-    surface = arrays["myocardium.surface"]
-    myocardium = Myocardium(
-        mesh,
-        TravelTimeTable(**_fields(arrays, "travel_times", TravelTimeTable._fields)),
-        arrays["myocardium.order"],
-        arrays["myocardium.conducts"],
-        surface,
-        arrays["myocardium.owner"],
-        find_on_surface(mesh.vertices, surface),
+        for key in file.files:
+            part, name = key.split(".")
+            value = file[key]
+            parts[part][name] = value if value.ndim else value.item()
+    if heart is None:
+        lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
+        heart = Heart(lv=lv, rv=rv, **parts["heart"])
+    charts = {e.side: Chart(**parts[e.side]) for e in heart.endocardia}
+    mesh, myocardium = EikonalMesh(**parts["mesh"]), parts["myocardium"]
+    tree = find_on_surface(mesh.vertices, myocardium["surface"])
+    table = TravelTimeTable(**parts["travel_times"])
+    return heart, Prepared(
+        charts,
+        _seeds(heart, charts),
+        Myocardium(mesh, table, **myocardium, tree=tree),
+        Electrocardiograph(**parts["ecg"], action_potential=action_potential),
     )
-    electrocardiograph = Electrocardiograph(
-        arrays["ecg.corners"], arrays["ecg.weights"], action_potential
-    )
-    return Prepared(charts, _seeds(heart, charts), myocardium, electrocardiograph)

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
-from fascicle.core.parameter_files import read_parameters
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.ecg_files import write_ecg
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
@@ -245,14 +245,16 @@ def write_activation(path: Path, heart: Heart, simulation: Simulation) -> None:
         "activation": simulation.activation,
         "origin": simulation.coupled.origin,
     }
-    write_grid(
-        path,
-        heart.vertices,
-        heart.tetrahedra,
-        TETRAHEDRON,
-        point_data=points,
-        cell_data={"fibre": heart.fibres},
-    )
+    fibres = {"fibre": heart.fibres}
+    write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, fibres)
+
+
+def write_ecg(path: Path, ecg: xr.DataArray) -> None:
+    """Write an ECG (lead × time, mV) as CSV with the columns time_ms, I … V6."""
+    rows = np.column_stack([ecg["time"].to_numpy(), ecg.sel(lead=list(LEADS)).to_numpy().T])
+    lines = [",".join(["time_ms", *LEADS])]
+    lines += [",".join([f"{row[0]:g}", *(f"{value:.6f}" for value in row[1:])]) for row in rows]
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def sites_table(simulation: Simulation) -> str:

@@ -1,4 +1,4 @@
-"""The arrays that the coupled sweep works on, bundled by what they describe."""
+"""The arrays that the sweep and the growth of trees work on, bundled by what they describe."""
 
 from __future__ import annotations
 
@@ -228,3 +228,46 @@ class Front(NamedTuple):
     origin: NDArray[np.int64]
     entered_by: NDArray[np.int64]
     queue: Queue
+
+
+# What the search for the nearest node reads of a node lies together: one cache line, not five.
+NODE = np.dtype(
+    [
+        ("u", np.float64),
+        ("v", np.float64),
+        ("branch", np.int32),  # number of the branch it belongs to
+        ("following", np.int32),  # next node in the same cell of the hash, or -1
+        ("parent", np.int32),  # node before it, -1 at the root
+        ("triangle", np.int32),
+        ("length", np.float64),  # of the segment to its parent (mm)
+    ]
+)
+
+
+class Rules(NamedTuple):
+    """What is held fixed: `fascicle.purkinje.growth.GrowthRules`, with `step` = l_b/N_s (mm)."""
+
+    step: float
+    segments: int
+    generations: int
+    repulsion: float
+    branch_angle: float
+    clearance: float
+
+
+class Tree(NamedTuple):
+    """A tree that grows.
+
+    Attributes
+    ----------
+    nodes : array of NODE
+        The nodes, and room for more.
+    size : int
+        How many nodes there are.
+    head : (GRID, GRID) array
+        The hash: a node in each cell, from which `following` leads to the others; or -1.
+    """
+
+    nodes: NDArray[np.void]
+    size: int
+    head: NDArray[np.int32]

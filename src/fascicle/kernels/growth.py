@@ -2,13 +2,15 @@
 
 Positions are disk coordinates plus the triangle they lie in, (u, v, triangle); lengths are physical
 (mm). All directions are vectors (a, b) of the disk.
+
+Charts and seeds are those of `fascicle.purkinje`, named tuples of arrays.
 """
 
 import math
 
 import numpy as np
 
-from fascicle.kernels.growth_arrays import NODE, Tree
+from fascicle.kernels.arrays import NODE, Tree
 from fascicle.kernels.jit import allocating_kernel
 
 GROWN = -1  # status: the tree is complete
@@ -29,7 +31,7 @@ def _norm(metric, triangle, a, b):
 
 
 @allocating_kernel()
-def walk(u, v, triangle, a, b, length, surface):
+def walk(u, v, triangle, a, b, length, chart):
     """Walk along a direction of the disk, exactly, triangle by triangle.
 
     Parameters
@@ -40,8 +42,8 @@ def walk(u, v, triangle, a, b, length, surface):
         Direction; its length does not matter.
     length : float
         Physical length (mm).
-    surface : Surface
-        See `fascicle.kernels.growth_arrays`.
+    chart : Chart
+        The endocardium's map to the disk.
 
     Returns
     -------
@@ -50,7 +52,7 @@ def walk(u, v, triangle, a, b, length, surface):
     missing : float
         The length that was left over (mm): positive only where the walk met the base.
     """
-    points, triangles, neighbours, metric = surface
+    points, _, triangles, neighbours, metric = chart
     while True:
         speed = _norm(metric, triangle, a, b)
         reach = length / speed
@@ -156,7 +158,7 @@ def _with_room(tree, more):
 
 
 @allocating_kernel()
-def _lay(start, heading, length, step, branch, tree, surface):
+def _lay(start, heading, length, step, branch, tree, chart):
     """Lay a straight stretch of `length` mm from node `start`, the last segment shorter.
 
     Returns the tree, the last node of the stretch (on the base, if it meets that) and what could
@@ -168,7 +170,7 @@ def _lay(start, heading, length, step, branch, tree, surface):
     while left > 0.0:
         mm = min(step, left)
         end = tree.nodes[last]
-        u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, mm, surface)
+        u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, mm, chart)
         tree = _append(tree, (u, v, triangle), last, mm - missing, branch)
         last = tree.size - 1
         left -= mm
@@ -203,13 +205,13 @@ def _steered(point, heading, nearest, repulsion, nodes, metric):
 
 
 @allocating_kernel()
-def _sprout(tips, heading, label, rules, tree, surface):
+def _sprout(tips, heading, label, rules, tree, chart):
     """Grow one generation: two branches from every tip, advanced a segment at a time in step.
 
     Branches are numbered from `label` on. Returns the tree, and the tips and headings of the
     branches that lived.
     """
-    metric, step = surface.metric, rules.step
+    metric, step = chart.metric, rules.step
     count = 2 * len(tips)
     end = np.repeat(tips, 2)
     toward = np.empty((count, 2))
@@ -238,7 +240,7 @@ def _sprout(tips, heading, label, rules, tree, surface):
                 guess, square = _nearest_of(seen[k], tree.size, point, sister, known, nodes, metric)
                 known = guess, square
                 a, b = _steered(point, (a, b), known, rules.repulsion, nodes, metric)
-            u, v, t, missing = walk(point[0], point[1], point[2], a, b, step, surface)
+            u, v, t, missing = walk(point[0], point[1], point[2], a, b, step, chart)
             if missing > 0.0:
                 alive[k] = False
                 continue
@@ -260,12 +262,12 @@ def _sprout(tips, heading, label, rules, tree, surface):
 
 
 @allocating_kernel()
-def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface):
+def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, chart):
     """Grow one tree.
 
     Parameters
     ----------
-    start : Start
+    seed : fascicle.purkinje.growth.Seed
         Where the bundle starts.
     bundle_length : float
         Length of the bundle (mm).
@@ -273,8 +275,8 @@ def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface
         Length (mm) of each fascicle and its angle to the bundle (rad).
     rules : Rules
         What is held fixed.
-    surface : Surface
-        The chart.
+    chart : Chart
+        The endocardium's map to the disk.
 
     Returns
     -------
@@ -287,9 +289,9 @@ def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface
         the endocardium met the base.
     """
     tree = Tree(np.empty(ROOM, NODE), 0, np.full((GRID, GRID), -1, np.int32))
-    tree = _append(tree, (start.u, start.v, start.triangle), -1, 0.0, 0)
-    bundle = start.heading_u, start.heading_v
-    tree, fork, missing = _lay(0, bundle, bundle_length, rules.step, 0, tree, surface)
+    tree = _append(tree, (seed.point[0], seed.point[1], seed.triangle), -1, 0.0, 0)
+    bundle = seed.heading[0], seed.heading[1]
+    tree, fork, missing = _lay(0, bundle, bundle_length, rules.step, 0, tree, chart)
     if missing > 0.0:
         return 0, missing, tree.nodes[: tree.size]
 
@@ -298,7 +300,7 @@ def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface
     for f in range(fascicles):
         along = _turned(bundle, fascicle_angles[f])
         length = fascicle_lengths[f]
-        tree, tips[f], missing = _lay(fork, along, length, rules.step, f + 1, tree, surface)
+        tree, tips[f], missing = _lay(fork, along, length, rules.step, f + 1, tree, chart)
         if missing > 0.0:
             return f + 1, missing, tree.nodes[: tree.size]
         heading[f] = along
@@ -306,7 +308,7 @@ def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface
     label = fascicles + 1
     for _ in range(rules.generations):
         sprouts = 2 * len(tips)
-        tree, tips, heading = _sprout(tips, heading, label, rules, tree, surface)
+        tree, tips, heading = _sprout(tips, heading, label, rules, tree, chart)
         label += sprouts
         if len(tips) == 0:
             break
@@ -314,18 +316,9 @@ def grow(start, bundle_length, fascicle_lengths, fascicle_angles, rules, surface
 
 
 @allocating_kernel()
-def lift(nodes, points, vertices, triangles):
-    """Positions of the nodes on the endocardium (mm), shape (n, 3).
-
-    Parameters
-    ----------
-    nodes : (n,) array of NODE
-        The nodes.
-    points, triangles
-        See `fascicle.kernels.growth_arrays.Surface`.
-    vertices : (n, 3) array
-        Position of each vertex on the endocardium (mm).
-    """
+def lift(nodes, chart):
+    """Positions of the nodes, an array of NODE, on the endocardium (mm), shape (n, 3)."""
+    points, vertices, triangles, _, _ = chart
     positions = np.empty((len(nodes), 3))
     for n in range(len(nodes)):
         p, q, r = triangles[nodes[n].triangle]

@@ -96,12 +96,7 @@ def from_inside_face(gram, times):
 def from_face(gram, times):
     """Earliest arrival (ms) from a face with its edges and vertices.
 
-    Parameters
-    ----------
-    gram : tuple of 6 floats
-        A_ij = eᵢᵀD⁻¹eⱼ (ms²) of the face's corners: 11, 12, 13, 22, 23, 33.
-    times : tuple of 3 floats
-        Their times (ms); may be inf.
+    `gram` and `times` as for `from_inside_face`; times may be inf.
     """
     a11, a12, a13, a22, a23, a33 = gram
     t1, t2, t3 = times

@@ -50,10 +50,10 @@ def barycentric_coordinate(cells, t, corner, x, y, z):
 
     Parameters
     ----------
-    cells : (m, 22) array
-        See `fascicle.kernels.arrays.EikonalMesh`.
-    t, corner : int
-        The tetrahedron, and which of its corners.
+    cells, t
+        See `travel`.
+    corner : int
+        Which of the tetrahedron's corners.
     x, y, z : float
         The point (mm).
     """

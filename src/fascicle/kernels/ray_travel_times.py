@@ -208,18 +208,14 @@ def rays_to_sites(sites, first_start, first, mesh, to_vertices, time_to, rays):
 
     Parameters
     ----------
-    sites : LocatedSites
-        See `fascicle.kernels.arrays`.
+    sites, mesh, rays
+        See `rays_to_vertices`.
     first_start, first : (n + 1,) and (j,) arrays
         The sites whose element has each vertex as its first corner.
-    mesh : EikonalMesh
-        The myocardium.
     to_vertices : RayTravelTimes
         To the vertices around each site.
     time_to : (n,) array
         inf, and inf again afterwards.
-    rays : RayTravelTimes
-        Overwritten, as far as there is need.
     """
     rays.start[0] = used = 0
     for s in range(len(sites.elements)):

@@ -14,12 +14,10 @@ Biomed Eng 25 (1978) 389-392; in this midpoint form, Sundnes et al., IEEE Trans 
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fascicle.kernels.jit import kernel
+from fascicle.kernels.jit import allocating_kernel, kernel
 
 # Rows of a state: potential, gates, receptor, concentrations
 (V, M, H, J, D, F, F2, F_CASS, R, S, XR1, XR2, XS, R_PRIME,
@@ -238,29 +236,34 @@ def _react(i, state, middle, cell, stimulus, dt):
     _advance(i, middle, state, state, cell, stimulus, dt)
 
 
-@kernel()
-def run_cell(state, middle, cell, stimulus, stimulated, dt, trace):
-    """Advance one cell by as many steps as `trace` has places.
+@allocating_kernel()
+def run_cell(state, cell, stimulus, stimulated, dt, steps):
+    """Advance one cell.
 
     Parameters
     ----------
     state : (1, 19) array
         The cell; changed in place.
-    middle : (1, 19) array
-        Room.
     cell : (3,) array
         G_Ks, G_to, and 1 for an endocardial cell.
     stimulus : float
         Current (pA/pF, negative depolarises) during the first `stimulated` steps.
     dt : float
         Step (ms).
-    trace : (steps,) array
-        Receives the potential (mV) after each step.
+    steps : int
+        How many.
+
+    Returns
+    -------
+    (steps,) array
+        The potential (mV) after each step.
     """
-    for step in range(len(trace)):
+    middle, trace = np.empty_like(state), np.empty(steps)
+    for step in range(steps):
         current = stimulus if step < stimulated else 0.0
         _react(0, state, middle, cell, current, dt)
         trace[step] = state[0, V]
+    return trace
 
 
 @kernel()
@@ -296,61 +299,45 @@ def _diffuse(state, pivot, right, lambda_):
         state[k, V] = (right[k] - above * state[k + 1, V]) * pivot[k]
 
 
-class Cable(NamedTuple):
-    """The cells of a cable, and room.
-
-    Attributes
-    ----------
-    state, middle : (n, 19) arrays
-        The cells, and room for as many.
-    pivot, right : (n,) arrays
-        Room.
-    """
-
-    state: NDArray[np.float64]
-    middle: NDArray[np.float64]
-    pivot: NDArray[np.float64]
-    right: NDArray[np.float64]
-
-
-class Stimulus(NamedTuple):
-    """A current (pA/pF) into the first `cells` cells during the first `steps` steps."""
-
-    current: float
-    steps: int
-    cells: int
-
-
-@kernel()
-def run_cable(cable, cell, stimulus, lambda_, dt, probes, traces):
-    """Advance a cable by as many steps as `traces` has rows.
+@allocating_kernel()
+def run_cable(state, cell, stimulus, lambda_, dt, steps, probes):
+    """Advance a cable.
 
     Half a step of diffusion, a step of every cell, half a step of diffusion (Strang, 1968).
 
     Parameters
     ----------
-    cable : Cable
-        Its cells are changed in place.
+    state : (n, 19) array
+        Its cells; changed in place.
     cell : (3,) array
         See `run_cell`.
-    stimulus : Stimulus
-        Current into the end of the cable.
+    stimulus : tuple of float, int, int
+        Current (pA/pF), the number of steps that it lasts, and the number of cells, from the end of
+        the cable on, that it goes into.
     lambda_ : float
         D·(dt/2)/dx².
     dt : float
         Step (ms).
+    steps : int
+        How many.
     probes : (p,) array of int
         Cells to record.
-    traces : (steps, p) array
-        Receives their potentials (mV) after each step.
+
+    Returns
+    -------
+    (steps, p) array
+        Their potentials (mV) after each step.
     """
-    state, middle, pivot, right = cable
+    amplitude, stimulated, reach = stimulus
+    middle, traces = np.empty_like(state), np.empty((steps, len(probes)))
+    pivot, right = np.empty(len(state)), np.empty(len(state))
     _factor(pivot, lambda_)
-    for step in range(len(traces)):
+    for step in range(steps):
         _diffuse(state, pivot, right, lambda_)
         for i in range(len(pivot)):
-            current = stimulus.current if step < stimulus.steps and i < stimulus.cells else 0.0
+            current = amplitude if step < stimulated and i < reach else 0.0
             _react(i, state, middle, cell, current, dt)
         _diffuse(state, pivot, right, lambda_)
         for p in range(len(probes)):
             traces[step, p] = state[probes[p], V]
+    return traces

@@ -26,8 +26,10 @@ def self_intersections(
 
     Parameters
     ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices.
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices.
     surface : (m,) array, optional
         Number of the surface that each triangle belongs to; only pairs of two different surfaces
         are then looked for.

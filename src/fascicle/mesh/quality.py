@@ -65,8 +65,10 @@ def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
 
     Parameters
     ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        Positions (mm) and vertex indices, positively oriented.
+    vertices : (n, 3) array
+        Positions (mm).
+    tetrahedra : (m, 4) array
+        Vertex indices, positively oriented.
     """
     import pyvista as pv
 

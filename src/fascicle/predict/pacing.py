@@ -78,9 +78,7 @@ def pace(model: ForwardModel, networks: Sequence[Network], root_time: float) -> 
     )
 
 
-def qrs_aligned(
-    simulations: Sequence[Simulation],
-) -> tuple[Floats, Floats]:
+def qrs_aligned(simulations: Sequence[Simulation]) -> tuple[Floats, Floats]:
     """ECGs of several simulations from their QRS onsets on.
 
     Returns

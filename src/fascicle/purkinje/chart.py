@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import igl
 import numpy as np
@@ -15,8 +15,7 @@ from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
 
 
-@dataclass(frozen=True)
-class Chart:
+class Chart(NamedTuple):
     """A bijective map between an endocardium and the unit disk, linear on each triangle.
 
     The disk is seen from inside the cavity: counter-clockwise there is counter-clockwise on the

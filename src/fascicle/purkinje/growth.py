@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
-from fascicle.kernels.growth_arrays import Rules, Start, Surface
+from fascicle.kernels.arrays import Rules
 from fascicle.mesh.measures import unit
 from fascicle.purkinje.chart import Chart
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
@@ -45,8 +46,7 @@ class GrowthRules:
     clearance: float = 0.9
 
 
-@dataclass(frozen=True)
-class Seed:
+class Seed(NamedTuple):
     """Where a bundle starts in the disk, and its unit heading there."""
 
     point: Floats
@@ -125,7 +125,7 @@ def grow_tree(
         `InvalidTree` where the bundle or a fascicle would leave the endocardium.
     """
     status, missing, grown = growth.grow(
-        Start(seed.point[0], seed.point[1], seed.triangle, seed.heading[0], seed.heading[1]),
+        seed,
         float(bundle_length),
         np.asarray(fascicle_lengths, float),
         np.asarray(fascicle_angles, float),
@@ -137,9 +137,9 @@ def grow_tree(
             branch_angle=float(rules.branch_angle),
             clearance=float(rules.clearance),
         ),
-        Surface(chart.points, chart.triangles, chart.neighbours, chart.metric),
+        chart,
     )
-    nodes = growth.lift(grown, chart.points, chart.vertices, chart.triangles)
+    nodes = growth.lift(grown, chart)
     if status == growth.GROWN:
         return PurkinjeTree(
             side,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,22 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
+from fascicle.core.files import check_file, write_text
 from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
+from fascicle.mesh.formats.opencarp import (
+    COORDINATE,
+    MICROMETRES,
+    opencarp_file,
+    read_lengths,
+    read_opencarp_mesh,
+    rows,
+    write_directions,
+    write_opencarp_mesh,
+    write_vtx,
+)
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
-from fascicle.purkinje.opencarp_trees import read_opencarp_tree
+from fascicle.mesh.measures import unit
 from fascicle.purkinje.tree import PurkinjeTree
 
 TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
@@ -45,6 +57,25 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
     )
 
 
+def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
+    """Write a tree as line elements, by the convention of `fascicle.build.opencarp`.
+
+    Positions and lengths keep 1e-9 mm.
+    """
+    child = np.flatnonzero(tree.parents >= 0)
+    parent = tree.parents[child]
+    tags = np.full(len(tree.nodes), len(tree.parts))
+    for number, part in enumerate(tree.parts.values()):
+        tags[part] = number
+    write_opencarp_mesh(stem, tree.nodes, "Ln", np.column_stack([parent, child]), tags[child])
+    along = tree.nodes[child] - tree.nodes[parent]
+    write_directions(opencarp_file(stem, ".lon"), [unit(along)])
+    lengths = rows(COORDINATE, tree.lengths[child] * MICROMETRES)
+    write_text(opencarp_file(stem, "_length.dat"), lengths)
+    write_vtx(opencarp_file(stem, "_root.vtx"), np.array([tree.root]))
+    write_vtx(opencarp_file(stem, "_junctions.vtx"), tree.junctions)
+
+
 def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     """Read a tree of lines.
 
@@ -55,7 +86,7 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     ----------
     path : path
         VTU, VTP or VTK file of lines or polylines (mm), or openCARP's `.pts` or `.elem` by the
-        convention of `fascicle.purkinje.opencarp_trees`.
+        convention of `fascicle.build.opencarp`.
     side : str
         ``"lv"`` or ``"rv"``.
     near : (3,) array
@@ -70,7 +101,7 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     purpose = f"{side.upper()} tree"
     check_file(path, TREE_FORMATS, purpose)
     is_opencarp = path.suffix.lower() in OPENCARP_FORMATS
-    mesh = read_opencarp_tree(path, purpose) if is_opencarp else read_mesh(path, purpose)
+    mesh = _read_opencarp_tree(path, purpose) if is_opencarp else read_mesh(path, purpose)
     segments, lengths = _segments(mesh)
     used, compact = np.unique(segments, return_inverse=True)
     nodes, merged = _merged(mesh.points[used])
@@ -99,6 +130,20 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     to_parent = np.zeros(count)
     to_parent[child] = lengths
     return PurkinjeTree(side, nodes, parents, to_parent)
+
+
+def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
+    """Read the lines of a tree, with the cell array ``length`` (mm) if its file is there."""
+    mesh = read_opencarp_mesh(path, purpose)
+    file = opencarp_file(path, "_length.dat")
+    if not file.exists():
+        return mesh
+    lines, lengths = mesh.require(LINE, "lines"), read_lengths(file)
+    if len(lengths) != len(lines):
+        raise InputError(
+            f"{file}: {len(lengths)} lengths for {len(lines)} lines; export or copy it again"
+        )
+    return replace(mesh, cell_data={LINE: {**mesh.cell_data[LINE], "length": lengths}})
 
 
 def _merged(points: Floats) -> tuple[Floats, Integers]:

@@ -8,16 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.recording.alignment import LARGEST_SHIFT, cut, detrended
-from fascicle.recording.baseline import quiet_start, subtract_drift
+from fascicle.recording.classes import LARGEST_SHIFT, cut, detrended
 from fascicle.recording.detection import magnitude
 from fascicle.recording.lead_groups import LeadGroup
 from fascicle.recording.target import SAMPLING_STEP
-from fascicle.recording.window import qrs_window
+from fascicle.recording.window import qrs_window, spatial_velocity
 
 BEFORE, AFTER = 250.0, 450.0  # ms around R
 BEFORE_SHARE, AFTER_SHARE = 0.4, 0.6  # of the RR interval, at fast rates
 ALIGNMENT_SD = 10.0  # ms; of groups without a common lead, see `combine`
+# The isoelectric level of a beat is read in its still PR segment.
+KNOT = 20  # samples; one period of 50 Hz mains, so that hum averages out
+EARLIEST = 60  # samples before the QRS; further back is the P wave
+LATEST = 5  # samples before the QRS; nearer, its first slope is smoothed in
+FARTHEST = 2500  # samples; between isoelectric points farther apart, drift is no straight line
 
 
 @dataclass(frozen=True)
@@ -85,14 +89,49 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -
     before, after = extent(group)
     peaks = group.peaks[members]
     median = np.median(cut(group.signal, peaks, before, after), axis=0)
-    n_time = before + after + 1
     not_before = _end_of_spikes(group, members, before)
     first = qrs_window(median, SAMPLING_STEP, not_before)[0]
     if onset is not None:
-        first = min(max(before + round(onset / SAMPLING_STEP), 0), n_time - 1)
-    knots = peaks - before + quiet_start(median, first, SAMPLING_STEP)
-    beats = subtract_drift(group.signal, knots, peaks, before, n_time)
+        first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
+    knots = peaks - before + _quiet_start(median, first)
+    beats = _detrended_beats(group.signal, knots, peaks, before, after)
     return AlignedBeats(beats, before, not_before)
+
+
+def _quiet_start(mean: Floats, onset: int) -> int:
+    """First sample of the stillest `KNOT` samples just before the QRS of a mean beat (12, n)."""
+    earliest = max(onset - EARLIEST, 0)
+    stop = max(onset - LATEST, earliest + KNOT)
+    velocity = spatial_velocity(mean, SAMPLING_STEP)[earliest:stop]
+    speed = np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid")
+    return int(earliest + np.argmin(speed))
+
+
+def _detrended_beats(
+    signal: Floats, knots: Integers, peaks: Integers, before: int, after: int
+) -> Floats:
+    """Beats (n_beats, 12, n), mV, with a straight line removed from each lead.
+
+    The line of a beat runs through the isoelectric level before its QRS, from the sample `knots`
+    on, and that before the QRS of its nearest neighbour; both points are of one kind, and neither
+    T nor U waves enter. Where no neighbour is near, as for a single beat, the level alone is
+    removed.
+    """
+    level = np.stack([signal[:, max(k, 0) : k + KNOT].mean(axis=1) for k in knots])
+    slope = np.stack([_slope(level, knots, beat) for beat in range(len(knots))])
+    since = (peaks - knots)[:, None] - (KNOT - 1) / 2 + np.arange(-before, after + 1)
+    beats = cut(signal, peaks, before, after)
+    return np.asarray(beats - level[:, :, None] - slope[:, :, None] * since[:, None])
+
+
+def _slope(level: Floats, knots: Integers, beat: int) -> Floats:
+    """Drift (mV per sample) of each lead from a beat to its nearest neighbour."""
+    neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
+    near = min(neighbours, key=lambda k: abs(int(knots[k] - knots[beat])), default=beat)
+    distance = int(knots[near] - knots[beat])
+    if not 0 < abs(distance) <= FARTHEST:
+        return np.zeros(level.shape[1])
+    return np.asarray((level[near] - level[beat]) / distance)
 
 
 def _end_of_spikes(group: LeadGroup, members: Integers, before: int) -> int:
@@ -115,11 +154,6 @@ def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
     square of their mean beats: in synthetic recordings cut up in this way, half of the groups were
     right to within 2 ms, one in ten was off by more than 12 ms, and the worst by 50 ms. There are
     as many beats as the group with the fewest has.
-
-    Parameters
-    ----------
-    groups : sequence of AlignedBeats
-        Beats of each group, NaN in the leads that it lacks.
     """
     if len(groups) == 1:
         return groups[0]

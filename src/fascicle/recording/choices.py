@@ -78,7 +78,15 @@ class Choices:
 
 
 def check_window(onset: float, offset: float, source: str) -> None:
-    """Refuse a QRS window (ms) that ends before it has lasted."""
+    """Refuse a QRS window that ends before it has lasted.
+
+    Parameters
+    ----------
+    onset, offset : float
+        Its ends (ms from the R peak).
+    source : str
+        What the message begins with.
+    """
     if offset - onset < SHORTEST_WINDOW:
         raise InputError(
             f"{source}: QRS window {onset:g} to {offset:g} ms; the offset must be at least "

@@ -1,17 +1,51 @@
-"""Beats sorted by shape, so that ectopic, paced and aberrant ones do not mix with the rest."""
+"""Beats cut out, aligned and sorted by shape: ectopic and paced ones do not mix with the rest."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.recording.alignment import HALF_WIDTH, REACH, best_shifts, cut, detrended, shifted
 
+HALF_WIDTH = 100  # samples each side of R that are compared
+LARGEST_SHIFT = 60  # samples; an R' may be as tall as the R, and that far away
+REACH = HALF_WIDTH + LARGEST_SHIFT
+BLOCK = 64  # beats that are shifted at a time, which bounds the memory
 ALIKE = 0.2  # of a beat's energy; two beats of one class, correlation 0.9 or more, differ by less
 MOST_CANDIDATES = 40  # beats among which the centre of a class is looked for
 ROUNDS = 3
 FAINTEST = 1e-3  # of a template's energy; what is left of it without noise is taken as no less
 QUIET = 0.1  # quantile of the energy of all stretches that is taken as noise alone
+
+
+def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:
+    """Windows around peaks; beyond its ends the signal stays as it is there.
+
+    Parameters
+    ----------
+    signal : (n_leads, n) array
+        Potential (mV).
+    peaks : (n_beats,) array
+        R peaks (samples).
+    before, after : int
+        Samples before and after each peak.
+
+    Returns
+    -------
+    (n_beats, n_leads, before + after + 1) array
+        Potential (mV).
+    """
+    within = np.clip(peaks[:, None] + np.arange(-before, after + 1), 0, signal.shape[1] - 1)
+    return np.stack([signal[:, samples] for samples in within])
+
+
+def detrended(beats: Floats) -> Floats:
+    """Beats (..., n_time) less the straight line that fits each lead of each beat best.
+
+    Neither level nor drift then enters a comparison of two beats.
+    """
+    t = np.linspace(-1.0, 1.0, beats.shape[-1])
+    slope = beats @ t / (t @ t)
+    return np.asarray(beats - beats.mean(axis=-1, keepdims=True) - slope[..., None] * t)
 
 
 def sort_by_shape(signal: Floats, peaks: Integers, noise: float) -> tuple[Integers, Integers]:
@@ -64,13 +98,13 @@ def noise_energy(signal: Floats) -> float:
 
 def _class_of_most(wide: Floats, noise: float) -> tuple[Integers, Integers]:
     """Members of the largest class among the beats, and the shift of every beat."""
-    still = shifted(wide, np.zeros(len(wide), dtype=np.int64))
+    still = _shifted(wide, np.zeros(len(wide), dtype=np.int64))
     template = still[_central(wide, still, noise)]
     members = np.arange(len(wide))
     founders = 1
     for _ in range(ROUNDS):
-        shift = best_shifts(wide, template)
-        moved = shifted(wide, shift)
+        shift = _best_shifts(wide, template)
+        moved = _shifted(wide, shift)
         difference = _difference(moved, template, noise * (1 + 1 / founders), noise)
         members = np.flatnonzero(difference < ALIKE)
         if not members.size:  # the template is a beat, so this is a beat of noise alone
@@ -85,7 +119,7 @@ def _central(wide: Floats, still: Floats, noise: float) -> int:
     candidates = np.unique(np.linspace(0, len(wide) - 1, MOST_CANDIDATES).round().astype(int))
     alike = np.zeros(len(candidates))
     for k, candidate in enumerate(candidates):
-        moved = shifted(wide[candidates], best_shifts(wide[candidates], still[candidate]))
+        moved = _shifted(wide[candidates], _best_shifts(wide[candidates], still[candidate]))
         difference = _difference(moved, still[candidate], 2 * noise, noise)
         # as many as possible, and of equally many the most alike
         alike[k] = (difference < ALIKE).sum() - np.clip(difference, 0, ALIKE).mean()
@@ -98,3 +132,28 @@ def _difference(beats: Floats, template: Floats, expected: float, noise: float) 
     left = ((beats - template) ** 2).sum(axis=(1, 2)) - expected
     least = FAINTEST * (template**2).sum() + np.finfo(float).tiny
     return np.asarray(left / np.maximum(energy, least))
+
+
+def _best_shifts(wide: Floats, template: Floats) -> Integers:
+    """Samples, up to `LARGEST_SHIFT`, by which R lies later than assumed in each beat (n_beats,).
+
+    There the beats (n_beats, n_leads, 2·REACH + 1) correlate best with the detrended template
+    (n_leads, 2·HALF_WIDTH + 1), all leads together.
+    """
+    shifts = []
+    for start in range(0, len(wide), BLOCK):
+        tries = np.lib.stride_tricks.sliding_window_view(
+            wide[start : start + BLOCK], 2 * HALF_WIDTH + 1, axis=-1
+        )
+        # The template has neither level nor slope, so those of the beats do not matter
+        score = np.einsum("bcst,ct->bs", tries, template)
+        shifts.append(np.argmax(score, axis=1) - LARGEST_SHIFT)
+    return np.concatenate(shifts)
+
+
+def _shifted(wide: Floats, shifts: Integers) -> Floats:
+    """Detrended beats (n_beats, n_leads, 2·HALF_WIDTH + 1) at the given shifts of `wide` ones."""
+    first = LARGEST_SHIFT + shifts
+    return detrended(
+        np.stack([w[:, f : f + 2 * HALF_WIDTH + 1] for w, f in zip(wide, first, strict=True)])
+    )

@@ -10,27 +10,19 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
-from fascicle.recording.limb_leads import derive_limb_leads
-from fascicle.recording.recording import Recording
+from fascicle.recording.recording import Recording, derive_limb_leads
 
 DIGITS_PER_MILLIVOLT = 1000.0  # 1 uV a digit, the commonest gain of digital recorders
 LIMB_ELECTRODES = ELECTRODES[:3]
 
 
 def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
-    """Give all leads one gain, where the file states one per lead.
-
-    Parameters
-    ----------
-    recording : Recording
-        As it was read; the file must state the gain of every lead.
-    digits_per_millivolt : float
-        The gain that they share.
+    """Give all leads one gain (digits per mV), where the file states one per lead.
 
     Raises
     ------
     InputError
-        When the file states no gains.
+        When the file does not state the gain of every lead, or all have one.
     """
     gains, kept = recording.digits_per_millivolt, recording.measured_leads
     rows = [LEADS.index(lead) for lead in kept]
@@ -69,6 +61,13 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     Chest leads are measured against the mean of the limb electrodes, which no exchange among these
     alters; with two chest electrodes exchanged their leads are, too.
 
+    Parameters
+    ----------
+    recording : Recording
+        As it was read.
+    first, second : str
+        Names of the electrodes or leads.
+
     Raises
     ------
     InputError
@@ -78,10 +77,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
     if {first, second} <= set(LIMB_ELECTRODES) and first != second:
         signal, kept = _limb_electrodes_swapped(recording, first, second)
     elif {first, second} <= set(recording.measured_leads) and first != second:
-        order = list(range(len(LEADS)))
-        a, b = LEADS.index(first), LEADS.index(second)
-        order[a], order[b] = b, a
-        signal, kept = recording.signal[order], recording.measured_leads
+        signal, kept = recording.signal[_order(LEADS, first, second)], recording.measured_leads
     else:
         raise InputError(
             f"{recording.source}: cannot swap {names}; give two of the electrodes RA, LA, LL, or "
@@ -96,18 +92,20 @@ def _limb_electrodes_swapped(
 ) -> tuple[Floats, Sequence[str]]:
     """Signal with each limb lead taken from the one that was recorded in its place."""
     limb = lead_matrix()[: len(LIMB_LEADS)]
-    order = list(range(len(ELECTRODES)))
-    a, b = ELECTRODES.index(first), ELECTRODES.index(second)
-    order[a], order[b] = b, a
     recorded, signal = recording.measured_leads, recording.signal.copy()
     kept = [lead for lead in recorded if lead not in LIMB_LEADS]
-    for row, exchanged in enumerate(limb[:, order]):
+    for row, exchanged in enumerate(limb[:, _order(ELECTRODES, first, second)]):
         product = limb @ exchanged / np.linalg.norm(limb, axis=1) / np.linalg.norm(exchanged)
         source = int(np.argmax(np.abs(product)))  # the same lead, perhaps upside down: +1 or -1
         signal[row] = np.sign(product[source]) * recording.signal[source]
         if LIMB_LEADS[source] in recorded:
             kept.append(LIMB_LEADS[row])
     return signal, kept
+
+
+def _order(names: Sequence[str], first: str, second: str) -> list[int]:
+    """Positions of names, with two of them exchanged."""
+    return [names.index({first: second, second: first}.get(name, name)) for name in names]
 
 
 def _changed(

@@ -26,7 +26,7 @@ class ResidualCovariance:
     time : (n_qrs, n_qrs) array
         Correlation across samples of the QRS.
     shrinkage_leads, shrinkage_time : float
-        Weight of "no correlation" in each: near 0 with many beats, 1 where they tell nothing.
+        Weight of "no correlation" in each: near 0 with many beats, 1 where they show nothing.
     """
 
     sd: Floats
@@ -35,27 +35,15 @@ class ResidualCovariance:
     shrinkage_leads: float
     shrinkage_time: float
 
-    @property
-    def full(self) -> Floats:
-        """The whole covariance (mV²), shape (12, n_qrs, 12, n_qrs); tens of MB."""
-        return np.asarray(
-            np.einsum("lt,ms,lm,ts->ltms", self.sd, self.sd, self.leads, self.time, optimize=True)
-        )
-
 
 def residual_covariance(target: Target) -> ResidualCovariance:
     """Estimate the covariance of a target's beats about their mean, within the QRS.
 
-    Some ten beats cannot tell the covariances of thousands of samples. The correlation is therefore
-    taken as separable, one between leads times one in time, each averaged over the other, and both
-    are shrunk towards none by the weight of Ledoit and Wolf (2004, J. Multivar. Anal. 88:365), with
-    whole beats as samples, since those within a beat are not independent. Of a single beat, samples
-    and leads are taken to vary by its stated noise independently.
-
-    Parameters
-    ----------
-    target : Target
-        Beats and window.
+    Some ten beats do not determine the covariances of thousands of samples. The correlation is
+    therefore taken as separable, one between leads times one in time, each averaged over the other,
+    and both are shrunk towards none by the weight of Ledoit and Wolf (2004, J. Multivar. Anal.
+    88:365), with whole beats as samples, since those within a beat are not independent. Of a single
+    beat, samples and leads are taken to vary by its stated noise independently.
     """
     window, used = target.qrs_samples, target.used
     sd = target.standard_deviation[:, window]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
@@ -34,17 +35,8 @@ def complete_leads(signal: Floats) -> list[int]:
     """Rows to average over: the independent leads, or all when I or II is not there.
 
     Without I or II no two of the other limb leads see the whole frontal plane equally, so a mean
-    takes them all; `fascicle.core.leads.independent_rows` never takes more than two.
-
-    Parameters
-    ----------
-    signal : (12, n) array
-        Potential (mV); leads that hold a NaN are not there.
-
-    Returns
-    -------
-    list of int
-        At least one row.
+    takes them all; `fascicle.core.leads.independent_rows` never takes more than two. Leads of the
+    signal (12, n) that hold a NaN are not there.
 
     Raises
     ------
@@ -57,14 +49,6 @@ def complete_leads(signal: Floats) -> list[int]:
     if {0, 1} <= set(there) or not set(there) & set(range(len(LIMB_LEADS))):
         return [row for row in there if row in INDEPENDENT_ROWS]
     return there
-
-
-def remove_baseline(signal: Floats, sampling_rate: float) -> Floats:
-    """Signal (..., n) less its slow part; for detection only, it distorts ST and T."""
-    from scipy.ndimage import gaussian_filter1d
-
-    width = BASELINE_WIDTH * sampling_rate
-    return np.asarray(signal - gaussian_filter1d(signal, width, axis=-1, mode="nearest"))
 
 
 def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
@@ -105,8 +89,11 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     if not moving.any():
         return np.empty(0, dtype=np.int64)
     weights = _agreement(slopes[moving], rate)
-    marks = _beats(_trimmed_mean(weights[:, None] * slopes[moving]), rate)
-    level = remove_baseline(leads[moving][weights >= DISAGREEING * weights.max()], rate)
+    weighted = weights[:, None] * slopes[moving]
+    kept = len(weighted) - int(TRIMMED * len(weighted))
+    marks = _beats(np.partition(weighted, kept - 1, axis=0)[:kept].mean(axis=0), rate)
+    level = leads[moving][weights >= DISAGREEING * weights.max()]
+    level = level - gaussian_filter1d(level, BASELINE_WIDTH * rate, axis=-1, mode="nearest")
     peaks = _tops(np.sqrt(np.mean(level**2, axis=0)), marks, rate)
     return np.asarray(peaks * factor + factor // 2, dtype=np.int64)
 
@@ -145,14 +132,7 @@ def _agreement(slopes: Floats, rate: float) -> Floats:
 
 
 def _merged(slopes: Floats, rate: float) -> Floats:
-    from scipy.ndimage import gaussian_filter1d
-
     return np.asarray(gaussian_filter1d(slopes, MERGING * rate, axis=-1, mode="constant"))
-
-
-def _trimmed_mean(slopes: Floats) -> Floats:
-    kept = len(slopes) - int(TRIMMED * len(slopes))
-    return np.asarray(np.partition(slopes, kept - 1, axis=0)[:kept].mean(axis=0))
 
 
 def _beats(slope: Floats, rate: float) -> Integers:
@@ -172,8 +152,6 @@ def _beats(slope: Floats, rate: float) -> Integers:
 
 def _tops(height: Floats, marks: Integers, rate: float) -> Integers:
     """Sample at which the smoothed height is largest around each mark."""
-    from scipy.ndimage import gaussian_filter1d
-
     smooth = gaussian_filter1d(height, NOTCH * rate)
     reach = round(REACH * rate)
     first = np.maximum(marks - reach, 0)

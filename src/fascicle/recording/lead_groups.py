@@ -9,9 +9,8 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, independent_rows
-from fascicle.recording.alignment import HALF_WIDTH, cut, detrended
 from fascicle.recording.choices import Choices
-from fascicle.recording.classes import noise_energy, sort_by_shape
+from fascicle.recording.classes import HALF_WIDTH, cut, detrended, noise_energy, sort_by_shape
 from fascicle.recording.detection import magnitude, r_peaks
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import TARGET_RATE, filtered, resample
@@ -113,7 +112,10 @@ class LeadGroup:
             own = self.intervals[members]
             if np.isfinite(own).any() and np.nanmedian(own) < EARLY * usual:
                 words.append("early")
-            if self._width(label) > max(WIDE, self._width("A") + WIDER):
+            own_width, usual_width = (
+                _rough_width(self.signal, self.peaks[self.of_class(one)]) for one in (label, "A")
+            )
+            if own_width > max(WIDE, usual_width + WIDER):
                 words.append("wide")
         return ", ".join(words)
 
@@ -127,31 +129,17 @@ class LeadGroup:
     def _time_of(self, samples: Integers) -> Floats:
         return np.asarray(self.start / self.recording.sampling_rate + samples / TARGET_RATE)
 
-    def _width(self, label: str) -> float:
-        return _rough_width(self.signal, self.peaks[self.of_class(label)])
-
 
 def lead_groups(recording: Recording, choices: Choices) -> list[LeadGroup]:
     """Split a recording into leads recorded at the same time, and find and sort their beats.
 
-    A lead that runs through several stretches, such as a rhythm strip, is in each group.
-
-    Parameters
-    ----------
-    recording : Recording
-        Twelve leads.
-    choices : Choices
-        Filters that the user asks for.
-
-    Returns
-    -------
-    list of LeadGroup
-        In the order of time; a group may have no beat.
+    The groups are in the order of time, filtered as `choices` say; any may have no beat. A lead
+    that runs through several stretches, such as a rhythm strip, is in each group.
     """
-    return [_group(recording, first, stop, choices) for first, stop in stretches(recording)]
+    return [_group(recording, first, stop, choices) for first, stop in _stretches(recording)]
 
 
-def stretches(recording: Recording) -> list[tuple[int, int]]:
+def _stretches(recording: Recording) -> list[tuple[int, int]]:
     """First sample and the one after the last of each stretch with the same leads, in order."""
     spans = {(first, stop) for first, stop in recording.spans[recording.recorded].tolist()}
     found: list[tuple[int, int]] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.leads import LEADS
+from fascicle.core.leads import LEADS, LIMB_LEADS, limb_leads_from
 
 CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
 LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
@@ -112,6 +113,22 @@ class Recording:
         """Whether all leads were recorded over the same time, as they are by digital recorders."""
         spans = self.spans[self.recorded]
         return bool((spans == spans[0]).all())
+
+
+def derive_limb_leads(signal: Floats, recorded: Collection[str]) -> tuple[Floats, tuple[str, ...]]:
+    """Fill the limb leads of a signal (12, n) that were not recorded, and name them.
+
+    By Einthoven's and Goldberger's laws; NaN, and no names, where fewer than two were recorded.
+    """
+    matrix = limb_leads_from(recorded)
+    rows = [k for k, lead in enumerate(LIMB_LEADS) if lead not in recorded]
+    filled = signal.copy()
+    filled[rows] = np.nan
+    if matrix is None or not rows:
+        return filled, ()
+    used = np.flatnonzero(matrix.any(axis=0))
+    filled[rows] = matrix[rows][:, used] @ signal[used]
+    return filled, tuple(LIMB_LEADS[k] for k in rows)
 
 
 def check_extent(samples: int, sampling_rate: float, source: str) -> None:

@@ -18,14 +18,9 @@ NOTCH_QUALITY = 30.0  # of the notch filter: 50 Hz +- 0.8 Hz
 
 
 def resample(signal: Floats, sampling_rate: float) -> Floats:
-    """Signal at `sampling_rate` Hz to one sample every `SAMPLING_STEP`, by a polyphase filter.
+    """Signal (n_leads, n) at a rate (Hz), to one sample every `SAMPLING_STEP`.
 
-    Parameters
-    ----------
-    signal : (n_leads, n) array
-        Potential (mV); leads that are NaN throughout stay so.
-    sampling_rate : float
-        Samples per second (Hz).
+    By a polyphase filter; leads that are NaN throughout stay so.
     """
     from scipy.signal import resample_poly
 
@@ -57,21 +52,11 @@ def filtered(signal: Floats, lowpass_cutoff: float | None, mains: float | None) 
     mains : float, optional
         Frequency (Hz) of the hum that a notch filter removes.
     """
+    from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
+
     if lowpass_cutoff is not None:
-        signal = _lowpass(signal, lowpass_cutoff)
-    return signal if mains is None else _notch(signal, mains)
-
-
-def _lowpass(signal: Floats, cutoff: float) -> Floats:
-    """Butterworth low-pass, forward and backward."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sections = butter(FILTER_ORDER, cutoff, fs=TARGET_RATE, output="sos")
-    return np.asarray(sosfiltfilt(sections, signal, axis=-1))
-
-
-def _notch(signal: Floats, frequency: float) -> Floats:
-    from scipy.signal import filtfilt, iirnotch
-
-    b, a = iirnotch(frequency, NOTCH_QUALITY, fs=TARGET_RATE)
-    return np.asarray(filtfilt(b, a, signal, axis=-1))
+        sections = butter(FILTER_ORDER, lowpass_cutoff, fs=TARGET_RATE, output="sos")
+        signal = np.asarray(sosfiltfilt(sections, signal, axis=-1))
+    if mains is not None:
+        signal = np.asarray(filtfilt(*iirnotch(mains, NOTCH_QUALITY, fs=TARGET_RATE), signal))
+    return signal

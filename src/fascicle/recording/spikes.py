@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import find_peaks
 
-from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.arrays import Floats, Integers
 
 HALF_WIDTH = 0.005  # s; a pacing pulse, smeared by the recorder, has ended this long after its top
 AROUND = 0.05  # s each side in which a spike must stand out
@@ -46,8 +48,6 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     (k, 2) array
         First sample of each spike and the one after its last, increasing.
     """
-    from scipy.signal import find_peaks
-
     width = round(AROUND * sampling_rate)
     reach = max(math.ceil(HALF_WIDTH * sampling_rate), 2)
     n = signal.shape[1]
@@ -74,7 +74,9 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     tops = find_peaks(np.pad(prominence, 1), distance=2 * reach + 1)[0] - 1
     without_best = prominence[tops] - best[tops] ** 2  # nothing is left of one lead's artefact
     clear = enough[tops] & (without_best > STANDING_OUT**2 * surroundings[tops])
-    tops = tops[clear | _like_any(_pattern(signal, tops, reach), clear)]
+    patterns = _pattern(signal, tops, reach)
+    alike = (np.abs(patterns.T @ patterns[:, clear]) > ALIKE).any(axis=1)  # of either sign
+    tops = tops[clear | alike]
     return _extents(signal, tops, reach)
 
 
@@ -116,8 +118,6 @@ def _movement(lead: Floats, reach: int) -> Floats:
 
 def _around(power: Floats, reach: int, width: int) -> Floats:
     """Mean within `width` samples of each sample, the nearest two `reach` left out (mV²)."""
-    from scipy.ndimage import uniform_filter1d
-
     outer, inner = 2 * width + 1, 4 * reach + 1
     wide, own = (uniform_filter1d(power, size, mode="nearest") * size for size in (outer, inner))
     return np.asarray(np.maximum(wide - own, 0) / (outer - inner))
@@ -128,11 +128,6 @@ def _pattern(signal: Floats, tops: Integers, reach: int) -> Floats:
     before, after = np.clip([tops - reach, tops + reach], 0, signal.shape[1] - 1)
     height = np.nan_to_num(signal[:, tops] - (signal[:, before] + signal[:, after]) / 2)
     return np.asarray(height / np.maximum(np.linalg.norm(height, axis=0), np.finfo(float).tiny))
-
-
-def _like_any(patterns: Floats, clear: Booleans) -> Booleans:
-    """Which of the patterns (12, k) resemble one of the clear ones, of either sign."""
-    return np.asarray((np.abs(patterns.T @ patterns[:, clear]) > ALIKE).any(axis=1))
 
 
 def _extents(signal: Floats, tops: Integers, reach: int) -> Integers:

@@ -8,13 +8,16 @@ stand out from. `benchmarks/qrs_window.py` measures the errors on simulated ECGs
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats
 from fascicle.recording.detection import complete_leads
-from fascicle.recording.motion import Motion, derivative, motion_of, without_hum
+from fascicle.recording.resampling import MAINS
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
 NOISY_SMOOTHINGS = (5.0, 6.0, 8.0)  # ms; instead, where the leads are never still otherwise
@@ -40,38 +43,55 @@ SPREAD_PER_SMOOTHING = 1.75
 ONSET_ERROR, OFFSET_ERROR = 5.0, 7.0
 REPEATS = 50  # of the search, in mean beats that noise has changed
 NOISE_CORRELATION = 2.0  # ms; of stated noise
+FEW_LEADS = 4  # with fewer no lead is left out
+SLOWER_THAN_HUM = 8.0  # ms; standard deviation of the Gaussian that takes hum away
+HUM_SHARE = 0.5  # of the fast part of a lead at rest, above which it is hum
+HUM_PERIODS = 4  # at rest, to recognise hum by
+FROM_CORE = 60.0  # ms; beyond, a beat is at rest as far as hum is concerned
 
 
 class NoQrsError(ValueError):
     """The signal holds no QRS: no lead moves, or one alone of many."""
 
 
-@dataclass(frozen=True)
-class _Search:
-    """How an end of the QRS is looked for.
+class _Search(NamedTuple):
+    """How an end of the QRS is looked for."""
 
-    Attributes
-    ----------
-    level : float
-        Share of the highest speed that counts as moving where there is no noise.
-    turning : float
-        Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
-        stand still for a moment, but turn.
-    reach : float
-        The slow start or end of a QRS is not longer (ms).
-    trend : float
-        Stretch of the PR or ST segment that is taken as straight (ms).
-    """
-
-    level: float
+    level: float  # share of the highest speed that counts as moving where there is no noise
+    # Time that makes a speed of a curvature (ms): at the top of a P wave or of a notch the leads
+    # stand still for a moment, but turn.
     turning: float
-    reach: float
-    trend: float
+    reach: float  # ms; the slow start or end of a QRS is not longer
+    trend: float  # ms of the PR or ST segment that are taken as straight
 
 
 # The QRS leaves a still PR segment slowly, and runs into an ST segment that is not still.
 ONSET = _Search(level=0.025, turning=8.0, reach=80.0, trend=20.0)
 OFFSET = _Search(level=0.03, turning=5.0, reach=100.0, trend=30.0)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Slope (mV/ms) and curvature (mV/ms²) of each lead, (k, n), and the smoothing (ms) of both."""
+
+    slope: Floats
+    curvature: Floats
+    smoothing: float
+
+    def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
+        """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
+
+        Curvature counts as speed when multiplied by `turning` (ms). At each instant the fastest
+        lead is left out, so that none decides alone.
+        """
+        power = (self.slope - trend) ** 2 + (turning * self.curvature) ** 2
+        if len(power) >= FEW_LEADS:
+            power = np.sort(power, axis=0)[:-1]
+        return np.asarray(np.sqrt(power.mean(axis=0)))
+
+    def backward(self) -> _Motion:
+        """The same with time reversed."""
+        return _Motion(-self.slope[:, ::-1], self.curvature[:, ::-1], self.smoothing)
 
 
 def spatial_velocity(signal: Floats, step: float) -> Floats:
@@ -90,7 +110,7 @@ def spatial_velocity(signal: Floats, step: float) -> Floats:
         Root mean square over the independent leads that are there of the derivative (mV/ms), each
         smoothed by a Gaussian of `SMOOTHING` ms.
     """
-    slope = derivative(signal[complete_leads(signal)], SMOOTHING, step, 1)
+    slope = _derivative(signal[complete_leads(signal)], SMOOTHING, step, 1)
     return np.asarray(np.sqrt(np.mean(slope**2, axis=0)))
 
 
@@ -131,8 +151,8 @@ def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, i
     party measures it (Willems et al., Eur. Heart J. 6:815, 1985).
     """
     leads = signal[complete_leads(signal), not_before:]
-    first, last = _core(motion_of(leads, CORE_SMOOTHING, step).speed(CORE_TURNING), step)
-    motion = _quiet_motion(without_hum(leads, first, last, step), step)
+    first, last = _core(_motion_of(leads, CORE_SMOOTHING, step).speed(CORE_TURNING), step)
+    motion = _quiet_motion(_without_hum(leads, first, last, step), step)
     end = leads.shape[1] - 1
     onset = end - _still_from(motion.backward(), end - first, ONSET, step)
     offset = _still_from(motion, last, OFFSET, step)
@@ -144,15 +164,46 @@ def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, i
     return not_before + onset, not_before + offset
 
 
-def _quiet_motion(leads: Floats, step: float) -> Motion:
+def _quiet_motion(leads: Floats, step: float) -> _Motion:
     """Motion with as little smoothing as makes its noise slower than the onset of a QRS."""
-    motion = motion_of(leads, SMOOTHING, step)
+    motion = _motion_of(leads, SMOOTHING, step)
     for wider in NOISY_SMOOTHINGS:
         speed = motion.speed(OFFSET.turning)
         if STANDS_OUT * _stillest(speed, step) <= ONSET.level * _highest(speed, step):
             break
-        motion = motion_of(leads, wider, step)
+        motion = _motion_of(leads, wider, step)
     return motion
+
+
+def _derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floats:
+    """Derivative (mV/ms or mV/ms²) of leads (k, n), by a Gaussian of `smoothing` ms."""
+    width = max(smoothing / step, 0.5)
+    smooth = gaussian_filter1d(leads, width, axis=-1, order=order, mode="nearest")
+    return np.asarray(smooth / step**order)
+
+
+def _motion_of(leads: Floats, smoothing: float, step: float) -> _Motion:
+    """Motion of leads (k, n), mV."""
+    slope = _derivative(leads, smoothing, step, 1)
+    return _Motion(slope, _derivative(leads, smoothing, step, 2), smoothing)
+
+
+def _without_hum(leads: Floats, first: int, last: int, step: float) -> Floats:
+    """Leads (k, n) less the mains hum of those in which it is most of what is fast at rest."""
+    time = step * np.arange(leads.shape[1])
+    rest = np.flatnonzero((time < step * first - FROM_CORE) | (time > step * last + FROM_CORE))
+    if len(rest) * step < HUM_PERIODS * 1000.0 / min(MAINS):
+        return leads
+    fast = leads - gaussian_filter1d(leads, SLOWER_THAN_HUM / step, mode="nearest")
+    power = np.sum(fast[:, rest] ** 2, axis=1)
+    for frequency in MAINS:
+        turns = 2 * math.pi * frequency / 1000.0
+        waves = np.array([np.cos(turns * time), np.sin(turns * time)])
+        fitted = np.linalg.lstsq(waves[:, rest].T, fast[:, rest].T, rcond=None)[0].T @ waves
+        hums = np.sum(fitted[:, rest] ** 2, axis=1) > HUM_SHARE * power
+        kept = 1 - math.exp(-((turns * SLOWER_THAN_HUM) ** 2) / 2)  # of the hum, in `fast`
+        leads = leads - hums[:, None] * fitted / kept
+    return leads
 
 
 def _stillest(speed: Floats, step: float) -> float:
@@ -180,20 +231,17 @@ def _core(speed: Floats, step: float) -> tuple[int, int]:
         groups = np.split(fast, np.flatnonzero(np.diff(fast) > CORE_GAP / step) + 1)
         group = next(group for group in groups if group[0] <= peak <= group[-1])
         if (group[-1] - group[0]) * step <= LONGEST_CORE:
-            return _narrowed(int(group[0]), peak, int(group[-1]), len(speed) - 1, step)
+            break
         level *= ESCALATION
-
-
-def _narrowed(first: int, peak: int, last: int, end: int, step: float) -> tuple[int, int]:
-    """Ends of the core as far inside as smoothing has moved them out, but at the array's ends."""
+    # smoothing has moved the ends out, but for those of the array
+    first, last, end = int(group[0]), int(group[-1]), len(speed) - 1
     spread = round(CORE_SMOOTHING / step)
-    return (
-        min(first + spread, peak) if first else 0,
-        max(last - spread, peak) if last < end else end,
-    )
+    return min(first + spread, peak) if first else 0, max(
+        last - spread, peak
+    ) if last < end else end
 
 
-def _still_from(motion: Motion, core: int, search: _Search, step: float) -> int:
+def _still_from(motion: _Motion, core: int, search: _Search, step: float) -> int:
     """First sample after the core from which the leads keep to a straight line.
 
     The line is found where they are still by the first measure, then all is measured against it.
@@ -285,8 +333,6 @@ def window_uncertainty(
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], step: float) -> Floats:
     """`REPEATS` times noise of standard deviation 1, as smooth as a recorder's."""
-    from scipy.ndimage import gaussian_filter1d
-
     white = rng.standard_normal((REPEATS, *shape))
     smooth = gaussian_filter1d(white, NOISE_CORRELATION / step, axis=-1, mode="wrap")
     return np.asarray(smooth / smooth.std())

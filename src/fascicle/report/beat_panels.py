@@ -16,8 +16,9 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.recording.target import Target
-from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TICK_SIZE, finish_axes
+from fascicle.report import style
 
+NAME_PLACE = (0.02, 0.96)  # of the axes
 ROWS = 3  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 EARLIER, LATER = 80.0, 120.0  # ms that are shown about the QRS window
 MARGIN = 0.06  # of the height, above and below
@@ -44,21 +45,18 @@ def draw_beats(panels: Sequence[Axes], target: Target) -> None:
     stop = min(target.qrs_offset + LATER, float(target.time[-1]))
     shown = (target.time >= start) & (target.time <= stop)
     mean, spread = target.mean, target.standard_deviation
-    low, high = _range(target, mean[:, shown], (mean - spread, mean + spread))
+    limits = _range(target, mean[:, shown], (mean - spread, mean + spread))
     for lead, axes in enumerate(panels):
         _draw_window(axes, target)
+        name: dict[str, Any] = {"va": "top", "fontsize": style.LABEL_SIZE, "fontweight": "bold"}
         if target.used[lead]:
             _draw_lead(axes, target, lead, mean[lead], spread[lead])
+            style.write_in(axes, *NAME_PLACE, LEADS[lead], **name)
         else:
-            axes.text(
-                0.5, 0.5, "not used", transform=axes.transAxes, ha="center", va="center",
-                fontsize=TICK_SIZE, color=GREY,
-            )  # fmt: skip
-        axes.text(
-            0.02, 0.96, LEADS[lead], transform=axes.transAxes, va="top", fontsize=LABEL_SIZE,
-            fontweight="bold", color=BLACK if target.used[lead] else GREY,
-        )  # fmt: skip
-        axes.set(xlim=(start, stop), ylim=(low, high))
+            middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": style.TICK_SIZE}
+            style.write_in(axes, 0.5, 0.5, "not used", color=style.GREY, **middle)
+            style.write_in(axes, *NAME_PLACE, LEADS[lead], color=style.GREY, **name)
+        axes.set(xlim=(start, stop), ylim=limits)
         _set_ticks(axes, lead)
     for axes in panels[::ROWS]:
         _name_ends(axes, target)
@@ -74,18 +72,15 @@ def panel_handles(target: Target) -> list[tuple[Any, str]]:  # Matplotlib has no
     """What a legend of the panels shows: an artist and its text each."""
     drawn, count = len(drawn_beats(target)), len(target.beats)
     beats = f"{drawn} of {count} beats" if drawn < count else f"{count} beats"
-    band = Patch(color=BLUE, alpha=BAND_OPACITY, linewidth=0)
-    mean = Line2D([], [], color=BLACK, linewidth=1.3)
+    band = Patch(color=style.BLUE, alpha=BAND_OPACITY, linewidth=0)
+    mean = Line2D([], [], color=style.BLACK, linewidth=1.3)
+    handles: list[tuple[Any, str]] = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
     if target.noise is not None:
-        noise = f"± {target.noise:.3g} mV, noise as stated"
-        handles: list[tuple[Any, str]] = [
-            (mean, "the beat" if count == 1 else f"mean of {count} beats"), (band, noise),
-        ]  # fmt: skip
-    else:
-        handles = [(mean, "mean"), (band, "± 1 SD from beat to beat")]
+        name = "the beat" if count == 1 else f"mean of {count} beats"
+        handles = [(mean, name), (band, f"± {target.noise:.3g} mV, noise as stated")]
     if count > 1:
-        handles.insert(0, (Line2D([], [], color=BLUE, linewidth=0.6), beats))
-    handles.append((Patch(facecolor=WINDOW, edgecolor=BLACK, linewidth=0.6), "QRS window"))
+        handles.insert(0, (Line2D([], [], color=style.BLUE, linewidth=0.6), beats))
+    handles.append((Patch(facecolor=WINDOW, edgecolor=style.BLACK, linewidth=0.6), "QRS window"))
     if target.onset_sd > 0 or target.offset_sd > 0:
         handles.append((Patch(color=UNCERTAIN, linewidth=0), "its ends ± 1 SD"))
     return handles
@@ -106,29 +101,27 @@ def _range(target: Target, mean: Floats, band: tuple[Floats, ...]) -> tuple[floa
 
 def _draw_window(axes: Axes, target: Target) -> None:
     axes.axvspan(target.qrs_onset, target.qrs_offset, color=WINDOW, linewidth=0, zorder=0.2)
-    for end, spread in (
-        (target.qrs_onset, target.onset_sd), (target.qrs_offset, target.offset_sd),
-    ):  # fmt: skip
+    onset, offset = (target.qrs_onset, target.onset_sd), (target.qrs_offset, target.offset_sd)
+    for end, spread in (onset, offset):
         if spread > 0:
             axes.axvspan(end - spread, end + spread, color=UNCERTAIN, linewidth=0, zorder=0.3)
-        axes.axvline(end, color=BLACK, linewidth=0.7, zorder=1.5)
+        axes.axvline(end, color=style.BLACK, linewidth=0.7, zorder=1.5)
 
 
 def _draw_lead(axes: Axes, target: Target, lead: int, mean: Floats, spread: Floats) -> None:
     drawn = drawn_beats(target)
-    axes.fill_between(
-        target.time, mean - spread, mean + spread, color=BLUE, alpha=BAND_OPACITY, linewidth=0
-    )
+    band: dict[str, Any] = {"color": style.BLUE, "alpha": BAND_OPACITY, "linewidth": 0}
+    axes.fill_between(target.time, mean - spread, mean + spread, **band)
     if len(target.beats) > 1:
         axes.add_collection(
             LineCollection(
                 [np.stack([target.time, beat], axis=1) for beat in target.beats[drawn, lead]],
-                colors=BLUE, linewidths=0.45 if len(drawn) <= FEW else 0.25,
+                colors=style.BLUE, linewidths=0.45 if len(drawn) <= FEW else 0.25,
                 alpha=0.8 if len(drawn) <= FEW else 0.5, zorder=1.8,
             ),
             autolim=False,
         )  # fmt: skip
-    axes.plot(target.time, mean, color=BLACK, linewidth=1.1)
+    axes.plot(target.time, mean, color=style.BLACK, linewidth=1.1)
 
 
 def _set_ticks(axes: Axes, lead: int) -> None:
@@ -140,8 +133,8 @@ def _set_ticks(axes: Axes, lead: int) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes.grid(which="both", color="#EBD9D6", linewidth=0.4)
     axes.set_axisbelow(True)
-    finish_axes(axes)
-    axes.tick_params(labelsize=TICK_SIZE - 1, pad=2)
+    style.finish_axes(axes)
+    axes.tick_params(labelsize=style.TICK_SIZE - 1, pad=2)
     axes.tick_params(which="minor", length=0)
     axes.tick_params(labelleft=lead < ROWS, labelbottom=lead % ROWS == ROWS - 1)
 
@@ -150,7 +143,7 @@ def _name_ends(axes: Axes, target: Target) -> None:
     """Onset and offset (ms) above a column of panels."""
     for end, side in ((target.qrs_onset, "right"), (target.qrs_offset, "left")):
         axes.annotate(
-            f"{end:.0f}".replace("-", "\N{MINUS SIGN}"), (end, 1.0),
-            xycoords=axes.get_xaxis_transform(), xytext=(0, 1.5), textcoords="offset points",
-            ha=side, va="bottom", fontsize=TICK_SIZE - 1, color=BLACK,
+            style.whole(end), (end, 1.0), xycoords=axes.get_xaxis_transform(), xytext=(0, 1.5),
+            textcoords="offset points",
+            ha=side, va="bottom", fontsize=style.TICK_SIZE - 1, color=style.BLACK,
         )  # fmt: skip

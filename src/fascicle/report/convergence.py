@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
-from fascicle.report.figures import (
-    BLACK,
-    BLUE,
-    GREY,
-    LABEL_SIZE,
-    LEGEND_STYLE,
-    VERMILION,
-    finish_axes,
-    new_figure,
-    set_title,
-)
+from fascicle.report import style
+from fascicle.report.figures import new_figure
 
 SIZE = (7.0, 3.8)  # inch
 INFEASIBLE_ROW, NAME_ROW = 0.985, 1.02  # of the axes' height
@@ -32,9 +22,7 @@ NARROW = 0.15  # share of the evaluations below which a stage is too narrow for 
 HEADROOM = 1.5  # free space above the largest and below the smallest loss, as a factor
 
 
-def convergence_figure(
-    losses: ArrayLike, stages: Sequence[str], *, title: str | None = None
-) -> Figure:
+def convergence_figure(losses: Floats, stages: Sequence[str]) -> Figure:
     """Loss of every evaluation and the best so far.
 
     Parameters
@@ -43,47 +31,32 @@ def convergence_figure(
         Loss (mV²) in the order of evaluation; NaN where the parameters were infeasible.
     stages : sequence of n str
         Stage of each evaluation, such as ``"initial"``, ``"optimisation"``, ``"posterior"``.
-    title : str, optional
-        Heading.
 
     Returns
     -------
     Figure
         One panel: dots on a logarithmic axis, running best as steps, infeasible ones as ticks along
         the upper edge, stages shaded and named.
-
-    Raises
-    ------
-    InputError
-        If the two differ in length, or no evaluation is feasible.
     """
-    values = np.asarray(losses, dtype=float)
-    if values.shape != (len(stages),):
-        raise InputError(f"losses of shape {values.shape} for {len(stages)} stages; give one each")
-    feasible = values[np.isfinite(values)]
-    if not feasible.size:
-        raise InputError(f"none of the {len(values)} evaluations is feasible; nothing to draw")
     figure = new_figure(*SIZE)
     axes = figure.subplots()
     axes.set_yscale("log", nonpositive="clip")  # a loss of exactly 0 lands on the lower edge
-    axes.set_ylim(*_limits(feasible))
-    axes.set_xlim(0.5, len(values) + 0.5)
+    axes.set_ylim(*_limits(losses[losses > 0]))
+    axes.set_xlim(0.5, len(losses) + 0.5)
     _draw_stages(axes, stages)
-    _draw_losses(axes, values)
+    _draw_losses(axes, losses)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
-    finish_axes(axes, "evaluation number", "loss (mV²)")
-    figure.legend(loc="outside lower center", ncols=3, **LEGEND_STYLE)
-    set_title(figure, title)
+    style.finish_axes(axes, "evaluation number", "loss (mV²)")
+    figure.legend(loc="outside lower center", ncols=3, **style.LEGEND_STYLE)
     return figure
 
 
-def running_best(losses: ArrayLike) -> Floats:
+def running_best(losses: Floats) -> Floats:
     """Smallest loss (mV²) up to each evaluation, shape (n,); NaN before the first feasible one."""
-    return np.asarray(np.fmin.accumulate(np.asarray(losses, dtype=float)))
+    return np.asarray(np.fmin.accumulate(losses))
 
 
-def _limits(feasible: Floats) -> tuple[float, float]:
-    positive = feasible[feasible > 0]
+def _limits(positive: Floats) -> tuple[float, float]:
     if not positive.size:
         return NO_LIMITS
     return float(positive.min()) / HEADROOM, float(positive.max()) * HEADROOM
@@ -94,18 +67,18 @@ def _draw_losses(axes: Axes, values: Floats) -> None:
     feasible = np.isfinite(values)
     axes.plot(
         number[feasible], values[feasible], "o", markersize=3, markeredgewidth=0, alpha=0.6,
-        color=BLUE, label="evaluation",
+        color=style.BLUE, label="evaluation",
     )  # fmt: skip
     axes.step(
-        number, running_best(values), where="post", color=VERMILION, linewidth=1.6,
+        number, running_best(values), where="post", color=style.VERMILION, linewidth=1.6,
         label="best so far",
     )  # fmt: skip
     if not feasible.all():
-        count = int(np.count_nonzero(~feasible))
+        infeasible = number[~feasible]
         axes.plot(
-            number[~feasible], np.full(count, INFEASIBLE_ROW), "|",
-            transform=axes.get_xaxis_transform(), markersize=6, markeredgewidth=0.8, color=GREY,
-            label=f"infeasible ({count})",
+            infeasible, np.full(len(infeasible), INFEASIBLE_ROW), "|",
+            transform=axes.get_xaxis_transform(), markersize=6, markeredgewidth=0.8,
+            color=style.GREY, label=f"infeasible ({len(infeasible)})",
         )  # fmt: skip
 
 
@@ -116,14 +89,14 @@ def _draw_stages(axes: Axes, stages: Sequence[str]) -> None:
         axes.text(
             (first + last) / 2, NAME_ROW, name, transform=axes.get_xaxis_transform(),
             ha="left" if narrow else "center", va="bottom", rotation=30 if narrow else 0,
-            rotation_mode="anchor", fontsize=LABEL_SIZE, color=BLACK,
+            rotation_mode="anchor", fontsize=style.LABEL_SIZE, color=style.BLACK,
         )  # fmt: skip
 
 
 def stage_runs(stages: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Name, first and last evaluation (counted from 1) of each stretch of one stage."""
-    first = 0
-    for index in range(1, len(stages) + 1):
-        if index == len(stages) or stages[index] != stages[first]:
-            yield stages[first], first + 1, index
-            first = index
+    first = 1
+    for name, run in groupby(stages):
+        last = first + len(list(run)) - 1
+        yield name, first, last
+        first = last + 1

@@ -12,23 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
-from numpy.typing import ArrayLike
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.report.figures import (
-    BLUE,
-    GREY,
-    LABEL_SIZE,
-    LEGEND_STYLE,
-    THICK_LINE,
-    VERMILION,
-    finish_axes,
-    new_figure,
-    set_title,
-    write_in,
-)
+from fascicle.report import style
+from fascicle.report.figures import new_figure
 
 SIZE = (10.0, 6.2)  # inch
 NAME_PLACE = (0.03, 0.95)  # of the axes
@@ -44,13 +32,15 @@ BAND_OPACITY = 0.28
 
 
 @dataclass(frozen=True)
-class EcgEnsemble:
+class EcgGroup:
     """Several 12-lead ECGs on one time axis, drawn as their mean and the band they span.
 
     Attributes
     ----------
-    label : str
+    name : str
         What the legend calls them.
+    member : str
+        What one of them belongs to: ``"beat"`` or ``"network"``.
     time : (t,) array
         Time (ms).
     leads : (n, 12, t) array
@@ -60,101 +50,26 @@ class EcgEnsemble:
         Colour of line and band.
     """
 
-    label: str
+    name: str
+    member: str
     time: Floats
     leads: Floats
     colour: str
 
-    def __post_init__(self) -> None:
-        needed = (len(LEADS), len(self.time))
-        if self.leads.ndim != 3 or self.leads.shape[1:] != needed or not len(self.leads):
-            raise InputError(
-                f"ECGs '{self.label}' have shape {self.leads.shape}; "
-                f"needed is (n, {needed[0]}, {needed[1]}): ECG, lead, time"
-            )
-
     @property
-    def mean(self) -> Floats:
-        """Mean over the ECGs (mV), shape (12, t)."""
-        return np.asarray(np.ma.masked_invalid(self.leads).mean(axis=0).filled(np.nan))
-
-    @property
-    def band(self) -> tuple[Floats, Floats]:
-        """Smallest and largest value over the ECGs (mV), each of shape (12, t)."""
-        return np.fmin.reduce(self.leads, axis=0), np.fmax.reduce(self.leads, axis=0)
+    def label(self) -> str:
+        """Name, and how many ECGs the line and the band stand for."""
+        count = len(self.leads)
+        shown = f"mean and range of {count} {self.member}s" if count > 1 else f"1 {self.member}"
+        return f"{self.name} ({shown})"
 
 
-def match_figure(
-    time: ArrayLike, recorded: ArrayLike | None, predicted: ArrayLike, *, title: str | None = None
-) -> Figure:
-    """Draw the recorded ECG against what the networks predict.
+def ecg_figure(groups: Sequence[EcgGroup], title: str | None = None) -> Figure:
+    """Draw groups of 12-lead ECGs over one another in the clinical 3 × 4 layout.
 
     Parameters
     ----------
-    time : (t,) array
-        Time (ms) of both.
-    recorded : (n_beats, 12, t) array or None
-        Beats (mV); one beat may come as (12, t). None draws the prediction alone.
-    predicted : (n, 12, t) array
-        One ECG (mV) per network.
-    title : str, optional
-        Heading.
-
-    Returns
-    -------
-    Figure
-        Twelve panels; lines are means, bands run from minimum to maximum over beats or networks.
-    """
-    ensembles = [_ensemble("predicted", "network", time, predicted, VERMILION)]
-    if recorded is not None:
-        ensembles.insert(0, _ensemble("recorded", "beat", time, recorded, BLUE))
-    return ecg_figure(ensembles, title=title)
-
-
-def before_after_figure(
-    before_time: ArrayLike,
-    before: ArrayLike,
-    after_time: ArrayLike,
-    after: ArrayLike,
-    *,
-    labels: tuple[str, str] = ("before", "after"),
-    title: str | None = None,
-) -> Figure:
-    """Draw the predicted ECG before and after a therapy.
-
-    Parameters
-    ----------
-    before_time : (t,) array
-        Time (ms) of `before`.
-    before : (n, 12, t) array
-        One ECG (mV) per network.
-    after_time : (s,) array
-        Time (ms) of `after`; need not be as long as the other.
-    after : (n, 12, s) array
-        One ECG (mV) per network.
-    labels : tuple of two str
-        What the legend calls them.
-    title : str, optional
-        Heading.
-
-    Returns
-    -------
-    Figure
-        Twelve panels; lines are means, bands run from minimum to maximum over networks.
-    """
-    ensembles = [
-        _ensemble(labels[0], "network", before_time, before, GREY),
-        _ensemble(labels[1], "network", after_time, after, VERMILION),
-    ]
-    return ecg_figure(ensembles, title=title)
-
-
-def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) -> Figure:
-    """Draw any number of 12-lead ensembles over one another in the clinical 3 × 4 layout.
-
-    Parameters
-    ----------
-    ensembles : sequence of EcgEnsemble
+    groups : sequence of EcgGroup
         Drawn in this order, each with its own time axis.
     title : str, optional
         Heading.
@@ -162,64 +77,53 @@ def ecg_figure(ensembles: Sequence[EcgEnsemble], *, title: str | None = None) ->
     Returns
     -------
     Figure
-        Axes in the order of `fascicle.core.leads.LEADS`, all with the same limits (ms, mV).
+        Axes in the order of `fascicle.core.leads.LEADS`, all with the same limits (ms, mV). Lines
+        are means over a group, bands run from its minimum to its maximum.
     """
-    if not ensembles:
-        raise InputError("no ECG to draw; give at least one ensemble")
     figure = new_figure(*SIZE)
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True)
     for index, lead in enumerate(LEADS):
         axes = panels[index % ROWS, index // ROWS]
-        for ensemble in ensembles:
-            _draw_lead(axes, ensemble, index)
-        write_in(axes, *NAME_PLACE, lead, va="top", fontweight="bold")
-    _set_scales(panels.flat, ensembles)
+        for group in groups:
+            _draw_lead(axes, group, index)
+        style.write_in(axes, *NAME_PLACE, lead, va="top", fontweight="bold")
+    _set_scales(panels.flat, groups)
     figure.legend(
-        [_handle(ensemble) for ensemble in ensembles],
-        [ensemble.label for ensemble in ensembles],
-        loc="outside upper right", ncols=len(ensembles), **LEGEND_STYLE,
+        [_handle(group) for group in groups],
+        [group.label for group in groups],
+        loc="outside upper right", ncols=len(groups), **style.LEGEND_STYLE,
     )  # fmt: skip
-    set_title(figure, title)
-    figure.supxlabel("time (ms)", fontsize=LABEL_SIZE)
-    figure.supylabel("potential (mV)", fontsize=LABEL_SIZE)
+    style.set_title(figure, title)
+    figure.supxlabel("time (ms)", fontsize=style.LABEL_SIZE)
+    figure.supylabel("potential (mV)", fontsize=style.LABEL_SIZE)
     return figure
 
 
-def _ensemble(label: str, unit: str, time: ArrayLike, leads: ArrayLike, colour: str) -> EcgEnsemble:
-    values = np.asarray(leads, dtype=float)
-    values = values[np.newaxis] if values.ndim == 2 else values
-    count = len(values)
-    spread = f"mean and range of {count} {unit}s" if count > 1 else f"1 {unit}"
-    return EcgEnsemble(f"{label} ({spread})", np.asarray(time, dtype=float), values, colour)
-
-
-def _handle(ensemble: EcgEnsemble) -> Any:  # Matplotlib's stubs know no tuples of artists
+def _handle(group: EcgGroup) -> Any:  # Matplotlib's stubs know no tuples of artists
     """Line on band, as in the panels."""
-    line = Line2D([], [], color=ensemble.colour, linewidth=THICK_LINE)
-    if len(ensemble.leads) == 1:
+    line = Line2D([], [], color=group.colour, linewidth=style.THICK_LINE)
+    if len(group.leads) == 1:
         return (line,)
-    return (Patch(color=ensemble.colour, alpha=BAND_OPACITY, linewidth=0), line)
+    return (Patch(color=group.colour, alpha=BAND_OPACITY, linewidth=0), line)
 
 
-def _draw_lead(axes: Axes, ensemble: EcgEnsemble, lead: int) -> None:
-    low, high = ensemble.band
-    if len(ensemble.leads) > 1:
+def _draw_lead(axes: Axes, group: EcgGroup, lead: int) -> None:
+    ecgs = group.leads[:, lead]
+    if len(ecgs) > 1:
         axes.fill_between(
-            ensemble.time, low[lead], high[lead],
-            color=ensemble.colour, alpha=BAND_OPACITY, linewidth=0,
+            group.time, np.fmin.reduce(ecgs), np.fmax.reduce(ecgs),
+            color=group.colour, alpha=BAND_OPACITY, linewidth=0,
         )  # fmt: skip
-    axes.plot(
-        ensemble.time, ensemble.mean[lead], color=ensemble.colour, linewidth=THICK_LINE,
-        label=ensemble.label,
-    )  # fmt: skip
+    mean = np.ma.masked_invalid(ecgs).mean(axis=0).filled(np.nan)
+    axes.plot(group.time, mean, color=group.colour, linewidth=style.THICK_LINE, label=group.label)
 
 
-def _set_scales(panels: Iterable[Axes], ensembles: Sequence[EcgEnsemble]) -> None:
+def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:
     """One scale for all leads, on a grid of whole ECG-paper boxes."""
-    start = min(float(ensemble.time.min()) for ensemble in ensembles)
-    stop = max(float(ensemble.time.max()) for ensemble in ensembles)
-    low = min(float(np.nanmin(ensemble.leads)) for ensemble in ensembles)
-    high = max(float(np.nanmax(ensemble.leads)) for ensemble in ensembles)
+    start = min(float(group.time.min()) for group in groups)
+    stop = max(float(group.time.max()) for group in groups)
+    low = min(float(np.nanmin(group.leads)) for group in groups)
+    high = max(float(np.nanmax(group.leads)) for group in groups)
     box = FINE_BOX if high - low <= TALL else COARSE_BOX
     bottom, top = box * np.floor(low / box - BOX_MARGIN), box * np.ceil(high / box + BOX_MARGIN)
     tick = next((s for s in TICK_STEPS if (stop - start) / s <= MOST_TICKS), TICK_STEPS[-1])
@@ -233,5 +137,5 @@ def _set_scales(panels: Iterable[Axes], ensembles: Sequence[EcgEnsemble]) -> Non
         axes.grid(which="minor", color=THIN_PINK, linewidth=0.5)
         axes.grid(which="major", color=THICK_PINK, linewidth=0.7)
         axes.set_axisbelow(True)
-        finish_axes(axes)
+        style.finish_axes(axes)
         axes.tick_params(which="minor", length=0)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat
 from fascicle.recording.target import SAMPLING_STEP
-from fascicle.report.figures import BLACK, GREY, TICK_SIZE
+from fascicle.report import style
 
 SHOWN = 10.0  # s
 PACE = 19.0  # mm/s; ten seconds then fill a page of A4
@@ -24,6 +25,8 @@ THIN_PINK, THICK_PINK = "#FBE3E0", "#F0B8B1"
 
 BEFORE, AFTER = 0.1, 0.4  # s about R that are drawn in the colour of the beat
 NUMBER_ROW, LETTER_ROW, SPIKE_ROW = 5.0, 2.6, 2.4  # mm above the leads
+MARK_SIZE = 6.2  # points; numbers and letters of beats
+CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 CLOSEST = 4.6  # mm between two baselines, for the names of leads
 CLEARANCE = 0.8  # mm between two leads
 BEYOND = 9.0  # mm by which an artefact may leave the room of its lead
@@ -35,7 +38,8 @@ MOST_BEATS = 0.8  # the strip is the first that holds this share of the most tha
 def strip_start(analysis: Analysis) -> float:
     """Where the strip begins (s): the first stretch that shows about as many used beats as any."""
     times = np.array([beat.time for beat in analysis.beats if beat.used])
-    starts = np.arange(0.0, max(_duration(analysis) - SHOWN, 0.0) + 0.5)
+    duration = analysis.signal.shape[1] * SAMPLING_STEP / 1000.0
+    starts = np.arange(0.0, max(duration - SHOWN, 0.0) + 0.5)
     shown = [int(((times >= start) & (times < start + SHOWN)).sum()) for start in starts]
     enough = MOST_BEATS * max(shown)
     return float(next(start for start, count in zip(starts, shown, strict=True) if count >= enough))
@@ -71,16 +75,11 @@ def draw_strip(
     first, stop = (round(second * 1000.0 / SAMPLING_STEP) for second in (start, start + SHOWN))
     signal = analysis.signal[:, first:stop]
     time = start + np.arange(signal.shape[1], dtype=np.float64) * (SAMPLING_STEP / 1000.0)
-    level = _levelled(signal)
-    rows = np.cumsum(
-        [
-            NUMBER_ROW,
-            LETTER_ROW * (len(analysis.classes) > 1),
-            SPIKE_ROW * (len(analysis.spikes) > 0),
-        ]
-    )
+    level = _without_baseline(signal)
+    letters = len(analysis.classes) > 1
+    head = NUMBER_ROW + LETTER_ROW * letters + SPIKE_ROW * (len(analysis.spikes) > 0)
     flat = _without_spikes(level, time, analysis.spikes)
-    gain, baselines = _arrange(flat, height, head=float(rows[-1]))
+    gain, baselines = _arrange(flat, height, head)
     scale = gain * PAPER_GAIN * PACE / PAPER_PACE
     traces, cut = _within_reach(scale * level, scale * flat)
     axes.set(xlim=(start, start + SHOWN), ylim=(-height, 0.0))
@@ -88,10 +87,10 @@ def draw_strip(
     _draw_traces(axes, time, traces + baselines[:, None], analysis, colours)
     _name_leads(axes, analysis, baselines, signal)
     shown = [beat for beat in analysis.beats if start <= beat.time < start + SHOWN]
-    _number(axes, shown, colours, letters=len(analysis.classes) > 1)
+    _number(axes, shown, colours, letters=letters)
     spikes = analysis.spikes[(analysis.spikes >= start) & (analysis.spikes < start + SHOWN)]
     axes.vlines(
-        spikes, 0.6 - rows[-1], SPIKE_ROW - rows[-1], color=BLACK, linewidth=0.8, label="spikes"
+        spikes, 0.6 - head, SPIKE_ROW - head, color=style.BLACK, linewidth=0.8, label="spikes"
     )
     return gain, cut
 
@@ -99,19 +98,13 @@ def draw_strip(
 def beat_colour(beat: Beat, colours: Mapping[str, str], chosen: str) -> str:
     """Colour of a beat's trace: that of its class, paler where the target lacks it nevertheless."""
     colour = colours[beat.label]
-    return colour if beat.used or beat.label != chosen else _paler(colour)
+    if beat.used or beat.label != chosen:
+        return colour
+    red, green, blue = (0.5 + 0.5 * part for part in to_rgb(colour))
+    return to_hex((red, green, blue)).upper()
 
 
-def _paler(colour: str) -> str:
-    red, green, blue = (round(255 * (0.5 + 0.5 * part)) for part in to_rgb(colour))
-    return f"#{red:02X}{green:02X}{blue:02X}"
-
-
-def _duration(analysis: Analysis) -> float:
-    return float(analysis.signal.shape[1] * SAMPLING_STEP / 1000.0)
-
-
-def _levelled(signal: Floats) -> Floats:
+def _without_baseline(signal: Floats) -> Floats:
     """Each lead (12, n) less its median, which is its baseline."""
     level = np.full(signal.shape, np.nan)
     for lead, samples in enumerate(signal):
@@ -174,14 +167,14 @@ def _draw_grid(axes: Axes, start: float, height: float) -> None:
     seconds = start + np.arange(SHOWN + 1)
     axes.set_xticks(seconds, [f"{second:g}" for second in seconds[:-1]] + [f"{seconds[-1]:g} s"])
     axes.get_xticklabels()[-1].set_horizontalalignment("right")
-    axes.tick_params(labelsize=TICK_SIZE - 1, width=0.5, length=2, pad=1.5)
+    axes.tick_params(labelsize=style.TICK_SIZE - 1, width=0.5, length=2, pad=1.5)
 
 
 def _draw_traces(
     axes: Axes, time: Floats, traces: Floats, analysis: Analysis, colours: Mapping[str, str]
 ) -> None:
     """Each lead as one line per colour, with gaps where another one goes on."""
-    shades = np.full(len(time), GREY, dtype=object)
+    shades = np.full(len(time), style.GREY, dtype=object)
     following = [beat.time - BEFORE for beat in analysis.beats[1:]] + [np.inf]
     for beat, end in zip(analysis.beats, following, strict=True):
         stretch = slice(*np.searchsorted(time, (beat.time - BEFORE, min(beat.time + AFTER, end))))
@@ -199,8 +192,8 @@ def _name_leads(axes: Axes, analysis: Analysis, baselines: Floats, signal: Float
     for lead, baseline in enumerate(baselines):
         axes.annotate(
             LEADS[lead], (0.0, baseline), xycoords=axes.get_yaxis_transform(), xytext=(-3, 0),
-            textcoords="offset points", ha="right", va="center", fontsize=TICK_SIZE,
-            fontweight="bold", color=BLACK if recorded[lead] else GREY,
+            textcoords="offset points", ha="right", va="center", fontsize=style.TICK_SIZE,
+            fontweight="bold", color=style.BLACK if recorded[lead] else style.GREY,
         )  # fmt: skip
         if np.isfinite(signal[lead]).any():
             continue
@@ -209,7 +202,7 @@ def _name_leads(axes: Axes, analysis: Analysis, baselines: Floats, signal: Float
             samples = np.flatnonzero(np.isfinite(analysis.signal[lead]))[[0, -1]]
             begin, end = samples * SAMPLING_STEP / 1000.0
             word = f"recorded from {begin:.1f} to {end:.1f} s"
-        axes.text(middle, baseline, word, ha="center", va="center", fontsize=TICK_SIZE, color=GREY)
+        axes.text(middle, baseline, word, fontsize=style.TICK_SIZE, color=style.GREY, **CENTRED)
 
 
 def _number(
@@ -219,15 +212,14 @@ def _number(
     for beat in beats:
         colour = colours[beat.label]
         axes.text(
-            beat.time, -NUMBER_ROW / 2, str(beat.number), ha="center", va="center", fontsize=6.2,
-            fontweight="bold", color="white" if beat.used else colour,
+            beat.time, -NUMBER_ROW / 2, str(beat.number), fontsize=MARK_SIZE, fontweight="bold",
+            color="white" if beat.used else colour,
             bbox={
                 "boxstyle": "round,pad=0.2", "linewidth": 0.7, "edgecolor": colour,
                 "facecolor": colour if beat.used else "white",
             },
+            **CENTRED,
         )  # fmt: skip
         if letters:
-            axes.text(
-                beat.time, -NUMBER_ROW - 1.0, beat.label, ha="center", va="center", fontsize=6.2,
-                color=colour,
-            )  # fmt: skip
+            place = (beat.time, -NUMBER_ROW - 1.0)
+            axes.text(*place, beat.label, fontsize=MARK_SIZE, color=colour, **CENTRED)

@@ -8,38 +8,23 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import NEEDED, Label, LabelledMesh, LabelledSurface
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import triangle_areas
 from fascicle.mesh.topology import boundary_loops
-from fascicle.report.figures import (
-    BLACK,
-    BLUE,
-    GREEN,
-    LEGEND_STYLE,
-    ORANGE,
-    PURPLE,
-    SKY,
-    TITLE_SIZE,
-    VERMILION,
-    YELLOW,
-    new_figure,
-    scale_bar,
-    set_title,
-)
-from fascicle.report.painting import paint
-from fascicle.report.rendering import View, upright_frame
+from fascicle.report import style
+from fascicle.report.figures import new_figure
+from fascicle.report.rendering import View, frame_panel, frame_size, paint, upright_frame
 
 # Okabe and Ito's palette, and a light grey for what the others stand out from.
 COLOURS = {
-    Label.BASE: YELLOW,
+    Label.BASE: style.YELLOW,
     Label.EPICARDIUM: "#C4C4C4",
-    Label.LV_ENDOCARDIUM: VERMILION,
-    Label.RV_ENDOCARDIUM: BLUE,
-    Label.MITRAL: ORANGE,
-    Label.AORTIC: PURPLE,
-    Label.TRICUSPID: GREEN,
-    Label.PULMONARY: SKY,
+    Label.LV_ENDOCARDIUM: style.VERMILION,
+    Label.RV_ENDOCARDIUM: style.BLUE,
+    Label.MITRAL: style.ORANGE,
+    Label.AORTIC: style.PURPLE,
+    Label.TRICUSPID: style.GREEN,
+    Label.PULMONARY: style.SKY,
 }
 NAMES = {
     Label.BASE: "base",
@@ -56,7 +41,6 @@ VIEWS = ("front", "back", "base", "front, without epicardium")
 PANEL = 2.6  # width, inch
 LEGEND = 1.9
 TITLE_ROOM = 0.6  # inch, above the panels
-MARGIN = 1.04  # frame over surface
 SCALE_BAR = 20.0  # mm
 MM2_PER_CM2 = 100.0
 
@@ -74,37 +58,24 @@ def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
     Figure
         The views of `VIEWS`, all in one scale, in which every label has a colour; the legend gives
         the area of each. The front is where it is if LV and RV are labelled rightly.
-
-    Raises
-    ------
-    InputError
-        If one of the labels is missing, or an endocardium is not open.
     """
-    for label in NEEDED:
-        if not (surface.labels == label).any():
-            raise InputError(
-                f"{surface.name}: no triangle is labelled {NAMES[label]} ({label.value}); label "
-                "the whole surface"
-            )
     views = _views(surface)
-    corners = [view.project(surface.vertices[surface.triangles])[..., :2] for view in views]
-    boxes = [(c.min(axis=(0, 1)), c.max(axis=(0, 1))) for c in corners]
-    width, height = MARGIN * np.max([high - low for low, high in boxes], axis=0)
-    figure = new_figure(len(VIEWS) * PANEL + LEGEND, PANEL * float(height / width) + TITLE_ROOM)
+    shown = surface.vertices[np.unique(surface.triangles)]
+    boxes = [view.box(shown) for view in views]
+    size = frame_size(boxes)
+    shape = float(size[1] / size[0])
+    figure = new_figure(len(VIEWS) * PANEL + LEGEND, PANEL * shape + TITLE_ROOM)
     panels = figure.subplots(1, len(VIEWS))
-    for axes, view, (low, high) in zip(panels, views, boxes, strict=True):
+    for axes, view, box in zip(panels, views, boxes, strict=True):
         _draw(axes, view, surface, cast=view.name == VIEWS[-1])
-        middle = (low + high) / 2
-        axes.set(
-            xlim=(middle[0] - width / 2, middle[0] + width / 2),
-            ylim=(middle[1] - height / 2, middle[1] + height / 2),
-            aspect="equal",
-        )
-        axes.set_axis_off()
-        axes.set_title(view.name, fontsize=TITLE_SIZE, color=BLACK)
-    scale_bar(panels[0], SCALE_BAR)
-    figure.legend(handles=_legend(surface), loc="outside right center", **LEGEND_STYLE)
-    set_title(figure, surface.name)
+        frame_panel(axes, box, size, view.name)
+    style.scale_bar(panels[0], SCALE_BAR)
+    legend = [
+        Patch(facecolor=COLOURS[label], label=f"{NAMES[label]}\n{area:.1f} cm²")
+        for label, area in label_areas(surface).items()
+    ]
+    figure.legend(handles=legend, loc="outside right center", **style.LEGEND_STYLE)
+    style.set_title(figure, surface.name)
     return figure
 
 
@@ -121,12 +92,7 @@ def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
 def _views(surface: LabelledSurface | LabelledMesh) -> list[View]:
     """Cameras in the frame of the left cavity's opening and apex and of the right cavity."""
     left_cavity, right_cavity = (surface.having(label) for label in ENDOCARDIA)
-    loops = boundary_loops(left_cavity)
-    if not loops:
-        raise InputError(
-            f"{surface.name}: the LV endocardium is closed; label the base, where it is open"
-        )
-    opening = surface.vertices[max(loops, key=len)].mean(axis=0)
+    opening = surface.vertices[max(boundary_loops(left_cavity), key=len)].mean(axis=0)
     wall = surface.vertices[np.unique(left_cavity)]
     apex = wall[np.argmax(np.linalg.norm(wall - opening, axis=1))]
     towards_left = wall.mean(axis=0) - surface.vertices[np.unique(right_cavity)].mean(axis=0)
@@ -147,10 +113,3 @@ def _draw(axes: Axes, view: View, surface: LabelledSurface | LabelledMesh, *, ca
         triangles = np.where(walls[:, np.newaxis], triangles[:, ::-1], triangles)
     colours = np.array([to_rgb(COLOURS[Label(label)]) for label in labels])
     paint(axes, view, surface.vertices, triangles, colours)
-
-
-def _legend(surface: LabelledSurface | LabelledMesh) -> list[Patch]:
-    return [
-        Patch(facecolor=COLOURS[label], label=f"{NAMES[label]}\n{area:.1f} cm²")
-        for label, area in label_areas(surface).items()
-    ]

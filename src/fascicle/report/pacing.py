@@ -2,132 +2,77 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import ArrayLike
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
-from fascicle.report.figures import (
-    BLACK,
-    GREY,
-    LABEL_SIZE,
-    LEGEND_STYLE,
-    TICK_SIZE,
-    VERMILION,
-    finish_axes,
-    new_figure,
-    set_title,
-)
+from fascicle.predict.pacing import Pacing
+from fascicle.report import style
+from fascicle.report.figures import new_figure
 
 SIZE = (6.0, 4.2)  # inch
 PAIR_LINE, MEDIAN_LINE, DOT = 0.6, 2.5, 4.5  # points
 MEDIAN_BAR = (0.06, 0.24)  # from the dots outwards, of the distance between before and after
 SIDE_ROOM = 0.4  # beside the dots
-INTERVAL = (5.0, 95.0)  # percentiles given with the median change
+PERCENTILES = (5.0, 50.0, 95.0)  # of the change
 
 
-@dataclass(frozen=True)
-class Durations:
-    """How long activation takes in each network.
-
-    Attributes
-    ----------
-    qrs : (n,) array
-        QRS duration (ms).
-    total_activation : (n,) array
-        From first to last activation in the myocardium (ms).
-    """
-
-    qrs: Floats
-    total_activation: Floats
-
-
-def pacing_figure(
-    before: Durations,
-    after: Durations,
-    *,
-    labels: tuple[str, str] = ("before", "after"),
-    title: str | None = None,
-) -> Figure:
+def pacing_figure(pacing: Pacing, labels: tuple[str, str]) -> Figure:
     """Paired dot plot: one thin line a network, thick bars at the medians.
 
     Parameters
     ----------
-    before, after : Durations
-        The same n networks in the same order.
+    pacing : Pacing
+        Durations (ms) of n networks before and after.
     labels : tuple of two str
         Names on the horizontal axis.
-    title : str, optional
-        Heading.
 
     Returns
     -------
     Figure
         Two panels, QRS duration (ms) and total activation time (ms), with the median of the paired
         change and its 5th to 95th percentile.
-
-    Raises
-    ------
-    InputError
-        If the two have different numbers of networks.
     """
     figure = new_figure(*SIZE)
-    panels = figure.subplots(1, 2, sharey=True)
-    quantities = [
-        ("QRS duration (ms)", before.qrs, after.qrs),
-        ("total activation time (ms)", before.total_activation, after.total_activation),
-    ]
-    for axes, (name, first, second) in zip(panels, quantities, strict=True):
-        _draw_pairs(axes, name, first, second)
-        axes.set_xticks([0, 1], labels, fontsize=LABEL_SIZE)
+    qrs, activation = figure.subplots(1, 2, sharey=True)
+    _draw_pairs(qrs, np.array([pacing.qrs_before, pacing.qrs_after]))
+    _draw_pairs(activation, np.array([pacing.tat_before, pacing.tat_after]))
+    style.finish_axes(qrs, y="QRS duration (ms)")
+    style.finish_axes(activation, y="total activation time (ms)")
+    for axes in (qrs, activation):
+        axes.set_xticks([0, 1], labels, fontsize=style.LABEL_SIZE)
         axes.tick_params(labelleft=True)
+    dots: dict[str, Any] = {"linewidth": PAIR_LINE, "marker": "o", "markersize": DOT}
     handles = [
-        Line2D(
-            [], [], color=GREY, linewidth=PAIR_LINE, marker="o", markersize=DOT, label="network"
-        ),
-        Line2D([], [], color=GREY, linewidth=MEDIAN_LINE, label="median"),
+        Line2D([], [], color=style.GREY, label="network", **dots),
+        Line2D([], [], color=style.GREY, label="median", linewidth=MEDIAN_LINE),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, **LEGEND_STYLE)
-    set_title(figure, title)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, **style.LEGEND_STYLE)
     return figure
 
 
-def _draw_pairs(axes: Axes, name: str, before: ArrayLike, after: ArrayLike) -> None:
-    pairs = [np.asarray(values, dtype=float) for values in (before, after)]
-    if pairs[0].shape != pairs[1].shape or pairs[0].ndim != 1 or not pairs[0].size:
-        raise InputError(
-            f"{name}: {pairs[0].shape} values before and {pairs[1].shape} after; "
-            "give one of each for every network"
-        )
-    axes.plot([0, 1], np.array(pairs), color=GREY, linewidth=PAIR_LINE, alpha=0.5)
-    for position, values, colour in zip((0, 1), pairs, (GREY, VERMILION), strict=True):
+def _draw_pairs(axes: Axes, pairs: Floats) -> None:
+    """Durations (2, n) before and after (ms), with the change in the title."""
+    axes.plot([0, 1], pairs, color=style.GREY, linewidth=PAIR_LINE, alpha=0.5)
+    for position, values, colour in zip((0, 1), pairs, (style.GREY, style.VERMILION), strict=True):
         axes.plot(
             np.full(values.size, position), values, "o", color=colour, markersize=DOT, alpha=0.7,
             markeredgewidth=0,
         )  # fmt: skip
-        outward = np.array(MEDIAN_BAR) * (1 if position else -1)
-        axes.plot(
-            position + outward, [np.nanmedian(values)] * 2, color=colour, linewidth=MEDIAN_LINE
-        )
+        bar = position + np.array(MEDIAN_BAR) * (1 if position else -1)
+        axes.plot(bar, [np.nanmedian(values)] * 2, color=colour, linewidth=MEDIAN_LINE)
     change = pairs[1] - pairs[0]
-    low, high = np.nanpercentile(change, INTERVAL)
+    low, middle, high = (
+        style.whole(value, signed=True) for value in np.nanpercentile(change, PERCENTILES)
+    )
     axes.set_title(
-        f"median change {_signed(float(np.nanmedian(change)))} ms\n"
-        f"(5–95 %: {_signed(float(low))} to {_signed(float(high))} ms)",
-        fontsize=TICK_SIZE, color=BLACK,
+        f"median change {middle} ms\n(5–95 %: {low} to {high} ms)",
+        fontsize=style.TICK_SIZE, color=style.BLACK,
     )  # fmt: skip
     axes.set_xlim(-SIDE_ROOM, 1 + SIDE_ROOM)
     axes.grid(axis="y", color="#EAEAEA", linewidth=PAIR_LINE)
     axes.set_axisbelow(True)
-    finish_axes(axes, y=name)
-
-
-def _signed(change: float) -> str:
-    """Write a whole number with a true minus sign; no sign on zero."""
-    whole = round(change)
-    return "0" if whole == 0 else f"{whole:+d}".replace("-", "−")

@@ -12,26 +12,30 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
 from fascicle.core.parameters import Parameter, ParameterSpace
-from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, VERMILION, new_figure
+from fascicle.report import style
+from fascicle.report.figures import new_figure
 
 PANEL = 0.95  # inch
 LEGEND_SIZE = 14.0  # points, where the empty triangle has room
 SMALL = 8.5  # points
 BINS = (10, 40)  # fewest and most in a histogram
 
-BEST_MARK: dict[str, Any] = {"color": VERMILION, "marker": "D", "markersize": 4.5}
-TRUTH_MARK: dict[str, Any] = {"color": BLACK, "marker": "X", "markersize": 5.5}
+BEST_MARK: dict[str, Any] = {
+    "color": style.VERMILION, "marker": "D", "markersize": 4.5, "label": "best fit",
+}  # fmt: skip
+TRUTH_MARK: dict[str, Any] = {
+    "color": style.BLACK, "marker": "X", "markersize": 5.5, "label": "truth",
+}  # fmt: skip
+Marks = list[tuple[Mapping[str, float], dict[str, Any]]]  # parameters, and how they are drawn
 
 
 def pair_figure(
     space: ParameterSpace,
-    values: Mapping[str, ArrayLike],
-    best: Mapping[str, float] | None = None,
+    samples: Mapping[str, Floats],
+    best: Mapping[str, float],
     truth: Mapping[str, float] | None = None,
     *,
     title: str | None = None,
@@ -42,9 +46,9 @@ def pair_figure(
     ----------
     space : ParameterSpace
         The d free parameters; its ranges are the axes' limits.
-    values : mapping of name to (n,) array
+    samples : mapping of name to (n,) array
         Posterior samples, each parameter in its own unit.
-    best : mapping of name to float, optional
+    best : mapping of name to float
         The best-fitting parameters, marked in every panel.
     truth : mapping of name to float, optional
         The parameters that made a synthetic target, marked in every panel.
@@ -56,13 +60,7 @@ def pair_figure(
     Figure
         d (d+1)/2 axes, row by row: scatter below the diagonal; on it, the histogram as a density
         against the uniform prior as a flat line.
-
-    Raises
-    ------
-    InputError
-        If a parameter has no samples, or not as many as the others.
     """
-    samples = _samples(space, values)
     size = len(space)
     side = max(PANEL * size + 1.3, 4.0)
     figure = new_figure(side, side, constrained=False)
@@ -70,7 +68,9 @@ def pair_figure(
         size, size, hspace=0.09, wspace=0.09,
         left=0.8 / side, bottom=0.8 / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
     )  # fmt: skip
-    marks = [(m, style) for m, style in ((best, BEST_MARK), (truth, TRUTH_MARK)) if m is not None]
+    marks: Marks = [(best, BEST_MARK)]
+    if truth is not None:
+        marks.append((truth, TRUTH_MARK))
     for row in range(size):
         for column in range(row + 1):
             axes = figure.add_subplot(grid[row, column])
@@ -78,13 +78,13 @@ def pair_figure(
             if row == column:
                 _draw_marginal(axes, x, samples[x.name], marks)
             else:
-                _draw_pair(axes, (x, y), (samples[x.name], samples[y.name]), marks)
+                _draw_pair(axes, x, y, samples, marks)
             _label(axes, x, y, bottom=row == size - 1, left=column == 0)
-    _legend(figure, len(next(iter(samples.values()))), best is not None, truth is not None)
+    _legend(figure, len(next(iter(samples.values()))), marks)
     figure.align_ylabels()
     if title is not None:
         figure.suptitle(
-            title, fontsize=1.2 * TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left"
+            title, fontsize=1.2 * style.TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left"
         )
     return figure
 
@@ -99,30 +99,14 @@ def short_name(name: str) -> str:
     return f"{side.upper()} {part}\n{quantity} "
 
 
-def _samples(space: ParameterSpace, values: Mapping[str, ArrayLike]) -> dict[str, Floats]:
-    missing = [name for name in space.names if name not in values]
-    if missing:
-        raise InputError(f"no samples of {', '.join(missing)}; give all {len(space)} parameters")
-    samples = {name: np.asarray(values[name], dtype=float).ravel() for name in space.names}
-    counts = {name: len(sample) for name, sample in samples.items()}
-    if len(set(counts.values())) > 1 or 0 in counts.values():
-        raise InputError(f"samples per parameter differ or are none: {counts}")
-    return samples
-
-
-def _draw_marginal(
-    axes: Axes,
-    parameter: Parameter,
-    sample: Floats,
-    marks: list[tuple[Mapping[str, float], dict[str, Any]]],
-) -> None:
+def _draw_marginal(axes: Axes, parameter: Parameter, sample: Floats, marks: Marks) -> None:
     edges = np.linspace(parameter.lower, parameter.upper, _bins(len(sample)) + 1)
     density, _ = np.histogram(sample, edges, density=True)
-    axes.stairs(density, edges, fill=True, color=BLUE, alpha=0.45)
+    axes.stairs(density, edges, fill=True, color=style.BLUE, alpha=0.45)
     prior = 1 / (parameter.upper - parameter.lower)
-    axes.axhline(prior, color=GREY, linewidth=1.0, linestyle="--")
-    for point, style in marks:
-        axes.axvline(point[parameter.name], color=style["color"], linewidth=1.2)
+    axes.axhline(prior, color=style.GREY, linewidth=1.0, linestyle="--")
+    for point, mark in marks:
+        axes.axvline(point[parameter.name], color=mark["color"], linewidth=1.2)
     axes.set_ylim(0, 1.15 * max(float(density.max()), 2 * prior))
     axes.set_yticks([])
     axes.spines[["top", "right", "left"]].set_visible(False)
@@ -134,18 +118,16 @@ def _bins(count: int) -> int:
 
 
 def _draw_pair(
-    axes: Axes,
-    parameters: tuple[Parameter, Parameter],
-    samples: tuple[Floats, Floats],
-    marks: list[tuple[Mapping[str, float], dict[str, Any]]],
+    axes: Axes, x: Parameter, y: Parameter, samples: Mapping[str, Floats], marks: Marks
 ) -> None:
-    x, y = parameters
-    size = float(np.clip(300 / len(samples[0]), 1.0, 9.0))  # points²
-    axes.scatter(*samples, s=size, color=BLUE, alpha=0.55, linewidths=0)
-    for point, style in marks:
+    size = float(np.clip(300 / len(samples[x.name]), 1.0, 9.0))  # points²
+    axes.scatter(
+        samples[x.name], samples[y.name], s=size, color=style.BLUE, alpha=0.55, linewidths=0
+    )
+    for point, mark in marks:
         axes.plot(
             point[x.name], point[y.name], linestyle="", markeredgecolor="white",
-            markeredgewidth=0.5, **style,
+            markeredgewidth=0.5, **mark,
         )  # fmt: skip
     axes.set_ylim(y.lower, y.upper)
     axes.yaxis.set_major_locator(MaxNLocator(3, prune="both", steps=[1, 2, 2.5, 5, 10]))
@@ -170,18 +152,15 @@ def _label(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: bool) 
         axes.tick_params(labelleft=False)
 
 
-def _legend(figure: Figure, count: int, best: bool, truth: bool) -> None:
+def _legend(figure: Figure, count: int, marks: Marks) -> None:
     handles: list[Line2D | Patch] = [
-        Line2D([], [], linestyle="", marker="o", color=BLUE, alpha=0.6, markersize=4,
+        Line2D([], [], linestyle="", marker="o", color=style.BLUE, alpha=0.6, markersize=4,
                label=f"network ({count})"),
-        Patch(color=BLUE, alpha=0.45, label="posterior density"),
-        Line2D([], [], color=GREY, linewidth=1.0, linestyle="--", label="prior density"),
+        Patch(color=style.BLUE, alpha=0.45, label="posterior density"),
+        Line2D([], [], color=style.GREY, linewidth=1.0, linestyle="--", label="prior density"),
     ]  # fmt: skip
-    if best:
-        handles.append(Line2D([], [], linewidth=1.2, label="best fit", **BEST_MARK))
-    if truth:
-        handles.append(Line2D([], [], linewidth=1.2, label="truth", **TRUTH_MARK))
-    size = LABEL_SIZE if figure.get_figwidth() < 8 else LEGEND_SIZE
+    handles += [Line2D([], [], linewidth=1.2, **mark) for _, mark in marks]
+    size = style.LABEL_SIZE if figure.get_figwidth() < 8 else LEGEND_SIZE
     figure.legend(
         handles=handles, loc="upper right", frameon=False, fontsize=size,
         bbox_to_anchor=(0.98, 0.97),

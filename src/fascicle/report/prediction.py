@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, atomic_path, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
 from fascicle.forward.simulation_files import write_activation
 from fascicle.predict.pacing import Pacing, pace, qrs_aligned
-from fascicle.report.ecg import before_after_figure
+from fascicle.report.ecg import EcgGroup, ecg_figure
 from fascicle.report.figures import save
 from fascicle.report.hearts import activation_figure
-from fascicle.report.pacing import Durations, pacing_figure
-from fascicle.report.study import activation_row
+from fascicle.report.pacing import pacing_figure
+from fascicle.report.study import activation_row, check_population
+from fascicle.report.style import GREY, VERMILION
 from fascicle.study.results import FittedStudy, spread
 
 
@@ -49,20 +50,15 @@ def write_pacing(
     InputError
         If the study accepted no network, or the root time is not finite.
     """
-    if not len(fitted.population):
-        raise InputError(
-            f"{fitted.folder}: no network was accepted, so there is nothing to predict with; "
-            "fit with more steps or more initial points"
-        )
+    check_population(fitted)
     if not np.isfinite(root_time):
         raise InputError(f"--root-time is {root_time}; give a finite number of ms")
     networks = fitted.networks(progress)
     pacing = pace(fitted.problem.model, networks, root_time)
     with atomic_folder(out) as folder:
         write_text(folder / "table.csv", _table(pacing))
-        write_text(
-            folder / "summary.json", json.dumps(_summary(pacing, root_time), indent=2) + "\n"
-        )
+        summary = json.dumps(_summary(pacing, root_time), indent=2)
+        write_text(folder / "summary.json", f"{summary}\n")
         _write_ecgs(folder / "ecgs.nc", pacing)
         for name, k in pacing.extremes().items():
             path = folder / f"activation_{name}.vtu"
@@ -71,32 +67,25 @@ def write_pacing(
     return pacing
 
 
+def _durations(pacing: Pacing) -> dict[str, Floats]:
+    return {
+        "qrs_duration_before_ms": pacing.qrs_before,
+        "qrs_duration_after_ms": pacing.qrs_after,
+        "total_activation_time_before_ms": pacing.tat_before,
+        "total_activation_time_after_ms": pacing.tat_after,
+    }
+
+
 def _table(pacing: Pacing) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        [
-            "network",
-            "qrs_duration_before_ms",
-            "qrs_duration_after_ms",
-            "total_activation_time_before_ms",
-            "total_activation_time_after_ms",
-        ]
-    )
-    columns = (pacing.qrs_before, pacing.qrs_after, pacing.tat_before, pacing.tat_after)
-    for k, row in enumerate(zip(*columns, strict=True)):
-        writer.writerow([f"{k:02d}", *(f"{value:.2f}" for value in row)])
-    return text.getvalue()
+    table = pd.DataFrame(_durations(pacing), [f"{k:02d}" for k in range(len(pacing.after))])
+    return str(table.to_csv(index_label="network", float_format="%.2f", lineterminator="\n"))
 
 
 def _summary(pacing: Pacing, root_time: float) -> dict[str, object]:
     return {
         "root_time_ms": root_time,
         "networks": len(pacing.after),
-        "qrs_duration_before_ms": spread(pacing.qrs_before),
-        "qrs_duration_after_ms": spread(pacing.qrs_after),
-        "total_activation_time_before_ms": spread(pacing.tat_before),
-        "total_activation_time_after_ms": spread(pacing.tat_after),
+        **{name: spread(durations) for name, durations in _durations(pacing).items()},
         "activation_maps": {name: f"network {k:02d}" for name, k in pacing.extremes().items()},
     }
 
@@ -118,23 +107,18 @@ def _write_ecgs(path: Path, pacing: Pacing) -> None:
 
 def _write_figures(folder: Path, fitted: FittedStudy, pacing: Pacing, root_time: float) -> None:
     labels = ("before", f"roots {root_time:g} ms apart" if root_time else "roots together")
-    figure = before_after_figure(
-        *qrs_aligned(pacing.before),
-        *qrs_aligned(pacing.after),
-        labels=labels,
-        title=f"Predicted ECG of {len(pacing.after)} networks",
-    )
+    groups = [
+        EcgGroup(label, "network", *qrs_aligned(simulations), colour)
+        for label, simulations, colour in zip(
+            labels, (pacing.before, pacing.after), (GREY, VERMILION), strict=True
+        )
+    ]
+    figure = ecg_figure(groups, f"Predicted ECG of {len(pacing.after)} networks")
     save(figure, folder / "ecg.png")
-    figure = pacing_figure(
-        Durations(pacing.qrs_before, pacing.tat_before),
-        Durations(pacing.qrs_after, pacing.tat_after),
-        labels=labels,
-    )
-    save(figure, folder / "durations.png")
+    save(pacing_figure(pacing, labels), folder / "durations.png")
     chosen = {name: pacing.after[k] for name, k in pacing.extremes().items()}
     rows = [
         activation_row(f"{name}, {simulation.total_activation_time:.0f} ms", simulation)
         for name, simulation in chosen.items()
     ]
-    figure = activation_figure(fitted.problem.model.heart, rows)
-    save(figure, folder / "activation.png")
+    save(activation_figure(fitted.problem.model.heart, rows), folder / "activation.png")

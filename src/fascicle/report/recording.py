@@ -13,9 +13,10 @@ from matplotlib.lines import Line2D
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, BeatClass
+from fascicle.report import style
 from fascicle.report.beat_panels import ROWS, draw_beats, panel_handles
 from fascicle.report.ecg_paper import PACE, PAPER_GAIN, PAPER_PACE, SHOWN, draw_strip, strip_start
-from fascicle.report.figures import BLACK, BLUE, GREY, LABEL_SIZE, TITLE_SIZE, new_figure
+from fascicle.report.figures import new_figure
 from fascicle.report.fitted_text import shortened, wrapped
 
 MM = 1 / 25.4  # inch
@@ -53,37 +54,37 @@ def recording_figure(analysis: Analysis) -> Figure:
     """
     figure = new_figure(PAGE_WIDTH * MM, PAGE_HEIGHT * MM, constrained=False)
     colours = class_colours(analysis)
-    top = _head(figure, analysis)
-    top = _class_legend(figure, analysis, colours, top)
+    top = _class_legend(figure, analysis, colours, _head(figure, analysis))
     unused = _unused_text(analysis)
     panels_top = PAGE_HEIGHT - BELOW_PANELS - PANEL_BLOCK
     strip_bottom = panels_top - ABOVE_PANELS - (2 if unused else 1) * LINE
     top += LINE  # for the scale
-    strip = _axes(figure, LEFT, top + 1.0, SHOWN * PACE, strip_bottom - top - 1.0)
-    gain, cut = draw_strip(strip, analysis, colours, strip_bottom - top - 1.0)
+    height = strip_bottom - top - 1.0
+    strip = _axes(figure, LEFT, top + 1.0, SHOWN * PACE, height)
+    gain, cut = draw_strip(strip, analysis, colours, height)
     _write(figure, TEXT_LEFT, top, _scale_text(analysis, gain, cut=cut), weight="bold")
     if unused:
         _write(figure, TEXT_LEFT, strip_bottom + 2 * LINE, unused)
-    _panel_legend(figure, analysis, panels_top - 4.0)
-    panels = _panels(figure, panels_top)
-    draw_beats(panels, analysis.target)
+    handles = panel_handles(analysis.target)
+    _legend(figure, handles, panels_top - 4.0 - LINE, len(handles))
+    draw_beats(_panels(figure, panels_top), analysis.target)
     return figure
 
 
 def class_colours(analysis: Analysis) -> dict[str, str]:
     """Colour of each class: blue for the chosen one, grey where the others run out."""
     others = [known.label for known in analysis.classes if known.label != analysis.chosen]
-    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], GREY)
-    return colours | dict(zip(others, OTHER_COLOURS, strict=False)) | {analysis.chosen: BLUE}
+    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], style.GREY)
+    return colours | dict(zip(others, OTHER_COLOURS, strict=False)) | {analysis.chosen: style.BLUE}
 
 
 def _head(figure: Figure, analysis: Analysis) -> float:
     """Name, measures and warnings; returns how far down (mm) they reach."""
     name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
-    size = TITLE_SIZE + 1
+    size = style.TITLE_SIZE + 1
     name = shortened(name, size, TEXT_WIDTH, "bold")
     _write(figure, TEXT_LEFT, 10.0, name, size=size, weight="bold")
-    _write(figure, TEXT_LEFT, 15.0, _measures_text(analysis), size=LABEL_SIZE)
+    _write(figure, TEXT_LEFT, 15.0, _measures_text(analysis), size=style.LABEL_SIZE)
     warnings = _warning_lines(analysis)
     for k, line in enumerate(warnings):
         _write(figure, TEXT_LEFT, 19.5 + k * LINE, line)
@@ -94,23 +95,15 @@ def _measures_text(analysis: Analysis) -> str:
     target = analysis.target
     spread = math.hypot(target.onset_sd, target.offset_sd)
     uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
-    onset, offset = (
-        f"{end:.0f}".replace("-", "\N{MINUS SIGN}") for end in (target.qrs_onset, target.qrs_offset)
-    )
+    onset, offset = style.whole(target.qrs_onset), style.whole(target.qrs_offset)
     known = math.isfinite(target.heart_rate)
-    return "   ·   ".join(
-        [
-            f"{target.heart_rate:.0f} beats/min" if known else "heart rate unknown",
-            f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R",
-            _beats_text(analysis),
-        ]
-    )
-
-
-def _beats_text(analysis: Analysis) -> str:
-    used, count = sum(beat.used for beat in analysis.beats), len(analysis.target.beats)
-    text = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
-    return text if used == count else f"{text}, put together to {count}"
+    rate = f"{target.heart_rate:.0f} beats/min" if known else "heart rate unknown"
+    qrs = f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R"
+    used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
+    beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
+    if used != count:
+        beats += f", put together to {count}"
+    return "   ·   ".join([rate, qrs, beats])
 
 
 def _warning_lines(analysis: Analysis) -> list[str]:
@@ -138,16 +131,16 @@ def _class_legend(
     named = analysis.classes[: len(OTHER_COLOURS) + 1]
     if analysis.chosen not in {known.label for known in named}:
         named += tuple(known for known in analysis.classes if known.label == analysis.chosen)
-    handles = [(_line(colours[known.label], 2.2), _class_text(known)) for known in named]
+    handles = [(_class_line(colours[known.label]), _class_text(known)) for known in named]
     rest = [known for known in analysis.classes if known not in named]
     if rest:
         count = sum(known.count for known in rest)
-        handles.append((_line(GREY, 2.2), f"{len(rest)} more classes, {count} beats"))
-    handles.append((_number_mark(BLUE), "filled number: beat used"))
+        handles.append((_class_line(style.GREY), f"{len(rest)} more classes, {count} beats"))
+    handles.append((_number_mark(style.BLUE), "filled number: beat used"))
     if not all(beat.used for beat in analysis.beats):
         handles.append((_number_mark("white"), "hollow number: beat not used"))
     if len(analysis.spikes):
-        mark = Line2D([], [], color=BLACK, linestyle="none", marker="|", markersize=5)
+        mark = Line2D([], [], color=style.BLACK, linestyle="none", marker="|", markersize=5)
         handles.append((mark, "pacing spike"))
     room = TEXT_WIDTH / LEGEND_COLUMNS - 12.0  # mm, less the mark and the gaps
     handles = [(mark, shortened(text, SMALL, room)) for mark, text in handles]
@@ -160,14 +153,14 @@ def _class_text(known: BeatClass) -> str:
     return f"{count}: {known.description}" if known.description else count
 
 
-def _line(colour: str, width: float) -> Line2D:
-    return Line2D([], [], color=colour, linewidth=width)
+def _class_line(colour: str) -> Line2D:
+    return Line2D([], [], color=colour, linewidth=2.2)
 
 
 def _number_mark(fill: str) -> Line2D:
     return Line2D(
         [], [], linestyle="none", marker="s", markersize=5.5, markerfacecolor=fill,
-        markeredgecolor=BLUE, markeredgewidth=0.7,
+        markeredgecolor=style.BLUE, markeredgewidth=0.7,
     )  # fmt: skip
 
 
@@ -204,28 +197,16 @@ def _unused_text(analysis: Analysis) -> str:
     return shortened(f"not used: {'; '.join(parts)}", SMALL, TEXT_WIDTH) if parts else ""
 
 
-def _panel_legend(figure: Figure, analysis: Analysis, top: float) -> None:
-    handles = panel_handles(analysis.target)
-    _legend(figure, handles, top - LINE, len(handles))
-
-
 def _panels(figure: Figure, top: float) -> list[Axes]:
     """Twelve axes in the clinical columns, and what their scales are."""
     columns = len(LEADS) // ROWS
     width = (PAGE_WIDTH - LEFT - RIGHT - (columns - 1) * PANEL_GAP) / columns
-    for_lead = [divmod(lead, ROWS) for lead in range(len(LEADS))]
-    panels = [
-        _axes(
-            figure, LEFT + column * (width + PANEL_GAP), top + row * (PANEL_HEIGHT + PANEL_GAP),
-            width, PANEL_HEIGHT,
-        )
-        for column, row in for_lead
-    ]  # fmt: skip
     _write(figure, LEFT - 1.5, top - 1.0, "mV", size=8, ha="right")
-    _write(
-        figure, PAGE_WIDTH / 2, PAGE_HEIGHT - 3.5, "time from the R peak (ms)", size=8, ha="center"
-    )
-    return panels
+    below = PAGE_HEIGHT - 3.5
+    _write(figure, PAGE_WIDTH / 2, below, "time from the R peak (ms)", size=8, ha="center")
+    lefts = [LEFT + column * (width + PANEL_GAP) for column in range(columns)]
+    tops = [top + row * (PANEL_HEIGHT + PANEL_GAP) for row in range(ROWS)]
+    return [_axes(figure, left, upper, width, PANEL_HEIGHT) for left in lefts for upper in tops]
 
 
 def _axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
@@ -236,9 +217,9 @@ def _axes(figure: Figure, left: float, top: float, width: float, height: float) 
     )
 
 
-def _write(figure: Figure, left: float, base: float, text: str, **style: Any) -> None:
+def _write(figure: Figure, left: float, base: float, text: str, **looks: Any) -> None:
     """Text at a place in mm from the upper left corner of the page; a $ is a $."""
-    chosen: dict[str, Any] = {"size": SMALL, "color": BLACK, "parse_math": False} | style
+    chosen: dict[str, Any] = {"size": SMALL, "color": style.BLACK, "parse_math": False} | looks
     figure.text(left / PAGE_WIDTH, 1 - base / PAGE_HEIGHT, text, **chosen)
 
 

@@ -1,22 +1,28 @@
-"""Orthographic views of a heart: frame, projection, hidden surfaces, isochrones. NumPy only."""
+"""Orthographic views of a heart: frame, projection, shaded surfaces, isochrones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals, unit
+from fascicle.report import style
 
 Point = tuple[float, float, float]  # x, y (mm on the screen) and time (ms)
 
 AMBIENT = 0.68  # brightness of a triangle turned away from the light; 1 faces it
 CREASE = 0.82  # cosine of the angle (35°) between face and vertex normal from which it is one
 LIGHT = (-0.4, 0.5, -0.77)  # towards the light: from the left, from above, from the eye
+HAIRLINE = 0.35  # points; in the face's own colour it closes the gaps that antialiasing leaves
+MARGIN = 1.04  # frame over what is in it
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,11 @@ class View:
     def project(self, positions: Floats) -> Floats:
         """Screen coordinates and depth (mm; larger is farther), the shape of `positions`."""
         return np.asarray((positions - self.centre) @ self.axes.T)
+
+    def box(self, positions: Floats) -> tuple[Floats, Floats]:
+        """Lower left and upper right corner (mm) of positions (n, 3) on the screen."""
+        screen = self.project(positions)[:, :2]
+        return screen.min(axis=0), screen.max(axis=0)
 
     def facing(self, normals: Floats) -> Booleans:
         """Which normals (k, 3) point towards the eye, shape (k,)."""
@@ -125,6 +136,85 @@ def back_to_front(view: View, vertices: Floats, triangles: Integers) -> Integers
     visible = np.flatnonzero(view.facing(triangle_normals(vertices, triangles)))
     depth = view.project(vertices[triangles[visible]])[..., 2].mean(axis=1)
     return np.asarray(visible[np.argsort(-depth, kind="stable")], dtype=np.int64)
+
+
+def paint(
+    axes: Axes,
+    view: View,
+    vertices: Floats,
+    triangles: Integers,
+    colours: str | Floats,
+    *,
+    alpha: float = 1.0,
+) -> None:
+    """Draw the triangles that face the eye, shaded.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    view : View
+        From where.
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices.
+    colours : str or (m, 3) array
+        One colour, or red, green and blue of each triangle.
+    alpha : float
+        Opacity.
+    """
+    order = back_to_front(view, vertices, triangles)
+    rgb = np.array(to_rgb(colours)) if isinstance(colours, str) else colours[order]
+    faces = rgb * view.shade(smooth_normals(vertices, triangles)[order])[:, np.newaxis]
+    if alpha < 1:
+        faces = np.column_stack([faces, np.full(len(faces), alpha)])
+    polygons = list(view.project(vertices[triangles[order]])[..., :2])
+    add_polygons(axes, polygons, faces)
+
+
+def add_polygons(axes: Axes, polygons: Sequence[Floats], colours: Floats) -> None:
+    """Draw polygons in the order given; opaque ones are joined by a hairline.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    polygons : sequence of (p, 2) arrays
+        Corners (mm).
+    colours : (k, 3) or (k, 4) array
+        Red, green, blue and, of transparent ones, opacity of each.
+    """
+    edges = colours if colours.shape[1] == 3 else "none"
+    collection = PolyCollection(
+        list(polygons), facecolors=colours, edgecolors=edges, linewidths=HAIRLINE, rasterized=True
+    )
+    axes.add_collection(collection)
+
+
+def frame_size(boxes: Sequence[tuple[Floats, Floats]]) -> Floats:
+    """Width and height (mm) of panels in which each of the boxes fits."""
+    return np.asarray(MARGIN * np.max([high - low for low, high in boxes], axis=0))
+
+
+def frame_panel(axes: Axes, box: tuple[Floats, Floats], size: Floats, title: str = "") -> None:
+    """Show a picture without axes.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where it is, in mm.
+    box : tuple of two (2,) arrays
+        Its lower left and upper right corner (mm), the middle of which becomes that of the panel.
+    size : (2,) array
+        Width and height (mm) that the panel shows.
+    title : str
+        What to write above it.
+    """
+    (left, bottom), (right, top) = ((box[0] + box[1]) + sign * size for sign in (-1, 1))
+    axes.set(xlim=(left / 2, right / 2), ylim=(bottom / 2, top / 2), aspect="equal")
+    axes.set_axis_off()
+    axes.set_title(title, fontsize=style.TITLE_SIZE, color=style.BLACK)
 
 
 def cut_at_levels(

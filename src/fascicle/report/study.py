@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fascicle.core.errors import InputError
 from fascicle.forward.simulation import Simulation
 from fascicle.report.convergence import convergence_figure
-from fascicle.report.ecg import match_figure
+from fascicle.report.ecg import EcgGroup, ecg_figure
 from fascicle.report.figures import save
 from fascicle.report.hearts import ActivationRow, activation_figure
 from fascicle.report.pairs import pair_figure
+from fascicle.report.style import BLUE, VERMILION
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
 
@@ -21,6 +23,15 @@ def activation_row(label: str, simulation: Simulation) -> ActivationRow:
     """A simulation as `activation_figure` draws it: tissue and trees."""
     trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
     return ActivationRow(label, simulation.activation, trees)
+
+
+def check_population(fitted: FittedStudy) -> None:
+    """Refuse a study that accepted no network."""
+    if not len(fitted.population):
+        raise InputError(
+            f"{fitted.folder}: no network was accepted, so there is nothing to draw or to predict "
+            "with; fit with more steps or more initial points"
+        )
 
 
 def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path]:
@@ -38,30 +49,23 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     list of Path
         The figures, in the study's folder ``figures``.
     """
+    check_population(fitted)
+    problem, population, records = fitted.problem, fitted.population, fitted.study.records()
+    window = problem.target.qrs_samples
+    time = problem.target.time[window]
+    predicted = np.stack([network.predicted for network in networks])[:, :, window]
+    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
+    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION)]
+    best = activation_row("best network", fitted.best_network.simulation)
+    count = f"{len(population)} networks"
+    figures = {
+        "ecg": ecg_figure(groups, f"Recorded QRS and {count}"),
+        "pairs": pair_figure(problem.space, population.values, population.best, title=count),
+        "activation": activation_figure(problem.model.heart, [best]),
+        "convergence": convergence_figure(
+            np.array([record.evaluation.loss for record in records]),
+            [record.stage for record in records],
+        ),
+    }
     folder = fitted.folder / "figures"
-    target = fitted.problem.target
-    window = target.qrs_samples
-    records = fitted.study.records()
-    count = f"{len(fitted.population)} networks"
-    ecgs = match_figure(
-        target.time[window],
-        target.qrs_beats,
-        np.stack([network.predicted for network in networks])[:, :, window],
-        title=f"Recorded QRS and {count}",
-    )
-    pairs = pair_figure(
-        fitted.problem.space, fitted.population.values, fitted.population.best, title=count
-    )
-    activation = activation_figure(
-        fitted.problem.model.heart,
-        [activation_row("best network", fitted.best_network.simulation)],
-    )
-    convergence = convergence_figure(
-        [record.evaluation.loss for record in records], [record.stage for record in records]
-    )
-    return [
-        save(ecgs, folder / "ecg.png"),
-        save(pairs, folder / "pairs.png"),
-        save(activation, folder / "activation.png"),
-        save(convergence, folder / "convergence.png"),
-    ]
+    return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]

@@ -10,21 +10,12 @@ from matplotlib.figure import Figure
 
 from fascicle.core.progress import Progress
 from fascicle.forward.cable.cell import CELLS
-from fascicle.forward.cable.measures import duration, max_upstroke, overshoot, resting_potential
-from fascicle.forward.cable.stored import default_template, stored_template
-from fascicle.forward.cable.template import CableTemplate
-from fascicle.report.figures import (
-    BLACK,
-    BLUE,
-    GREY,
-    TICK_SIZE,
-    VERMILION,
-    finish_axes,
-    new_figure,
-    set_title,
-)
+from fascicle.forward.cable.measures import duration, max_upstroke
+from fascicle.forward.cable.template import CableTemplate, default_template, stored_template
+from fascicle.report import style
+from fascicle.report.figures import new_figure
 
-COLOURS = {"endocardial": BLUE, "midmyocardial": GREY, "epicardial": VERMILION}
+COLOURS = {"endocardial": style.BLUE, "midmyocardial": style.GREY, "epicardial": style.VERMILION}
 SIZE = (9.0, 3.8)  # inch
 LEGEND_PLACE = (0.08, 0.4)  # of the axes
 POINTS = 4000  # of each curve
@@ -64,10 +55,10 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
     _draw_zoom(zoom, templates, default_template())
     for axes in (whole, zoom):
         axes.legend(
-            frameon=False, fontsize=TICK_SIZE, loc="center left", bbox_to_anchor=LEGEND_PLACE
+            frameon=False, fontsize=style.TICK_SIZE, loc="center left", bbox_to_anchor=LEGEND_PLACE
         )
-        finish_axes(axes, "time since activation (ms)", "transmembrane potential (mV)")
-    set_title(figure, "Ten Tusscher–Panfilov 2006 cells in a cable")
+        style.finish_axes(axes, "time since activation (ms)", "transmembrane potential (mV)")
+    style.set_title(figure, "Ten Tusscher–Panfilov 2006 cells in a cable")
     return figure, table
 
 
@@ -75,8 +66,8 @@ def measure(template: CableTemplate) -> dict[str, float]:
     """One row of the table of `template_figure`."""
     times, potentials = template.times, template.potentials
     return {
-        "resting_potential": resting_potential(potentials),
-        "overshoot": overshoot(potentials),
+        "resting_potential": float(potentials[0]),
+        "overshoot": float(potentials.max()),
         "max_upstroke": max_upstroke(times, potentials)[0],
         "apd90": duration(times, potentials),
         "conduction_velocity": template.speed,
@@ -101,6 +92,8 @@ def _draw_zoom(axes: Axes, templates: Mapping[str, CableTemplate], used: CableTe
     time = np.linspace(*ZOOM, POINTS)
     for cell, template in templates.items():
         axes.plot(time, template.full(time), color=COLOURS[cell], linewidth=LINE, label=cell)
-    axes.plot(time, used(time), "--", color=BLACK, linewidth=LINE, label=f"template ({used.cell})")
-    axes.axvline(used.span[1], color=GREY, linewidth=0.6, linestyle=":")
+    axes.plot(
+        time, used(time), "--", color=style.BLACK, linewidth=LINE, label=f"template ({used.cell})"
+    )
+    axes.axvline(used.span[1], color=style.GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(*ZOOM)

@@ -6,7 +6,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -141,10 +141,11 @@ class Database:
             connection.execute("INSERT INTO proposals VALUES (?, ?, ?, ?)", row)
 
 
+@dataclass
 class Journal:
     """One pass over a study: what is stored is read, what is missing is made and stored.
 
-    Parameters
+    Attributes
     ----------
     database : Database
         Where it is stored.
@@ -156,23 +157,19 @@ class Journal:
         Of every random number.
     workers : int
         Evaluations at a time.
-
-    Attributes
-    ----------
     records : list of Record
         What this pass has evaluated or read so far.
     """
 
-    def __init__(
-        self, database: Database, objective: Objective, *, dimension: int, seed: int, workers: int
-    ) -> None:
-        self.records: list[Record] = []
-        self._database = database
-        self._objective = objective
-        self._dimension = dimension
-        self._seed = seed
-        self._workers = workers
-        self._stored = database.records()
+    database: Database
+    objective: Objective
+    dimension: int
+    seed: int
+    workers: int
+    records: list[Record] = field(default_factory=list, init=False)
+
+    def __post_init__(self) -> None:
+        self._stored = self.database.records()
 
     @property
     def evaluations(self) -> list[Evaluation]:
@@ -181,7 +178,7 @@ class Journal:
 
     def rng(self, stage: Stage, step: int) -> np.random.Generator:
         """The only source of randomness of a step."""
-        return np.random.default_rng([self._seed, list(Stage).index(stage), step])
+        return np.random.default_rng([self.seed, list(Stage).index(stage), step])
 
     def propose(self, stage: Stage, step: int, compute: Compute) -> Floats:
         """Give the points of a step, shape (m, d).
@@ -193,12 +190,12 @@ class Journal:
         compute : callable
             Makes the points where none are stored.
         """
-        stored = self._database.proposal(stage, step)
+        stored = self.database.proposal(stage, step)
         if stored is None:
-            before = self._database.proposal(stage, step - 1)
+            before = self.database.proposal(stage, step - 1)
             stored = compute(self.rng(stage, step), before[0] if before is not None else None)
-            self._database.propose(stage, step, *stored)
-        return stored[1].reshape(-1, self._dimension)
+            self.database.propose(stage, step, *stored)
+        return stored[1].reshape(-1, self.dimension)
 
     def evaluate(self, stage: Stage, points: Sequence[Floats]) -> list[Evaluation]:
         """Give the outcomes at `points`, each of shape (d,)."""
@@ -207,17 +204,17 @@ class Journal:
         for number, (record, point) in enumerate(zip(known, points, strict=False), first):
             if not np.array_equal(record.evaluation.point, point):
                 raise InputError(
-                    f"{self._database.path}: evaluation {number} is not of the point that the "
+                    f"{self.database.path}: evaluation {number} is not of the point that the "
                     "study proposes; the file was changed, start again in another folder (--out)"
                 )
         self.records += known
-        for start in range(len(known), len(points), self._workers):
-            self._compute(stage, points[start : start + self._workers])
+        for start in range(len(known), len(points), self.workers):
+            self._compute(stage, points[start : start + self.workers])
         return [record.evaluation for record in self.records[first:]]
 
     def _compute(self, stage: Stage, points: Sequence[Floats]) -> None:
         begin = time.perf_counter()
-        outcomes = self._objective(points)
+        outcomes = self.objective(points)
         seconds = (time.perf_counter() - begin) / len(points)
         new = [
             Record(stage, replace(outcome, point=point), seconds)
@@ -225,7 +222,7 @@ class Journal:
         ]
         for record in new:
             _check(record.evaluation)
-        self._database.append(len(self.records), new)
+        self.database.append(len(self.records), new)
         self.records += new
 
 

@@ -17,7 +17,6 @@ from fascicle.inference.abc.random_walks import propose, walk
 from fascicle.inference.abc.rejection import Sampling, sample
 from fascicle.inference.evaluation import best_of
 from fascicle.inference.optimisation import step as bayesian
-from fascicle.inference.optimisation.design import latin_hypercube
 from fascicle.inference.optimisation.refine import refine
 from fascicle.inference.surrogate.observations import Observations
 from fascicle.study.evaluations import Journal, Record, Stage
@@ -54,9 +53,9 @@ class Run:
         return Population.of(self.space, self._sample(), best_of(self.journal.evaluations))
 
     def _initial(self) -> None:
-        count, size = self.settings.initial, self.settings.workers
+        count, size, dimension = self.settings.initial, self.settings.workers, len(self.space)
         design = self.journal.propose(
-            Stage.INITIAL, 0, lambda rng, _: (None, latin_hypercube(rng, count, len(self.space)))
+            Stage.INITIAL, 0, lambda rng, _: (None, bayesian.latin_hypercube(rng, count, dimension))
         )
         for start in range(0, count, size):
             self.journal.evaluate(Stage.INITIAL, list(design[start : start + size]))
@@ -122,7 +121,7 @@ class Run:
         """Candidates of a round, no more than it can use."""
         state = bayesian.State.from_json(surrogate_data(self.journal.records), hyperparameters)
         fitted, loss, feasibility = bayesian.refit(state)
-        candidates = draw_candidates(
+        points, _ = draw_candidates(
             rng,
             InformedPrior.at(loss, feasibility, best_of(self.journal.evaluations).point),
             self.settings.draws,
@@ -130,7 +129,7 @@ class Run:
             limit=self.settings.samples * self.settings.refit_after,
             progress=stage_progress(self.progress, "prior", f"round {number + 1}"),
         )
-        return fitted.hyperparameters_to_json(), candidates.points
+        return fitted.hyperparameters_to_json(), points
 
     def _report(self, stage: Stage, done: int, total: int) -> None:
         if self.progress is None:

@@ -142,13 +142,7 @@ class Study:
         from fascicle.study.stages import Run  # the surrogate, which only a fit needs
 
         config, space = self.config, self.config.parameter_space
-        journal = Journal(
-            self._database,
-            objective,
-            dimension=len(space),
-            seed=config.seed,
-            workers=config.workers,
-        )
+        journal = Journal(self._database, objective, len(space), config.seed, config.workers)
         return Run(config, space, journal, progress).population()
 
 

@@ -21,8 +21,10 @@ class Surface(NamedTuple):
 
     Attributes
     ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices; of a closed surface, counter-clockwise seen from outside.
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices; of a closed surface, counter-clockwise seen from outside.
     """
 
     vertices: Floats

@@ -24,14 +24,12 @@ def published_scheme_speed(spacing, step, length=20.0):
     """
     n = round(length / spacing) + 1
     state = np.tile(simulate_cell("epicardial", beats=2).state, (n, 1))
-    cable = ten_tusscher.Cable(state, np.empty_like(state), np.empty(n), np.empty(n))
     fired = np.full(n, np.nan)
-    trace = np.empty((1, 1))
     for k in range(round(30.0 / step)):
         v = state[:, ten_tusscher.V].copy()
-        stimulus = ten_tusscher.Stimulus(STIMULUS, int(k * step < 2.0), round(1.5 / spacing))
+        stimulus = STIMULUS, int(k * step < 2.0), round(1.5 / spacing)
         constants = CELLS["epicardial"].constants
-        ten_tusscher.run_cable(cable, constants, stimulus, 0.0, step, np.array([0]), trace)
+        ten_tusscher.run_cable(state, constants, stimulus, 0.0, step, 1, np.array([0]))
         edged = np.pad(v, 1, mode="reflect")
         state[:, ten_tusscher.V] += DIFFUSIVITY * step / spacing**2 * np.diff(edged, 2)
         crossing = np.isnan(fired) & (state[:, ten_tusscher.V] >= -40.0)

@@ -8,14 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.core.cache import VARIABLE
 from fascicle.core.errors import InputError
+from fascicle.core.files import CACHE_VARIABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.cable import stored
+from fascicle.forward.cable import template as module
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import simulate_cable
-from fascicle.forward.cable.stored import stored_template
-from fascicle.forward.cable.template import BEFORE, TAPER, CableTemplate, template_of
+from fascicle.forward.cable.template import (
+    BEFORE,
+    TAPER,
+    CableTemplate,
+    stored_template,
+    template_of,
+)
 from fascicle.forward.ecg.electrocardiogram import bin_response
 
 
@@ -35,8 +40,9 @@ def folder(tmp_path, monkeypatch, template):
         made.append(cell)
         return template
 
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setattr(stored, "make_template", make)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "simulate_cable", make)
+    monkeypatch.setattr(module, "template_of", lambda run, cell: run)
     return tmp_path / "cache", made
 
 
@@ -150,7 +156,7 @@ def test_unwritable_cache_is_done_without(folder, template, monkeypatch, tmp_pat
     _, made = folder
     blocked = tmp_path / "a file"
     blocked.write_text("")
-    monkeypatch.setenv(VARIABLE, str(blocked))
+    monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     assert stored_template("endocardial") == template
     assert stored_template("endocardial") == template
     assert made == ["endocardial"] * 2
@@ -159,11 +165,11 @@ def test_unwritable_cache_is_done_without(folder, template, monkeypatch, tmp_pat
 def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_path):
     cache, made = folder
     stored_template("endocardial")
-    monkeypatch.setattr(stored, "version", lambda _: "0.0.0")
+    monkeypatch.setattr(module, "version", lambda _: "0.0.0")
     stored_template("endocardial")
     source = tmp_path / "other.py"
     source.write_text("G_NA = 15.0")
-    monkeypatch.setattr(stored.SOURCES[0], "__file__", str(source))
+    monkeypatch.setattr(module, "SOURCES", [source])
     stored_template("endocardial")
     assert len(made) == 3
     assert len(list(cache.iterdir())) == 3
@@ -173,10 +179,10 @@ def test_figure_and_table(folder, template):
     """All three cells from the fake simulation, so every row is the same."""
     from fascicle.report.template import template_figure
 
-    stored.default_template.cache_clear()
+    module.default_template.cache_clear()
     reports = []
     figure, table = template_figure(lambda *report: reports.append(report))
-    stored.default_template.cache_clear()
+    module.default_template.cache_clear()
     assert [report[1:3] for report in reports] == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert set(table) == {"endocardial", "midmyocardial", "epicardial"}
     row = table["endocardial"]

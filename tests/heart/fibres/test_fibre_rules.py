@@ -11,13 +11,12 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.heart.fibres.laplace import quadratic_space
+from fascicle.heart.fibres.longitudinal import apex_to_base, lv_apex
 from fascicle.heart.fibres.rules import (
     FibreAngles,
     Fibres,
     Wall,
-    apex_to_base,
     by_rule,
-    lv_apex,
     rule_based_fibres,
     wall_potentials,
 )

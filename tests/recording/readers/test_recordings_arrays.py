@@ -16,8 +16,8 @@ from refusals import fuzzing, outcome, refused
 
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers import isolated, read
+from fascicle.recording.readers.raw_recording import ReadOptions
 from fascicle.recording.readers.read import read_recording
-from fascicle.recording.readers.read_options import ReadOptions
 
 RATE, N = 500, 1000
 
@@ -488,6 +488,7 @@ fuzz = fuzzing(25)  # each starts a process
 flips = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=8)
 
 
+@pytest.mark.slow
 class TestFuzz:
     @pytest.fixture(autouse=True)
     def short(self, monkeypatch):

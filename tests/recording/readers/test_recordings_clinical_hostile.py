@@ -190,6 +190,7 @@ def sound_or_refused(path, content):
 _LONG, _SHORT = fuzzing(120), fuzzing(25)  # SCP-ECG files are read in a process of their own
 
 
+@pytest.mark.slow
 class TestFuzz:
     @_LONG
     @given(st.data())

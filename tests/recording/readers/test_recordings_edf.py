@@ -258,6 +258,7 @@ fuzz = fuzzing(150)
 flips = st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), max_size=12)
 
 
+@pytest.mark.slow
 class TestFuzz:
     @fuzz
     @given(flips=flips, keep=st.one_of(st.just(1.0), st.floats(0, 1)))

@@ -91,12 +91,21 @@ class TestUnits:
         path = write(tmp_path / "a.csv", "\n".join([lines[0], units, *lines[1:]]))
         refused(path, "column 'I' holds '(µV)' in row 1", "must be a number")
 
-    def test_as_rdsamp_writes_csv_is_refused(self, tmp_path, signal):
+    @pytest.mark.parametrize(
+        ("unit", "time"),
+        [("hh:mm:ss.mmm", "'0:{:06.3f}'"), ("hh:mm:ss.mmm", "'1:02:{:06.3f}'"), ("seconds", "{}")],
+    )
+    def test_as_rdsamp_writes_csv(self, tmp_path, signal, unit, time):
         header = ",".join(["'Elapsed time'", *[f"'{lead.lower()}'" for lead in LEADS]])
+        units = ",".join([f"'{unit}'", *["'mV'"] * 12])
         rows = [",".join(map(repr, sample)) for sample in signal.T.tolist()]
-        rows = [f"'0:00.{k:03d}',{row}" for k, row in enumerate(rows)]
-        path = write(tmp_path / "samples.csv", "\n".join([header, *rows]))
-        refused(path, "no lead among the columns ''Elapsed time''", "name them I, II")
+        rows = [f"{time.format(k / RATE)},{row}" for k, row in enumerate(rows)]
+        recording = read_recording(write(tmp_path / "a.csv", "\n".join([header, units, *rows])))
+        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
+        assert recording.sampling_rate == RATE
+        path = write(tmp_path / "b.csv", "\n".join([header, *rows]))
+        in_uv = read_recording(path, unit="uV", sampling_rate=RATE)
+        assert_allclose(in_uv.signal, signal / 1e3, rtol=0, atol=1e-12)
 
     def test_that_disagree(self, tmp_path, signal):
         refused(

@@ -29,8 +29,10 @@ class OpenSurface:
     ----------
     what : str
         What it is, in messages.
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices, consistently oriented.
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices, consistently oriented.
     """
 
     what: str

@@ -140,22 +140,13 @@ def simulate_cell(
             f"{STIMULUS_DURATION:g} ms"
         )
     current = np.array([kind.start if state is None else state], dtype=float)
-    middle = np.empty_like(current)
-    fast = np.empty(round(UPSTROKE_TIME / step))
-    slow = np.empty(round((cycle_length - UPSTROKE_TIME) / (COARSENING * step)))
+    long = COARSENING * step
+    stimulated, many = round(STIMULUS_DURATION / step), round(UPSTROKE_TIME / step)
+    more = round((cycle_length - UPSTROKE_TIME) / long)
     for _ in range(beats):
         before = current[0, ten_tusscher.V]
-        stimulated = round(STIMULUS_DURATION / step)
-        ten_tusscher.run_cell(current, middle, kind.constants, STIMULUS, stimulated, step, fast)
-        ten_tusscher.run_cell(current, middle, kind.constants, 0.0, 0, COARSENING * step, slow)
-    return CellRun(
-        _times(step, len(fast), COARSENING * step, len(slow)),
-        np.concatenate([[before], fast, slow]),
-        current[0],
-    )
-
-
-def _times(short: float, many: int, long: float, more: int) -> Floats:
-    """0, then `many` short steps, then `more` long ones."""
-    first = short * np.arange(many + 1)
-    return np.concatenate([first, first[-1] + long * np.arange(1, more + 1)])
+        fast = ten_tusscher.run_cell(current, kind.constants, STIMULUS, stimulated, step, many)
+        slow = ten_tusscher.run_cell(current, kind.constants, 0.0, 0, long, more)
+    first = step * np.arange(many + 1)
+    times = np.concatenate([first, first[-1] + long * np.arange(1, more + 1)])
+    return CellRun(times, np.concatenate([[before], fast, slow]), current[0])

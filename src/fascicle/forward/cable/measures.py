@@ -1,4 +1,4 @@
-"""What an action potential is described by: rest, overshoot, upstroke, duration."""
+"""What an action potential is described by: its upstroke and duration."""
 
 from __future__ import annotations
 
@@ -9,16 +9,6 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 
 NEIGHBOURS = 12  # samples on each side of the steepest that the upstroke is interpolated through
-
-
-def resting_potential(potential: Floats) -> float:
-    """Potential (mV) that a record starts with, at the end of the diastole before."""
-    return float(potential[0])
-
-
-def overshoot(potential: Floats) -> float:
-    """Highest potential (mV)."""
-    return float(potential.max())
 
 
 def max_upstroke(time: Floats, potential: Floats) -> tuple[float, float]:
@@ -44,7 +34,7 @@ def duration(time: Floats, potential: Floats, repolarised: float = 0.9) -> float
     """Action potential duration (ms), APD90 unless said otherwise.
 
     From the maximum upstroke until the potential falls through
-    overshoot − `repolarised`·(overshoot − rest).
+    peak − `repolarised`·(peak − rest), rest being what the record starts with.
 
     Parameters
     ----------
@@ -58,8 +48,8 @@ def duration(time: Floats, potential: Floats, repolarised: float = 0.9) -> float
     InputError
         If the record ends before that.
     """
-    peak = overshoot(potential)
-    level = peak - repolarised * (peak - resting_potential(potential))
+    peak = potential.max()
+    level = peak - repolarised * (peak - potential[0])
     last = int(np.flatnonzero(potential >= level)[-1])
     if last + 1 == len(potential):
         raise InputError(

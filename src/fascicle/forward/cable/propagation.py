@@ -158,19 +158,13 @@ class _Cable:
 
     def run(self, duration: float, step: float) -> None:
         """Go on by a whole number of steps, at least as long as `duration` (ms)."""
-        traces = np.empty((int(np.ceil(duration / step - 1e-9)), len(self.probes)))
-        stimulated = round(max(STIMULATION - self.now, 0.0) / step)
-        n = len(self.state)
-        room = np.empty_like(self.state), np.empty(n), np.empty(n)
-        ten_tusscher.run_cable(
-            ten_tusscher.Cable(self.state, *room),
-            self.cell,
-            ten_tusscher.Stimulus(STIMULUS, stimulated, self.reach),
-            self.curvature * step / 2,
-            step,
-            self.probes,
-            traces,
+        steps = int(np.ceil(duration / step - 1e-9))
+        stimulus = STIMULUS, round(max(STIMULATION - self.now, 0.0) / step), self.reach
+        lambda_ = self.curvature * step / 2
+        self._traces.append(
+            ten_tusscher.run_cable(
+                self.state, self.cell, stimulus, lambda_, step, steps, self.probes
+            )
         )
-        self._times.append(np.asarray(self.now + step * np.arange(1, len(traces) + 1), dtype=float))
-        self._traces.append(traces)
-        self.now += step * len(traces)
+        self._times.append(np.asarray(self.now + step * np.arange(1, steps + 1), dtype=float))
+        self.now += step * steps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -11,13 +12,26 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, lead_matrix
-from fascicle.forward.ecg.action_potential import ActionPotential
 from fascicle.forward.ecg.lead_field import MM_PER_CM
 from fascicle.kernels.deposit import CHANNELS, deposit, respond
 
 STEP = 1.0  # sampling of the ECG (ms)
 # A bin's response rings on by this many bins after U has come to rest, to below 1e-7 of its height
 RINGING = 12
+
+
+class ActionPotential(Protocol):
+    """A template U of the time since activation.
+
+    An ionic cable model fits behind this as well as a closed form.
+    """
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times (ms since activation) outside which U is constant to within 1e-6 of its rise."""
+
+    def __call__(self, time: Floats) -> Floats:
+        """Transmembrane potential (mV) at `time` (ms since activation)."""
 
 
 def first_sample(activation: Floats) -> float:
@@ -179,12 +193,9 @@ def build_electrocardiograph(
     ----------
     corners : (m, 4) array
         Vertices of each tetrahedron.
-    barycentric : (m, 4, 3) array
-        Gradients of its barycentric coordinates (1/mm).
-    volumes : (m,) array
-        Its volume (mm³).
-    intracellular : (m, 3, 3) array
-        Gᵢ (mS/cm); zero in tissue that does not conduct, which then contributes nothing.
+    barycentric, volumes, intracellular
+        See `channel_weights`; Gᵢ is zero in tissue that does not conduct, which then contributes
+        nothing.
     gradients : (9, m, 3) array
         Mean ∇Z of each electrode in each tetrahedron (kΩ/mm): `lead_field.unbounded_gradients`, or
         `lead_field.nodal_gradients` of lead fields known at the vertices.

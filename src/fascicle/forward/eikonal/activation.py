@@ -62,7 +62,7 @@ class Coupling:
     @property
     def stimuli(self) -> LocatedPoints:
         """Where the stimuli lie in the myocardium."""
-        return self.located[int(self.junctions[-1]) :]
+        return LocatedPoints._make(values[self.junctions[-1] :] for values in self.located)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def attach(
     neighbourhood = _neighbourhood(located, located.triangles, myocardium)
     if len(stimuli):
         there, around_them = _locate_stimuli(myocardium, stimuli)
-        located = located.joined_with(there)
+        located = LocatedPoints._make(map(np.concatenate, zip(located, there, strict=True)))
         neighbourhood = neighbourhood.joined_with(around_them)
     nodes = _starts([len(tree.nodes) for tree in trees])
     junctions = _starts([len(tree.junctions) for tree in trees])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import igl
 import numpy as np
@@ -37,8 +38,7 @@ ON_SURFACE = 0.25  # edges of the mesh: what lies on an endocardium is no furthe
 CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
 
 
-@dataclass(frozen=True)
-class LocatedPoints:
+class LocatedPoints(NamedTuple):
     """Points of the myocardium: where they lie, in which element.
 
     Attributes
@@ -57,20 +57,6 @@ class LocatedPoints:
     elements: Integers
     triangles: Integers
     distances: Floats
-
-    def joined_with(self, other: LocatedPoints) -> LocatedPoints:
-        """These points and, after them, the others."""
-        return LocatedPoints(
-            np.concatenate([self.positions, other.positions]),
-            np.concatenate([self.elements, other.elements]),
-            np.concatenate([self.triangles, other.triangles]),
-            np.concatenate([self.distances, other.distances]),
-        )
-
-    def __getitem__(self, part: slice) -> LocatedPoints:
-        return LocatedPoints(
-            self.positions[part], self.elements[part], self.triangles[part], self.distances[part]
-        )
 
 
 @dataclass(frozen=True)
@@ -222,7 +208,8 @@ def _elements(
         solver[part, PRODUCTS:SQUARES] = products
         edges = points[:, other] - points[:, one]
         solver[part, SQUARES:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
-        least[part] = _rounded_down(_reach(solver[part, SQUARES:]).min(axis=2))
+        reached = _reach(solver[part, SQUARES:]).min(axis=2).astype(np.float32)
+        least[part] = np.nextafter(reached, np.float32(-np.inf))  # rounded down
     return cells, solver, least
 
 
@@ -275,12 +262,6 @@ def _stars(
     flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
     start, order = grouped(corners.ravel()[flat], count)
     return start, flat[order].astype(np.int32)
-
-
-def _rounded_down(values: Floats) -> NDArray[np.float32]:
-    """Single precision, never above the value."""
-    single = values.astype(np.float32)
-    return np.nextafter(single, np.float32(-np.inf))
 
 
 def _reach(squares: Floats) -> Floats:

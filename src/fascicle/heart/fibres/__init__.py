@@ -1,1 +1,1 @@
-"""Fibre directions by rule."""
+"""Fibre directions: given ones, and those of rules."""

@@ -10,37 +10,11 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.inference.abc.settings import CandidateOrder
-from fascicle.inference.surrogate.feasibility import FeasibilityGP
-from fascicle.inference.surrogate.loss_gp import LossGP
+from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
 
 DRAW_CHUNK = 100_000
 ROUNDING = 1 + 1e-9  # the bound and the density are computed by different sums
 NEAR_PER_CHUNK = 1000  # draws nearest to the data whose variance is always computed
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """Draws from the prior.
-
-    Attributes
-    ----------
-    points : (m, d) array
-        In the unit cube, in the order in which to try them.
-    density : (m,) array
-        p(θ) times the probability of feasibility (1/mV²).
-    drawn : int
-        How many uniform draws were made.
-    accepted : int
-        How many of them passed; m is less if the caller asked for fewer.
-    minimum_variance : float
-        The least variance found among the draws (mV⁴), which sets p_max.
-    """
-
-    points: Floats
-    density: Floats
-    drawn: int
-    accepted: int
-    minimum_variance: float
 
 
 @dataclass(frozen=True)
@@ -87,12 +61,7 @@ class InformedPrior:
         mean, variance = loss.predict(best[None, :])
         return cls(loss, feasibility, float(mean[0]), float(variance[0]))
 
-    def density(
-        self,
-        mean: Floats,
-        variance: Floats,
-        probability: Floats,
-    ) -> Floats:
+    def density(self, mean: Floats, variance: Floats, probability: Floats) -> Floats:
         """Density p(θ) of points whose predictions are known.
 
         Parameters
@@ -128,15 +97,6 @@ class InformedPrior:
         return 1.0 / math.sqrt(2 * math.pi * (minimum_variance + self.variance_min))
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Draws that may still pass, with r ~ U(0, 1) each."""
-
-    points: Floats
-    density: Floats
-    r: Floats
-
-
 def draw_candidates(
     rng: np.random.Generator,
     prior: InformedPrior,
@@ -144,7 +104,7 @@ def draw_candidates(
     order: CandidateOrder = CandidateOrder.RANDOM,
     limit: int | None = None,
     progress: StageProgress = no_progress,
-) -> Candidates:
+) -> tuple[Floats, Floats]:
     """Rejection sampling from the informed prior.
 
     Of `draws` uniform points those with p(θ) > r·p_max pass, r ~ U(0, 1). A variance, the costly
@@ -174,9 +134,16 @@ def draw_candidates(
         Return at most so many.
     progress : callable
         Called with the draws done and their total.
+
+    Returns
+    -------
+    points : (m, d) array
+        In the unit cube, in the order in which to try them.
+    density : (m,) array
+        p(θ) times the probability of feasibility (1/mV²).
     """
     least = math.inf
-    kept: list[_Kept] = []
+    kept: list[tuple[Floats, ...]] = []
     for start in range(0, draws, DRAW_CHUNK):
         count = min(DRAW_CHUNK, draws - start)
         points = rng.random((count, len(prior.loss.gp.centre)))
@@ -184,20 +151,19 @@ def draw_candidates(
         least, part = _screen(prior, points, r, least)
         kept.append(part)
         progress(start + count, draws)
-    points, density, r = (
-        np.concatenate([getattr(part, name) for part in kept])
-        for name in ("points", "density", "r")
-    )
+    points, density, r = map(np.concatenate, zip(*kept, strict=True))
     passed = density > r * prior.maximum(least)
     points, density = points[passed], density[passed]
     if order is CandidateOrder.DENSITY:
         rank = np.argsort(-density, kind="stable")
         points, density = points[rank], density[rank]
-    return Candidates(points[:limit], density[:limit], draws, int(passed.sum()), least)
+    return points[:limit], density[:limit]
 
 
-def _screen(prior: InformedPrior, points: Floats, r: Floats, least: float) -> tuple[float, _Kept]:
-    """Update the least variance, and keep those of one chunk that can still pass."""
+def _screen(
+    prior: InformedPrior, points: Floats, r: Floats, least: float
+) -> tuple[float, tuple[Floats, ...]]:
+    """Update the least variance; keep points, density and r of what of a chunk can still pass."""
     mean, nearness = prior.loss.mean_many(points)
     limit = prior.loss.variance_limit(nearness)
     count = min(NEAR_PER_CHUNK, len(points))
@@ -218,4 +184,4 @@ def _screen(prior: InformedPrior, points: Floats, r: Floats, least: float) -> tu
         alive, density = alive[passed], density[passed]
     else:
         density = np.empty(0)
-    return least, _Kept(points[alive], density, r[alive])
+    return least, (points[alive], density, r[alive])

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from fascicle.core.arrays import Floats
 from fascicle.inference.optimisation.log_improvement import (
     log_expected_improvement,
     log_expected_improvement_slopes,
 )
 from fascicle.inference.surrogate.exponential import ExponentialGP
-from fascicle.inference.surrogate.feasibility import FeasibilityGP
+from fascicle.inference.surrogate.surrogates import FeasibilityGP
 
 RAW_UNIFORM = 2000
 RAW_LOCAL = 1000  # perturbations of the best points: the kernel has a cusp there
@@ -41,13 +42,13 @@ class FeasibleLogImprovement:
     feasibility: FeasibilityGP
     best: float
 
-    def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, points: Floats) -> Floats:
         """Value at `points` (m, d), shape (m,)."""
         mean, variance = self.gp.predict(points)
         improvement = log_expected_improvement(mean, variance, self.best)
         return improvement + self.feasibility.log_probability(points)
 
-    def negative(self, point: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def negative(self, point: Floats) -> tuple[float, Floats]:
         """Negative value at one `point` (d,), and its gradient (d,), for minimisers."""
         mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(point)
         improvement = float(log_expected_improvement(mean, variance, self.best))
@@ -67,25 +68,20 @@ class Box:
         Its corners.
     """
 
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    lower: Floats
+    upper: Floats
 
     @classmethod
-    def everywhere(cls, dimension: int) -> Box:
-        """Take the whole cube."""
-        return cls(np.zeros(dimension), np.ones(dimension))
-
-    @classmethod
-    def around(cls, centre: NDArray[np.float64], radius: float) -> Box:
+    def around(cls, centre: Floats, radius: float) -> Box:
         """Take what of the cube is within `radius` of `centre` in every coordinate."""
         return cls(np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0))
 
-    def draw(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    def draw(self, rng: np.random.Generator, count: int) -> Floats:
         """Draw `count` uniform points, shape (count, d)."""
         width = self.upper - self.lower
         return np.asarray(self.lower + width * rng.random((count, len(self.lower))))
 
-    def clip(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def clip(self, points: Floats) -> Floats:
         """Move points outside to its surface."""
         return np.asarray(np.clip(points, self.lower, self.upper))
 
@@ -93,10 +89,10 @@ class Box:
 def maximise(
     rng: np.random.Generator,
     acquisition: FeasibleLogImprovement,
-    best_points: NDArray[np.float64],
-    known: NDArray[np.float64],
+    best_points: Floats,
+    known: Floats,
     box: Box,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Find the best point of a box for an acquisition function, shape (d,).
 
     Uniform raw points and perturbations of the best points, the best few of each polished by
@@ -123,13 +119,11 @@ def maximise(
     return next(x for x in candidates[order] if np.abs(known - x).max(1).min() > NEAREST)
 
 
-def _descending(values: NDArray[np.float64]) -> NDArray[np.intp]:
+def _descending(values: Floats) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
-def _polished(
-    acquisition: FeasibleLogImprovement, start: NDArray[np.float64], box: Box
-) -> NDArray[np.float64]:
+def _polished(acquisition: FeasibleLogImprovement, start: Floats, box: Box) -> Floats:
     """End of a search from `start`; one that stops early is judged by its value like the others."""
     bounds = np.column_stack([box.lower, box.upper])
     options = {"maxiter": ITERATIONS}
@@ -139,9 +133,7 @@ def _polished(
     return box.clip(result.x)
 
 
-def perturbed(
-    rng: np.random.Generator, centres: NDArray[np.float64], count: int
-) -> NDArray[np.float64]:
+def perturbed(rng: np.random.Generator, centres: Floats, count: int) -> Floats:
     """Gaussian perturbations (count, d) of some points in a random subset of coordinates.
 
     Parameters

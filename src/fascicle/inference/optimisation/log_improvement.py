@@ -26,14 +26,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfcx, ndtr
+
+from fascicle.core.arrays import Floats
 
 CANCELLING, ASYMPTOTIC = -1.0, -1e3  # values of u between the regimes
 LOG_ROOT_2PI = 0.5 * math.log(2 * math.pi)
 
 
-def log_h(u: NDArray[np.float64] | float) -> NDArray[np.float64]:
+def log_h(u: Floats | float) -> Floats:
     """Logarithm of h(u) = φ(u) + u Φ(u), elementwise."""
     upper, lower = np.maximum(u, CANCELLING), np.minimum(u, CANCELLING)
     direct = np.log(_density(upper) + upper * ndtr(upper))
@@ -41,9 +42,7 @@ def log_h(u: NDArray[np.float64] | float) -> NDArray[np.float64]:
     return np.asarray(np.where(u > CANCELLING, direct, safe))
 
 
-def log_expected_improvement(
-    mean: NDArray[np.float64] | float, variance: NDArray[np.float64] | float, best: float
-) -> NDArray[np.float64]:
+def log_expected_improvement(mean: Floats | float, variance: Floats | float, best: float) -> Floats:
     """Logarithm of the expected improvement below `best`.
 
     Parameters
@@ -81,16 +80,16 @@ def log_expected_improvement_slopes(
     return -probability_ratio / deviation, density_ratio / (2 * variance)
 
 
-def _density(u: NDArray[np.float64] | float) -> NDArray[np.float64]:
+def _density(u: Floats | float) -> Floats:
     return np.asarray(np.exp(-0.5 * np.square(u) - LOG_ROOT_2PI))
 
 
-def _mills(x: NDArray[np.float64] | float) -> NDArray[np.float64]:
+def _mills(x: Floats | float) -> Floats:
     """Mills' ratio Φ(−x)/φ(x)."""
     return np.asarray(math.sqrt(math.pi / 2) * erfcx(np.asarray(x) / math.sqrt(2)))
 
 
-def _h_over_density(u: NDArray[np.float64] | float) -> NDArray[np.float64]:
+def _h_over_density(u: Floats | float) -> Floats:
     """h(u)/φ(u) = 1 − |u| M(|u|) where u ≤ `CANCELLING`."""
     x = -np.asarray(u)
     near = np.minimum(x, -ASYMPTOTIC)

@@ -1,4 +1,4 @@
-"""One step of Bayesian optimisation."""
+"""Bayesian optimisation: the first points, and one step."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import json
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.stats import qmc
 
+from fascicle.core.arrays import Floats
 from fascicle.inference.optimisation.acquisition import (
     LOCAL_CENTRES,
     Box,
@@ -15,15 +16,33 @@ from fascicle.inference.optimisation.acquisition import (
     maximise,
 )
 from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.feasibility import FeasibilityGP
-from fascicle.inference.surrogate.loss_gp import LossGP
 from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
 from fascicle.inference.surrogate.threads import one_thread
 
 LOCAL_SHARE = 0.6  # of the proposals
 LOCAL_RADIUS = (0.03, 0.3)  # of the unit cube, log-uniform
 COLD_ITERATIONS = 100
 WARM_ITERATIONS = 10
+
+
+def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> Floats:
+    """Latin hypercube sample of the unit cube, shape (count, dimension).
+
+    Every coordinate has exactly one point in each of `count` equal intervals.
+
+    Parameters
+    ----------
+    rng : Generator
+        The only source of randomness.
+    count, dimension : int
+
+    References
+    ----------
+    M. D. McKay, R. J. Beckman, W. J. Conover, "A comparison of three methods for selecting values
+    of input variables in the analysis of output from a computer code", Technometrics 21 (1979).
+    """
+    return np.asarray(qmc.LatinHypercube(d=dimension, rng=rng).random(count), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -70,9 +89,7 @@ def refit(state: State) -> tuple[State, LossGP, FeasibilityGP]:
 
 
 @one_thread
-def step(
-    rng: np.random.Generator, state: State, batch: int = 1
-) -> tuple[State, NDArray[np.float64]]:
+def step(rng: np.random.Generator, state: State, batch: int = 1) -> tuple[State, Floats]:
     """Propose the next points to evaluate.
 
     Refits the surrogates, then maximises expected improvement times the probability of
@@ -97,7 +114,7 @@ def step(
     """
     fitted, loss, feasibility = refit(state)
     known = state.observations
-    proposals: list[NDArray[np.float64]] = []
+    proposals: list[Floats] = []
     for _ in range(batch):
         if proposals:
             loss, known = loss.with_guess(known, proposals[-1])
@@ -111,7 +128,7 @@ def _iterations(start: Hyperparameters | None) -> int:
 
 def _propose(
     rng: np.random.Generator, observations: Observations, loss: LossGP, feasibility: FeasibilityGP
-) -> NDArray[np.float64]:
+) -> Floats:
     points = observations.points[observations.feasible]
     mean, _ = loss.gp.predict(points)
     order = np.argsort(mean, kind="stable")
@@ -120,7 +137,7 @@ def _propose(
     return maximise(rng, acquisition, centres, observations.points, _box(rng, centres[0]))
 
 
-def _box(rng: np.random.Generator, best: NDArray[np.float64]) -> Box:
+def _box(rng: np.random.Generator, best: Floats) -> Box:
     """Where to look for the next point: near the best one, or everywhere.
 
     In twelve dimensions expected improvement everywhere is mostly that of corners far from all
@@ -128,6 +145,6 @@ def _box(rng: np.random.Generator, best: NDArray[np.float64]) -> Box:
     (Eriksson et al., NeurIPS 2019), is what finds improvements.
     """
     if rng.random() >= LOCAL_SHARE:
-        return Box.everywhere(len(best))
+        return Box(np.zeros(len(best)), np.ones(len(best)))
     low, high = np.log(LOCAL_RADIUS)
     return Box.around(best, float(np.exp(rng.uniform(low, high))))

@@ -12,11 +12,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, blas, cho_solve, cholesky, lapack
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
+from fascicle.core.arrays import Floats
 from fascicle.inference.surrogate.threads import in_chunks, one_thread
 
 # Normal priors on the logarithms, for inputs in the unit cube and outputs of variance one. Length
@@ -68,12 +68,12 @@ class Hyperparameters:
         length_scales, variance, noise = json.loads(text)
         return cls(tuple(length_scales), variance, noise)
 
-    def to_logarithms(self) -> NDArray[np.float64]:
+    def to_logarithms(self) -> Floats:
         """Vector (d + 2,) of logarithms: length scales, variance, noise."""
         return np.asarray(np.log([*self.length_scales, self.variance, self.noise]))
 
     @classmethod
-    def from_logarithms(cls, vector: NDArray[np.float64]) -> Hyperparameters:
+    def from_logarithms(cls, vector: Floats) -> Hyperparameters:
         """From the vector of `to_logarithms`."""
         *length_scales, variance, noise = map(float, np.exp(vector))
         return cls(tuple(length_scales), variance, noise)
@@ -83,7 +83,7 @@ def _length_scale_centre(dimension: int) -> float:
     return math.sqrt(2) + 0.5 * math.log(dimension)
 
 
-def _cholesky(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cholesky(covariance: Floats) -> Floats:
     """Lower Cholesky factor; the diagonal is raised, tenfold each time, until there is one."""
     jitter = FIRST_JITTER * covariance.diagonal().mean()
     raised = covariance
@@ -95,7 +95,7 @@ def _cholesky(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
             jitter *= 10
 
 
-def _inverse(factor: NDArray[np.float64]) -> NDArray[np.float64]:
+def _inverse(factor: Floats) -> Floats:
     """(LLᵀ)⁻¹ of the lower Cholesky factor L, whose upper triangle holds zeros."""
     lower, _ = lapack.dpotri(factor, lower=True)  # leaves the upper triangle as it is
     inverse = lower + lower.T
@@ -104,8 +104,8 @@ def _inverse(factor: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def log_marginal_likelihood(
-    points: NDArray[np.float64], outputs: NDArray[np.float64], hyperparameters: Hyperparameters
-) -> tuple[float, NDArray[np.float64]]:
+    points: Floats, outputs: Floats, hyperparameters: Hyperparameters
+) -> tuple[float, Floats]:
     """Log marginal likelihood and its gradient.
 
     With A = K + σₙ²I, α = A⁻¹y and G = ααᵀ − A⁻¹ (Rasmussen & Williams 2006, eqs 5.8 and 5.9)::
@@ -145,8 +145,8 @@ def log_marginal_likelihood(
 
 @one_thread
 def fit(
-    points: NDArray[np.float64],
-    outputs: NDArray[np.float64],
+    points: Floats,
+    outputs: Floats,
     start: Hyperparameters | None,
     iterations: int,
 ) -> Hyperparameters:
@@ -169,7 +169,7 @@ def fit(
     centre[-2:], spread[-2:] = zip(VARIANCE_PRIOR, NOISE_PRIOR, strict=True)
     bounds = np.log([*[LENGTH_SCALE_BOUNDS] * dimension, VARIANCE_BOUNDS, NOISE_BOUNDS])
 
-    def negative(vector: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def negative(vector: Floats) -> tuple[float, Floats]:
         value, gradient = log_marginal_likelihood(
             points, outputs, Hyperparameters.from_logarithms(vector)
         )
@@ -202,17 +202,17 @@ class ExponentialGP:
     """
 
     hyperparameters: Hyperparameters
-    centre: NDArray[np.float64]
-    scaled: NDArray[np.float64]
-    whitener: NDArray[np.float64]
-    alpha: NDArray[np.float64]
+    centre: Floats
+    scaled: Floats
+    whitener: Floats
+    alpha: Floats
 
     @classmethod
     @one_thread
     def condition(
         cls,
-        points: NDArray[np.float64],
-        outputs: NDArray[np.float64],
+        points: Floats,
+        outputs: Floats,
         hyperparameters: Hyperparameters,
     ) -> ExponentialGP:
         """Condition on data.
@@ -232,7 +232,7 @@ class ExponentialGP:
         alpha = cho_solve((factor, True), outputs)
         return cls(hyperparameters, centre, scaled, whitener, alpha)
 
-    def scale(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scale(self, points: Floats) -> Floats:
         """Input (..., d) in the coordinates in which the kernel is exp(−distance)."""
         return np.asarray((points - self.centre) / np.array(self.hyperparameters.length_scales))
 
@@ -241,9 +241,7 @@ class ExponentialGP:
         """What rounding cannot push a variance below."""
         return VARIANCE_FLOOR * self.hyperparameters.variance
 
-    def moments_and_gradients(
-        self, point: NDArray[np.float64]
-    ) -> tuple[float, float, NDArray[np.float64], NDArray[np.float64]]:
+    def moments_and_gradients(self, point: Floats) -> tuple[float, float, Floats, Floats]:
         """Posterior mean m, variance v, and their gradients ∇m and ∇v at one `point` (d,).
 
         With z the scaled input, ∂k/∂z = −k (z − zⱼ)/|z − zⱼ| at the data points zⱼ, so that
@@ -264,9 +262,7 @@ class ExponentialGP:
             variance, by_variance = self._least_variance, np.zeros_like(by_variance)
         return float(kernel @ self.alpha), variance, by_mean, by_variance
 
-    def predict(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def predict(self, points: Floats) -> tuple[Floats, Floats]:
         """Posterior mean m and variance v of the latent function at `points` (m, d), (m,) each.
 
         With the rows k of the kernel matrix, a chunk of them at a time: m = kᵀα, v = η² − |L⁻¹k|².
@@ -283,9 +279,7 @@ class ExponentialGP:
         in_chunks(work, len(points), CHUNK)
         return mean, np.maximum(variance, self._least_variance)
 
-    def mean_many(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def mean_many(self, points: Floats) -> tuple[Floats, Floats]:
         """Posterior mean at very many points, and how close each is to the data.
 
         The squared distances come from one matrix product, |a|² − 2a·b + |b|², which is exact to
@@ -319,7 +313,7 @@ class ExponentialGP:
         in_chunks(work, len(points), MEAN_CHUNK)
         return self.hyperparameters.variance * mean, nearness
 
-    def variance_limit(self, nearness: NDArray[np.float64]) -> NDArray[np.float64]:
+    def variance_limit(self, nearness: Floats) -> Floats:
         """Upper limit of the posterior variance from `nearness` (m,) of `mean_many`, shape (m,).
 
         It is the variance given the nearest data point alone; more data cannot raise it.

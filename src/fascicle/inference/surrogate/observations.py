@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.inference.evaluation import Evaluation
 
 
@@ -23,8 +23,8 @@ class Observations:
         Mismatch (mV², or its logarithm); NaN where the parameters give no tree.
     """
 
-    points: NDArray[np.float64]
-    losses: NDArray[np.float64]
+    points: Floats
+    losses: Floats
 
     @classmethod
     def of(cls, evaluations: Iterable[Evaluation]) -> Observations:
@@ -36,7 +36,7 @@ class Observations:
         )
 
     @property
-    def feasible(self) -> NDArray[np.bool_]:
+    def feasible(self) -> Booleans:
         """Where there is a loss, shape (n,)."""
         return np.isfinite(self.losses)
 
@@ -48,6 +48,6 @@ class Observations:
         """
         return Observations(self.points, np.log(np.maximum(self.losses, np.finfo(float).tiny)))
 
-    def with_guess(self, point: NDArray[np.float64], loss: float) -> Observations:
+    def with_guess(self, point: Floats, loss: float) -> Observations:
         """Add one more, at `point` of shape (d,)."""
         return Observations(np.vstack([self.points, point]), np.append(self.losses, loss))

@@ -1,10 +1,12 @@
-"""How the recorder was set: sampling rate, duration, and filters that change the QRS."""
+"""How the recorder was set: rate, duration, filters that change the QRS, digits and their range."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.recording.quality.finding import Check, Finding, Severity
+from fascicle.recording.quality.lead_signals import UV_PER_MV, measured
 from fascicle.recording.recording import Recording
 
 RATE = Check("sampling rate", "Hz", 500.0)  # AHA/ACC/HRS, see `check_filters`
@@ -13,6 +15,16 @@ LOWPASS = Check("recorder's low-pass", "Hz", 150.0)  # for adults: AHA/ACC/HRS
 HIGHPASS = Check("recorder's high-pass", "Hz", 0.5)  # above it the QRS itself changes, not only ST
 MAINS_FILTER = Check("recorder's mains filter", "Hz", np.nan)
 STRONG_LOWPASS = 40.0  # Hz; at and below it small deflections of the QRS vanish
+
+STEP = Check("amplitude step", "uV", 20.0)  # recorders store 5 uV or finer
+ENOUGH = 100_000  # samples that show the step
+ROUNDING = 1e-7  # mV; values nearer to each other than this are one value
+
+CLIPPED = Check("samples at the rails", "", 1e-4)  # share; one run of 3 in 30 000
+SHORTEST_RUN = 3  # equal samples at the extreme value
+# A rounded peak comes to its top by steps of about one digit; a cut one arrives at full slope.
+STEEPEST_ROUND = 4.0  # digits between the run and the sample beside it
+FEWEST_RUNS, LONG_RUN = 3, 0.02  # runs, or s of one run; fewer and shorter happen by chance
 
 
 def check_extent_in_time(recording: Recording) -> list[Finding]:
@@ -29,10 +41,8 @@ def check_extent_in_time(recording: Recording) -> list[Finding]:
 def check_filters(recording: Recording) -> list[Finding]:
     """Say what the filters that the file names do to the QRS.
 
-    Returns
-    -------
-    list of Finding
-        Low-pass, high-pass and notch (Hz); NaN where the file does not say, which is fine.
+    The figures are the low-pass, high-pass and notch (Hz); NaN where the file does not say, which
+    is fine.
 
     References
     ----------
@@ -63,3 +73,69 @@ def check_filters(recording: Recording) -> list[Finding]:
 
 def _or_nan(value: float | None) -> float:
     return np.nan if value is None else value
+
+
+def check_resolution(recording: Recording) -> list[Finding]:
+    """Find leads that were stored too coarsely.
+
+    The figure is the largest step between two neighbouring values of a lead (uV).
+    """
+    steps = {lead: _step_of(values) for lead, values in measured(recording).items()}
+    message = (
+        "steps of up to {largest:.0f} uV between the values of {leads}; export the recording with "
+        "all its digits"
+    )
+    return [STEP.worst_lead(steps, message, UV_PER_MV)]
+
+
+def _step_of(values: Floats) -> float:
+    """Smallest difference between distinct (n,) values (mV); 0 where all are the same."""
+    gaps = np.diff(np.unique(values[:: max(len(values) // ENOUGH, 1)]))
+    gaps = gaps[gaps > ROUNDING]
+    return float(gaps.min()) if gaps.size else 0.0
+
+
+def check_clipping(recording: Recording) -> list[Finding]:
+    """Find leads that stay at their highest or lowest value where they were still rising.
+
+    The figure is the largest share of a lead's samples that lie at such a rail.
+    """
+    long = LONG_RUN * recording.sampling_rate
+    shares = {lead: _share_at_rails(values, long) for lead, values in measured(recording).items()}
+    message = (
+        "peaks of {leads} are cut off ({largest:.2%} of the samples at the rails): the amplifier's "
+        "or the file's range was too small; leave out what is cut in the QRS"
+    )
+    return [CLIPPED.worst_lead(shares, message)]
+
+
+def _share_at_rails(values: Floats, long: float) -> float:
+    """Share of the samples in runs at the lowest or highest value with a steep end."""
+    if np.ptp(values) == 0:
+        return 0.0
+    step = STEEPEST_ROUND * _step_of(values)
+    count = 0
+    for rail in (values.min(), values.max()):
+        lengths = [
+            stop - start
+            for start, stop in _runs(values == rail)
+            if _steepness(values, start, stop) >= step
+        ]
+        if len(lengths) >= FEWEST_RUNS or max(lengths, default=0) >= long:
+            count += sum(lengths)
+    return count / len(values)
+
+
+def _runs(at_rail: Booleans) -> list[tuple[int, int]]:
+    """Start and stop of each run of at least `SHORTEST_RUN` samples."""
+    edges = np.diff(np.concatenate([[0], at_rail.astype(np.int8), [0]]))
+    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    long = stops - starts >= SHORTEST_RUN
+    return list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
+
+
+def _steepness(values: Floats, start: int, stop: int) -> float:
+    """Larger of the differences between a run and the samples beside it (mV)."""
+    before = abs(values[start] - values[start - 1]) if start > 0 else 0.0
+    after = abs(values[stop] - values[stop - 1]) if stop < len(values) else 0.0
+    return float(max(before, after))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import ELECTRODES, LEADS, lead_matrix
+from fascicle.core.leads import LEADS, lead_matrix
+from fascicle.recording.classes import cut
 from fascicle.recording.quality.finding import Check, Finding, Severity
 from fascicle.recording.recording import Recording
 
@@ -17,26 +18,14 @@ BEFORE, AFTER = 0.26, 0.10  # s around R of the median beat
 MOST_BEATS = 100
 FEWEST_BEATS = 2
 LEFT_LEADS = (LEADS.index("V6"), LEADS.index("V5"))  # the first that is there
-PAIRS = (("RA", "LA"), ("RA", "LL"))
+EXCHANGES = {"RA-LA": [1, 0, 2], "RA-LL": [2, 1, 0]}  # limb electrodes, as exchanged
 
 
 def median_beat(recording: Recording, peaks: Integers) -> Floats:
-    """Median over the beats of each lead, at the rate of the recording.
+    """Median (12, n), mV, over the beats of each lead, at the rate of the recording.
 
-    Leads recorded at other times give their own beats: all are taken from the same time around R.
-
-    Parameters
-    ----------
-    recording : Recording
-        Twelve leads.
-    peaks : (n_beats,) array
-        R peaks (samples).
-
-    Returns
-    -------
-    (12, n) array
-        Potential (mV) from `BEFORE` before R to `AFTER` after it; NaN for leads with fewer than
-        `FEWEST_BEATS` whole beats.
+    It spans `BEFORE` to `AFTER` about the R peaks (n_beats,), samples; leads recorded at other
+    times give their own beats, and those with fewer than `FEWEST_BEATS` whole ones NaN.
     """
     before = round(BEFORE * recording.sampling_rate)
     after = round(AFTER * recording.sampling_rate)
@@ -45,26 +34,19 @@ def median_beat(recording: Recording, peaks: Integers) -> Floats:
         own = peaks[(peaks - before >= start) & (peaks + after < stop)]
         own = own[:: max(len(own) // MOST_BEATS, 1)]
         if len(own) >= FEWEST_BEATS:
-            cut = [recording.signal[row, peak - before : peak + after + 1] for peak in own]
-            median[row] = np.median(cut, axis=0)
+            median[row] = np.median(cut(recording.signal[[row]], own, before, after), axis=0)
     return median
 
 
 def check_limb_electrodes(recording: Recording, median: Floats) -> list[Finding]:
-    """Suspect the right arm's electrode of having been exchanged with another limb's.
+    """Suspect the right arm's electrode of having been exchanged with another limb's, by beats.
 
     Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
     in all three. Exchanged arms turn lead I upside down, and exchanged right arm and left leg lead
     II; V6 stays as it is. The figure is the mean of the correlations with V6 in the P wave and in
     the QRS, so that a QRS axis to the right alone does not count (a P wave that is negative in lead
-    I is the better sign). Exchanged left arm and left leg cannot be told from a turned axis.
-
-    Parameters
-    ----------
-    recording : Recording
-        Twelve leads.
-    median : (12, n) array
-        As `median_beat` gives it.
+    I is the better sign). Exchanged left arm and left leg look like a turned axis. The beats are
+    those of `median_beat`.
 
     Returns
     -------
@@ -85,13 +67,17 @@ def check_limb_electrodes(recording: Recording, median: Floats) -> list[Finding]
     now = _likeness(median[:2], reference, rate)
     if min(now) >= LIKENESS.limit:
         return [LIKENESS.found(min(now))]
-    after = {pair: _likeness(_exchanged(median[:2], *pair), reference, rate) for pair in PAIRS}
-    pair = max(after, key=lambda p: sum(after[p]))
+    limb = lead_matrix()[:2, :3]
+    after = {
+        pair: sum(_likeness(limb[:, order] @ np.linalg.pinv(limb) @ median[:2], reference, rate))
+        for pair, order in EXCHANGES.items()
+    }
+    pair = max(after, key=after.__getitem__)
     inverted = "I" if now[0] < now[1] else "II"
     message = (
         f"lead {inverted} runs against {LEADS[left[0]]} in P wave and QRS: electrodes "
-        f"{pair[0]} and {pair[1]} are probably exchanged (or the heart lies on the right, or the "
-        f"rhythm is not from the sinus node); to undo it: --swap {pair[0]}-{pair[1]}"
+        f"{pair.replace('-', ' and ')} are probably exchanged (or the heart lies on the right, or "
+        f"the rhythm is not from the sinus node); to undo it: --swap {pair}"
     )
     return [LIKENESS.found(min(now), message)]
 
@@ -116,13 +102,3 @@ def _correlation(x: Floats, y: Floats, wave: tuple[float, float], rate: float) -
 def _detrended(x: Floats, edge: int) -> Floats:
     line = np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
     return np.asarray(x - line - (x - line).mean())
-
-
-def _exchanged(leads: Floats, one: str, other: str) -> Floats:
-    """Leads I and II (2, n) as they are with two electrodes exchanged."""
-    limb = lead_matrix()[:2, :3]
-    order = list(ELECTRODES[:3])
-    i, j = order.index(one), order.index(other)
-    columns = [0, 1, 2]
-    columns[i], columns[j] = j, i
-    return np.asarray(limb[:, columns] @ np.linalg.pinv(limb) @ leads)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
@@ -32,8 +33,6 @@ def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:
 
 def smoothed(signal: Floats, rate: float) -> Floats:
     """Signal (..., n) with less noise: its moving average over `SMOOTH_WIDTH`."""
-    from scipy.ndimage import uniform_filter1d
-
     width = max(round(SMOOTH_WIDTH * rate), 1)
     return np.asarray(uniform_filter1d(signal, width, axis=-1, mode="nearest"))
 
@@ -44,8 +43,6 @@ def steady(signal: Floats, rate: float) -> Floats:
     Moving averages cost the same at any width, so that half an hour takes a moment; they are
     linear, so that whatever holds between leads still holds.
     """
-    from scipy.ndimage import uniform_filter1d
-
     width = max(round(BASELINE_WIDTH * rate), 1)
     baseline = uniform_filter1d(signal, width, axis=-1, mode="nearest")
     baseline = uniform_filter1d(baseline, width, axis=-1, mode="nearest")

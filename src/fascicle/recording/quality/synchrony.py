@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.signal import find_peaks
+from scipy.spatial.distance import squareform
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
-from fascicle.recording.quality.activity import Activity, activity, beats_of, mean_activity
 from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
+from fascicle.recording.quality.lead_signals import coarse, measured, steady
 from fascicle.recording.recording import Recording
 
 AGREEMENT = Check("agreement of the leads' beats", "", 0.75)  # 0.5 is chance, 0.9 one heart
@@ -29,6 +34,26 @@ MOST_BEATS = 60  # that give the jitter
 QUARTILES = 1.349  # standard deviations that hold half of a normal distribution
 MINUTE = 60.0  # s
 
+QRS_WIDTH = 0.06  # s; moving average of the slope
+REFRACTORY = 0.3  # s between two beats
+STRONG = 0.5  # of the highest activity: a beat
+HIGHEST = 99.0  # percentile taken as the highest activity
+LARGEST_WEIGHT = 30.0  # times its median that the activity of one lead counts in a group
+
+
+@dataclass(frozen=True)
+class _Activity:
+    """How much each lead moves; NaN where a lead is absent, computed, flat or not recorded.
+
+    The `wave` (12, n) is the potential (mV) without baseline; the `speed` (12, n) its mean absolute
+    slope over the time that a QRS takes, over its median, so that 1 is usual between beats; the
+    `rate` is in samples per second (Hz).
+    """
+
+    wave: Floats
+    speed: Floats
+    rate: float
+
 
 def check_synchrony(recording: Recording) -> list[Finding]:
     """Find leads that beat at other times than the others.
@@ -47,7 +72,7 @@ def check_synchrony(recording: Recording) -> list[Finding]:
         The agreement of each group with the largest one, or of all leads where there is one group
         only; and the jitter (ms) between limb and chest leads.
     """
-    moving = activity(recording)
+    moving = _activity(recording)
     clear = _clear_beats(moving)
     agreement = _agreement(moving, clear)
     groups, lowest = _groups(list(clear), agreement)
@@ -69,9 +94,30 @@ def check_synchrony(recording: Recording) -> list[Finding]:
     return [*findings, JITTER.found(jitter, message, Severity.FATAL)]
 
 
-def _clear_beats(moving: Activity) -> dict[int, Integers]:
+def _activity(recording: Recording) -> _Activity:
+    """How much each lead of a recording moves."""
+    empty, rate = coarse(np.zeros(recording.signal.shape[1]), recording.sampling_rate)
+    shape = (len(LEADS), len(empty))
+    found = _Activity(np.full(shape, np.nan), np.full(shape, np.nan), rate)
+    factor, spans = recording.sampling_rate / rate, recording.spans
+    for lead, values in measured(recording).items():
+        row = LEADS.index(lead)
+        x, _ = coarse(values, recording.sampling_rate)
+        wave = steady(x, rate)
+        slope = np.abs(np.gradient(wave))
+        speed = uniform_filter1d(slope, round(QRS_WIDTH * rate), mode="nearest")
+        usual = float(np.median(speed))
+        if usual > 0:
+            start = round(int(spans[row, 0]) / factor)
+            stop = min(start + len(speed), len(empty))
+            found.speed[row, start:stop] = speed[: stop - start] / usual
+            found.wave[row, start:stop] = wave[: stop - start]
+    return found
+
+
+def _clear_beats(moving: _Activity) -> dict[int, Integers]:
     """Leads with clear beats of one shape, and these."""
-    found = {row: beats_of(moving.speed[row], moving.rate) for row in range(len(LEADS))}
+    found = {row: _beats_of(moving.speed[row], moving.rate) for row in range(len(LEADS))}
     return {
         row: times
         for row, (times, contrast) in found.items()
@@ -96,10 +142,8 @@ def _sameness(wave: Floats, times: Integers, rate: float) -> float:
     return float(np.nanmedian(alike, axis=1).max())
 
 
-def _agreement(moving: Activity, clear: dict[int, Integers]) -> Floats:
+def _agreement(moving: _Activity, clear: dict[int, Integers]) -> Floats:
     """Agreement of each pair of leads (12, 12); NaN where they cannot be compared."""
-    from scipy.ndimage import maximum_filter1d
-
     ranks = np.full((len(LEADS), len(LEADS)), np.nan)
     speed, width = moving.speed, 2 * round(TOLERANCE * moving.rate) + 1
     for row in clear:
@@ -115,9 +159,6 @@ def _agreement(moving: Activity, clear: dict[int, Integers]) -> Floats:
 
 def _groups(rows: list[int], agreement: Floats) -> tuple[list[list[int]], float]:
     """Leads that agree with each other on average, the most first; the lowest such average."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-    from scipy.spatial.distance import squareform
-
     if len(rows) < 2:
         return [rows], np.nan
     # leads without time in common do not disagree
@@ -130,7 +171,7 @@ def _groups(rows: list[int], agreement: Floats) -> tuple[list[list[int]], float]
 
 
 def _apart(
-    recording: Recording, group: list[int], largest: list[int], agreement: Floats, moving: Activity
+    recording: Recording, group: list[int], largest: list[int], agreement: Floats, moving: _Activity
 ) -> Finding:
     """Finding on a group of leads that beats at other times than the largest one."""
     between = agreement[np.ix_(group, largest)]
@@ -154,7 +195,7 @@ def _apart(
     return AGREEMENT.found(found, message, severity)
 
 
-def _in_step(moving: Activity, group: list[int], largest: list[int]) -> bool:
+def _in_step(moving: _Activity, group: list[int], largest: list[int]) -> bool:
     """Whether two groups beat at a steady distance, as T waves do from QRS."""
     own, theirs = (_beats(moving, rows)[0] for rows in (group, largest))
     if min(len(own), len(theirs)) < FEWEST_FOR_STEP:
@@ -170,19 +211,19 @@ def _spread(lags: Floats) -> float:
     return float((ordered[half - 1 :] - ordered[: len(lags) - half + 1]).min()) / QUARTILES
 
 
-def _beats(moving: Activity, rows: Iterable[int]) -> tuple[Integers, float]:
-    return beats_of(mean_activity(moving.speed[list(rows)]), moving.rate)
+def _beats(moving: _Activity, rows: Iterable[int]) -> tuple[Integers, float]:
+    return _beats_of(_mean_activity(moving.speed[list(rows)]), moving.rate)
 
 
-def _rate(moving: Activity, rows: Iterable[int]) -> float:
+def _rate(moving: _Activity, rows: Iterable[int]) -> float:
     """Beats per minute of some leads together."""
     times, _ = _beats(moving, rows)
     return MINUTE * moving.rate / float(np.median(np.diff(times))) if len(times) > 1 else np.nan
 
 
-def _jitter(moving: Activity) -> float:
+def _jitter(moving: _Activity) -> float:
     """Spread (ms) of the time from limb to chest beats; NaN where unclear."""
-    limb, chest = mean_activity(moving.speed[:6]), mean_activity(moving.speed[6:])
+    limb, chest = _mean_activity(moving.speed[:6]), _mean_activity(moving.speed[6:])
     there = np.isfinite(limb) & np.isfinite(chest)
     lags = _lags(limb[there], chest[there], moving.rate)
     return np.nan if lags is None else _spread(lags)
@@ -190,8 +231,8 @@ def _jitter(moving: Activity) -> float:
 
 def _lags(limb: Floats, chest: Floats, rate: float) -> Floats | None:
     """Time (ms) from each beat of one activity (n,) to the other's, by their correlation."""
-    times, contrast = beats_of(limb, rate)
-    _, contrast_of_chest = beats_of(chest, rate)
+    times, contrast = _beats_of(limb, rate)
+    _, contrast_of_chest = _beats_of(chest, rate)
     reach = round(LONGEST_LAG * rate)
     times = times[(times >= 2 * reach) & (times + 2 * reach < len(limb))]
     times = times[:: max(len(times) // MOST_BEATS, 1)]
@@ -207,6 +248,26 @@ def _lags(limb: Floats, chest: Floats, rate: float) -> Floats | None:
         if correlation[best] > LEAST_CORRELATION:
             lags.append(1e3 * (best - reach) / rate)
     return np.array(lags) if len(lags) > len(times) / 2 else None
+
+
+def _mean_activity(speed: Floats) -> Floats:
+    """Mean over leads of their activity (m, n), NaN where none is recorded."""
+    there = np.isfinite(speed)
+    total = np.where(there, np.minimum(speed, LARGEST_WEIGHT), 0.0).sum(axis=0)
+    return np.where(there.any(axis=0), total / np.maximum(there.sum(axis=0), 1), np.nan)
+
+
+def _beats_of(speed: Floats, rate: float) -> tuple[Integers, float]:
+    """Samples at which one activity (n,) is strong, and how far above the usual it is there."""
+    there = speed[np.isfinite(speed)]
+    if not there.size:
+        return np.zeros(0, dtype=np.int64), 0.0
+    filled = np.where(np.isfinite(speed), speed, 0.0)
+    strong = STRONG * float(np.percentile(there, HIGHEST))
+    found, _ = find_peaks(filled, height=strong, distance=max(round(REFRACTORY * rate), 1))
+    if not len(found):
+        return np.zeros(0, dtype=np.int64), 0.0
+    return np.asarray(found, dtype=np.int64), float(np.median(speed[found]) / np.median(there))
 
 
 def _normalised(x: Floats) -> Floats:

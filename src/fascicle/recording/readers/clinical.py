@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, one_line
-from fascicle.recording.readers.damaged import LIBRARY_ERRORS, refuse_damaged
+from fascicle.recording.readers.content import LIBRARY_ERRORS, refuse_damaged
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.raw_recording import Channel, RawRecording, gain_of
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions, gain_of
 from fascicle.recording.recording import Filters
 
 LARGEST_XML = 64 * 2**20  # bytes; 30 min of 12 leads at 500 Hz, in digits
@@ -105,11 +104,8 @@ def _read_muse(path: Path, root: ET.Element, options: ReadOptions) -> RawRecordi
     off = [lead.label for lead in record.leads if "LeadOff" in lead.annotations]
     remarks += [f"lead off: {', '.join(off)}"] if off else []
     # of the rhythm, not rounded to an integer as the library does
-    kinds = (
-        (_child(waveform, "WaveformType").lower(), waveform)
-        for waveform in root.findall("Waveform")
-    )
-    rhythm = next(waveform for kind, waveform in kinds if kind in ("rhythm", ""))
+    waves = root.findall("Waveform")
+    rhythm = next(w for w in waves if _child(w, "WaveformType").lower() in ("rhythm", ""))
     base, exponent = _number(_child(rhythm, "SampleBase")), _child(rhythm, "SampleExponent")
     rate = options.agreed_rate(path, float(base * 10 ** _number(exponent or "0")))
     return _raw_recording(path, record, rate, "GE MUSE XML", remarks)

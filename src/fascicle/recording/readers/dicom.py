@@ -14,16 +14,15 @@ import numpy as np
 
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, limb_leads_from
-from fascicle.recording.readers.content import LARGEST_FILE
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import LARGEST_FILE, refuse_damaged
 from fascicle.recording.readers.names import lead_name, lead_of_code
 from fascicle.recording.readers.raw_recording import (
     Channel,
     RawRecording,
+    ReadOptions,
     gain_of,
     narrowest_passband,
 )
-from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import LONGEST, Filters, check_extent
 
 _DEFLATE_RATIO = 1032  # at most, of zlib.net's technical details

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import refuse_damaged
 from fascicle.recording.readers.names import lead_name
 from fascicle.recording.readers.raw_recording import (
     Channel,
     RawRecording,
+    ReadOptions,
     gain_of,
     narrowest_passband,
 )
-from fascicle.recording.readers.read_options import ReadOptions
 from fascicle.recording.recording import Filters, check_extent
 
 if TYPE_CHECKING:
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 _BLOCK = 256  # bytes of the fixed part of the header
 _RECORDS = slice(236, 244)  # of it: the number of data records
-_UNKNOWN = (
-    b"-1      "  # data records; stays in the header where the recorder did not close the file
-)
+_UNKNOWN = b"-1      "  # stays there where the recorder did not close the file
 _DIGITS = (-32768, 32767)  # what 16 bits hold
 # Chest leads may name Wilson's terminal, the reference that makes them unipolar
 _WILSON = re.compile(r"(?<=V[1-6])-(WCT|Wilson)$", re.IGNORECASE)

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import refuse_damaged
 from fascicle.recording.readers.metadata import MOST_WORDS, Entry, entry_of, key_of
 from fascicle.recording.readers.named_arrays import Array, Group, raw_recording_of
-from fascicle.recording.readers.raw_recording import RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions
 
 if TYPE_CHECKING:
     import h5py

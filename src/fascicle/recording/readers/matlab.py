@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.errors import printable
-from fascicle.recording.readers.content import kind_of_content
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import kind_of_content, refuse_damaged
 from fascicle.recording.readers.hdf5 import read_hdf5
 from fascicle.recording.readers.metadata import MOST_WORDS, Entry, entry_of, key_of
 from fascicle.recording.readers.named_arrays import Array, Group, raw_recording_of
-from fascicle.recording.readers.raw_recording import RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions
 
 _DEEPEST = 3  # structures within structures
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.recording.readers.damaged import refuse_damaged
+from fascicle.recording.readers.content import refuse_damaged
 from fascicle.recording.readers.metadata import (
     Entry,
     Key,
@@ -27,8 +28,7 @@ from fascicle.recording.readers.metadata import (
     name_lists,
 )
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.raw_recording import Channel, RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.recording import check_extent
 
 _FEWEST = 2  # names that must be leads, so that a stray variable `i` makes no recording
@@ -53,6 +53,13 @@ class Array:
     def size(self) -> str:
         """The shape as messages show it."""
         return " x ".join(map(str, self.shape))
+
+    @cached_property
+    def values(self) -> Floats:
+        """The numbers; those that stand for missing samples are NaN."""
+        values = np.array(self.stored[()], dtype=np.float64).reshape(self.shape)
+        values[np.isin(values, missing_values(self.metadata))] = np.nan
+        return values
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,11 @@ class _Signal:
     def length(self) -> int:
         return self.array.shape[0 if self.index is None else 1 - self.axis]
 
+    @property
+    def values(self) -> Floats:
+        values = self.array.values
+        return values if self.index is None else np.asarray(values.take(self.index, axis=self.axis))
+
 
 def raw_recording_of(
     groups: Sequence[Group], path: Path, options: ReadOptions, kind: str
@@ -126,36 +138,21 @@ def raw_recording_of(
     for name, reason in group.unusable.items():
         if lead_name(name) is not None:
             raise InputError(f"{path}: lead '{name}' {reason}")
-    arrays = {id(signal.array): signal.array for signal in leads}
-    own = [entry for array in arrays.values() for entry in array.metadata]
-    check_physical([*own, *group.metadata], path)
-    rate = options.agreed_rate(path, declared_rate([*own, *group.metadata], path))
+    said = [entry for signal in leads for entry in signal.array.metadata] + group.metadata
+    check_physical(said, path)
+    rate = options.agreed_rate(path, declared_rate(said, path))
     for signal in leads:
         check_extent(signal.length, rate, str(path))
-    values = {}
-    for key, array in arrays.items():
-        with refuse_damaged(path, kind):
-            values[key] = _values(array)
     channels = []
     for signal in leads:
-        row = values[id(signal.array)]
-        if signal.index is not None:
-            row = np.asarray(row.take(signal.index, axis=signal.axis))
-        said = [*signal.array.metadata, *group.metadata]
-        channels.append(
-            Channel(signal.name, row, declared_unit(said, path, signal.name, signal.place))
-        )
+        with refuse_damaged(path, kind):
+            values = signal.values
+        about = [*signal.array.metadata, *group.metadata]
+        unit = declared_unit(about, path, signal.name, signal.place)
+        channels.append(Channel(signal.name, values, unit))
     others = [signal.name for signal in signals if lead_name(signal.name) is None]
-    return RawRecording(
-        [*channels, *(Channel(name, np.empty(0), None) for name in others)], rate, kind
-    )
-
-
-def _values(array: Array) -> NDArray[np.float64]:
-    """Read an array; values that stand for missing samples become NaN."""
-    values = np.array(array.stored[()], dtype=np.float64).reshape(array.shape)
-    values[np.isin(values, missing_values(array.metadata))] = np.nan
-    return values
+    channels += [Channel(name, np.empty(0), None) for name in others]
+    return RawRecording(channels, rate, kind)
 
 
 def _signals(group: Group, path: Path) -> Sequence[_Signal]:

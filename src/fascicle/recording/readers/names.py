@@ -43,23 +43,13 @@ _MILLIVOLTS = {
 
 
 def lead_name(text: str) -> str | None:
-    """Return the standard name of a lead, or None when the text names no standard lead.
+    """Return the name in `fascicle.core.leads.LEADS` of a text without unit, None for others.
 
     Understands ``aVR``, ``AVR``, ``a VR``, ``Lead I``, ``I lead``, ``DII``, ``L1``, ``v1``,
     ``V01``, ``C1``, ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Ableitung I``, ``Lead I (Einthoven)`` and
     Roman numerals of their own code points. Not leads of the twelve: an inverted ``-aVR``, the
     unaugmented ``VR``, ``MLII`` of ambulatory recorders, ``V7``, ``V4R``, Frank's X, Y and Z, and a
     ``II rhythm``, which repeats a lead.
-
-    Parameters
-    ----------
-    text : str
-        Name in a file, without its unit.
-
-    Returns
-    -------
-    str or None
-        A name of `fascicle.core.leads.LEADS`.
     """
     if len(text) > _LONGEST_NAME:
         return None

@@ -1,19 +1,53 @@
-"""What a reader finds in a file, and how a recording is made of it."""
+"""What the user says about a file, what a reader finds in it, and how a recording is made of it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
-from fascicle.recording.limb_leads import derive_limb_leads
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
-from fascicle.recording.readers.read_options import ReadOptions
-from fascicle.recording.recording import Filters, Recording, check_extent
+from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
+
+_ROUNDING = 1e-6  # relative, by which two spellings of one sampling rate may differ
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What the user says about a file that does not say it itself.
+
+    Attributes
+    ----------
+    sampling_rate : float, optional
+        Samples per second (Hz).
+    unit : str, optional
+        Unit of the leads: nV, uV, mV or V.
+    """
+
+    sampling_rate: float | None = None
+    unit: str | None = None
+
+    def agreed_rate(self, path: Path, declared: float | None) -> float:
+        """Sampling rate (Hz) of the file or the user, who must not contradict each other."""
+        rate = self.sampling_rate if declared is None else declared
+        if rate is None:
+            raise InputError(
+                f"{path}: no sampling rate in the file; give it in Hz with --sampling-rate"
+            )
+        if self.sampling_rate is not None and not math.isclose(
+            rate, self.sampling_rate, rel_tol=_ROUNDING
+        ):
+            raise InputError(
+                f"{path}: its sampling rate is {rate:g} Hz, --sampling-rate says "
+                f"{self.sampling_rate:g} Hz; leave the option out or correct the file"
+            )
+        return float(rate)
 
 
 @dataclass(frozen=True)
@@ -35,7 +69,7 @@ class Channel:
     """
 
     name: str
-    values: NDArray[np.float64]
+    values: Floats
     unit: str | None
     lead: str | None = None
     digits_per_millivolt: float | None = None
@@ -160,7 +194,7 @@ def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | N
     )
 
 
-def _check_derived(signal: NDArray[np.float64], derived: Sequence[str], source: str) -> None:
+def _check_derived(signal: Floats, derived: Sequence[str], source: str) -> None:
     """Refuse limb leads that cannot follow because the two were not recorded together."""
     rows = [LEADS.index(lead) for lead in derived]
     empty = [LEADS[row] for row in rows if not np.isfinite(signal[row]).any()]
@@ -173,7 +207,7 @@ def _check_derived(signal: NDArray[np.float64], derived: Sequence[str], source: 
 
 def _in_millivolts(
     leads: Mapping[str, Channel], source: str, options: ReadOptions
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Leads as (12, n) mV and the gains (12,) of their digits; NaN for what is not there."""
     lengths = {lead: len(channel.values) for lead, channel in leads.items()}
     if len(set(lengths.values())) != 1:

@@ -8,11 +8,9 @@ from importlib import import_module
 from pathlib import Path
 
 from fascicle.core.errors import InputError
-from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content
-from fascicle.recording.readers.hashes import sha256_of
+from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content, sha256_of
 from fascicle.recording.readers.isolated import read_isolated
-from fascicle.recording.readers.raw_recording import assemble
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import ReadOptions, assemble
 from fascicle.recording.recording import Recording
 
 # The module and function that read each kind of file; loaded when used.

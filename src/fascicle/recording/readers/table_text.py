@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.leads import LEADS
 from fascicle.recording.readers.metadata import Entry, declared_unit, entry_of
@@ -36,6 +36,7 @@ _RHYTHM = re.compile(
 _LONGEST_NAME = 100  # characters; bounds what matching takes
 _RENAMED = re.compile(r"(?P<name>.+)\.\d+")  # how pandas renames a column that is there twice
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_CLOCK = re.compile(r"^'(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4}\.\d{1,9})'", re.ASCII | re.MULTILINE)
 _OWN_HEADER = ["time_ms", *LEADS]  # what this package writes, in mV
 _PER_SECOND = (
     dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
@@ -95,7 +96,7 @@ class Table:
             )
         return commented if unit is None else unit
 
-    def numbers(self, column: Column) -> NDArray[np.float64]:
+    def numbers(self, column: Column) -> Floats:
         """Cells of a column as numbers (n,); empty cells are NaN."""
         import pandas as pd
 
@@ -130,8 +131,8 @@ def open_table(path: Path) -> Table:
         )
     text = _text(path)
     comments = _COMMENT.findall(text)
-    text = _COMMENT.sub("", text)
-    header = text.lstrip("\n").partition("\n")[0]
+    text = _one_header(_COMMENT.sub("", text).lstrip("\n"))
+    header = text.partition("\n")[0]
     separator = next((mark for mark in _SEPARATORS if mark in header), None)
     if separator is None or header.count(separator) > _MOST_COLUMNS:
         raise InputError(
@@ -161,6 +162,22 @@ def _text(path: Path) -> str:
     if not text or "\0" in text:
         raise InputError(f"{path}: no text in UTF-8; save the table as CSV text in UTF-8")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _one_header(text: str) -> str:
+    """Join the names and units that PhysioNet's ``rdsamp`` writes in two rows of single quotes.
+
+    Its clock times (``'0:10.002'``) become seconds.
+    """
+    names, _, rest = text.partition("\n")
+    if not names.startswith("'"):
+        return text
+    if rest.startswith("'") and not _CLOCK.match(rest):
+        units, _, rest = rest.replace("hh:mm:ss.mmm", "s", 1).partition("\n")
+        pairs = zip(names.split(","), units.split(","), strict=False)
+        names = ",".join(f"{name} [{unit}]" for name, unit in pairs)
+    rest = _CLOCK.sub(lambda at: f"{60 * (60 * int(at[1] or 0) + int(at[2])) + float(at[3])}", rest)
+    return names.replace("'", "") + "\n" + rest
 
 
 def _parsed(

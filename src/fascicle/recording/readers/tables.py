@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.recording.readers.metadata import declared_rate
-from fascicle.recording.readers.raw_recording import Channel, RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.readers.table_text import Column, Table, lead_or_rhythm, open_table
 from fascicle.recording.recording import check_extent
 
@@ -27,8 +26,6 @@ _SAME_RATE = 2e-3  # relative; more is no rounding of the times
 _SAME_UNIT = 0.1  # relative, between steps of times and of the rate that is known
 _LATEST = 1e18  # in any unit; us since 1970 are below
 _RATE_DIGITS = 6  # after the decimal point; more is rounding of binary numbers
-
-_Floats = NDArray[np.float64]
 
 
 def read_table(path: Path, options: ReadOptions) -> RawRecording:
@@ -177,7 +174,7 @@ def _agreed_rate(
     return found[0][1] if found else None
 
 
-def _scale(table: Table, column: Column, times: _Floats, options: ReadOptions) -> float:
+def _scale(table: Table, column: Column, times: Floats, options: ReadOptions) -> float:
     """Return how many units of a time column are a second.
 
     Where its name has no unit, the rate of the user or a comment must be known, and tells it: times
@@ -201,7 +198,7 @@ def _scale(table: Table, column: Column, times: _Floats, options: ReadOptions) -
     )
 
 
-def _rate_of(table: Table, times: _Floats, scale: float, where: str) -> float:
+def _rate_of(table: Table, times: Floats, scale: float, where: str) -> float:
     """Rate (Hz) of even times, `scale` of whose units are a second, by least squares.
 
     Times may be rounded, by less than half a step. `where` says in messages whose they are.
@@ -224,7 +221,7 @@ def _rate_of(table: Table, times: _Floats, scale: float, where: str) -> float:
     return round(scale / step, _RATE_DIGITS)
 
 
-def _step(times: _Floats) -> float:
+def _step(times: Floats) -> float:
     """Mean step of times, by least squares; NaN where there is none."""
     order = np.arange(len(times)) - (len(times) - 1) / 2
     if len(times) < 2 or not np.abs(times).max() <= _LATEST:

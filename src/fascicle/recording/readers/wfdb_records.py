@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.readers.damaged import refuse_damaged
-from fascicle.recording.readers.hashes import sha256_of
+from fascicle.recording.readers.content import refuse_damaged, sha256_of
 from fascicle.recording.readers.names import lead_name, millivolts
-from fascicle.recording.readers.raw_recording import Channel, RawRecording
-from fascicle.recording.readers.read_options import ReadOptions
+from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.recording import CHECKSUMS_AGREE, check_extent
 
 # Bytes that a sample takes in each signal format (signal(5) of the WFDB applications guide), at
@@ -89,7 +87,7 @@ class _Signal:
 
     name: str
     unit: str
-    values: NDArray[np.float64]
+    values: Floats
     per_frame: int
     gain: float
     checksum_agrees: bool | None

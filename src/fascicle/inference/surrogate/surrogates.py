@@ -1,0 +1,161 @@
+"""The surrogates: of the loss, and of the probability that parameters give a tree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from fascicle.core.arrays import Floats
+from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters, fit
+from fascicle.inference.surrogate.observations import Observations
+
+EQUAL = 1e-12  # losses whose standard deviation is this small a part of their mean are equal
+
+
+@dataclass(frozen=True)
+class LossGP:
+    """Zero-mean process on the standardised losses of the feasible points.
+
+    Attributes
+    ----------
+    gp : ExponentialGP
+        Of the standardised loss.
+    offset, scale : float
+        Mean and standard deviation of the losses (mV²).
+    """
+
+    gp: ExponentialGP
+    offset: float
+    scale: float
+
+    @classmethod
+    def fit(
+        cls, observations: Observations, start: Hyperparameters | None, iterations: int
+    ) -> LossGP:
+        """Learn the hyper-parameters and condition on the losses.
+
+        Parameters
+        ----------
+        observations : Observations
+        start : Hyperparameters or None
+            Where to start; None starts at the modes of the priors.
+        iterations : int
+            At most so many L-BFGS-B iterations.
+        """
+        points, z, _, _ = _standardised(observations)
+        return cls.condition(observations, fit(points, z, start, iterations))
+
+    @classmethod
+    def condition(cls, observations: Observations, hyperparameters: Hyperparameters) -> LossGP:
+        """Condition on the losses with known hyper-parameters."""
+        points, z, offset, scale = _standardised(observations)
+        return cls(ExponentialGP.condition(points, z, hyperparameters), offset, scale)
+
+    def with_guess(self, observations: Observations, point: Floats) -> tuple[LossGP, Observations]:
+        """Believe the mean at a pending `point` (d,) (kriging believer), and count it as known.
+
+        Hyper-parameters, offset and scale stay.
+        """
+        grown = observations.with_guess(point, float(self.predict(point[None, :])[0][0]))
+        feasible = grown.feasible
+        z = (grown.losses[feasible] - self.offset) / self.scale
+        gp = ExponentialGP.condition(grown.points[feasible], z, self.gp.hyperparameters)
+        return LossGP(gp, self.offset, self.scale), grown
+
+    def predict(self, points: Floats) -> tuple[Floats, Floats]:
+        """Mean (mV²) and variance (mV⁴) of the noise-free loss at `points` (m, d), (m,) each."""
+        mean, variance = self.gp.predict(points)
+        return self.offset + self.scale * mean, self.scale**2 * variance
+
+    def mean_many(self, points: Floats) -> tuple[Floats, Floats]:
+        """Mean (mV²) at millions of points (m, d), and their nearness to the data, (m,) each."""
+        mean, nearness = self.gp.mean_many(points)
+        return self.offset + self.scale * mean, nearness
+
+    def variance_limit(self, nearness: Floats) -> Floats:
+        """Variance (mV⁴) that points of this nearness to the data cannot exceed, shape (m,)."""
+        return self.scale**2 * self.gp.variance_limit(nearness)
+
+
+@dataclass(frozen=True)
+class FeasibilityGP:
+    """Gaussian process on the labels +1 (a tree) and −1 (none), read through the normal c.d.f.
+
+    The probability is Φ((b + m(x)) / √(v(x) + σₙ²)) with b the mean label: least-squares
+    classification (Rasmussen & Williams 2006, section 6.5). It needs no approximate inference, so
+    it is fast and always has a solution.
+
+    Attributes
+    ----------
+    gp : ExponentialGP or None
+        Of label − `offset`; None as long as every known point is feasible: the probability is 1.
+    offset : float
+        Mean label.
+    """
+
+    gp: ExponentialGP | None
+    offset: float
+
+    @classmethod
+    def fit(
+        cls, observations: Observations, start: Hyperparameters | None, iterations: int
+    ) -> FeasibilityGP:
+        """Learn the hyper-parameters and condition on the labels.
+
+        Parameters
+        ----------
+        observations, start, iterations
+            As for `LossGP.fit`.
+        """
+        if observations.feasible.all():
+            return cls(None, 1.0)
+        labels = np.where(observations.feasible, 1.0, -1.0)
+        offset = float(labels.mean())
+        hyperparameters = fit(observations.points, labels - offset, start, iterations)
+        gp = ExponentialGP.condition(observations.points, labels - offset, hyperparameters)
+        return cls(gp, offset)
+
+    @property
+    def hyperparameters(self) -> Hyperparameters | None:
+        """Those of the process; None as long as every known point is feasible."""
+        return self.gp.hyperparameters if self.gp is not None else None
+
+    def log_probability(self, points: Floats) -> Floats:
+        """Logarithm of the probability that each of `points` (m, d) gives a tree, shape (m,)."""
+        if self.gp is None:
+            return np.zeros(len(points))
+        mean, variance = self.gp.predict(points)
+        z = (self.offset + mean) / np.sqrt(variance + self.gp.hyperparameters.noise)
+        return np.asarray(log_ndtr(z))
+
+    def log_probability_and_gradient(self, point: Floats) -> tuple[float, Floats]:
+        """Logarithm of the probability at one `point` (d,), and its gradient (d,).
+
+        With z = (b + m) / s and s² = v + σₙ²: ∇ log Φ(z) = φ(z)/Φ(z) · (∇m − z ∇v / 2s) / s.
+        """
+        if self.gp is None:
+            return 0.0, np.zeros_like(point)
+        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(point)
+        s = math.sqrt(variance + self.gp.hyperparameters.noise)
+        z = (self.offset + mean) / s
+        logarithm = float(log_ndtr(z))
+        ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - logarithm)
+        return logarithm, ratio * (by_mean - z * by_variance / (2 * s)) / s
+
+    def probability(self, points: Floats) -> Floats:
+        """Probability that each of `points` (m, d) gives a tree, shape (m,)."""
+        return np.exp(self.log_probability(points))
+
+
+def _standardised(
+    observations: Observations,
+) -> tuple[Floats, Floats, float, float]:
+    """Feasible points, their standardised losses, and the mean and deviation taken out."""
+    feasible = observations.feasible
+    losses = observations.losses[feasible]
+    offset, scale = float(losses.mean()), float(losses.std())
+    scale = scale if scale > EQUAL * abs(offset) else 1.0  # equal losses have none of their own
+    return observations.points[feasible], (losses - offset) / scale, offset, scale
