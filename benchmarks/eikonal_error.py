@@ -151,10 +151,7 @@ def refined(heart: Heart) -> Heart:
 def fired(myocardium: Myocardium, points: Array, times: npt.ArrayLike) -> Array:
     """Times (ms) at the vertices after stimuli in the myocardium."""
     return solve(
-        attach(myocardium, (), points),
-        (),
-        CV,
-        stimuli=np.asarray(times, float).tolist(),
+        attach(myocardium, (), points), (), CV, stimuli=np.asarray(times, float).tolist()
     ).myocardium
 
 

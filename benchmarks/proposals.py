@@ -44,7 +44,7 @@ import numpy.typing as npt
 
 from fascicle.inference.optimisation import acquisition as own
 from fascicle.inference.optimisation.step import State, latin_hypercube, step
-from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.surrogates import Observations
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -111,10 +111,9 @@ def levy(points: Array) -> Array:
 def heart_task(folder: Path) -> Task:
     """Find a known network of the crtdemo heart again from its ECG."""
     from benchmarks.forward import _heart, build_case
-    from examples.recover_known_network import TRUTH
+    from examples.recover_known_network import TRUTH, synthetic_target
     from fascicle.core.parameters import NETWORK_SPACE
     from fascicle.forward.model import ForwardModel
-    from fascicle.recording.synthetic import synthetic_target
     from fascicle.study.problem import Problem, simulate_valid
 
     model = ForwardModel(_heart(build_case(folder)))

@@ -30,13 +30,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from fascicle.build.meshing import mesh_surface
-from fascicle.build.pipeline import Body, heart_of, in_body
-from fascicle.build.source import Anatomy
 from numpy.typing import NDArray
 
+from fascicle.build.anatomy import Anatomy
+from fascicle.build.build_heart import Body, heart_of, in_body
 from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
 from fascicle.build.segmentation.surface import surface_from_segmentation
+from fascicle.build.volume_meshing import mesh_surface
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.seeds import ChosenSeed

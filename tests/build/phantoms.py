@@ -88,12 +88,7 @@ class Phantom:
 
 
 def ellipsoid_segmentation(
-    spacing=(1.5, 1.5, 1.5),
-    turn=TURN,
-    centre=CENTRE,
-    slices=ALIGNED,
-    labels=labels_at,
-    name="map",
+    spacing=(1.5, 1.5, 1.5), turn=TURN, centre=CENTRE, slices=ALIGNED, labels=labels_at, name="map"
 ) -> Phantom:
     """Voxelise the phantom.
 

@@ -26,7 +26,7 @@ from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.purkinje.chart import build_chart
-from fascicle.torso.resolve import key_of
+from fascicle.torso.lead_fields import key_of
 
 STAGES = ["fibres", "torso", "lead fields"]
 
@@ -74,7 +74,7 @@ def never_solved(monkeypatch):
     def fail(*_, **__):
         raise AssertionError("lead fields were solved for")
 
-    monkeypatch.setattr("fascicle.torso.resolve.lead_fields", fail)
+    monkeypatch.setattr("fascicle.torso.lead_fields.lead_fields", fail)
 
 
 @pytest.fixture
@@ -88,7 +88,7 @@ def solved(monkeypatch):
         asked.append(heart.electrodes)
         return lead_fields(heart, *arguments)
 
-    monkeypatch.setattr("fascicle.torso.resolve.lead_fields", solve)
+    monkeypatch.setattr("fascicle.torso.lead_fields.lead_fields", solve)
     return asked
 
 

@@ -12,12 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import NEEDED, Label
 from fascicle.mesh.topology import boundary_triangles
 
-LV, RV, EPI, BASE = (
-    Label.LV_ENDOCARDIUM,
-    Label.RV_ENDOCARDIUM,
-    Label.EPICARDIUM,
-    Label.BASE,
-)
+LV, RV, EPI, BASE = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE)
 
 
 def ellipsoid(points, centre, axes):

@@ -179,7 +179,7 @@ def test_nothing_is_left_of_a_failed_export(tmp_path, heart, monkeypatch):
     monkeypatch.setattr("meshio.gmsh.write", full)
     with pytest.raises(InputError, match="No space left"):
         export_heart(heart, tmp_path / "heart.msh", "gmsh")
-    monkeypatch.setattr("fascicle.build.opencarp.write_electrodes", full)
+    monkeypatch.setattr("fascicle.build.export.write_electrodes", full)
     with pytest.raises(InputError, match="No space left"):
         export_heart(heart, tmp_path / "carp", "opencarp")
     assert list(tmp_path.iterdir()) == []

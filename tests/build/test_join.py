@@ -8,12 +8,7 @@ from fascicle.build.joining.join import join_surfaces
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
 
-LV, RV, EPI, BASE = (
-    Label.LV_ENDOCARDIUM,
-    Label.RV_ENDOCARDIUM,
-    Label.EPICARDIUM,
-    Label.BASE,
-)
+LV, RV, EPI, BASE = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE)
 
 
 @pytest.fixture(scope="module")

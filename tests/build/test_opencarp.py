@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from builders import block_of_random_tissue, line_tree
 
-from fascicle.build.opencarp import write_opencarp
+from fascicle.build.export import write_opencarp
 from fascicle.core.errors import InputError
-from fascicle.heart.heart import outward_triangles
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh, read_surf, read_vtx, write_vtx
@@ -30,7 +29,7 @@ def heart():
 
 def labelled(heart):
     """The left face of the block is the LV, its right the RV, all else epicardium."""
-    triangles = outward_triangles(heart)
+    triangles = heart.boundary[0]
     x = heart.vertices[triangles].mean(axis=1)[:, 0]
     labels = np.full(len(triangles), int(Label.EPICARDIUM))
     labels[x == 0] = Label.LV_ENDOCARDIUM

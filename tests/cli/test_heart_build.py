@@ -12,16 +12,7 @@ from pathlib import Path
 import anatomies
 import numpy as np
 import pytest
-from anatomies import (
-    CENTRE_X,
-    EDGE,
-    HALF_AXES,
-    LV,
-    NETWORK,
-    RV,
-    SCAR_CENTRE,
-    SCAR_RADIUS,
-)
+from anatomies import CENTRE_X, EDGE, HALF_AXES, LV, NETWORK, RV, SCAR_CENTRE, SCAR_RADIUS
 
 import fascicle
 from fascicle.build.check import cavity_volume

@@ -93,22 +93,13 @@ class TestReading:
         scenario, regions = read_scenario(file(EVERYTHING))
         (tree, time) = scenario.trees[0]
         assert replace(scenario, trees=()) == Scenario(
-            stimuli=(
-                Stimulus(-20.0, (1.0, 2.5, -3.0)),
-                Stimulus(3.5, (4.0, 5.0, 6.0), "lv"),
-            ),
-            slowings=(
-                Slowing("lv", 0.0, "bundle"),
-                Slowing("rv", 0.5, None, (7.0, 8.0, 9.0), 4.0),
-            ),
+            stimuli=(Stimulus(-20.0, (1.0, 2.5, -3.0)), Stimulus(3.5, (4.0, 5.0, 6.0), "lv")),
+            slowings=(Slowing("lv", 0.0, "bundle"), Slowing("rv", 0.5, None, (7.0, 8.0, 9.0), 4.0)),
             silent=("rv", "band"),
             orthodromic_delay=2.0,
             antidromic_delay=np.inf,
         )
-        assert regions == (
-            Region(0.25, label=3),
-            Region(0.0, centre=(1.0, 1.0, 1.0), radius=12.5),
-        )
+        assert regions == (Region(0.25, label=3), Region(0.0, centre=(1.0, 1.0, 1.0), radius=12.5))
         assert (tree.side, time, len(tree.nodes)) == ("band", 5.0, 4)
         np.testing.assert_array_equal(tree.nodes[tree.root], [0.0, 0.0, 0.0])
         assert sorted(tree.lengths) == [0.0, 8.0, 8.0, 10.0]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
+from fascicle.heart.assembly import _match_by_position, average_to_tetrahedra
 from fascicle.heart.endocardium import oriented_into_cavity
-from fascicle.heart.fibres.directions import average_to_tetrahedra, match_by_position
 from fascicle.heart.seeds import septal_seeds
 from fascicle.heart.validate import check_tetrahedra, check_units
 from fascicle.mesh.measures import signed_volumes, triangle_normals
@@ -52,10 +52,10 @@ def test_matching_undoes_a_permutation_and_single_precision():
     rng = np.random.default_rng(0)
     wanted = 100 * rng.random((50, 3))
     order = rng.permutation(50)
-    row = match_by_position("f", wanted[order].astype(np.float32).astype(float), wanted, "points")
+    row = _match_by_position("f", wanted[order].astype(np.float32).astype(float), wanted, "points")
     np.testing.assert_array_equal(order[row], np.arange(50))
     with pytest.raises(InputError, match=r"^f: no fibre within .* of 50 of 50 points .*; give"):
-        match_by_position("f", wanted + 0.1, wanted, "points")
+        _match_by_position("f", wanted + 0.1, wanted, "points")
 
 
 @pytest.mark.parametrize("flip", [False, True])

@@ -5,8 +5,7 @@ import pytest
 from differences import central_differences
 
 from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.observations import Observations
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
+from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
 
 HYPER = Hyperparameters((1.0, 1.0), 1.0, 1e-4)
 

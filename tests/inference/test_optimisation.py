@@ -8,7 +8,7 @@ from differences import central_differences
 
 from fascicle.inference.optimisation.acquisition import FeasibleLogImprovement, perturbed
 from fascicle.inference.optimisation.step import State, latin_hypercube, refit, step
-from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.surrogates import Observations
 
 
 def loss(points):

@@ -10,8 +10,7 @@ from fascicle.inference.abc import informed_prior as prior_module
 from fascicle.inference.abc.informed_prior import InformedPrior, draw_candidates
 from fascicle.inference.abc.settings import CandidateOrder
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
-from fascicle.inference.surrogate.observations import Observations
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
+from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
 
 DRAWS = 30_000
 

@@ -5,7 +5,7 @@ from threadpoolctl import threadpool_limits
 
 from fascicle.inference.optimisation.step import State, step
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
-from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.surrogates import Observations
 from fascicle.inference.surrogate.threads import blas_threads, in_chunks, one_thread
 
 

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.leads import lead_matrix
-from fascicle.recording.window import (
-    OFFSET_ERROR,
-    ONSET_ERROR,
-    qrs_window,
-    window_uncertainty,
-)
+from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR, qrs_window, window_uncertainty
 
 START, END, LENGTH = 200, 300, 700  # ms
 

@@ -60,7 +60,7 @@ def test_left_bundle_branch_block(model):
 
 def test_fit_accepts_it(folder, model, tmp_path):
     """A few evaluations against the heart's own normal ECG."""
-    from fascicle.recording.synthetic import synthetic_target
+    from examples.recover_known_network import synthetic_target
 
     leads = model.simulate(fascicle.EXAMPLE_PARAMETERS).leads
     fitted = fascicle.fit(

@@ -8,7 +8,7 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
-from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes, triangle_normals
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.report.hearts import VIEWS, ActivationRow, activation_figure
@@ -97,13 +97,13 @@ def area(polygons):
 
 
 def visible_area(heart, name):
-    view, triangles = heart_views(heart)[name], outward_triangles(heart)
+    view, triangles = heart_views(heart)[name], heart.boundary[0]
     order = back_to_front(view, heart.vertices, triangles)
     return area(view.project(heart.vertices[triangles[order]])[..., :2])
 
 
 def test_boundary_faces_outwards(heart):
-    triangles = outward_triangles(heart)
+    triangles = heart.boundary[0]
     flux = np.einsum(
         "ij,ij->", triangle_normals(heart.vertices, triangles), heart.vertices[triangles].mean(1)
     )
@@ -141,7 +141,7 @@ def test_from_the_base_the_floors_of_the_cavities_are_seen_and_nothing_twice(hea
     cosine = abs(axis[2])  # the long axis ends in a corner of the floor, so it leans
     assert cosine > 0.9
     assert visible_area(heart, "base") >= WIDTH * DEPTH * cosine - 1e-9
-    view, triangles = heart_views(heart)["base"], outward_triangles(heart)
+    view, triangles = heart_views(heart)["base"], heart.boundary[0]
     order = back_to_front(view, heart.vertices, triangles)
     floors = heart.vertices[triangles[order]][..., 2]
     for bottom in (2 * CELL, 3 * CELL):
@@ -151,7 +151,7 @@ def test_from_the_base_the_floors_of_the_cavities_are_seen_and_nothing_twice(hea
 
 
 def test_shade_stays_between_ambient_and_full_and_creases_stay_sharp(heart):
-    triangles = outward_triangles(heart)
+    triangles = heart.boundary[0]
     normals = smooth_normals(heart.vertices, triangles)
     flat = triangle_normals(heart.vertices, triangles)
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)

@@ -397,13 +397,7 @@ def test_warnings_are_named_as_far_as_they_fit():
     assert listed == [f"! lead {k} hums; filter it" for k in range(4)] + ["! and 5 more warnings"]
 
 
-NAMES = (
-    "b$x_1^{2$.hea",
-    r"50% \frac{a}$b$.xml",
-    "心电图 Müller.dcm",
-    "a\nb\tc.csv",
-    "W" * 400,
-)
+NAMES = ("b$x_1^{2$.hea", r"50% \frac{a}$b$.xml", "心电图 Müller.dcm", "a\nb\tc.csv", "W" * 400)
 
 
 @pytest.mark.filterwarnings("error")

@@ -9,8 +9,7 @@ from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
 
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso
-from fascicle.heart.torso_files import read_torso, write_torso
+from fascicle.heart.torso import Torso, read_torso, write_torso
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid, write_surface
 from fascicle.torso.surface_files import MOST_TRIANGLES, read_torso_surfaces
@@ -29,7 +28,7 @@ def around(default_heart: Heart) -> Torso:
 
 def test_reads_what_was_written(default_heart: Heart, around: Torso, tmp_path: Path) -> None:
     write_torso(tmp_path / "torso.vtu", around)
-    again = read_torso(tmp_path / "torso.vtu", default_heart)
+    again = read_torso(tmp_path / "torso.vtu", default_heart.vertices)
     for name in ("vertices", "tetrahedra", "tissues"):
         np.testing.assert_array_equal(getattr(again, name), getattr(around, name))
 
@@ -40,7 +39,7 @@ def test_refuses_the_torso_of_another_heart(
     write_torso(tmp_path / "torso.vtu", around)
     moved = replace(default_heart, vertices=default_heart.vertices + 0.01)
     with pytest.raises(InputError, match="points are not the heart's"):
-        read_torso(tmp_path / "torso.vtu", moved)
+        read_torso(tmp_path / "torso.vtu", moved.vertices)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +56,7 @@ def test_refuses_a_damaged_torso(
         change["tetrahedra"] = around.tetrahedra[:, ::-1][:, [0, 1, 3, 2]][:, [1, 0, 3, 2]]
     write_torso(tmp_path / "torso.vtu", replace(around, **change))
     with pytest.raises(InputError, match=message):
-        read_torso(tmp_path / "torso.vtu", default_heart)
+        read_torso(tmp_path / "torso.vtu", default_heart.vertices)
 
 
 def test_refuses_a_torso_without_tissues(
@@ -65,7 +64,7 @@ def test_refuses_a_torso_without_tissues(
 ) -> None:
     write_grid(tmp_path / "torso.vtu", around.vertices, around.tetrahedra, TETRAHEDRON)
     with pytest.raises(InputError, match="no cell array 'tissue'"):
-        read_torso(tmp_path / "torso.vtu", default_heart)
+        read_torso(tmp_path / "torso.vtu", default_heart.vertices)
 
 
 def write_stl(path: Path, surface: Surface) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.build.anatomy import Anatomy, Source
-from fascicle.build.endocardia import EndocardialSurface, endocardia
+from fascicle.build.endocardia import endocardia
 from fascicle.build.read_anatomy import read_anatomy
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
@@ -18,18 +18,17 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes
-from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.fibres.rules import FibreAngles, rule_based_fibres
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.heart.seeds import ChosenSeed, choose_seeds
+from fascicle.heart.seeds import ChosenSeed, seeded_endocardia
 from fascicle.heart.validate import check_electrodes, check_tetrahedra
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.electrode_sites import check_not_mirrored, check_on_skin, distances_to_skin
 from fascicle.torso.heart_pose import Pose
 from fascicle.torso.idealised import idealised_torso
+from fascicle.torso.lead_fields import resolve_lead_fields
 from fascicle.torso.mesh import mesh_torso
-from fascicle.torso.resolve import resolve_lead_fields
 from fascicle.torso.surface_files import read_torso_surfaces
 from fascicle.torso.surfaces import TorsoSurfaces
 
@@ -182,28 +181,16 @@ def heart_of(
     if fibres is None:
         ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
         fibres, sheets = ruled.fibre, ruled.sheet
-    surfaces = dict(zip(("lv", "rv"), endocardia(mesh), strict=True))
-    left, right = (
-        _seeded(mesh.name, side, surfaces, seeds.get(side, (None, None))) for side in surfaces
-    )
+    surfaces = {
+        side: (mesh.name, own.vertices, own.triangles, own.valve if own.valve.any() else None)
+        for side, own in zip(("lv", "rv"), endocardia(mesh), strict=True)
+    }
+    chosen = {side: seeds.get(side, (None, None)) for side in surfaces}
+    left, right = seeded_endocardia(surfaces, chosen)
     unplaced = np.full((len(ELECTRODES), 3), np.nan)
     return Heart(
         mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name, mesh.regions, sheets
     )
-
-
-def _seeded(
-    name: str,
-    side: str,
-    surfaces: Mapping[str, EndocardialSurface],
-    chosen: tuple[ChosenSeed, ChosenSeed],
-) -> Endocardium:
-    """An endocardium with the seeds that were chosen, or else those of the anatomy."""
-    own = surfaces[side]
-    (other,) = (surface for theirs, surface in surfaces.items() if theirs != side)
-    root, direction = choose_seeds(f"{name}: {side.upper()}", chosen, own, other.vertices)
-    valve = own.valve if own.valve.any() else None
-    return Endocardium(side, own.vertices, own.triangles, root, direction, valve)
 
 
 def in_body(

@@ -21,7 +21,7 @@ from fascicle.mesh.measures import enclosed_volume, signed_volumes
 from fascicle.mesh.quality import Quality, quality
 from fascicle.purkinje.chart import Chart
 from fascicle.torso.electrode_sites import electrode_warnings
-from fascicle.torso.resolve import is_up_to_date
+from fascicle.torso.lead_fields import is_up_to_date
 
 ML, LITRE = 1e3, 1e6  # mm³
 # Outside these, somebody should look; human adults, healthy or not
@@ -76,8 +76,6 @@ class HeartCheck:
         One line each, with what to do.
     walls : Walls
         Thickness.
-    quality : Quality
-        Of the tetrahedra.
     helix : mapping of str to HelixAngles
         By wall.
     """
@@ -86,7 +84,6 @@ class HeartCheck:
     rows: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
     walls: Walls
-    quality: Quality
     helix: Mapping[str, HelixAngles]
 
 
@@ -117,7 +114,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
         *_lead_field_warnings(heart),
         *electrode_warnings(heart),
     ]
-    return HeartCheck(mesh, tuple(rows), tuple(warnings), walls, shape, helix)
+    return HeartCheck(mesh, tuple(rows), tuple(warnings), walls, helix)
 
 
 def cavity_volume(endocardium: Endocardium) -> float:

@@ -12,8 +12,8 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.mesh.measures import loop_length
-from fascicle.mesh.planar import best_plane, constrained_delaunay
+from fascicle.mesh.measures import best_plane, loop_length
+from fascicle.mesh.meshing import constrained_delaunay
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
 
@@ -22,10 +22,9 @@ class EndocardialSurface(NamedTuple):
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm), exactly those of the mesh's vertices.
-    triangles : (m, 3) array
-        Vertex indices, counter-clockwise seen from inside the cavity.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm), exactly those of the mesh's vertices, and vertex indices,
+        counter-clockwise seen from inside the cavity.
     valve : (m,) array of bool
         Triangles that close a valve's opening: no tissue is there.
     """

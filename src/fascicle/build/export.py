@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from fascicle.build.opencarp import ONE_REGION, write_opencarp
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path
-from fascicle.core.leads import ELECTRODES
-from fascicle.heart.assembly import REGION, SHEET
+from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path, write_text
 from fascicle.heart.boundary_labels import labelled_mesh
-from fascicle.heart.folder import LEAD_FIELD
+from fascicle.heart.electrodes import write_electrodes
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.folder import cell_arrays, write_mesh
 from fascicle.heart.heart import Heart
 from fascicle.heart.label_names import SURFACE_NAMES
-from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON
-from fascicle.mesh.formats.vtk import write_grid
+from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.mesh.formats.mesh_file import GROUP
+from fascicle.mesh.formats.opencarp import (
+    opencarp_file,
+    rows,
+    write_directions,
+    write_opencarp_mesh,
+    write_vtx,
+)
 from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.purkinje.tree_files import write_opencarp_tree
 
 ExportFormat = Literal["opencarp", "vtu", "gmsh"]
 SUFFIXES = {"vtu": ".vtu", "gmsh": ".msh"}
-FIBRE = "fibre"
+ONE_REGION = 1  # the tag of every element of a heart without regions
+# An endocardium whose vertices are this close (mm) to the mesh's is part of it: text files round.
+IN_REGISTER = 1e-3
 
 
 def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
@@ -36,12 +45,12 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     heart : Heart
         The heart.
     out : Path
-        openCARP: a folder, see `fascicle.build.opencarp.write_opencarp`; the files are called
+        openCARP: a folder, see `write_opencarp`; the files are called
         ``heart``. VTU: a file; tetrahedra with the cell arrays ``fibre``, ``sheet`` and ``region``
         and the point arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh: a file
         (format 2.2), see `write_gmsh`. VTU and Gmsh are in mm, openCARP in µm. openCARP and Gmsh
         have the whole boundary, labelled by `fascicle.heart.boundary_labels.labelled_mesh`, so that
-        `fascicle.build.labelled_mesh_files.read_labelled_mesh` reads it.
+        `fascicle.build.labelled_mesh_files.labelled_tetrahedra` reads it.
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
@@ -69,7 +78,7 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
             f"{out}: trees are exported for openCARP only; for other software use the VTU files of "
             "'fascicle simulate'"
         )
-    write = write_vtu if kind == "vtu" else write_gmsh
+    write = write_mesh if kind == "vtu" else write_gmsh
     try:
         write(heart, out)
     except OSError as error:
@@ -79,22 +88,6 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
             f"{out}: could not be written ({error.strerror}); free some space or choose another "
             "place (--out)"
         ) from None
-
-
-def write_vtu(heart: Heart, path: Path) -> None:
-    """Write the tetrahedra and every array of a heart as one VTU file (mm)."""
-    points: dict[str, NDArray[Any]] = {}
-    if heart.lead_fields is not None:
-        for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
-            points[f"{LEAD_FIELD}{electrode}"] = values
-    write_grid(
-        path,
-        heart.vertices,
-        heart.tetrahedra,
-        TETRAHEDRON,
-        point_data=points,
-        cell_data=_cell_arrays(heart),
-    )
 
 
 def write_gmsh(heart: Heart, path: Path) -> None:
@@ -116,7 +109,7 @@ def write_gmsh(heart: Heart, path: Path) -> None:
             numbers.append(np.full(len(triangles), int(label)))
             groups[name] = np.array([int(label), 2])
     data = {GROUP: numbers, "gmsh:geometrical": numbers}
-    for name, values in _cell_arrays(heart).items():
+    for name, values in cell_arrays(heart).items():
         data[name] = [np.asarray(values, dtype=float)]
         data[name] += [np.zeros((len(block), *values.shape[1:])) for _, block in cells[1:]]
     mesh = meshio.Mesh(heart.vertices, cells, cell_data=data, field_data=groups)
@@ -137,10 +130,62 @@ def _volume_groups(heart: Heart) -> tuple[Integers, dict[str, Integers]]:
     return which.astype(np.int64) + 1, groups
 
 
-def _cell_arrays(heart: Heart) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {FIBRE: heart.fibres}
-    if heart.sheets is not None:
-        arrays[SHEET] = heart.sheets
-    if heart.regions is not None:
-        arrays[REGION] = heart.regions
-    return arrays
+def write_opencarp(
+    heart: Heart, surface: LabelledMesh, stem: Path, trees: Iterable[PurkinjeTree] = ()
+) -> None:
+    """Write a heart for openCARP.
+
+    There are ``<stem>.pts``, ``<stem>.elem`` (tags are the regions; 1 without any), ``<stem>.lon``
+    (fibres, and sheets if the heart has them) and ``electrodes.csv`` (mm). The boundary is
+    in ``<stem>_lv_endo``, ``_rv_endo``, ``_epi`` and ``_base``, each as ``.surf`` and ``.vtx``. An
+    endocardium that is no part of the mesh is ``<stem>_lv_endocardium.pts`` and ``.elem`` besides,
+    with triangles of its own, less what spans a valve opening.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    surface : LabelledMesh
+        Its boundary with labels.
+    stem : Path
+        Folder and name of the files, without a suffix.
+    trees : iterable of PurkinjeTree
+        Written beside it as ``lv_tree`` and ``rv_tree``; see `fascicle.purkinje.tree_files`.
+    """
+    regions = heart.regions
+    tags = regions if regions is not None else np.full(len(heart.tetrahedra), ONE_REGION)
+    write_opencarp_mesh(stem, heart.vertices, "Tt", heart.tetrahedra, tags)
+    axes = [heart.fibres] if heart.sheets is None else [heart.fibres, heart.sheets]
+    write_directions(opencarp_file(stem, ".lon"), axes)
+    for label, name in SURFACE_NAMES.items():
+        _write_surface(stem.with_name(f"{stem.name}_{name}"), surface.having(label))
+    for endocardium in heart.endocardia:
+        _write_endocardium(
+            stem.with_name(f"{stem.name}_{endocardium.side}_endocardium"), endocardium, heart
+        )
+    write_electrodes(stem.with_name("electrodes.csv"), heart.electrodes)
+    for tree in trees:
+        write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)
+
+
+def _write_surface(stem: Path, triangles: Integers) -> None:
+    """Write triangles of the mesh, and their vertices; nothing if there are none."""
+    if not len(triangles):
+        return
+    text = rows("Tr %d %d %d", triangles)
+    write_text(opencarp_file(stem, ".surf"), f"{len(triangles)}\n{text}")
+    write_vtx(opencarp_file(stem, ".vtx"), np.unique(triangles))
+
+
+def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> None:
+    """Write an endocardium as a mesh of triangles, unless it is part of the heart's."""
+    wall = endocardium.triangles
+    if endocardium.valves is not None:
+        wall = wall[~endocardium.valves]
+    used, corners = np.unique(wall, return_inverse=True)
+    vertices = endocardium.vertices[used]
+    distance, _ = cKDTree(heart.vertices).query(vertices)
+    if (distance <= IN_REGISTER).all():
+        return
+    corners = corners.reshape(-1, 3)
+    write_opencarp_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))

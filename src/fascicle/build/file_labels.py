@@ -94,7 +94,7 @@ def label_boundary(
         If labels are missing, unknown or contradictory, or not on the boundary.
     """
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
-        found = _from_surf_files(mesh, boundary, names) or _from_vtx_files(mesh, boundary, names)
+        found = _from_files_beside(mesh, boundary, names)
     else:
         found = _from_array(mesh, boundary, array, names)
     if found is None:
@@ -125,46 +125,45 @@ def _from_array(
     return found.source, _on_boundary(found.source, mesh.cells[TRIANGLE][given], labels, boundary)
 
 
-def _files_beside(mesh: MeshFile, suffix: str, names: Names) -> list[tuple[Path, Label]]:
-    """Files of this kind whose name, without that of the mesh, means a label."""
+def _from_files_beside(
+    mesh: MeshFile, boundary: Integers, names: Names
+) -> tuple[str, Integers] | None:
+    """Source and labels (b,) of the boundary's triangles by `.surf` files, or else `.vtx` files."""
     stem = opencarp_file(mesh.path, "").name
-    found = []
-    for path in sorted(mesh.path.parent.glob(f"*{suffix}")):
-        name = path.name.removesuffix(suffix).removesuffix(".surf").removeprefix(stem).strip("._- ")
-        label = names.get(name, label_of(name))
-        if label is not None:
-            found.append((path, label))
-    return found
+    for suffix, read in ((".surf", _from_surf_files), (".vtx", _from_vtx_files)):
+        files = []
+        for path in sorted(mesh.path.parent.glob(f"*{suffix}")):
+            name = path.name.removesuffix(suffix).removesuffix(".surf").removeprefix(stem)
+            name = name.strip("._- ")
+            label = names.get(name, label_of(name))
+            if label is not None:
+                files.append((path, label))
+        if files:
+            source = f"{mesh.path} ({', '.join(path.name for path, _ in files)})"
+            return source, read(source, files, len(mesh.points), boundary)
+    return None
 
 
 def _from_surf_files(
-    mesh: MeshFile, boundary: Integers, names: Names
-) -> tuple[str, Integers] | None:
-    files = _files_beside(mesh, ".surf", names)
-    if not files:
-        return None
-    parts = [read_surf(path, len(mesh.points)) for path, _ in files]
+    source: str, files: list[tuple[Path, Label]], points: int, boundary: Integers
+) -> Integers:
+    parts = [read_surf(path, points) for path, _ in files]
     labels = np.repeat([int(label) for _, label in files], list(map(len, parts)))
-    source = f"{mesh.path} ({', '.join(path.name for path, _ in files)})"
-    return source, _on_boundary(source, np.concatenate(parts), labels, boundary)
+    return _on_boundary(source, np.concatenate(parts), labels, boundary)
 
 
 def _from_vtx_files(
-    mesh: MeshFile, boundary: Integers, names: Names
-) -> tuple[str, Integers] | None:
-    files = _files_beside(mesh, ".vtx", names)
-    if not files:
-        return None
-    votes = np.zeros((len(mesh.points), max(Label) + 1), dtype=bool)
+    source: str, files: list[tuple[Path, Label]], points: int, boundary: Integers
+) -> Integers:
+    votes = np.zeros((points, max(Label) + 1), dtype=bool)
     for path, label in files:
         indices, _ = read_vtx(path)
-        if indices.max() >= len(mesh.points):
+        if indices.max() >= points:
             raise InputError(
                 f"{path}: index {indices.max()} is out of range; the mesh has points 0 to "
-                f"{len(mesh.points) - 1}"
+                f"{points - 1}"
             )
         votes[indices, label] = True
-    source = f"{mesh.path} ({', '.join(path.name for path, _ in files)})"
     on_boundary = np.unique(boundary)
     without = on_boundary[~votes[on_boundary].any(axis=1)]
     if without.size:
@@ -172,7 +171,7 @@ def _from_vtx_files(
             f"{source}: {without.size} of {on_boundary.size} boundary points have no label (first: "
             f"{without[0]}); label every one"
         )
-    return source, _elected(votes, boundary)
+    return _elected(votes, boundary)
 
 
 def _elected(votes: Booleans, boundary: Integers) -> Integers:

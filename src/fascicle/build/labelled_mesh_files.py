@@ -10,8 +10,7 @@ from fascicle.build.anatomy import Anatomy
 from fascicle.build.file_labels import label_boundary
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.heart.assembly import FIBRE_NAMES
-from fascicle.heart.fibres.directions import average_to_tetrahedra
+from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
 from fascicle.heart.label_names import Names
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
@@ -76,8 +75,10 @@ def labelled_tetrahedra(
     labels = label_boundary(mesh, boundary, array, names if names is not None else {})
     if labels is None:
         labels = np.zeros(len(triangles), dtype=np.int64)
+    region = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
+    regions = None if region is None else region_labels(mesh, region[0])
     return Anatomy(
-        LabelledMesh(vertices, tetrahedra, triangles, labels, _regions(mesh), name),
+        LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name),
         fibres=_directions(mesh, FIBRE_NAMES),
         sheets=_directions(mesh, SHEET_NAMES),
         notes=notes,
@@ -103,19 +104,6 @@ def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, F
     return next(((lower[name], arrays[lower[name]]) for name in names if name in lower), None)
 
 
-def _regions(mesh: MeshFile) -> Integers | None:
-    found = _named(mesh.cell_data.get(TETRAHEDRON, {}), REGION_NAMES)
-    if found is None:
-        return None
-    name, values = found[0], np.asarray(found[1], dtype=float)
-    if values.ndim != 1 or not (np.isfinite(values) & (values == np.round(values))).all():
-        raise InputError(
-            f"{mesh.path}: the cell array '{name}' must hold one whole number a tetrahedron; "
-            "correct or remove it"
-        )
-    return values.astype(np.int64)
-
-
 def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
     """Unit directions of the tetrahedra, from a cell or else a point array so named."""
     tetrahedra = mesh.cells[TETRAHEDRON]
@@ -129,8 +117,4 @@ def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
         raise InputError(f"{title} has shape {values.shape}; give three components, or rename it")
     at = np.arange(len(tetrahedra)) if per_cell else np.unique(tetrahedra)
     check_fibres(title, values[at])
-    if not per_cell:
-        everywhere = np.broadcast_to([1.0, 0.0, 0.0], values.shape).copy()  # for unused points
-        everywhere[at] = values[at]
-        return average_to_tetrahedra(everywhere, tetrahedra)
-    return unit(values)
+    return unit(values) if per_cell else average_to_tetrahedra(values, tetrahedra)

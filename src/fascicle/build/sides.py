@@ -57,12 +57,8 @@ def check_sides(name: str, epicardium: Surface, lv: Surface, rv: Surface) -> Non
         With the shape of both cavities and the thickness of both walls.
     """
     if leftness(lv, rv, epicardium) < SWAPPED:
-        left, right = (_features(endocardium, epicardium) for endocardium in (lv, rv))
-        raise InputError(
-            f"{name}: LV and RV endocardium seem to be swapped: the cavity labelled LV fills "
-            f"{left[0]:.0%} of its convex hull behind a wall of {left[2]:.1f} mm, the one labelled "
-            f"RV {right[0]:.0%} behind {right[2]:.1f} mm; exchange the two"
-        )
+        (left, _, lv_wall), (right, _, rv_wall) = (_features(side, epicardium) for side in (lv, rv))
+        raise _swapped(name, (left, right), (lv_wall, rv_wall))
 
 
 def check_labelled_sides(body: LabelledSurface | LabelledMesh) -> None:
@@ -79,11 +75,16 @@ def check_labelled_sides(body: LabelledSurface | LabelledMesh) -> None:
     walls = wall_thickness(body)
     left, right = (_features(endocardium, epicardium)[0] for endocardium in (lv, rv))
     if walls.lv.median < walls.rv.median and left < right:
-        raise InputError(
-            f"{body.name}: LV and RV endocardium seem to be swapped: the cavity labelled LV fills "
-            f"{left:.0%} of its convex hull behind a wall of {walls.lv.median:.1f} mm, the one "
-            f"labelled RV {right:.0%} behind {walls.rv.median:.1f} mm; exchange the two"
-        )
+        raise _swapped(body.name, (left, right), (walls.lv.median, walls.rv.median))
+
+
+def _swapped(name: str, share: tuple[float, float], wall: tuple[float, float]) -> InputError:
+    """The error, with the share of its hull that each cavity fills, and each wall (mm)."""
+    return InputError(
+        f"{name}: LV and RV endocardium seem to be swapped: the cavity labelled LV fills "
+        f"{share[0]:.0%} of its convex hull behind a wall of {wall[0]:.1f} mm, the one labelled "
+        f"RV {share[1]:.0%} behind {wall[1]:.1f} mm; exchange the two"
+    )
 
 
 def cavity_volume(vertices: Floats, triangles: Integers) -> float:

@@ -32,7 +32,7 @@ from fascicle.kernels.arrays import EikonalMesh, TravelTimeTable
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
-from fascicle.torso.resolve import resolve_lead_fields
+from fascicle.torso.lead_fields import resolve_lead_fields
 
 FORMAT = 5  # of the files; another number makes them anew
 ONCE = "once per heart"

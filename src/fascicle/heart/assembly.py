@@ -11,10 +11,9 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.electrodes import read_electrodes
-from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
-from fascicle.heart.fibres.directions import average_to_tetrahedra, match_by_position
+from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.heart import Heart
-from fascicle.heart.seeds import ChosenSeed, choose_seeds
+from fascicle.heart.seeds import ChosenSeed, seeded_endocardia
 from fascicle.heart.validate import (
     check_electrodes,
     check_endocardium_in_place,
@@ -23,6 +22,7 @@ from fascicle.heart.validate import (
     check_units,
 )
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import without_unused_vertices
 
 REGION = "region"  # cell array of labels
@@ -30,6 +30,9 @@ SHEET = "sheet"  # cell array of directions
 VALVE = "valve"  # cell array of an endocardium: 1 where it spans a valve opening
 FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
 OTHER_DIRECTIONS = ("normals", SHEET)  # arrays of directions that are not fibres
+# Points of two files are the same when they are this close, as a fraction of the mesh's extent:
+# room for single precision.
+MATCH = 1e-5
 UNIT_LENGTH_ERROR = 1e-12  # a fibre this near to unit length stays as it is
 
 
@@ -69,26 +72,20 @@ def assemble_heart(
     for side, (points, _) in opened.items():
         check_endocardium_in_place(f"{surfaces[side].path}", points, vertices)
     _check_two_surfaces(surfaces, opened)
-    endocardia = {}
-    for side, other in (("lv", "rv"), ("rv", "lv")):
-        points, triangles = opened[side]
-        valves = _valves(surfaces[side])
-        found = choose_seeds(
-            f"{surfaces[side].path}: {side.upper()}",
-            seeds[side],
-            (points, triangles, valves),
-            opened[other][0],
-        )
-        endocardia[side] = Endocardium(side, points, triangles, *found, valves)
+    named = {
+        side: (str(surface.path), *opened[side], _valves(surface))
+        for side, surface in surfaces.items()
+    }
+    lv, rv = seeded_endocardia(named, seeds)
     heart = Heart(
         vertices=vertices,
         tetrahedra=tetrahedra,
         fibres=direction,
-        lv=endocardia["lv"],
-        rv=endocardia["rv"],
+        lv=lv,
+        rv=rv,
         electrodes=read_electrodes(electrodes),
         name=name,
-        regions=_regions(mesh),
+        regions=region_labels(mesh),
         sheets=_sheets(mesh),
     )
     check_electrodes(str(electrodes), heart.electrodes, heart)
@@ -130,7 +127,7 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     if per_cell:
         theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
         ours = mesh.points[tetrahedra].mean(axis=1)
-        row = match_by_position(name, theirs, ours, "tetrahedra")
+        row = _match_by_position(name, theirs, ours, "tetrahedra")
         values = values[row]
         check_fibres(name, values)
         length = np.linalg.norm(values, axis=1, keepdims=True)
@@ -138,22 +135,44 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
         exact = np.abs(length - 1) < UNIT_LENGTH_ERROR
         return np.asarray(np.where(exact, values, values / length))
     used = np.unique(tetrahedra)
-    row = match_by_position(name, source.points, mesh.points[used], "vertices")
+    row = _match_by_position(name, source.points, mesh.points[used], "vertices")
     at_vertex = np.zeros((len(mesh.points), 3))
     at_vertex[used] = values[row]
     check_fibres(name, at_vertex[used])
-    at_vertex[~at_vertex.any(axis=1)] = [1.0, 0.0, 0.0]  # points that no tetrahedron uses
     return average_to_tetrahedra(at_vertex, tetrahedra)
 
 
-def _regions(mesh: MeshFile) -> Integers | None:
-    """Labels of the tetrahedra, if the mesh has the cell array `region`."""
-    values = mesh.cell_array(TETRAHEDRON, REGION)
+def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> Integers:
+    """Rows (k,) of the given positions (n, 3) that are those of the wanted ones (k, 3)."""
+    distance, row = cKDTree(given).query(wanted)
+    tolerance = MATCH * float(np.ptp(wanted, axis=0).max())
+    bad = np.flatnonzero(distance > tolerance)
+    if bad.size:
+        raise InputError(
+            f"{name}: no fibre within {tolerance:.2g} mm of {bad.size} of {len(wanted)} {what} of "
+            f"the mesh (largest gap {distance.max():.3g} mm); give fibres on the same mesh"
+        )
+    return np.asarray(row, dtype=np.int64)
+
+
+def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
+    """Mean axis of each tetrahedron's four vertex fibres, shape (m, 3).
+
+    Fibres have no sign, so the mean is the principal axis of Σ f⊗f.
+    """
+    corner = unit(fibres[tetrahedra])
+    _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", corner, corner))
+    return np.asarray(axes[:, :, -1])
+
+
+def region_labels(mesh: MeshFile, array: str = REGION) -> Integers | None:
+    """Labels of the tetrahedra (m,), if the mesh has this cell array; whole numbers."""
+    values = mesh.cell_array(TETRAHEDRON, array)
     if values is None:
         return None
-    if values.ndim != 1 or not (values == np.round(values)).all():
+    if values.ndim != 1 or not (np.isfinite(values) & (values == np.round(values))).all():
         raise InputError(
-            f"{mesh.path}: the cell array '{REGION}' must hold one whole number a tetrahedron; "
+            f"{mesh.path}: the cell array '{array}' must hold one whole number a tetrahedron; "
             "correct or remove it"
         )
     return values.astype(np.int64)

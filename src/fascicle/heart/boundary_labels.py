@@ -7,7 +7,7 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.heart.endocardium import long_axis
-from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.mesh.topology import boundary_loops
@@ -28,7 +28,7 @@ def labelled_mesh(heart: Heart) -> LabelledMesh:
     heart : Heart
         Its endocardia need not be in register with the mesh.
     """
-    triangles = outward_triangles(heart)
+    triangles = heart.boundary[0]
     middle = heart.vertices[triangles].mean(axis=1)
     normals = unit(triangle_normals(heart.vertices, triangles))
     labels = np.full(len(triangles), int(Label.EPICARDIUM))

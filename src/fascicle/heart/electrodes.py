@@ -57,19 +57,15 @@ def _rows_of_csv(path: Path, text: str) -> list[tuple[str, list[object]]]:
     # strict, so that a quote that is never closed does not swallow the rest
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True, strict=True)
     try:
-        return _rows(path, reader)
+        header = [(name or "").strip().lower() for name in reader.fieldnames or []]
+        if not {"name", "x", "y", "z"} <= set(header):
+            raise InputError(
+                f"{path}: the first line is '{','.join(header)[:60]}'; it must be name,x,y,z"
+            )
+        reader.fieldnames = header
+        return [(row["name"] or "", [row["x"], row["y"], row["z"]]) for row in reader]
     except csv.Error as error:
         raise InputError(f"{path}: not a readable CSV table ({error}); correct it") from None
-
-
-def _rows(path: Path, reader: csv.DictReader[str]) -> list[tuple[str, list[object]]]:
-    header = [(name or "").strip().lower() for name in reader.fieldnames or []]
-    if not {"name", "x", "y", "z"} <= set(header):
-        raise InputError(
-            f"{path}: the first line is '{','.join(header)[:60]}'; it must be name,x,y,z"
-        )
-    reader.fieldnames = header
-    return [(row["name"] or "", [row["x"], row["y"], row["z"]]) for row in reader]
 
 
 def _rows_of_json(path: Path, text: str) -> list[tuple[str, list[object]]]:

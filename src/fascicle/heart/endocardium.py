@@ -21,10 +21,8 @@ class Endocardium:
     ----------
     side : str
         ``"lv"`` or ``"rv"``.
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices, counter-clockwise seen from inside the cavity.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, counter-clockwise seen from inside the cavity.
     root, direction : int
         Vertex where the bundle starts, and one that it heads for.
     valves : (m,) array, optional
@@ -50,10 +48,8 @@ def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> In
 
     Parameters
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices, in any orientation.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, in any orientation.
     name : str
         What to call the surface in an error.
 
@@ -67,20 +63,6 @@ def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> In
     InputError
         If the surface is not one manifold piece with the topology of a disk.
     """
-    _check_manifold(triangles, name)
-    oriented, pieces = igl.bfs_orient(triangles)
-    if pieces.max() > 0:
-        raise InputError(
-            f"{name}: the surface falls into {pieces.max() + 1} pieces; "
-            "keep the one that is the endocardium"
-        )
-    _check_disk(oriented, name)
-    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
-        oriented = oriented[:, ::-1]
-    return np.ascontiguousarray(oriented, dtype=np.int64)
-
-
-def _check_manifold(triangles: Integers, name: str) -> None:
     edges, count = unique_edges(triangles)
     bad = np.flatnonzero(count > 2)
     if bad.size:
@@ -89,17 +71,26 @@ def _check_manifold(triangles: Integers, name: str) -> None:
             f"{name}: {bad.size} non-manifold edges (first: {a}-{b}, shared by "
             f"{count[bad[0]]} triangles); repair or remesh the surface"
         )
+    oriented, pieces = igl.bfs_orient(triangles)
+    if pieces.max() > 0:
+        raise InputError(
+            f"{name}: the surface falls into {pieces.max() + 1} pieces; "
+            "keep the one that is the endocardium"
+        )
+    _check_disk(oriented, len(edges), name)
+    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
+        oriented = oriented[:, ::-1]
+    return np.ascontiguousarray(oriented, dtype=np.int64)
 
 
-def _check_disk(triangles: Integers, name: str) -> None:
+def _check_disk(triangles: Integers, edges: int, name: str) -> None:
     loops = boundary_loops(triangles)
     if len(loops) != 1:
         found = "no boundary loop (it is closed)" if not loops else f"{len(loops)} boundary loops"
         raise InputError(
             f"{name}: the surface has {found}; it must be open at the base, with exactly one"
         )
-    edges, _ = unique_edges(triangles)
-    euler = np.unique(triangles).size - len(edges) + len(triangles)
+    euler = np.unique(triangles).size - edges + len(triangles)
     boundary = loops[0]
     if euler != 1 or np.unique(boundary).size != boundary.size:
         raise InputError(

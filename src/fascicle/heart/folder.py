@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, check_folder, check_nothing_lost, user_cache
@@ -18,13 +21,13 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.assembly import REGION, SHEET, VALVE, assemble_heart
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart
-from fascicle.heart.manifest import MANIFEST, LeadFieldKeys, manifest_text, read_manifest
-from fascicle.heart.torso import LeadFields
-from fascicle.heart.torso_files import read_torso, write_torso
+from fascicle.heart.torso import LeadFields, read_torso, write_torso
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid, write_surface
 
+MANIFEST = "heart.toml"
+FORMAT = "fascicle heart 1"
 MESH, ELECTRODE_FILE, TORSO = "mesh.vtu", "electrodes.csv", "torso.vtu"
 PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
 LABELS_PICTURE = "labels.png"  # of labels that were found from the shape
@@ -34,6 +37,42 @@ OWN_FILES = (
 )  # fmt: skip
 DEFAULT_HEART = "default"
 LEAD_FIELD = "lead_field_"  # point arrays, one an electrode
+
+
+class _Strict(BaseModel):
+    """Unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Seeds(_Strict):
+    """Where one bundle starts and heads for: vertices of its endocardium."""
+
+    root: int
+    direction: int
+
+
+class LeadFieldKeys(_Strict):
+    """What the lead fields in the mesh were computed from; see `fascicle.torso.lead_fields`."""
+
+    heart: str
+    torso: str
+
+
+class Manifest(_Strict):
+    """Contents of `heart.toml`; file names are relative to the folder."""
+
+    format: Literal["fascicle heart 1"]
+    name: str
+    units: Literal["mm"]
+    mesh: str
+    lv_endocardium: str
+    rv_endocardium: str
+    electrodes: str
+    torso: str | None = None
+    lead_fields: LeadFieldKeys | None = None
+    lv: Seeds
+    rv: Seeds
 
 
 def load_heart(path: Path | str) -> Heart:
@@ -57,7 +96,7 @@ def load_heart(path: Path | str) -> Heart:
             folder.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=folder)
     folder = Path(path)
-    manifest = read_manifest(folder)
+    manifest = _read_manifest(folder)
     surfaces = {"lv": manifest.lv_endocardium, "rv": manifest.rv_endocardium}
     seeds = {"lv": manifest.lv, "rv": manifest.rv}
     mesh = read_mesh(folder / manifest.mesh, "mesh")
@@ -72,9 +111,31 @@ def load_heart(path: Path | str) -> Heart:
         electrodes=folder / manifest.electrodes,
         name=manifest.name,
     )
-    torso = read_torso(folder / manifest.torso, heart) if manifest.torso is not None else None
+    torso = None
+    if manifest.torso is not None:
+        torso = read_torso(folder / manifest.torso, heart.vertices)
     lead_fields = _lead_fields(mesh, manifest.lead_fields)
     return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields)
+
+
+def _read_manifest(folder: Path) -> Manifest:
+    path = folder / MANIFEST
+    if not folder.exists():
+        raise InputError(f"{folder}: no such heart folder; make one with 'fascicle heart build'")
+    if not path.is_file():
+        raise InputError(
+            f"{folder}: not a heart folder (no {MANIFEST}); make one with 'fascicle heart build'"
+        )
+    try:
+        return Manifest.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(
+            f"{path}: '{key}': {first['msg']}; correct it or import the heart again"
+        ) from None
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
+        raise InputError(f"{path}: not valid TOML ({error}); import the heart again") from None
 
 
 def _lead_fields(mesh: MeshFile, keys: LeadFieldKeys | None) -> LeadFields | None:
@@ -129,24 +190,8 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
     check_heart_folder(folder)
-    cells: dict[str, NDArray[Any]] = {"fibre": heart.fibres}
-    if heart.regions is not None:
-        cells[REGION] = heart.regions
-    if heart.sheets is not None:
-        cells[SHEET] = heart.sheets
-    points: dict[str, NDArray[Any]] = {}
-    if heart.lead_fields is not None:
-        for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
-            points[f"{LEAD_FIELD}{electrode}"] = values
     with atomic_folder(folder, disposable=OWN_FILES) as temporary:
-        write_grid(
-            temporary / MESH,
-            heart.vertices,
-            heart.tetrahedra,
-            TETRAHEDRON,
-            point_data=points,
-            cell_data=cells,
-        )
+        write_mesh(heart, temporary / MESH)
         files = {"mesh": MESH}
         for endocardium in heart.endocardia:
             file = files[f"{endocardium.side}_endocardium"] = f"{endocardium.side}_endocardium.vtp"
@@ -159,4 +204,42 @@ def write_heart(heart: Heart, folder: Path) -> None:
         if heart.torso is not None:
             files["torso"] = TORSO
             write_torso(temporary / TORSO, heart.torso)
-        (temporary / MANIFEST).write_text(manifest_text(heart, files), encoding="utf-8")
+        (temporary / MANIFEST).write_text(_manifest_text(heart, files), encoding="utf-8")
+
+
+def _manifest_text(heart: Heart, files: dict[str, str]) -> str:
+    """Text of the manifest of a heart whose parts are in these files."""
+    lines = [f'format = "{FORMAT}"', f"name = {_toml_string(heart.name)}", 'units = "mm"']
+    lines += [f'{part} = "{file}"' for part, file in files.items()]
+    if heart.lead_fields is not None:
+        keys = f'heart = "{heart.lead_fields.key}", torso = "{heart.lead_fields.torso}"'
+        lines.append(f"lead_fields = {{ {keys} }}")
+    for endocardium in heart.endocardia:
+        lines += [
+            "",
+            f"[{endocardium.side}]  # points of the endocardium",
+            f"root = {endocardium.root}",
+            f"direction = {endocardium.direction}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _toml_string(text: str) -> str:
+    """TOML string of a name; what cannot be UTF-8 (odd bytes in a path) becomes '?'."""
+    readable = text.encode("utf-8", "replace").decode("utf-8")
+    return json.dumps(readable, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def write_mesh(heart: Heart, path: Path) -> None:
+    """Write the tetrahedra and every array of a heart as one VTU file (mm)."""
+    points: dict[str, NDArray[Any]] = {}
+    if heart.lead_fields is not None:
+        for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
+            points[f"{LEAD_FIELD}{electrode}"] = values
+    write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart))
+
+
+def cell_arrays(heart: Heart) -> dict[str, NDArray[Any]]:
+    """Fibres, regions and sheets of the tetrahedra, by the names of their arrays in files."""
+    arrays = {"fibre": heart.fibres, REGION: heart.regions, SHEET: heart.sheets}
+    return {name: values for name, values in arrays.items() if values is not None}

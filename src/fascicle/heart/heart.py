@@ -26,10 +26,8 @@ class Heart:
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    tetrahedra : (m, 4) array
-        Vertex indices, positively oriented.
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        Positions (mm) and vertex indices, positively oriented.
     fibres : (m, 3) array
         Unit fibre direction of each tetrahedron.
     lv, rv : Endocardium
@@ -77,7 +75,7 @@ class Heart:
 
     @cached_property
     def boundary(self) -> tuple[Integers, Integers]:
-        """Boundary triangles (b, 3) and the tetrahedron each belongs to (b,)."""
+        """Boundary triangles (b, 3), counter-clockwise seen from outside, and their tetrahedra."""
         return boundary_triangles(self.tetrahedra)
 
     @cached_property
@@ -115,8 +113,3 @@ def digest_of(*arrays: NDArray[np.generic]) -> str:
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
-
-
-def outward_triangles(heart: Heart) -> Integers:
-    """Boundary triangles (b, 3), counter-clockwise seen from outside the tissue."""
-    return heart.boundary[0]

@@ -59,10 +59,9 @@ class LabelledSurface(_Labelled):
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices, counter-clockwise seen from outside the tissue (normals leave the tissue).
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, counter-clockwise seen from outside the tissue
+        (normals leave the tissue).
     labels : (m,) array
         A `Label` for each triangle.
     name : str
@@ -81,18 +80,12 @@ class LabelledMesh(_Labelled):
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
+    vertices, triangles, labels, name
+        The boundary, as in `LabelledSurface`; vertices (mm) are those of the tetrahedra.
     tetrahedra : (m, 4) array
         Vertex indices, positively oriented.
-    triangles : (b, 3) array
-        The boundary, as vertex indices, counter-clockwise seen from outside the tissue.
-    labels : (b,) array
-        A `Label` for each triangle.
     regions : (m,) array, optional
         A label for each tetrahedron (scar, for one); `None` where there are none.
-    name : str
-        What to call it in messages; usually the file.
     """
 
     vertices: Floats

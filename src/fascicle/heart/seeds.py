@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.heart.endocardium import long_axis
+from fascicle.heart.endocardium import Endocardium, long_axis
 from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import boundary_loops
 
@@ -60,40 +62,39 @@ def septal_seeds(
     return root, direction
 
 
-def choose_seeds(
-    name: str,
-    given: tuple[ChosenSeed, ChosenSeed],
-    surface: tuple[Floats, Integers, Booleans | None],
-    opposite: Floats,
-) -> tuple[int, int]:
-    """Root and direction as the user chose them, or as the anatomy suggests.
+def seeded_endocardia(
+    surfaces: Mapping[str, tuple[str, Floats, Integers, Booleans | None]],
+    chosen: Mapping[str, tuple[ChosenSeed, ChosenSeed]],
+) -> tuple[Endocardium, Endocardium]:
+    """LV and RV endocardium with root and direction as chosen, or as the anatomy suggests.
 
     Parameters
     ----------
-    name : str
-        What to call the endocardium in an error.
-    given : (root, direction)
+    surfaces : mapping of side to (name, vertices, triangles, valves)
+        What to call each in an error, and the surfaces as in `septal_seeds`.
+    chosen : mapping of side to (root, direction)
         Each the number of a vertex, a position (mm), or None to have it found.
-    surface : (vertices, triangles, valves)
-        This endocardium; see `septal_seeds`.
-    opposite : (k, 3) array
-        Vertices of the other ventricle's endocardium (mm).
 
     Raises
     ------
     InputError
         If a seed is not on the endocardium, or both are one.
     """
-    found = septal_seeds(surface[0], surface[1], opposite, surface[2])
-    root, direction = (
-        _chosen(f"{name} {what}", seed, surface[0]) if seed is not None else default
-        for what, seed, default in zip(("root", "direction"), given, found, strict=True)
-    )
-    if root == direction:
-        raise InputError(
-            f"{name} root and direction are the same point ({root}); give two different ones"
+    seeded = []
+    for side, other in (("lv", "rv"), ("rv", "lv")):
+        name, vertices, triangles, valves = surfaces[side]
+        found = septal_seeds(vertices, triangles, surfaces[other][1], valves)
+        root, direction = (
+            _chosen(f"{name}: {side.upper()} {what}", seed, vertices) if seed is not None else own
+            for what, seed, own in zip(("root", "direction"), chosen[side], found, strict=True)
         )
-    return root, direction
+        if root == direction:
+            raise InputError(
+                f"{name}: {side.upper()} root and direction are the same point ({root}); give two "
+                "different ones"
+            )
+        seeded.append(Endocardium(side, vertices, triangles, root, direction, valves))
+    return seeded[0], seeded[1]
 
 
 def _chosen(name: str, seed: int | tuple[float, float, float], vertices: Floats) -> int:

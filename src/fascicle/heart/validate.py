@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
@@ -12,7 +11,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes
-from fascicle.mesh.topology import TETRAHEDRON_FACES
+from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
 
 # The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a dog's heart
 # and for a dilated one.
@@ -24,12 +23,7 @@ FURTHEST_ENDOCARDIUM = 5.0  # mm, median distance of an endocardium to the tissu
 FURTHEST_ELECTRODE = 1500.0  # mm
 
 
-def check_units(name: str, points: Floats) -> None:
-    """Refuse a heart whose size says that it is not in mm."""
-    check_extent(name, points, HEART_EXTENT)
-
-
-def check_extent(name: str, points: Floats, limits: tuple[float, float]) -> None:
+def check_units(name: str, points: Floats, limits: tuple[float, float] = HEART_EXTENT) -> None:
     """Refuse an anatomy whose size says that it is not in mm.
 
     Parameters
@@ -38,8 +32,8 @@ def check_extent(name: str, points: Floats, limits: tuple[float, float]) -> None
         What to call it in an error.
     points : (n, 3) array
         Its points.
-    limits : (low, high)
-        The largest extent that such an anatomy has (mm).
+    limits : (low, high), optional
+        The largest extent that such an anatomy has (mm); that of hearts if not given.
 
     Raises
     ------
@@ -89,15 +83,13 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
                 f"(first: {bad[0]}); {remedy}"
             )
     _check_no_overlap(name, tetrahedra)
-    rows = np.repeat(tetrahedra[:, 0], 3)
-    columns = tetrahedra[:, 1:].ravel()
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(vertices),) * 2)
-    pieces, label = connected_components(graph, directed=False)
-    if pieces > 1:
-        largest = np.bincount(label).max()
+    linked = tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2)
+    sizes = np.bincount(components_of(linked, len(vertices)))
+    if len(sizes) > 1:
         raise InputError(
-            f"{name}: the tissue falls into {pieces} unconnected pieces ({len(vertices) - largest} "
-            "vertices outside the largest); keep one piece or join them"
+            f"{name}: the tissue falls into {len(sizes)} unconnected pieces "
+            f"({len(vertices) - sizes.max()} vertices outside the largest); keep one piece or join "
+            "them"
         )
 
 
@@ -166,8 +158,6 @@ def check_electrodes(name: str, electrodes: Floats, heart: Heart) -> None:
     heart : Heart
         The tissue.
     """
-    import igl
-
     tree = igl.AABB()
     tree.init(heart.vertices, heart.tetrahedra)
     inside = np.asarray(igl.in_element(heart.vertices, heart.tetrahedra, electrodes, tree))

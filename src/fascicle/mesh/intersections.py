@@ -26,10 +26,8 @@ def self_intersections(
 
     Parameters
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices.
     surface : (m,) array, optional
         Number of the surface that each triangle belongs to; only pairs of two different surfaces
         are then looked for.

@@ -85,3 +85,13 @@ def barycentric_gradients(vertices: Floats, corners: NDArray[np.integer]) -> Flo
     edges = vertices[corners[:, 1:]] - vertices[corners[:, :1]]
     inner = np.swapaxes(np.linalg.inv(edges), 1, 2)
     return np.ascontiguousarray(np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1))
+
+
+def best_plane(points: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Centre (3,) of points (n, 3) with weights (n,), and the axes (3, 3) of their best plane.
+
+    The axes are rows, the normal last.
+    """
+    centre = weights @ points / weights.sum()
+    spread = np.sqrt(weights)[:, np.newaxis] * (points - centre)
+    return centre, np.linalg.svd(spread, full_matrices=False)[2]

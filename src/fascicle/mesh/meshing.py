@@ -1,4 +1,4 @@
-"""Triangles by Mmg and tetrahedra by Netgen: arrays in, arrays out, nothing printed."""
+"""Triangles by Mmg and VTK and tetrahedra by Netgen: arrays in, arrays out, nothing printed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_volume, signed_volumes
+from fascicle.mesh.topology import unique_edges
 
 NOTHING = 0  # Netgen's number for what stays empty
 VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
@@ -27,10 +28,8 @@ class Interface(NamedTuple):
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices, counter-clockwise seen from outside.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, counter-clockwise seen from outside.
     inner, outer : int
         Numbers of the domains inside and outside, 1 and up without gaps, or `NOTHING`.
     """
@@ -47,27 +46,9 @@ class Interface(NamedTuple):
         return volume * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
 
 
-class DomainMesh(NamedTuple):
-    """Tetrahedra of one or more domains.
-
-    Attributes
-    ----------
-    vertices : (n, 3) array
-        Positions (mm); those of the interfaces come first, in their order.
-    tetrahedra : (m, 4) array
-        Vertex indices, positively oriented.
-    domains : (m,) array
-        The domain that each lies in.
-    """
-
-    vertices: Floats
-    tetrahedra: Integers
-    domains: Integers
-
-
 def tetrahedralise(
     interfaces: Sequence[Interface], what: str, remedy: str, **parameters: float
-) -> DomainMesh:
+) -> tuple[Floats, Integers, Integers]:
     """Fill the domains between closed surfaces by Netgen, which changes none of these.
 
     Parameters
@@ -78,6 +59,13 @@ def tetrahedralise(
         For an error: the name of the space between them, and what to do.
     **parameters
         Netgen's: ``maxh``, the longest edge (mm), and others.
+
+    Returns
+    -------
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        Positions (mm), those of the interfaces first, and indices, positively oriented.
+    domains : (m,) array
+        The domain that each tetrahedron lies in.
 
     Raises
     ------
@@ -118,7 +106,7 @@ def tetrahedralise(
         raise InputError(
             f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
         )
-    return DomainMesh(vertices, tetrahedra, elements["index"].astype(np.int64))
+    return vertices, tetrahedra, elements["index"].astype(np.int64)
 
 
 @contextmanager
@@ -171,6 +159,44 @@ def remeshed_triangles(
         np.array(new, dtype=np.int64),
         np.array(new_labels, dtype=np.int64),
     )
+
+
+def constrained_delaunay(places: Floats, loops: Sequence[Integers]) -> tuple[Integers, Integers]:
+    """Triangulate what lies between closed lines, whose sides are kept, by VTK.
+
+    Parameters
+    ----------
+    places : (n, 2) array
+        Points in the plane.
+    loops : sequence of (k,) arrays
+        The points along each line, the outermost line first.
+
+    Returns
+    -------
+    triangles : (m, 3) array
+        Indices of the points.
+    missing : (s,) array
+        First points of the sides that are no edge of the boundary. Unless it is empty, lines cross
+        or touch, and the triangles are of no use.
+    """
+    import pyvista as pv
+
+    points = np.column_stack([places, np.zeros(len(places))])
+    faces: list[int] = []
+    for k, loop in enumerate(loops):
+        x, y = places[loop].T
+        counter_clockwise = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) > 0
+        # VTK fills what lies to the left of a line
+        faces += [len(loop), *(loop if counter_clockwise == (k == 0) else loop[::-1])]
+    with pv.vtk_verbosity("off"):
+        mesh = pv.PolyData(points).delaunay_2d(edge_source=pv.PolyData(points, faces=faces))
+    triangles = np.asarray(mesh.regular_faces, dtype=np.int64)
+    edges, shared = unique_edges(triangles)
+    boundary = set(map(tuple, edges[shared == 1].tolist()))
+    starts = np.concatenate(loops)
+    sides = np.column_stack([starts, np.concatenate([np.roll(loop, -1) for loop in loops])])
+    kept = np.array([tuple(side) in boundary for side in np.sort(sides, axis=1).tolist()])
+    return triangles, starts if len(boundary) > len(sides) else starts[~kept]
 
 
 def as_int32(array: Integers) -> NDArray[np.int32]:

@@ -65,10 +65,8 @@ def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
 
     Parameters
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    tetrahedra : (m, 4) array
-        Vertex indices, positively oriented.
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        Positions (mm) and vertex indices, positively oriented.
     """
     import pyvista as pv
 

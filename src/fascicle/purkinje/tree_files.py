@@ -1,4 +1,20 @@
-"""Purkinje trees as lines in VTU or VTP files, or in openCARP's."""
+"""Purkinje trees as lines in VTU or VTP files, or in openCARP's.
+
+In openCARP's files a tree is a mesh of line elements: openCARP has no format of its own for trees,
+and the `.pkje` files of its predecessor CARP allow a cable at most two children and hold no
+lengths, so they cannot carry ours. The convention:
+
+``<stem>.pts``, ``<stem>.elem``
+    Nodes (µm), in the tree's order, and ``Ln parent child tag`` for every segment, in the order of
+    the nodes that they end in. Tag 0 is the bundle, k fascicle k, and the next number the branches.
+``<stem>.lon``
+    The direction of every segment.
+``<stem>_length.dat``
+    The length of every segment along the endocardium (µm), which is what the speed refers to; the
+    straight line between its nodes is a little shorter.
+``<stem>_root.vtx``, ``<stem>_junctions.vtx``
+    The node where the bundle starts, to be stimulated, and the Purkinje-myocardium junctions.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +29,8 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, write_text
+from fascicle.mesh.formats import opencarp
 from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
-from fascicle.mesh.formats.opencarp import (
-    COORDINATE,
-    MICROMETRES,
-    opencarp_file,
-    read_lengths,
-    read_opencarp_mesh,
-    rows,
-    write_directions,
-    write_opencarp_mesh,
-    write_vtx,
-)
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import unit
@@ -67,13 +73,15 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
     tags = np.full(len(tree.nodes), len(tree.parts))
     for number, part in enumerate(tree.parts.values()):
         tags[part] = number
-    write_opencarp_mesh(stem, tree.nodes, "Ln", np.column_stack([parent, child]), tags[child])
+    opencarp.write_opencarp_mesh(
+        stem, tree.nodes, "Ln", np.column_stack([parent, child]), tags[child]
+    )
     along = tree.nodes[child] - tree.nodes[parent]
-    write_directions(opencarp_file(stem, ".lon"), [unit(along)])
-    lengths = rows(COORDINATE, tree.lengths[child] * MICROMETRES)
-    write_text(opencarp_file(stem, "_length.dat"), lengths)
-    write_vtx(opencarp_file(stem, "_root.vtx"), np.array([tree.root]))
-    write_vtx(opencarp_file(stem, "_junctions.vtx"), tree.junctions)
+    opencarp.write_directions(opencarp.opencarp_file(stem, ".lon"), [unit(along)])
+    lengths = opencarp.rows(opencarp.COORDINATE, tree.lengths[child] * opencarp.MICROMETRES)
+    write_text(opencarp.opencarp_file(stem, "_length.dat"), lengths)
+    opencarp.write_vtx(opencarp.opencarp_file(stem, "_root.vtx"), np.array([tree.root]))
+    opencarp.write_vtx(opencarp.opencarp_file(stem, "_junctions.vtx"), tree.junctions)
 
 
 def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
@@ -86,7 +94,7 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     ----------
     path : path
         VTU, VTP or VTK file of lines or polylines (mm), or openCARP's `.pts` or `.elem` by the
-        convention of `fascicle.build.opencarp`.
+        convention of this module's docstring.
     side : str
         ``"lv"`` or ``"rv"``.
     near : (3,) array
@@ -134,11 +142,11 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
 
 def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
     """Read the lines of a tree, with the cell array ``length`` (mm) if its file is there."""
-    mesh = read_opencarp_mesh(path, purpose)
-    file = opencarp_file(path, "_length.dat")
+    mesh = opencarp.read_opencarp_mesh(path, purpose)
+    file = opencarp.opencarp_file(path, "_length.dat")
     if not file.exists():
         return mesh
-    lines, lengths = mesh.require(LINE, "lines"), read_lengths(file)
+    lines, lengths = mesh.require(LINE, "lines"), opencarp.read_lengths(file)
     if len(lengths) != len(lines):
         raise InputError(
             f"{file}: {len(lengths)} lengths for {len(lines)} lines; export or copy it again"

@@ -25,9 +25,7 @@ def new_figure(width: float, height: float, *, constrained: bool = True) -> Figu
         Whether Matplotlib's constrained layout places the axes.
     """
     figure = Figure(
-        figsize=(width, height),
-        layout="constrained" if constrained else None,
-        facecolor="white",
+        figsize=(width, height), layout="constrained" if constrained else None, facecolor="white"
     )
     FigureCanvasAgg(figure)
     return figure

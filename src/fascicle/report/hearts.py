@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.heart import Heart, outward_triangles
+from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.report import style
 from fascicle.report.figures import new_figure
@@ -152,7 +152,7 @@ def _draw_surface(
     axes: Axes, view: View, heart: Heart, activation: Floats, norm: BoundaryNorm
 ) -> None:
     """Painter's algorithm on the triangles that face the eye, each cut along the isochrones."""
-    triangles = outward_triangles(heart)
+    triangles = heart.boundary[0]
     order = back_to_front(view, heart.vertices, triangles)
     corners = triangles[order]
     levels = np.asarray(norm.boundaries, dtype=float)

@@ -77,11 +77,7 @@ class Population:
 
 
 def write_population(
-    path: Path,
-    population: Population,
-    space: ParameterSpace,
-    target: Target,
-    predicted: Floats,
+    path: Path, population: Population, space: ParameterSpace, target: Target, predicted: Floats
 ) -> None:
     """Write a population as ArviZ InferenceData, whole or not at all.
 

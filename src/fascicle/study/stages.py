@@ -18,7 +18,7 @@ from fascicle.inference.abc.rejection import Sampling, sample
 from fascicle.inference.evaluation import best_of
 from fascicle.inference.optimisation import step as bayesian
 from fascicle.inference.optimisation.refine import refine
-from fascicle.inference.surrogate.observations import Observations
+from fascicle.inference.surrogate.surrogates import Observations
 from fascicle.study.evaluations import Journal, Record, Stage
 from fascicle.study.population import Population
 from fascicle.study.settings import FitSettings

@@ -9,7 +9,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.heart.validate import check_extent
+from fascicle.heart.validate import check_units
 from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.topology import directed_edges, unique_edges
 from fascicle.torso.surfaces import Surface, signed_distance
@@ -42,7 +42,7 @@ def check_within(
     """
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
-        check_extent(name, surface.vertices, TORSO_EXTENT if surface is skin else LUNG_EXTENT)
+        check_units(name, surface.vertices, TORSO_EXTENT if surface is skin else LUNG_EXTENT)
         check_closed(name, surface)
         where = crossing(surface, surface)
         if where is not None:

@@ -28,10 +28,7 @@ ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
 
 # Body axes in the patient axes of images: columns are x, y and z. NIfTI's RAS+ counts to the right,
 # to the front and up, DICOM's LPS+ to the left, to the back and up.
-_PATIENT_AXES: dict[Pose, Floats] = {
-    "ras": np.diag([-1.0, -1.0, 1.0]),
-    "lps": np.eye(3),
-}
+_PATIENT_AXES: dict[Pose, Floats] = {"ras": np.diag([-1.0, -1.0, 1.0]), "lps": np.eye(3)}
 
 
 @dataclass(frozen=True)

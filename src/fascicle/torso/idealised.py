@@ -165,10 +165,10 @@ def trunk(body: BodySize) -> Surface:
 
     def outside(points: Floats) -> Floats:
         ends = np.maximum(lower - points[:, 2], points[:, 2] - upper)
-        return smooth_max(_beyond_sections(body, SECTIONS, points), ends, ROUNDING)
+        return _smooth_max(_beyond_sections(body, SECTIONS, points), ends, ROUNDING)
 
     box = np.array([[-widest, -widest, lower], [widest, widest, upper]])
-    return remeshed(level_set(outside, box, SKIN_GRID), SKIN_EDGE)
+    return remeshed(_level_set(outside, box, SKIN_GRID), SKIN_EDGE)
 
 
 def _beyond_sections(body: BodySize, sections: Floats, points: Floats) -> Floats:
@@ -182,31 +182,16 @@ def _beyond_sections(body: BodySize, sections: Floats, points: Floats) -> Floats
     return np.asarray((relative - 1) * np.clip(reach, half.min(axis=1), half.max(axis=1)))
 
 
-def smooth_max(a: Floats, b: Floats, width: float) -> Floats:
-    """The larger of two distances, rounded off where they are nearly equal.
-
-    Parameters
-    ----------
-    a, b : (n,) arrays
-        The distances (mm).
-    width : float
-        Difference below which the result is rounded off (mm).
-    """
+def _smooth_max(a: Floats, b: Floats, width: float) -> Floats:
+    """The larger of two distances (n,), rounded off where they differ by less than a width (mm)."""
     overlap = np.maximum(width - np.abs(a - b), 0) / width
     return np.asarray(np.maximum(a, b) + overlap**2 * width / 4)
 
 
-def level_set(outside: Callable[[Floats], Floats], box: Floats, spacing: float) -> Surface:
-    """Surface on which a function vanishes, by marching cubes on a grid.
+def _level_set(outside: Callable[[Floats], Floats], box: Floats, spacing: float) -> Surface:
+    """Surface on which a function of points (n, 3), negative inside, vanishes: marching cubes.
 
-    Parameters
-    ----------
-    outside : callable
-        The function: points (n, 3) to values (n,), negative inside.
-    box : (2, 3) array
-        Opposite corners of a box around the surface (mm).
-    spacing : float
-        Of the grid (mm).
+    The box (2, 3), two opposite corners, holds the surface; the grid has this spacing (mm).
     """
     axes = [
         np.arange(low - GRID_MARGIN * spacing, high + (GRID_MARGIN + 1) * spacing, spacing)
@@ -277,16 +262,16 @@ def _lung(body: BodySize, clear: Surface, side: int) -> Surface | None:
         middle = half_width * (front + (back - front) / widening)
         radius = np.hypot((x / half_width - DOME_MIDDLE) / DOME_REACH[0], y / DOME_REACH[1])
         dome = body.level(DOMES[side]) - height * (DOME_DROP * radius**2 + DOME_TILT * y)
-        beyond = smooth_max(ribs, middle - x, BLEND)
-        beyond = smooth_max(beyond, dome - z, BLEND)
-        beyond = smooth_max(beyond, z - body.level(LUNG_TOP), BLEND)
+        beyond = _smooth_max(ribs, middle - x, BLEND)
+        beyond = _smooth_max(beyond, dome - z, BLEND)
+        beyond = _smooth_max(beyond, z - body.level(LUNG_TOP), BLEND)
         inside = beyond < 2 * LUNG_GRID  # elsewhere the heart makes no difference
         heart = CLEARANCE - signed_distance(points[inside], clear)
-        beyond[inside] = smooth_max(beyond[inside], heart, BLEND)
+        beyond[inside] = _smooth_max(beyond[inside], heart, BLEND)
         return beyond
 
     reach = np.array([half_width, half_depth])
     lower, upper = body.level(CAGE[0, 0]), body.level(LUNG_TOP)
     box = np.stack([np.append(-reach, lower), np.append(reach, upper)])
-    surface = level_set(outside, box, LUNG_GRID)
+    surface = _level_set(outside, box, LUNG_GRID)
     return remeshed(surface, LUNG_EDGE) if len(surface.triangles) else None

@@ -27,8 +27,8 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso, TorsoTissue
+from fascicle.heart.heart import Heart, digest_of
+from fascicle.heart.torso import LeadFields, Torso, TorsoTissue
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
 
@@ -36,6 +36,10 @@ MM_PER_CM = 10.0
 # Residual relative to the current; ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
 TOLERANCE = 1e-9
 MOST_ITERATIONS = 500  # good meshes of 300,000 vertices take 30
+CONDUCTIVITIES = (
+    "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
+    "body", "lung", "blood",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,71 @@ class Contacts:
         inflow = np.zeros((len(self.triangles), vertices))
         np.add.at(inflow, (np.arange(len(inflow))[:, None], self.triangles), self.weights)
         return np.asarray(inflow - inflow.mean(axis=0))
+
+
+def resolve_lead_fields(
+    heart: Heart, conduction: Conduction, progress: StageProgress = no_progress
+) -> LeadFields | None:
+    """Lead fields of a heart: its own where they are up to date, else those of its torso.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    conduction : Conduction
+        Conductivities of all tissues.
+    progress : callable, optional
+        Called with how many of how many electrodes are done.
+
+    Returns
+    -------
+    LeadFields or None
+        None where the volume conductor is unbounded.
+
+    Raises
+    ------
+    InputError
+        If the lead fields are not those of this heart, and there is no torso to compute others in.
+    """
+    torso = heart.torso
+    if is_up_to_date(heart, conduction) or (torso is None and heart.lead_fields is None):
+        return heart.lead_fields
+    if torso is None:
+        raise InputError(
+            f"{heart.name}: its lead fields are for other electrodes, fibres or conductivities, "
+            "and there is no torso to compute new ones in; build the heart again with a torso"
+        )
+    values = lead_fields(heart, torso, conduction, progress)
+    return LeadFields(values, key_of(heart, conduction), torso_key(torso))
+
+
+def is_up_to_date(heart: Heart, conduction: Conduction) -> bool:
+    """Whether a heart's own lead fields are those of its electrodes, fibres, torso and tissues."""
+    found = heart.lead_fields
+    return (
+        found is not None
+        and found.key == key_of(heart, conduction)
+        and (heart.torso is None or found.torso == torso_key(heart.torso))
+    )
+
+
+def torso_key(torso: Torso | None) -> str:
+    """SHA-256 of a torso; empty for a heart that carries its lead fields without one."""
+    return "" if torso is None else digest_of(torso.vertices, torso.tetrahedra, torso.tissues)
+
+
+def key_of(heart: Heart, conduction: Conduction) -> str:
+    """SHA-256 of what the lead fields depend on within a torso: heart, electrodes, conductivities.
+
+    The torso itself is left out, so that a heart can carry its lead fields without it.
+    """
+    return digest_of(
+        heart.vertices,
+        heart.tetrahedra,
+        heart.fibres,
+        heart.electrodes,
+        np.array([getattr(conduction, name) for name in CONDUCTIVITIES]),
+    )
 
 
 def lead_fields(

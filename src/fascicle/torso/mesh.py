@@ -13,7 +13,7 @@ from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.measures import signed_volumes
-from fascicle.mesh.meshing import NOTHING, DomainMesh, Interface, tetrahedralise
+from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices
 from fascicle.torso.surfaces import Surface
 
@@ -101,11 +101,11 @@ def _in_box(points: Floats, corners: Floats) -> Booleans:
 
 def _fill(
     mesh: LabelledMesh, used: Integers, skin: Surface, lungs: Sequence[Surface]
-) -> DomainMesh:
+) -> tuple[Floats, Integers, Integers]:
     """Fill the domains; the vertices begin with those of the heart's surface, the `used` ones."""
     compact = np.empty(len(mesh.vertices), dtype=np.int64)
     compact[used] = np.arange(len(used))
-    filled = tetrahedralise(
+    vertices, tetrahedra, domains = tetrahedralise(
         [
             Interface(mesh.vertices[used], compact[mesh.triangles], NOTHING, BODY),
             Interface(*skin, BODY, NOTHING),
@@ -120,7 +120,7 @@ def _fill(
         grading=GRADING,
         optsteps3d=OPTIMISATION_STEPS,
     )
-    flat = np.count_nonzero(signed_volumes(filled.vertices, filled.tetrahedra) <= 0)
+    flat = np.count_nonzero(signed_volumes(vertices, tetrahedra) <= 0)
     if flat:
         raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {REMEDY}")
-    return filled
+    return vertices, tetrahedra, domains

@@ -10,17 +10,12 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.heart.validate import check_extent
+from fascicle.heart.validate import check_units
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import turned_outwards
 from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
-from fascicle.torso.enclosure import (
-    LUNG_EXTENT,
-    TORSO_EXTENT,
-    check_closed,
-    check_within,
-)
+from fascicle.torso.enclosure import LUNG_EXTENT, TORSO_EXTENT, check_closed, check_within
 from fascicle.torso.idealised import LUNG_EDGE, SKIN_EDGE
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, remeshed
 
@@ -59,7 +54,7 @@ def read_torso_surfaces(
 
 def _closed_surface(path: Path, purpose: str, extent: tuple[float, float], edge: float) -> Surface:
     surface = _outer_surface(read_mesh(path, purpose), str(path))
-    check_extent(str(path), surface.vertices, extent)
+    check_units(str(path), surface.vertices, extent)
     check_closed(str(path), surface)
     if len(surface.triangles) > MOST_TRIANGLES:
         surface = remeshed(surface, edge)

@@ -21,10 +21,8 @@ class Surface(NamedTuple):
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices; of a closed surface, counter-clockwise seen from outside.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices; of a closed surface, counter-clockwise seen from outside.
     """
 
     vertices: Floats

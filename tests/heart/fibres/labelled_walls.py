@@ -149,10 +149,7 @@ def labelled_heart(heart: Heart, base: NDArray[np.bool_]) -> LabelledMesh:
     """A heart whose endocardia are parts of its mesh's boundary, and given what is base."""
     triangles, _ = heart.boundary
     labels = np.full(len(triangles), Label.EPICARDIUM, dtype=np.int64)
-    for label, endocardium in (
-        (Label.LV_ENDOCARDIUM, heart.lv),
-        (Label.RV_ENDOCARDIUM, heart.rv),
-    ):
+    for label, endocardium in ((Label.LV_ENDOCARDIUM, heart.lv), (Label.RV_ENDOCARDIUM, heart.rv)):
         distance, _ = cKDTree(endocardium.vertices).query(heart.vertices[triangles])
         labels[np.all(distance < 1e-6, axis=1)] = label
     labels[base] = Label.BASE

@@ -11,12 +11,13 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.heart.fibres.laplace import quadratic_space
-from fascicle.heart.fibres.longitudinal import apex_to_base, lv_apex
 from fascicle.heart.fibres.rules import (
     FibreAngles,
     Fibres,
     Wall,
+    apex_to_base,
     by_rule,
+    lv_apex,
     rule_based_fibres,
     wall_potentials,
 )
@@ -174,8 +175,7 @@ def test_directions_are_unit_vectors_and_orthogonal(biventricular):
 
 
 @pytest.mark.parametrize(
-    ("wall", "inner", "outer"),
-    [(Wall.LV, 60, -60), (Wall.RV, 60, -60), (Wall.SEPTUM, 60, -60)],
+    ("wall", "inner", "outer"), [(Wall.LV, 60, -60), (Wall.RV, 60, -60), (Wall.SEPTUM, 60, -60)]
 )
 def test_each_wall_of_a_heart_has_the_prescribed_angles(biventricular, wall, inner, outer):
     _, fibres = biventricular

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fascicle.build.classification.ambient_occlusion import openness
-from fascicle.build.classification.base_direction import cosine_to_base
 from fascicle.build.classification.dual_graph import DualGraph
-from fascicle.build.classification.region_cleaning import clean_regions
 from fascicle.build.sides import cavity_volume, leftness
 from fascicle.build.surface_checks import check_edges, oriented_piece, place
 from fascicle.core.arrays import Floats, Integers
@@ -15,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import turned_outwards
+from fascicle.mesh.measures import turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
 # Openness (one minus ambient occlusion). At the upper edge of a cavity that of a wall is a half,
@@ -23,10 +22,14 @@ from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 IN_CAVITY, OUTSIDE = 0.6, 0.85
 # Cosine of the angle between normal and the way up out of the wall: base within 26°, none from 46°.
 FACING_UP, NOT_FACING_UP = 0.9, 0.7
+REACH = 10.0  # mm along the edge of an opening over which its direction is taken
+FARTHEST = 50.0  # mm from an opening to which the base may reach
 SMALLEST_CAVITY = 0.02  # of the whole area; smaller dents are none
+CLEANING_ROUNDS = 20
 ML = 1e3  # mm³
 
-# labels while the surface is divided; the cavities come first, the larger area first of all
+# Regions while the surface is divided: the cavities come first, the larger area first of all, and
+# the base lies between all others.
 FIRST, SECOND, OUTER, BASAL = range(4)
 
 
@@ -42,10 +45,8 @@ def classify_surface(
 
     Parameters
     ----------
-    vertices : (n, 3) array
-        Positions (mm), in any frame.
-    triangles : (m, 3) array
-        Vertex indices, in any orientation.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm), in any frame, and vertex indices, in any orientation.
     name : str
         What to call the surface in messages.
     progress : StageProgress
@@ -71,7 +72,7 @@ def classify_surface(
     graph = DualGraph(vertices, triangles)
     exposed = openness(graph, progress)
     cavity = _cavities(graph, exposed, name)
-    regions = clean_regions(graph, _divided(graph, exposed, cavity), name)
+    regions = _clean_regions(graph, _divided(graph, exposed, cavity), name)
     _check_openings(graph, regions, name)
     outer, first, second = (
         (vertices, np.ascontiguousarray(triangles[regions == region]))
@@ -107,7 +108,7 @@ def _cavities(graph: DualGraph, exposed: Floats, name: str) -> Integers:
 def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     """Divide the surface into the two cavities, the outer surface and the base between them."""
     seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, OUTER, -1))
-    upwards = cosine_to_base(graph, graph.random_walker(seeds, 3))
+    upwards = _cosine_to_base(graph, graph.random_walker(seeds, 3))
     outside = exposed > IN_CAVITY
     # the inner edge of a rounded rim faces neither up nor out: it is left to the random walker
     outer = graph.components((exposed > OUTSIDE) & (upwards < NOT_FACING_UP)) == 0
@@ -115,6 +116,90 @@ def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     seeds[outer] = OUTER
     seeds[outside & (upwards > FACING_UP)] = BASAL
     return graph.random_walker(seeds, 4)
+
+
+def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
+    """Cosine between each triangle's normal and the way up out of the wall, shape (m,).
+
+    Up is normal to the plane of the nearest opening and, since rims undulate, to the opening's
+    edge; farther than `FARTHEST` from both openings the cosine is -1.
+    """
+    sides = regions[graph.edges[0]]
+    middle = graph.vertices[graph.edges[1]].mean(axis=1)
+    edges, directions = [], []
+    for cavity in (FIRST, SECOND):
+        edge = middle[(sides == cavity).sum(axis=1) == 1]
+        inside = graph.centres[regions == cavity].mean(axis=0)
+        edges.append(edge)
+        directions.append(_upwards(edge, inside))
+    distance, nearest = cKDTree(np.vstack(edges)).query(graph.centres)
+    up = np.vstack(directions)[nearest]
+    cosine = np.einsum("ij,ij->i", graph.smooth_normals, up)
+    return np.where(distance > FARTHEST, -1.0, cosine)
+
+
+def _upwards(edge: Floats, inside: Floats) -> Floats:
+    """Unit vectors up out of the wall at the points of an opening's edge."""
+    centre = edge.mean(axis=0)
+    normal = np.linalg.svd(edge - centre, full_matrices=False)[2][2]
+    normal *= np.sign(normal @ (centre - inside))
+    tangents = []
+    for near in cKDTree(edge).query_ball_point(edge, REACH):
+        piece = edge[near] - edge[near].mean(axis=0)
+        tangents.append(np.linalg.svd(piece, full_matrices=False)[2][0])
+    along = np.array(tangents)
+    return unit(normal - (along @ normal)[:, np.newaxis] * along)
+
+
+def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
+    """Make each region one manifold piece, all apart from one another by the base."""
+    for _ in range(CLEANING_ROUNDS):
+        before = regions
+        regions = _without_non_manifold_vertices(
+            graph, _in_one_piece(graph, _separated(graph, regions))
+        )
+        if (regions == before).all():
+            return regions
+    raise InputError(
+        f"{name}: no clean borders between endocardia, epicardium and base found; remesh the "
+        "surface evenly, or give its parts one by one"
+    )
+
+
+def _separated(graph: DualGraph, regions: Integers) -> Integers:
+    """Give the base the triangles about vertices at which two other regions meet."""
+    sides = regions[graph.edges[0]]
+    meeting = (sides[:, 0] != sides[:, 1]) & (sides < BASAL).all(axis=1)
+    if not meeting.any():
+        return regions
+    touched = np.isin(graph.triangles, graph.edges[1][meeting]).any(axis=1)
+    return np.where(touched, BASAL, regions)
+
+
+def _in_one_piece(graph: DualGraph, regions: Integers) -> Integers:
+    """Keep the largest piece of each region; the rest goes to what it is surrounded by."""
+    kept = np.full(len(regions), -1)
+    for region in range(BASAL + 1):
+        kept[graph.components(regions == region) == 0] = region
+    return graph.random_walker(kept, BASAL + 1)
+
+
+def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integers:
+    """Give all triangles about a vertex at which a region touches itself to one region."""
+    sides = regions[graph.edges[0]]
+    border = graph.edges[1][sides[:, 0] != sides[:, 1]]
+    changes = np.bincount(border.ravel(), minlength=len(graph.vertices))
+    corners = graph.triangles.ravel()
+    present = np.zeros((len(graph.vertices), BASAL + 1), dtype=bool)
+    present[corners, np.repeat(regions, 3)] = True
+    # around a vertex k regions change k times (two regions twice), more where one comes back
+    kinds = present.sum(axis=1)
+    touching = (changes > kinds) & (changes > 2)
+    result = regions.copy()
+    for vertex in np.flatnonzero(touching):
+        around = np.flatnonzero((graph.triangles == vertex).any(axis=1))
+        result[around] = BASAL if present[vertex, BASAL] else regions[around[0]]
+    return result
 
 
 def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:

@@ -25,10 +25,8 @@ class DualGraph:
 
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices, counter-clockwise seen from outside the tissue.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, counter-clockwise seen from outside the tissue.
     """
 
     vertices: Floats

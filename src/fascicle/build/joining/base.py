@@ -12,8 +12,8 @@ from fascicle.build.joining.parts import SAME_POINT, OpenSurface
 from fascicle.build.surface_checks import place
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.mesh.measures import edge_lengths, mean_edge_length
-from fascicle.mesh.planar import best_plane, constrained_delaunay
+from fascicle.mesh.measures import best_plane, edge_lengths, mean_edge_length
+from fascicle.mesh.meshing import constrained_delaunay
 from fascicle.mesh.topology import unique_edges
 
 LARGEST_GAP = 2.5  # mm; farther apart, boundary loops are not the same one

@@ -10,16 +10,14 @@ from scipy.spatial import cKDTree
 
 from fascicle.build.joining.base import fitted_base, made_base, outline_of
 from fascicle.build.joining.parts import OpenSurface, clean_part
-from fascicle.build.sides import check_sides
+from fascicle.build.sides import Surface, check_sides
 from fascicle.build.surface_checks import check_edges, oriented_piece, place
-from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.measures import turned_outwards
 from fascicle.mesh.topology import fan
-
-Surface = tuple[Floats, Integers]
 
 NAMES = ("epicardium", "LV endocardium", "RV endocardium")
 LABELS = (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.BASE)

@@ -29,10 +29,8 @@ class OpenSurface:
     ----------
     what : str
         What it is, in messages.
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices, consistently oriented.
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, consistently oriented.
     """
 
     what: str

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.build.segmentation.image import Bodies
-from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.arrays import Booleans, Floats, Integers
 
 # The LV is open at the base where blood that borders on no tissue covers at least this fraction of
 # its largest cross-section; less is a hole in the label map.
@@ -88,7 +88,9 @@ def find_base_plane(bodies: Bodies) -> BasePlane:
     size = np.linalg.norm(faces.areas, axis=1)
     axis = np.linalg.eigh(np.cov((blood - centre).T))[1][:, 2]
     along = (blood - centre) @ axis
-    is_open = float(size[faces.free].sum()) > OPEN * _largest_section(bodies, along, axis)
+    counts, width = _sections(bodies, along, axis)
+    largest = float(counts.max() * abs(np.linalg.det(bodies.affine[:3, :3])) / width)
+    is_open = float(size[faces.free].sum()) > OPEN * largest
     if is_open:
         towards = float((size * ((faces.centres - centre) @ axis))[faces.free].sum())
     else:
@@ -134,11 +136,10 @@ def blood_faces(bodies: Bodies, blood: Booleans, other: Booleans) -> Faces:
     )
 
 
-def _largest_section(bodies: Bodies, along: Floats, axis: Floats) -> float:
-    """Largest cross-section of the LV blood (mm²)."""
+def _sections(bodies: Bodies, along: Floats, axis: Floats) -> tuple[Integers, float]:
+    """Voxels of blood in each slice from the lowest up, and how thick slices are (mm)."""
     width = max(bodies.thickness(axis), LEVEL)
-    counts = np.bincount(np.floor((along - along.min()) / width).astype(np.int64))
-    return float(counts.max() * abs(np.linalg.det(bodies.affine[:3, :3])) / width)
+    return np.bincount(np.floor((along - along.min()) / width).astype(np.int64)), width
 
 
 def _flat_opening(bodies: Bodies, faces: Faces, centre: Floats) -> BasePlane | None:
@@ -193,7 +194,6 @@ def _level(bodies: Bodies, faces: Faces, centre: Floats, axis: Floats) -> tuple[
         below = heights[first - 1] if first else 0.0
         return float(below + heights[first]) / 2, "the highest complete ring of tissue"
     blood = (bodies.positions(bodies.lv) - centre) @ axis
-    width = max(bodies.thickness(axis), LEVEL)
-    counts = np.bincount(np.floor((blood - blood.min()) / width).astype(np.int64))
+    counts, width = _sections(bodies, blood, axis)
     last = np.flatnonzero(counts >= CLOSED_SECTION * counts.max())[-1]
     return float(blood.min() + last * width), "the end of the LV blood, which tissue closes over"

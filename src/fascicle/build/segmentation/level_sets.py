@@ -85,22 +85,10 @@ def grid_below(plane: BasePlane, bodies: Bodies, edge: float) -> Grid:
     return Grid(plane.point + corner @ axes, axes, (int(shape[0]), int(shape[1]), layers), edge)
 
 
-def continued_above(mask: Booleans, bodies: Bodies, plane: BasePlane) -> Booleans:
+def _continued_above(mask: Booleans, bodies: Bodies, plane: BasePlane) -> Booleans:
     """Continue a body above the base plane as it is just below, so that smoothing keeps its edge.
 
-    Parameters
-    ----------
-    mask : (i, j, k) boolean array
-        A body, on the voxel grid of `bodies`.
-    bodies : Bodies
-        The segmentation.
-    plane : BasePlane
-        The base.
-
-    Returns
-    -------
-    (i + 2 p, j + 2 p, k + 2 p) boolean array
-        The body, with p = `PADDING` voxels around it.
+    There are `PADDING` more voxels on each side of the result.
     """
     half = bodies.thickness(plane.normal) / 2
     # room for the smoothing to see above the plane
@@ -143,7 +131,7 @@ def level_set(mask: Booleans, bodies: Bodies, plane: BasePlane, grid: Grid) -> F
     (i', j', k') array
         Distance (mm), negative inside.
     """
-    mask = continued_above(mask, bodies, plane)
+    mask = _continued_above(mask, bodies, plane)
     spacing = np.linalg.norm(bodies.affine[:3, :3], axis=0)
     outside = distance_transform_edt(~mask, sampling=spacing)
     inside = distance_transform_edt(mask, sampling=spacing)

@@ -1,1 +1,1 @@
-"""Fibre directions: given ones, and those of rules."""
+"""Fibre directions by rule."""

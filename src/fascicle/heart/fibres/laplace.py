@@ -157,12 +157,7 @@ def solve_laplace(space: QuadraticSpace, fixed: Integers, values: Floats) -> Flo
         load = -(coupling @ given)
         linear = coarse.solve(prolong.T @ load, tol=COARSE_TOLERANCE, accel="cg")
         solution[free], failed = cg(
-            inner,
-            load,
-            x0=prolong @ linear,
-            rtol=TOLERANCE,
-            maxiter=MOST_STEPS,
-            M=preconditioner,
+            inner, load, x0=prolong @ linear, rtol=TOLERANCE, maxiter=MOST_STEPS, M=preconditioner
         )
         if failed:
             raise RuntimeError(f"conjugate gradients: not converged after {failed} steps")

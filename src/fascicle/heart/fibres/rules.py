@@ -32,12 +32,12 @@ from enum import IntEnum
 from math import radians
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.fibres.laplace import QuadraticSpace, quadratic_space, solve_laplace
-from fascicle.heart.fibres.longitudinal import apex_to_base
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
 from fascicle.mesh.measures import unit
 
@@ -45,6 +45,7 @@ from fascicle.mesh.measures import unit
 SURFACES = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
 LV, RV, EPI = range(3)
 
+ARTERIAL = (Label.AORTIC, Label.PULMONARY)
 # Which way the gradient of a surface's potential points, towards it, when out of the ventricle
 OUT_OF_VENTRICLE = np.array([-1.0, -1.0, 1.0])
 # Row k: what an angle of each surface is in the frame of surface k. The left and the right
@@ -192,6 +193,60 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
     return values / values.sum(axis=0), gradients
 
 
+def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
+    """Direction to the base, and how far into an outflow tract each tetrahedron lies.
+
+    The direction to the base is the gradient of the potential that is 1 on all that is basal, the
+    arterial openings among it, and 0 at the two ends of the LV's apex (`lv_apex`). The part h of
+    that potential that is due to the arterial openings alone gives the outflow tracts: they are
+    where h exceeds one half, so where their opening rather than the rest of the base is at hand,
+    and the measure (2h − 1)² rises to 1 at the opening. Doste et al. 2019 (Int J Numer Methods
+    Biomed Eng 35:e3185) use such a potential between the two openings of each ventricle.
+
+    Returns
+    -------
+    (m, 3) and (m,) arrays
+        Towards the base, of any length; and 0 outside the outflow tracts to 1 at the openings of
+        the great arteries (0 everywhere when these have no label).
+    """
+    apex = lv_apex(mesh)
+    basal = np.setdiff1d(space.on(mesh.having(*BASAL)), apex)
+    fixed = np.concatenate([basal, apex])
+    given = [np.arange(len(fixed)) < len(basal)]
+    arterial = mesh.having(*ARTERIAL)
+    if len(arterial):
+        given.append(np.isin(fixed, np.setdiff1d(space.on(arterial), apex)))
+    solutions = solve_laplace(space, fixed, np.array(given, dtype=float))
+    _, baseward = space.at_centroids(solutions[0])
+    if not len(arterial):
+        return baseward, np.zeros(len(baseward))
+    due_to_arteries, _ = space.at_centroids(solutions[1])
+    return baseward, np.clip(2 * due_to_arteries - 1, 0, 1) ** 2
+
+
+def lv_apex(mesh: LabelledMesh) -> Integers:
+    """The vertices at the apex of the LV: the endocardial and the epicardial one, shape (2,).
+
+    Those that lie furthest from the endocardium's opening along the long axis, which runs from
+    its middle to the endocardial vertex that is furthest from it. Of the epicardium, only what
+    is nearer to the LV than to the RV: the RV's apex may reach as low.
+    """
+    endocardium = np.unique(mesh.having(Label.LV_ENDOCARDIUM))
+    opening = mesh.vertices[np.intersect1d(endocardium, mesh.having(*BASAL))].mean(axis=0)
+    offset = mesh.vertices[endocardium] - opening
+    axis = offset[np.argmax(np.linalg.norm(offset, axis=1))]
+    epicardium = np.unique(mesh.having(Label.EPICARDIUM))
+    right = np.unique(mesh.having(Label.RV_ENDOCARDIUM))
+    if len(right):
+        to_left, to_right = (
+            KDTree(mesh.vertices[part]).query(mesh.vertices[epicardium])[0]
+            for part in (endocardium, right)
+        )
+        epicardium = epicardium[to_left < to_right]
+    lowest = [part[np.argmax(mesh.vertices[part] @ axis)] for part in (endocardium, epicardium)]
+    return np.array(lowest)
+
+
 def by_rule(
     potentials: Floats, gradients: Floats, baseward: Floats, outflow: Floats, angles: FibreAngles
 ) -> Fibres:
@@ -247,11 +302,7 @@ def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tu
     fibre = np.array(
         [angles.lv_endocardium * everywhere, angles.rv_endocardium * everywhere, epicardial]
     )
-    in_tract = (
-        angles.outflow_endocardium,
-        angles.outflow_endocardium,
-        angles.outflow_epicardium,
-    )
+    in_tract = (angles.outflow_endocardium, angles.outflow_endocardium, angles.outflow_epicardium)
     fibre = (1 - outflow) * fibre + np.outer(in_tract, outflow)
     sheet = (angles.sheet_endocardium, angles.sheet_endocardium, angles.sheet_epicardium)
     return fibre, np.outer(sheet, everywhere)

@@ -16,8 +16,7 @@ from fascicle.inference.optimisation.acquisition import (
     maximise,
 )
 from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.observations import Observations
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
+from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
 from fascicle.inference.surrogate.threads import one_thread
 
 LOCAL_SHARE = 0.6  # of the proposals

@@ -145,10 +145,7 @@ def log_marginal_likelihood(
 
 @one_thread
 def fit(
-    points: Floats,
-    outputs: Floats,
-    start: Hyperparameters | None,
-    iterations: int,
+    points: Floats, outputs: Floats, start: Hyperparameters | None, iterations: int
 ) -> Hyperparameters:
     """Hyper-parameters of highest posterior density (L-BFGS-B on the logarithms).
 
@@ -210,10 +207,7 @@ class ExponentialGP:
     @classmethod
     @one_thread
     def condition(
-        cls,
-        points: Floats,
-        outputs: Floats,
-        hyperparameters: Hyperparameters,
+        cls, points: Floats, outputs: Floats, hyperparameters: Hyperparameters
     ) -> ExponentialGP:
         """Condition on data.
 

@@ -1,18 +1,61 @@
-"""The surrogates: of the loss, and of the probability that parameters give a tree."""
+"""What has been tried, and surrogates of it: of the loss, and of the probability of a tree."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import log_ndtr
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Booleans, Floats
+from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters, fit
-from fascicle.inference.surrogate.observations import Observations
 
 EQUAL = 1e-12  # losses whose standard deviation is this small a part of their mean are equal
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Points of the unit cube with their losses.
+
+    Attributes
+    ----------
+    points : (n, d) array
+        In the unit cube.
+    losses : (n,) array
+        Mismatch (mV², or its logarithm); NaN where the parameters give no tree.
+    """
+
+    points: Floats
+    losses: Floats
+
+    @classmethod
+    def of(cls, evaluations: Iterable[Evaluation]) -> Observations:
+        """Points and losses of some evaluations, in their order."""
+        chosen = list(evaluations)
+        return cls(
+            np.array([evaluation.point for evaluation in chosen], dtype=np.float64),
+            np.array([evaluation.loss for evaluation in chosen], dtype=np.float64),
+        )
+
+    @property
+    def feasible(self) -> Booleans:
+        """Where there is a loss, shape (n,)."""
+        return np.isfinite(self.losses)
+
+    def logarithmic(self) -> Observations:
+        """The same points with the logarithm of each loss.
+
+        Losses spread over two decades; on their logarithm a stationary process can tell small ones
+        apart, which is where the optimisation and the posterior happen.
+        """
+        return Observations(self.points, np.log(np.maximum(self.losses, np.finfo(float).tiny)))
+
+    def with_guess(self, point: Floats, loss: float) -> Observations:
+        """Add one more, at `point` of shape (d,)."""
+        return Observations(np.vstack([self.points, point]), np.append(self.losses, loss))
 
 
 @dataclass(frozen=True)
@@ -150,9 +193,7 @@ class FeasibilityGP:
         return np.exp(self.log_probability(points))
 
 
-def _standardised(
-    observations: Observations,
-) -> tuple[Floats, Floats, float, float]:
+def _standardised(observations: Observations) -> tuple[Floats, Floats, float, float]:
     """Feasible points, their standardised losses, and the mean and deviation taken out."""
     feasible = observations.feasible
     losses = observations.losses[feasible]

@@ -39,10 +39,12 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     if path.suffix.lower() in OPENCARP_FORMATS:
         return read_opencarp_mesh(path, purpose)
     _check_complete(path)
-    if path.suffix.lower() == ".msh":
-        mesh = _read_gmsh(path)
+    if path.suffix.lower() in VTK_FORMATS:
+        mesh = read_vtk(path)
+    elif path.suffix.lower() == ".msh" and is_gmsh22(content := path.read_bytes()):
+        mesh = read_gmsh22(path, content)
     else:
-        mesh = read_meshio(path) if path.suffix.lower() in MESHIO_FORMATS else read_vtk(path)
+        mesh = read_meshio(path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
@@ -84,8 +86,3 @@ def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:
     announced = int.from_bytes(head[STL_HEADER - 4 : STL_HEADER], "little")
     fits = len(head) >= STL_HEADER and size >= STL_HEADER + STL_TRIANGLE * announced
     return (fits and any(tail)) or b"endsolid" in tail.lower()
-
-
-def _read_gmsh(path: Path) -> MeshFile:
-    content = path.read_bytes()
-    return read_gmsh22(path, content) if is_gmsh22(content) else read_meshio(path)

@@ -179,10 +179,8 @@ def write_grid(
     ----------
     path : Path
         The file.
-    points : (n, 3) array
-        Positions (mm).
-    cells : (m, k) array
-        Point indices.
+    points, cells : (n, 3) and (m, k) arrays
+        Positions (mm) and point indices.
     kind : int
         VTK's number of that kind of cell, such as `TETRAHEDRON`.
     point_data, cell_data : dict of name to array, optional
@@ -191,10 +189,8 @@ def write_grid(
     import pyvista as pv
 
     grid = pv.UnstructuredGrid({kind: cells}, np.asarray(points))
-    for name, values in (point_data or {}).items():
-        grid.point_data[name] = values
-    for name, values in (cell_data or {}).items():
-        grid.cell_data[name] = values
+    grid.point_data.update(point_data or {})
+    grid.cell_data.update(cell_data or {})
     _save(grid, path)
 
 
@@ -210,18 +206,15 @@ def write_surface(
     ----------
     path : Path
         The file.
-    points : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Point indices.
+    points, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and point indices.
     cell_data : dict of name to array, optional
         Arrays with one row a triangle.
     """
     import pyvista as pv
 
     surface = pv.PolyData.from_regular_faces(np.asarray(points), triangles)
-    for name, values in (cell_data or {}).items():
-        surface.cell_data[name] = values
+    surface.cell_data.update(cell_data or {})
     _save(surface, path)
 
 

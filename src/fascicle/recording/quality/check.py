@@ -3,20 +3,7 @@
 from __future__ import annotations
 
 from fascicle.core.arrays import Integers
-from fascicle.recording.quality.acquisition import (
-    check_clipping,
-    check_extent_in_time,
-    check_filters,
-    check_resolution,
-)
-from fascicle.recording.quality.disturbances import (
-    check_duplicates,
-    check_flatness,
-    check_mains,
-    check_noise,
-    check_wander,
-)
-from fascicle.recording.quality.electrodes import check_limb_electrodes, median_beat
+from fascicle.recording.quality import acquisition, disturbances, electrodes
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.quality.identities import check_identities
 from fascicle.recording.quality.synchrony import check_synchrony
@@ -25,7 +12,7 @@ from fascicle.recording.recording import Recording
 
 def check_leads(recording: Recording) -> tuple[Finding, ...]:
     """What is wrong with leads whatever is in them: no signal, or another lead's."""
-    return (*check_flatness(recording), *check_duplicates(recording))
+    return (*disturbances.check_flatness(recording), *disturbances.check_duplicates(recording))
 
 
 def check_recording(recording: Recording, peaks: Integers) -> tuple[Finding, ...]:
@@ -38,12 +25,12 @@ def check_recording(recording: Recording, peaks: Integers) -> tuple[Finding, ...
     return (
         *check_synchrony(recording),
         *check_identities(recording),
-        *check_limb_electrodes(recording, median_beat(recording, peaks)),
-        *check_noise(recording),
-        *check_clipping(recording),
-        *check_mains(recording),
-        *check_wander(recording),
-        *check_resolution(recording),
-        *check_extent_in_time(recording),
-        *check_filters(recording),
+        *electrodes.check_limb_electrodes(recording, electrodes.median_beat(recording, peaks)),
+        *disturbances.check_noise(recording),
+        *acquisition.check_clipping(recording),
+        *disturbances.check_mains(recording),
+        *disturbances.check_wander(recording),
+        *acquisition.check_resolution(recording),
+        *acquisition.check_extent_in_time(recording),
+        *acquisition.check_filters(recording),
     )

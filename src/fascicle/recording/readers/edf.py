@@ -57,8 +57,7 @@ def read_edf(path: Path, options: ReadOptions) -> RawRecording:
     with refuse_damaged(path, "EDF", UserWarning), warnings.catch_warnings():
         # edfio cuts a file that does not fit its header, and warns
         warnings.filterwarnings(
-            "ignore" if unclosed else "error",
-            message="EDF header indicates|Incomplete data record",
+            "ignore" if unclosed else "error", message="EDF header indicates|Incomplete data record"
         )
         # lazily: the samples of a signal are read when they are asked for
         file = edfio.read_edf(path, lazy_load_data=True, header_encoding="latin-1")
