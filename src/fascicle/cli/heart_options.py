@@ -15,6 +15,7 @@ from fascicle.core.errors import InputError
 if TYPE_CHECKING:
     from fascicle.heart.fibres.rules import FibreAngles
     from fascicle.heart.seeds import ChosenSeed
+    from fascicle.torso.body_size import BodySize
 
 ANATOMY, FIBRES, BODY, BUNDLES = "Anatomy", "Fibres", "Torso and electrodes", "Bundles"
 STEEPEST = 90.0  # degrees
@@ -121,6 +122,14 @@ def fibre_angles(lv: str, rv: str) -> FibreAngles:
             )
         angles += map(math.radians, values)
     return FibreAngles(*angles)
+
+
+def body_size(**given: float | None) -> BodySize | None:
+    """Size of the body from the measures that are given, None where there are none."""
+    from fascicle.torso.body_size import BodySize
+
+    known = {name: value for name, value in given.items() if value is not None}
+    return BodySize(**known) if known else None
 
 
 def seeds_of(

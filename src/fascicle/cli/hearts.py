@@ -65,7 +65,6 @@ def heart_build(
     from fascicle.build.build_heart import Body, build_heart
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.heart.folder import check_heart_folder
-    from fascicle.torso.body_size import BodySize
 
     parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
     source = Source(
@@ -80,9 +79,7 @@ def heart_build(
     folder = out if out is not None else Path(source.name)
     files = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
     check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
-    sizes = {"height": height, "weight": weight, "chest": chest}
-    given = {name: value for name, value in sizes.items() if value is not None}
-    size = BodySize(**given) if given else None
+    size = options.body_size(height=height, weight=weight, chest=chest)
     with TerminalProgress() as progress:
         built = build_heart(
             source,

@@ -39,7 +39,17 @@ def repeated(target: Target, rng: np.random.Generator, count: int = REPETITIONS)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], sd: float) -> Floats:
-    """Noise (mV) of a standard deviation, smooth along the last axis over some ms."""
+    """Noise that is smooth along the last axis, over some ms.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Its source.
+    shape : tuple of int
+        Of the result; the last axis is time, every `SAMPLING_STEP`.
+    sd : float
+        Standard deviation of the result (mV).
+    """
     white = rng.standard_normal(shape)
     smooth = gaussian_filter1d(white, NOISE_CORRELATION / SAMPLING_STEP, axis=-1)
     return np.asarray(smooth * (sd / smooth.std()))

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import LEADS
@@ -17,6 +18,8 @@ from fascicle.recording.target import SAMPLING_STEP, Target
 
 if TYPE_CHECKING:
     import xarray as xr
+
+Variable = tuple[tuple[str, ...], Floats, dict[str, Any]]  # dimensions, values, attributes
 
 FORMAT = "fascicle target"
 FORMAT_VERSION = 2
@@ -31,6 +34,11 @@ _NUMBERS = {  # attribute of the file: field of the target
     "heart_rate_bpm": "heart_rate",
     _NOISE: "noise",
 }
+COVARIANCE_COMMENT = (
+    "The covariance of the beats about their mean, of lead l at time t with lead m at time s, is "
+    "standard_deviation[l, t] * standard_deviation[m, s] * residual_covariance_leads[l, m] * "
+    "residual_covariance_time[t, s]; both factors are correlations, shrunk towards none."
+)
 
 
 def write_target(target: Target, path: str | Path) -> None:
@@ -82,54 +90,7 @@ def _to_dataset(target: Target) -> xr.Dataset:
     """Build the dataset with units on everything."""
     import xarray as xr
 
-    covariance, qrs_time = residual_covariance(target), target.time[target.qrs_samples]
-    correlation = {
-        "units": "1",
-        "comment": "The covariance of the beats about their mean, of lead l at time t with lead m "
-        "at time s, is standard_deviation[l, t] * standard_deviation[m, s] * "
-        "residual_covariance_leads[l, m] * residual_covariance_time[t, s]; both factors are "
-        "correlations, shrunk towards none.",
-    }
-    variables = {
-        "beats": (
-            ("beat", "lead", "time"),
-            target.beats,
-            {
-                "units": "mV",
-                "long_name": "potential of each beat, isoelectric level removed",
-                "comment": "NaN in leads that are not used.",
-            },
-        ),
-        "mean": (("lead", "time"), target.mean, {"units": "mV", "long_name": "mean beat"}),
-        "standard_deviation": (
-            ("lead", "time"),
-            target.standard_deviation,
-            {
-                "units": "mV",
-                "long_name": "standard deviation of a beat about the mean"
-                if target.noise is None
-                else "standard deviation of a beat, as stated by the user",
-            },
-        ),
-        "residual_covariance_leads": (
-            ("lead", "lead_2"),
-            covariance.leads,
-            correlation
-            | {
-                "long_name": "correlation of residuals across leads",
-                "shrinkage": covariance.shrinkage_leads,
-            },
-        ),
-        "residual_covariance_time": (
-            ("qrs_time", "qrs_time_2"),
-            covariance.time,
-            correlation
-            | {
-                "long_name": "correlation of residuals across time, within the QRS",
-                "shrinkage": covariance.shrinkage_time,
-            },
-        ),
-    }
+    qrs_time = target.time[target.qrs_samples]
     inside = np.isin(target.time, qrs_time).astype(np.int8)
     coordinates = {
         name: (dimension, values, {"long_name": text} | ({"units": unit} if unit else {}))
@@ -143,10 +104,54 @@ def _to_dataset(target: Target) -> xr.Dataset:
             ("qrs_time", "qrs_time", qrs_time, "ms", "time from the R peak, within the QRS"),
         )
     }
+    variables = _potentials(target) | _correlations(target)
     dataset = xr.Dataset(variables, coords=coordinates, attrs=_attributes(target))
     for name in variables:
         dataset[name].encoding["zlib"] = True
     return dataset
+
+
+def _potentials(target: Target) -> dict[str, Variable]:
+    """Beats, their mean and standard deviation."""
+    spread = "standard deviation of a beat"
+    spread += " about the mean" if target.noise is None else ", as stated by the user"
+    beats = {
+        "units": "mV",
+        "long_name": "potential of each beat, isoelectric level removed",
+        "comment": "NaN in leads that are not used.",
+    }
+    plane = ("lead", "time")
+    return {
+        "beats": (("beat", *plane), target.beats, beats),
+        "mean": (plane, target.mean, {"units": "mV", "long_name": "mean beat"}),
+        "standard_deviation": (
+            plane, target.standard_deviation, {"units": "mV", "long_name": spread},
+        ),
+    }  # fmt: skip
+
+
+def _correlations(target: Target) -> dict[str, Variable]:
+    """Both factors of the covariance of the beats about their mean."""
+    covariance = residual_covariance(target)
+    return {
+        f"residual_covariance_{over}": (
+            dimensions,
+            values,
+            {
+                "units": "1",
+                "comment": COVARIANCE_COMMENT,
+                "long_name": f"correlation of residuals across {text}",
+                "shrinkage": shrinkage,
+            },
+        )
+        for over, text, dimensions, values, shrinkage in (
+            ("leads", "leads", ("lead", "lead_2"), covariance.leads, covariance.shrinkage_leads),
+            (
+                "time", "time, within the QRS", ("qrs_time", "qrs_time_2"), covariance.time,
+                covariance.shrinkage_time,
+            ),
+        )
+    }  # fmt: skip
 
 
 def _attributes(target: Target) -> dict[str, str | float | int]:

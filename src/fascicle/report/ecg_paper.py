@@ -96,7 +96,17 @@ def draw_strip(
 
 
 def beat_colour(beat: Beat, colours: Mapping[str, str], chosen: str) -> str:
-    """Colour of a beat's trace: that of its class, paler where the target lacks it nevertheless."""
+    """Colour of a beat's trace: that of its class, paler where the target lacks it nevertheless.
+
+    Parameters
+    ----------
+    beat : Beat
+        One beat of the recording.
+    colours : mapping of class label to colour
+        One for each class.
+    chosen : str
+        Label of the class that the target is made of.
+    """
     colour = colours[beat.label]
     if beat.used or beat.label != chosen:
         return colour

@@ -23,6 +23,15 @@ def width(text: str, size: float, weight: str = "normal") -> float:
     """Width (mm) of a line of `size` points.
 
     As in a PNG, where hinting makes text up to 5% wider than in PDF and SVG.
+
+    Parameters
+    ----------
+    text : str
+        One line.
+    size : float
+        Of the font (points).
+    weight : str
+        Of the font, as Matplotlib names it.
     """
     font = FontProperties(size=size, weight=weight)
     measured = _renderer().get_text_width_height_descent(text, font, False)  # type: ignore[no-untyped-call]
@@ -31,7 +40,15 @@ def width(text: str, size: float, weight: str = "normal") -> float:
 
 
 def shortened(text: str, size: float, room: float, weight: str = "normal") -> str:
-    """Text that is at most `room` mm wide at `size` points, the middle left out if need be."""
+    """Text on one line, the middle left out where it is too wide.
+
+    Parameters
+    ----------
+    text, size, weight
+        As for `width`.
+    room : float
+        The widest it may be (mm).
+    """
     text = drawable(text)
     if width(text, size, weight) <= room:
         return text
@@ -44,7 +61,13 @@ def shortened(text: str, size: float, room: float, weight: str = "normal") -> st
 
 
 def wrapped(text: str, size: float, room: float) -> list[str]:
-    """Lines that are at most `room` mm wide at `size` points, broken between words."""
+    """Lines broken between words.
+
+    Parameters
+    ----------
+    text, size, room
+        As for `shortened`, for each line.
+    """
     lines: list[str] = []
     for word in drawable(text).split():
         longer = f"{lines[-1]} {word}" if lines else word

@@ -23,9 +23,11 @@ MM = 1 / 25.4  # inch
 PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0  # mm, A4
 LEFT, RIGHT = 14.0, 6.0  # mm beside the strip, which is SHOWN * PACE = 190 mm wide
 TEXT_LEFT, TEXT_WIDTH = 6.0, 198.0  # mm
+NAME_BASE, MEASURES_BASE, WARNINGS_BASE = 10.0, 15.0, 19.5  # mm below the upper edge
 SMALL, LINE = 7.0, 3.4  # points, and mm from one such line to the next
+GAP = 1.0  # mm between the strip and the texts about it
 MOST_WARNING_LINES, LONGEST_WARNING = 5, 2  # in all, and for one
-LEGEND_COLUMNS = 3
+LEGEND_COLUMNS, LEGEND_GAP, LEGEND_MARK = 3, 2.0, 12.0  # and mm above it, and beside a text
 PANEL_HEIGHT, PANEL_GAP = 37.0, 2.5  # mm
 PANEL_BLOCK = ROWS * PANEL_HEIGHT + (ROWS - 1) * PANEL_GAP  # mm
 BELOW_PANELS, ABOVE_PANELS = 11.0, 10.0  # mm for axis labels, and for the legend and the ends
@@ -59,8 +61,8 @@ def recording_figure(analysis: Analysis) -> Figure:
     panels_top = PAGE_HEIGHT - BELOW_PANELS - PANEL_BLOCK
     strip_bottom = panels_top - ABOVE_PANELS - (2 if unused else 1) * LINE
     top += LINE  # for the scale
-    height = strip_bottom - top - 1.0
-    strip = _axes(figure, LEFT, top + 1.0, SHOWN * PACE, height)
+    height = strip_bottom - top - GAP
+    strip = _axes(figure, LEFT, top + GAP, SHOWN * PACE, height)
     gain, cut = draw_strip(strip, analysis, colours, height)
     _write(figure, TEXT_LEFT, top, _scale_text(analysis, gain, cut=cut), weight="bold")
     if unused:
@@ -83,12 +85,12 @@ def _head(figure: Figure, analysis: Analysis) -> float:
     name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
     size = style.TITLE_SIZE + 1
     name = shortened(name, size, TEXT_WIDTH, "bold")
-    _write(figure, TEXT_LEFT, 10.0, name, size=size, weight="bold")
-    _write(figure, TEXT_LEFT, 15.0, _measures_text(analysis), size=style.LABEL_SIZE)
+    _write(figure, TEXT_LEFT, NAME_BASE, name, size=size, weight="bold")
+    _write(figure, TEXT_LEFT, MEASURES_BASE, _measures_text(analysis), size=style.LABEL_SIZE)
     warnings = _warning_lines(analysis)
     for k, line in enumerate(warnings):
-        _write(figure, TEXT_LEFT, 19.5 + k * LINE, line)
-    return 19.5 + (len(warnings) - 1) * LINE
+        _write(figure, TEXT_LEFT, WARNINGS_BASE + k * LINE, line)
+    return WARNINGS_BASE + (len(warnings) - 1) * LINE
 
 
 def _measures_text(analysis: Analysis) -> str:
@@ -142,10 +144,10 @@ def _class_legend(
     if len(analysis.spikes):
         mark = Line2D([], [], color=style.BLACK, linestyle="none", marker="|", markersize=5)
         handles.append((mark, "pacing spike"))
-    room = TEXT_WIDTH / LEGEND_COLUMNS - 12.0  # mm, less the mark and the gaps
+    room = TEXT_WIDTH / LEGEND_COLUMNS - LEGEND_MARK
     handles = [(mark, shortened(text, SMALL, room)) for mark, text in handles]
-    _legend(figure, handles, top + 2.0, LEGEND_COLUMNS)
-    return top + 2.0 + math.ceil(len(handles) / LEGEND_COLUMNS) * LINE
+    _legend(figure, handles, top + LEGEND_GAP, LEGEND_COLUMNS)
+    return top + LEGEND_GAP + math.ceil(len(handles) / LEGEND_COLUMNS) * LINE
 
 
 def _class_text(known: BeatClass) -> str:

@@ -132,7 +132,13 @@ def smooth_normals(vertices: Floats, triangles: Integers) -> Floats:
 
 
 def back_to_front(view: View, vertices: Floats, triangles: Integers) -> Integers:
-    """Sort the triangles that face the eye, the farthest first; indices."""
+    """Sort the triangles that face the eye, the farthest first; indices.
+
+    Parameters
+    ----------
+    view, vertices, triangles
+        As for `paint`.
+    """
     visible = np.flatnonzero(view.facing(triangle_normals(vertices, triangles)))
     depth = view.project(vertices[triangles[visible]])[..., 2].mean(axis=1)
     return np.asarray(visible[np.argsort(-depth, kind="stable")], dtype=np.int64)
