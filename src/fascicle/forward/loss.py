@@ -1,17 +1,28 @@
-"""The loss: mismatch between a simulated and a recorded QRS, at the best alignment."""
+"""The loss: mismatch between a simulated and a recorded QRS, at the best alignment.
+
+The paper's loss is y = (1/T) ∫ Σ_leads (V̂ − gV)² dt, T being the length of the QRS window. Here
+the integral is over all time, and the recording V̂ is silent outside its QRS window: the simulation
+holds the activation of the ventricles and nothing else, so it must lie in the window, too. (Were
+the integral over the window alone, every network could slide out of it, and be as good as a flat
+line.)
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+from scipy.fft import irfft, next_fast_len, rfft
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Complexes, Floats
 
-# With a free gain the window must hold this share of the most energy it can hold: otherwise a
-# faint tail of the simulation, blown up, could pass for the QRS.
-LEAST_SHARE = 0.5
+UPSAMPLING = 4  # of the correlation, before its highest point is refined
+NEWTON_STEPS = 4  # that refine it; three reach rounding
+RINGING = 200  # samples before and after a simulation for what filters spread
+
+# Gain of filters at frequencies of shape (k,), in cycles per sample
+Response = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -21,94 +32,145 @@ class Alignment:
     Attributes
     ----------
     loss : float
-        `mismatch` of the recorded QRS and the aligned simulation (mV²).
-    shift : int
-        Sample of the simulation at which the recorded QRS begins; may be negative.
+        Mismatch with the recorded QRS (mV²).
+    shift : float
+        Sample of the simulation at which the recorded QRS begins; may be negative, or lie between
+        samples.
     gain : float
         g, 1 unless it was free.
+    under : (n_leads, n_qrs) array
+        The simulation, filtered and scaled, as it lies under the recorded QRS (mV).
+    outside : float
+        Its energy before and after the QRS window, over the length of that (mV²): part of the loss.
     """
 
     loss: float
-    shift: int
+    shift: float
     gain: float
+    under: Floats
+    outside: float
 
 
-def mismatch(recorded: Floats, simulated: Floats) -> Floats:
-    """The loss y = (1/T) ∫₀ᵀ Σ_leads (V̂ − V)² dt of the paper (eq. "loss"), in mV².
+def mismatch(recorded: Floats, alignment: Alignment) -> Floats:
+    """Loss y of recorded QRS at an alignment that was found before, in mV².
 
     Parameters
     ----------
     recorded : (..., n_leads, n_qrs) array
-        V̂, the recorded QRS (mV): of one beat or of several.
-    simulated : (n_leads, n_qrs) array
-        V, the simulated ECG as it lies under it (mV); see `placed`.
+        V̂ (mV): of one beat or of several.
+    alignment : Alignment
+        Of the simulation.
 
     Returns
     -------
     (...) array
         One value (mV²) a beat.
     """
-    difference = recorded - simulated
-    return np.asarray((difference**2).sum(axis=(-2, -1)) / recorded.shape[-1])
+    return _mean_square(recorded - alignment.under) + alignment.outside
 
 
-def align(simulated: Floats, recorded: Floats, *, free_gain: bool = False) -> Alignment:
+def align(
+    simulated: Floats,
+    recorded: Floats,
+    *,
+    free_gain: bool = False,
+    response: Response | None = None,
+) -> Alignment:
     """Find the time shift, and if asked the one gain for all leads, with the least mismatch.
 
-    Every shift at which the two overlap is covered: with ‖V̂ − gV‖² = ‖V̂‖² − 2g⟨V̂, V⟩ + g²‖V‖²,
-    ⟨V̂, V⟩ for all of them is one cross-correlation by FFT and ‖V‖² a running sum. Before its first
-    and after its last sample the simulation is zero, as it is when no front is under way.
+    With ‖V̂ − gV‖² = ‖V̂‖² − 2g⟨V̂, V⟩ + g²‖V‖² that shift is where ⟨V̂, V⟩, one cross-correlation by
+    FFT, is largest. Between samples the simulation is what its spectrum says; before its first and
+    after its last sample it is zero, as it is when no front is under way.
 
     Parameters
     ----------
     simulated : (n_leads, n) array
-        Simulated ECG (mV).
+        V, the simulated ECG (mV).
     recorded : (n_leads, n_qrs) array
-        Recorded QRS (mV), at the same sampling.
+        V̂, the recorded QRS (mV), at the same sampling.
     free_gain : bool
-        Whether to scale the simulation by the best g ≥ 0; then only shifts at which the window
-        holds at least half of the energy it can hold are considered.
+        Whether to scale the simulation by the best g ≥ 0.
+    response : callable, optional
+        Gain of the filters that the recording has passed; the simulation passes them here.
     """
     length = recorded.shape[1]
-    padded = np.pad(simulated, ((0, 0), (length - 1, length - 1)))
-    product = sum(
-        scipy.signal.correlate(p, r, mode="valid", method="fft")
-        for p, r in zip(padded, recorded, strict=True)
-    )
-    running = np.concatenate([[0.0], np.cumsum((padded**2).sum(axis=0))])
-    energy = running[length:] - running[:-length]
+    spectrum = _spectrum(simulated, length, response)
+    size = 2 * (spectrum.shape[1] - 1)
+    product = (np.conj(rfft(recorded, size)) * spectrum).sum(axis=0)
+    shift = _highest(product)
+    if shift > simulated.shape[1] + RINGING:  # stands for the time before the simulation
+        shift -= size
+    shifted = _shifted(spectrum, shift)
+    gain = 1.0
     if free_gain:
-        allowed = (energy > 0) & (energy >= LEAST_SHARE * energy.max())
-        gain = np.where(allowed, np.maximum(product, 0) / np.where(allowed, energy, 1.0), 0.0)
-    else:
-        gain = np.ones_like(energy)
-    best = int(np.argmin((recorded**2).sum() - 2 * gain * product + gain**2 * energy))
-    shift, g = best - (length - 1), float(gain[best])
+        overlap = float((recorded * shifted[:, :length]).sum())
+        gain = max(overlap, 0.0) / max(float((shifted**2).sum()), np.finfo(float).tiny)
+    under = gain * shifted[:, :length]
+    outside = float(_mean_square(gain * shifted[:, length:])) * (size - length) / length
     # from the difference itself, free of the cancellation in the expanded square
-    return Alignment(float(mismatch(recorded, placed(simulated, shift, g, length))), shift, g)
+    loss = float(_mean_square(recorded - under)) + outside
+    return Alignment(loss, shift, gain, under, outside)
 
 
-def placed(simulated: Floats, shift: int, gain: float, length: int) -> Floats:
+def placed(
+    simulated: Floats, shift: float, length: int, response: Response | None = None
+) -> Floats:
     """Cut out the simulated ECG that lies under a recording.
 
     Parameters
     ----------
     simulated : (n_leads, n) array
         Simulated ECG (mV); zero before its first and after its last sample.
-    shift : int
-        Sample of the simulation at which the recording begins; may be negative.
-    gain : float
-        Factor on the simulation.
+    shift : float
+        Sample of the simulation at which the recording begins.
     length : int
         Samples of the recording.
+    response : callable, optional
+        Gain of the filters that the recording has passed.
 
     Returns
     -------
     (n_leads, length) array
         In mV.
     """
-    result = np.zeros((len(simulated), length))
-    first, last = max(shift, 0), min(shift + length, simulated.shape[1])
-    if first < last:
-        result[:, first - shift : last - shift] = gain * simulated[:, first:last]
-    return result
+    return _shifted(_spectrum(simulated, length, response), shift)[:, :length]
+
+
+def _mean_square(leads: Floats) -> Floats:
+    """Sum over leads (..., n_leads, n), mean over time."""
+    return np.asarray((leads**2).sum(axis=(-2, -1)) / leads.shape[-1])
+
+
+def _spectrum(simulated: Floats, length: int, response: Response | None) -> Complexes:
+    """Filtered spectrum, of so many samples that no shift wraps it onto `length` of them."""
+    size = 2 * next_fast_len((simulated.shape[1] + length) // 2 + RINGING)
+    spectrum = rfft(simulated, size)
+    if response is not None:
+        spectrum *= response(_frequencies(spectrum))
+    return np.asarray(spectrum)
+
+
+def _frequencies(spectrum: Complexes) -> Floats:
+    """In cycles per sample, of a spectrum (..., k) as `rfft` gives it."""
+    return np.linspace(0.0, 0.5, spectrum.shape[-1])
+
+
+def _shifted(spectrum: Complexes, shift: float) -> Floats:
+    """The samples from `shift` on, (..., n); what lies before them stands at the end."""
+    turned = spectrum * np.exp(2j * np.pi * shift * _frequencies(spectrum))
+    return np.asarray(irfft(turned, 2 * (spectrum.shape[-1] - 1)))
+
+
+def _highest(product: Complexes) -> float:
+    """Shift (samples, 0 to n) at which a correlation of spectrum (n/2 + 1,) is highest."""
+    size = 2 * (len(product) - 1)
+    fine = irfft(product, UPSAMPLING * size)
+    shift = int(np.argmax(fine)) / UPSAMPLING
+    omega = 2 * np.pi * _frequencies(product)
+    for _ in range(NEWTON_STEPS):
+        here = product * np.exp(1j * omega * shift)
+        slope, curvature = -(omega * here.imag).sum(), -(omega**2 * here.real).sum()
+        if curvature >= 0:  # flat: no correlation at all
+            break
+        shift -= float(np.clip(slope / curvature, -1 / UPSAMPLING, 1 / UPSAMPLING))
+    return shift

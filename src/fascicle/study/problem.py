@@ -80,7 +80,8 @@ class Problem:
         if isinstance(outcome, InvalidTree):
             return Evaluation.infeasible(point, outcome.reason)
         alignment = self.align(outcome)
-        return Evaluation(point, alignment.loss, self._beat_errors(outcome, alignment))
+        # the beats are aligned with one another, so one alignment with their mean serves all
+        return Evaluation(point, alignment.loss, mismatch(self._recorded_beats, alignment))
 
     def networks(self, parameters: Iterable[Mapping[str, float]]) -> Iterator[Network]:
         """Simulate parameters that are known to give trees, as those of a population are."""
@@ -95,22 +96,13 @@ class Problem:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
         alignment = self.align(simulation)
         shift = alignment.shift - self.target.qrs_samples.start
-        return placed(simulation.leads, shift, alignment.gain, len(self.target.time))
+        return alignment.gain * placed(simulation.leads, shift, len(self.target.time))
 
     def _network(self, parameters: Mapping[str, float]) -> Network:
         simulation = self.model.simulate(parameters)
         if isinstance(simulation, InvalidTree):
             raise RuntimeError(f"a network of the population does not grow: {simulation.reason}")
         return Network(parameters, simulation, self.predicted(simulation))
-
-    def _beat_errors(self, simulation: Simulation, alignment: Alignment) -> Floats:
-        """Mismatch with every recorded beat (mV²), shape (n_beats,).
-
-        The beats are aligned with one another, so one alignment with their mean serves all.
-        """
-        recorded = self._recorded_beats
-        used = simulation.leads[self.target.used]
-        return mismatch(recorded, placed(used, alignment.shift, alignment.gain, recorded.shape[-1]))
 
     @cached_property
     def _recorded_beats(self) -> Floats:
