@@ -257,9 +257,3 @@ def lowest_offers(vertices, corners, metric, time, halvings):
             gram[:] = edges @ metric[e] @ edges.T
             offers[vertex] = min(offers[vertex], brute_force(gram, t, halvings))
     return offers
-
-
-def unit_point(space, values) -> np.ndarray:
-    """The point of the unit cube, shape (d,), that stands for named values."""
-    vector = np.array([values[name] for name in space.names])
-    return (vector - space.lower) / (space.upper - space.lower)

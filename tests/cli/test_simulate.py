@@ -257,7 +257,7 @@ class TestTrees:
     def test_options(self, simulated, simulate_refused, option, value):
         arguments = self.arguments(simulated)
         arguments[arguments.index(option) + 1] = value
-        simulate_refused(arguments, f"error: {option}: parameter", "; it must be between")
+        simulate_refused(arguments, f"error: {option}: parameter", "; give ")
 
 
 class TestParameters:
@@ -270,32 +270,32 @@ class TestParameters:
         return call
 
     def test_unknown(self, refuse):
-        refuse("unknown parameter 'lv_lenght'; known are: lv_initial_length", lv_lenght=3.0)
+        refuse("unknown parameter 'lv_lenght'; did you mean '", lv_lenght=3.0)
 
     def test_missing(self, refuse):
         refuse("missing parameters root_time, cv; add them", root_time=None, cv=None)
-        refuse("missing parameter cv; add", cv=None)
+        refuse("missing parameters cv; add", cv=None)
 
     @pytest.mark.parametrize("value", ["nan", "inf", "-inf", '"3"', "true", "[3.0]", "{a = 1}"])
     def test_no_number(self, refuse, value):
-        refuse("parameter 'cv' is", "; give a", cv=value)
+        refuse("parameter 'cv' is", "; give ", cv=value)
 
     @pytest.mark.parametrize("name", ["cv", "lv_initial_length", "rv_fascicle_length_2"])
     @pytest.mark.parametrize("value", [-1, 0, -0.0])
     def test_not_positive(self, refuse, name, value):
-        refuse(f"parameter '{name}' is", "; it must be", **{name: value})
+        refuse(f"parameter '{name}' is", "; give 0.1 to", **{name: value})
 
     def test_degrees(self, refuse):
-        refuse("'lv_fascicle_angle_1' is 45; it must be", "rad", lv_fascicle_angle_1=45)
+        refuse("'lv_fascicle_angle_1' is 45 rad; give -6.283 to 6.283 rad", lv_fascicle_angle_1=45)
 
     @pytest.mark.parametrize(
         ("name", "value"), [("root_time", 1e9), ("root_time", -2000), ("cv", 1e-6), ("cv", 1e6)]
     )
     def test_beyond_all_hearts(self, refuse, name, value):
-        refuse(f"parameter '{name}' is {value:g}; it must be between", **{name: value})
+        refuse(f"parameter '{name}' is {value:.4g} m", "; give ", **{name: value})
 
     def test_too_many_digits(self, refuse):
-        refuse("; correct it", cv="1" + "0" * 400)
+        refuse("parameter 'cv' is inf", cv="1" + "0" * 400)
         refuse("; write lines like", cv="1" + "0" * 5000)
 
     @pytest.mark.parametrize(

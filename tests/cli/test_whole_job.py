@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import pyvista as pv
 import xarray as xr
-from builders import unit_point
 
 import fascicle
 from fascicle import cli
@@ -58,7 +57,7 @@ def test_study_folder_holds_what_is_promised(study):
 
 
 def test_best_network_is_what_the_summary_says(study, target):
-    again = study.problem.evaluate(unit_point(study.problem.space, study.population.best))
+    again = study.problem.evaluate(study.problem.space.to_unit(study.population.best))
     assert again.loss == pytest.approx(study.population.best_loss, rel=1e-9)
     assert again.loss < float((target.qrs**2).sum(axis=0).mean())  # better than a flat line
 

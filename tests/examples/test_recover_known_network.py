@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import unit_point
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +19,7 @@ def test_fit_comes_closer_to_the_truth_than_the_design(tmp_path):
         "default", example.TRUTH, tmp_path / "study", 0,
         initial=20, steps=10, refine=8, samples=1, draws=20_000,
     )  # fmt: skip
-    at_truth = fitted.problem.evaluate(unit_point(fitted.problem.space, example.TRUTH)).loss
+    at_truth = fitted.problem.evaluate(fitted.problem.space.to_unit(example.TRUTH)).loss
     first = [r.evaluation.loss for r in fitted.study.records() if r.stage == "initial"]
     assert at_truth < 0.02  # noise alone
     assert at_truth < fitted.population.best_loss < 0.8 * np.nanmin(first)

@@ -103,8 +103,8 @@ def test_ecg_changes_smoothly_with_the_parameters(default_model, normal):
         ({"rooot_time": 1.0}, "unknown parameter 'rooot_time'"),
         ({"cv": float("nan")}, "'cv' is nan"),
         ({"root_time": float("inf")}, "'root_time' is inf"),
-        ({"lv_initial_length": -3.0}, "must be positive"),
-        ({"rv_fascicle_length_2": 0.0}, "must be positive"),
+        ({"lv_initial_length": -3.0}, "is -3 mm; give 0.1 to 500 mm"),
+        ({"rv_fascicle_length_2": 0.0}, "is 0 mm; give"),
         ({"cv": "3"}, "give a number"),
     ],
 )

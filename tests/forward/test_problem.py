@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import unit_point
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.recording.target import Target
@@ -35,8 +34,8 @@ def target(default_model, truth):
 def points(truth):
     """The truth, random points and one that cannot be grown."""
     random = np.random.default_rng(1).uniform(0.2, 0.6, (4, len(NETWORK_SPACE)))
-    longest = unit_point(NETWORK_SPACE, truth | {"lv_initial_length": 300.0})
-    return [unit_point(NETWORK_SPACE, truth), *random, longest]
+    longest = NETWORK_SPACE.to_unit(truth | {"lv_initial_length": 300.0})
+    return [NETWORK_SPACE.to_unit(truth), *random, longest]
 
 
 def test_workers_change_nothing_but_the_speed(default_model, target, points):

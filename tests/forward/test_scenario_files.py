@@ -223,8 +223,8 @@ class TestRefusals:
     def test_what_else_is_wrong_does_not(self, file, default_model):
         scenario, _ = read_scenario(file(""))
         with pytest.raises(InputError) as refused:
-            simulate_inputs(lambda: default_model, cv=900.0, scenario=scenario)
-        assert str(refused.value).startswith("--cv: ")
+            simulate_inputs(lambda: default_model, overrides={"cv": 900.0}, scenario=scenario)
+        assert str(refused.value).startswith("parameter 'cv' is 900 mm/ms; give")
 
 
 class TestTables:

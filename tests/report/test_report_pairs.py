@@ -16,8 +16,7 @@ BEST = {"lv_initial_length": 50.0, "rv_fascicle_angle_1": 0.0, "cv": 2.5}
 
 def samples(count=30):
     unit = np.random.default_rng(3).uniform(0.4, 0.6, (count, len(SPACE)))
-    points = SPACE.lower + unit * (SPACE.upper - SPACE.lower)
-    return dict(zip(SPACE.names, points.T, strict=True))
+    return {p.name: p.from_unit(share) for p, share in zip(SPACE.parameters, unit.T, strict=True)}
 
 
 def panel(figure, row, column):

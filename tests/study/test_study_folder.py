@@ -17,7 +17,7 @@ from fascicle.inference.abc.distance import ErrorDensity, total_variation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.optimisation import step as bo_step
 from fascicle.study.evaluations import Stage
-from fascicle.study.study import RENAMED, Study, StudyConfig
+from fascicle.study.study import FORMAT, Study, StudyConfig
 
 SPACE = ParameterSpace((Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75, 50)))
 NOISE = np.linspace(-1, 1, 6) ** 3
@@ -212,21 +212,13 @@ def test_foreign_folders_are_refused(tmp_path):
         Study.create_or_resume(tmp_path / "thesis.tex", make_config())
 
 
-def test_study_of_format_1_goes_on(tmp_path, uninterrupted):
-    """Settings had other names then; all else, and so every bit, is the same."""
-    study = Study.create_or_resume(tmp_path / "s", make_config())
-    study.run(objective)
+@pytest.mark.parametrize("version", [1, 2, 99])
+def test_study_of_another_format_is_refused(tmp_path, version):
+    """Losses of earlier formats are not those of this one."""
+    Study.create_or_resume(tmp_path / "s", make_config())
     path = tmp_path / "s" / "study.json"
-    text = path.read_text()
-    for old, new in RENAMED.items():
-        assert f'"{new}"' in text
-        text = text.replace(f'"{new}"', f'"{old}"')
-    path.write_text(text.replace('"version": 2', '"version": 1'))
-    again = Study.create_or_resume(tmp_path / "s", make_config())
-    assert again.config == make_config()
-    assert summary(again, again.run(objective)) == uninterrupted
-    path.write_text(text.replace('"version": 2', '"version": 3'))
-    with pytest.raises(InputError, match=r"study\.json: .*version") as caught:
+    path.write_text(path.read_text().replace(f'"version": {FORMAT}', f'"version": {version}'))
+    with pytest.raises(InputError, match=r"study\.json: .*another version of fascicle") as caught:
         Study.open(tmp_path / "s")
     assert "\n" not in str(caught.value)
 

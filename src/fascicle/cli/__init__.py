@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from fascicle.cli.arguments import HeartArgument, OutOption, StudyArgument, settings_options
+from fascicle.cli.arguments import (
+    HeartArgument,
+    OutOption,
+    StudyArgument,
+    explicit,
+    settings_options,
+)
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.printing import (
     print_demo,
@@ -21,6 +27,8 @@ from fascicle.cli.printing import (
     print_simulation,
     print_template,
 )
+from fascicle.cli.quantities import FixOption, FreeOption, fixed_values, wanted_parameters
+from fascicle.cli.quantities import parameters as parameters_command
 from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
 from fascicle.core.errors import InputError
@@ -79,6 +87,7 @@ def simulate(
     root_time: Annotated[
         float | None, typer.Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
     ] = None,
+    fix: FixOption = None,
     scenario: Annotated[
         Path | None,
         typer.Option(
@@ -89,8 +98,9 @@ def simulate(
 ) -> None:
     """Run the forward model: activation map, trees, ECG, and what fired what.
 
-    From parameters (an example network if none are given; --cv and --root-time override them),
-    or from two trees that you bring. A scenario adds what is beyond the heart's own beat:
+    From parameters (an example network if none are given; --cv, --root-time and --fix override
+    them; 'fascicle parameters' lists what there is), or from two trees that you bring. A scenario
+    adds what is beyond the heart's own beat:
 
     ```toml
     silent = ["lv"]                # trees whose root does not fire
@@ -113,17 +123,16 @@ def simulate(
     from fascicle.heart.conduction import Conduction
     from fascicle.heart.folder import load_heart
 
+    overrides = fixed_values(fix, cv=cv, root_time=root_time)
     case, regions = read_scenario(scenario) if scenario is not None else (None, ())
     loaded = load_heart(heart)
     with TerminalProgress() as progress:
 
         def make_model() -> ForwardModel:
             compile_kernels(progress)
-            return ForwardModel(loaded, Conduction(regions=regions), progress=progress)
+            return ForwardModel(loaded, Conduction.of(loaded, regions), progress=progress)
 
-        simulation, inputs = simulate_inputs(
-            make_model, params, lv_tree, rv_tree, cv, root_time, case
-        )
+        simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     summary = write_simulation(loaded, simulation, out, inputs)
@@ -132,31 +141,67 @@ def simulate(
 
 
 app.command(name="target")(target_command)
+app.command(name="parameters")(parameters_command)
 
 
 @app.command()
 @settings_options(
     FitSettings,
-    first=("initial", "steps", "refine", "samples", "seed", "workers", "free_gain"),
+    first=(
+        "initial",
+        "steps",
+        "refine",
+        "samples",
+        "seed",
+        "workers",
+        "method",
+        "leads",
+        "free_gain",
+        "fewest_junctions",
+    ),
     panel="Which networks are accepted",
     also={"free_gain": "--gain"},
 )
 def fit(
+    context: typer.Context,
     heart: HeartArgument,
     target: Annotated[Path, typer.Argument(help="Target made by 'fascicle target'.")],
     out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
+    settings_file: Annotated[
+        Path | None, typer.Option("--settings", help="TOML file of settings and parameters.")
+    ] = None,
+    free: FreeOption = None,
+    fix: FixOption = None,
     **settings: Any,
 ) -> None:
     """Fit a population of Purkinje networks to a target.
 
     Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
     goes on where it stopped.
+
+    What is learnt, and with which priors, may also stand in a settings file ('fascicle parameters'
+    lists what there is):
+
+    ```toml
+    steps = 200
+
+    [parameters]
+    cv = 2.5                                                      # fixed
+    alpha = { prior = "log-normal", median = 0.07, sd = 0.2 }
+    root_time = { lower = -120.0, upper = 0.0 }                   # uniform
+    endocardial_speed = "free"
+    endocardial_layer = 1.5
+    ```
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.study.fit import fit as run_fit
+    from fascicle.study.space import PARAMETERS, read_settings
 
+    given = read_settings(settings_file) if settings_file is not None else {}
+    learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
+    given |= explicit(context, settings)
     with _resumable(), TerminalProgress() as progress:
-        fitted = run_fit(heart, target, out, progress=progress, **settings)
+        fitted = run_fit(heart, target, out, parameters=learnt, progress=progress, **given)
     print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")
 

@@ -59,6 +59,21 @@ def settings_options(
     return decorate
 
 
+def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of a command's settings that the user has given, so that the rest may come otherwise.
+
+    Parameters
+    ----------
+    context : typer.Context
+        Of the command.
+    settings : mapping
+        Its settings, by name.
+    """
+    sources = {name: context.get_parameter_source(name) for name in settings}
+    default = "DEFAULT"  # of an Enum that Typer keeps to itself
+    return {n: settings[n] for n, source in sources.items() if source and source.name != default}
+
+
 def _option(field: FieldInfo, names: Sequence[str], panel: str | None) -> inspect.Parameter:
     """A command's parameter for one field; the caller names it."""
 

@@ -38,19 +38,22 @@ def print_fit(fitted: FittedStudy) -> None:
     import numpy as np
 
     population = fitted.population
-    recorded = float(np.nansum(fitted.problem.target.qrs**2, axis=0).mean())
+    for warning in fitted.warnings:
+        print(f"warning: {warning}")
     print(f"evaluations            {len(fitted.study.records())}")
     first = fitted.best_initial_loss
-    print(f"best of the first      {first:.4f} mV² (flat line: {recorded:.4f})")
-    print(f"best                   {population.best_loss:.4f} mV²")
+    print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
+    best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
+    print(f"best                   {best}")
     print(f"networks accepted      {len(population)} of {fitted.study.config.samples}")
     if len(population):
-        for name, unit in (("root_time", "ms"), ("cv", "m/s")):
-            values = population.values[name]
-            print(
-                f"{name:<22} {np.median(values):.1f} {unit} "
-                f"({values.min():.1f} to {values.max():.1f})"
+        shown = {"root_time": ("ms", 1), "cv": ("m/s", 1), "alpha": ("", 3)}
+        for name in (name for name in shown if name in population.values):
+            values, (unit, digits) = population.values[name], shown[name]
+            middle, low, high = (
+                f"{value:.{digits}f}" for value in (np.median(values), values.min(), values.max())
             )
+            print(f"{name:<22} {middle} {unit}{' ' * bool(unit)}({low} to {high})")
 
 
 def print_pacing(pacing: Pacing) -> None:

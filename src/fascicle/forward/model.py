@@ -1,19 +1,27 @@
-"""From parameters to the ECG: the stages, chained."""
+"""From parameters to the ECG: the stages, chained.
+
+A network's parameters are quantities of `fascicle.core.quantities`. What changes with them is
+computed anew, and no more: trees, the speeds of the tissue, or times alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fascicle.core.errors import InputError
-from fascicle.core.parameters import NETWORK_SPACE, check_names
+import numpy as np
+
+from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress
+from fascicle.core.quantities import Changes, check, checked, quantity
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.ecg.electrocardiogram import ActionPotential, first_sample
-from fascicle.forward.eikonal.activation import attach, solve
+from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
+from fascicle.forward.eikonal.activation import Coupling, attach, solve
+from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation, check_activation
@@ -23,7 +31,7 @@ from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
-PHYSIOLOGY = ("root_time", "cv")  # parameters that change no tree
+TISSUES = 2  # tissues that are kept; each takes the memory of a heart
 
 _Settings = tuple[Conduction, GrowthRules, ActionPotential]
 
@@ -69,7 +77,7 @@ class ForwardModel:
         progress: Progress | None = None,
     ) -> None:
         self.heart = heart
-        self.conduction = conduction if conduction is not None else Conduction()
+        self.conduction = conduction if conduction is not None else Conduction.of(heart)
         self.rules = rules if rules is not None else GrowthRules()
         self.action_potential = (
             action_potential if action_potential is not None else default_template()
@@ -78,18 +86,19 @@ class ForwardModel:
             prepared = prepare(heart, self.conduction, self.action_potential, progress)
         self.prepared = prepared
         self.myocardium = prepared.myocardium
-        self.electrocardiograph = prepared.electrocardiograph
-        self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared, self.rules))
-        self._attach = lru_cache(REMEMBERED)(partial(attach, self.myocardium))
+        self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
+        self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
+        self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
 
-        Networks that were grown lately are remembered: where only root time and speed change, no
-        tree is grown again.
+        Networks that were grown lately are remembered: where only times and speeds change, no tree
+        is grown again.
         """
-        anatomy = sorted((n, value) for n, value in parameters.items() if n not in PHYSIOLOGY)
-        return self._grow(tuple(anatomy))
+        anatomy = {n: v for n, v in parameters.items() if quantity(n).changes is Changes.TREES}
+        rules = self.rules.with_values(anatomy)
+        return self._grow(rules, tuple(sorted(anatomy.items())))
 
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
@@ -99,7 +108,9 @@ class ForwardModel:
         Parameters
         ----------
         parameters : mapping of name to float
-            The twelve parameters of `fascicle.core.parameters.NETWORK_SPACE`, in its units.
+            Quantities of `fascicle.core.quantities.QUANTITIES`, in its units: bundles and
+            fascicles, ``root_time`` and ``cv`` at least. The rest is as the heart, the conduction
+            and the rules of this model have it.
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
 
@@ -111,17 +122,14 @@ class ForwardModel:
         Raises
         ------
         InputError
-            If a parameter is unknown, missing or not finite, or a length or speed not positive;
-            if the scenario does not fit the heart, or nothing in it fires.
+            If a parameter is unknown, missing or impossible; if the scenario does not fit the
+            heart, or nothing in it fires.
         """
-        check_names(parameters, NETWORK_SPACE.names)
-        for name, value in parameters.items():
-            if (name == "cv" or "_length" in name) and value <= 0:
-                raise InputError(f"parameter '{name}' is {value}; it must be positive")
-        trees = self.grow(parameters)
+        values = complete(parameters)
+        trees = self.grow(values)
         if isinstance(trees, InvalidTree):
             return trees
-        return self.activate(trees, parameters["root_time"], parameters["cv"], scenario)
+        return self.activate(trees, scenario=scenario, **values)
 
     def activate(
         self,
@@ -129,6 +137,7 @@ class ForwardModel:
         root_time: float | Sequence[float],
         cv: float,
         scenario: Scenario | None = None,
+        **values: float,
     ) -> Simulation:
         """Activate the heart through given trees and compute the ECG.
 
@@ -143,28 +152,38 @@ class ForwardModel:
             Speed in the trees (mm/ms).
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
+        **values
+            Other quantities, as in `simulate`; those that trees grow by do nothing here.
+
+        Raises
+        ------
+        InputError
+            If a quantity is unknown or impossible, or the scenario does not fit.
         """
-        roots = _roots(root_time) if isinstance(root_time, (float, int)) else root_time
+        values = checked(values | {"cv": cv})
+        roots = _roots(root_time)
         scenario = scenario if scenario is not None else Scenario()
         trees = (*trees, *(tree for tree, _ in scenario.trees))
+        conduction = self.conduction.with_values(values)
+        tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
         if len(scenario.points):  # rays to every vertex are too many to keep for several networks
-            coupling = attach(self.myocardium, trees, scenario.points)
+            coupling = attach(tissue.myocardium, trees, scenario.points)
             scenario.check_stimuli(coupling.stimuli.distances)
         else:
-            coupling = self._attach(trees)
+            coupling = tissue.attach(trees)
         coupled = solve(
             coupling,
             scenario.root_times(trees, roots),
-            cv,
+            values["cv"],
             stimuli=scenario.times,
             node_times=scenario.node_times(trees),
             speed=scenario.speeds(trees) if scenario.slowings else 1.0,
-            orthodromic_delay=scenario.orthodromic_delay,
-            antidromic_delay=scenario.antidromic_delay,
+            tissue_speed=conduction.alpha / self.conduction.alpha,
+            **scenario.delays(values),
         )
         times = coupled.myocardium
         check_activation(times)
-        leads = self.electrocardiograph.leads(times)
+        leads = values.get("gain", 1.0) * tissue.electrocardiograph.leads(times)
         return Simulation(leads, first_sample(times), times, trees, coupled)
 
     def simulate_many(
@@ -233,6 +252,41 @@ def _grow_trees(
     return tuple(trees)
 
 
-def _roots(root_time: float) -> tuple[float, float]:
-    """When the left and the right root fire (ms), the earlier one at 0."""
-    return max(0.0, -root_time), max(0.0, root_time)
+@dataclass(frozen=True)
+class Tissue:
+    """What depends on the speeds of the tissue, up to a factor that all have in common.
+
+    Attributes
+    ----------
+    myocardium : Myocardium
+        For the coupled eikonal problem.
+    electrocardiograph : Electrocardiograph
+        The ECG integral.
+    attach : callable
+        Attaches trees to the myocardium; those of late are remembered.
+    """
+
+    myocardium: Myocardium
+    electrocardiograph: Electrocardiograph
+    attach: Callable[[tuple[PurkinjeTree, ...]], Coupling]
+
+
+def _tissue(heart: Heart, prepared: Prepared, base: Conduction, conduction: Conduction) -> Tissue:
+    """Tissue of a heart that was prepared for the conduction `base`."""
+    myocardium = prepared.myocardium
+    if conduction != base:
+        myocardium = build_myocardium(heart, conduction)
+    return Tissue(
+        myocardium,
+        prepared.electrocardiograph.scaled(conduction.scale(heart)),
+        lru_cache(REMEMBERED)(partial(attach, myocardium)),
+    )
+
+
+def _roots(root_time: float | Sequence[float]) -> Sequence[float]:
+    """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
+    known = quantity("root_time")
+    if isinstance(root_time, (Sequence, np.ndarray)):
+        return [check(known, time) for time in root_time]
+    delay = check(known, root_time)
+    return max(0.0, -delay), max(0.0, delay)

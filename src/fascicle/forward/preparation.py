@@ -34,7 +34,7 @@ from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
-FORMAT = 5  # of the files; another number makes them anew
+FORMAT = 6  # of the files; another number makes them anew
 ONCE = "once per heart"
 KEPT = 4  # files in a heart's cache; the oldest go
 
@@ -50,7 +50,7 @@ class Prepared:
     myocardium : Myocardium
         The myocardium for the coupled eikonal problem.
     electrocardiograph : Electrocardiograph
-        The ECG integral.
+        The ECG integral of healthy tissue.
     """
 
     charts: dict[str, Chart]
@@ -108,13 +108,12 @@ def build(
         As there.
     """
     charts = {e.side: build_chart(e) for e in heart.endocardia}
-    scale = conduction.scale(heart)
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     electrocardiograph = build_electrocardiograph(
         heart.tetrahedra,
         barycentric,
         heart.volumes,
-        scale[:, None, None] * conduction.intracellular(heart.fibres),
+        conduction.intracellular(heart.fibres),
         _lead_field_gradients(heart, conduction, barycentric, progress),
         action_potential,
     )
@@ -159,6 +158,8 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
     }
     if heart is not None:
         parts["heart"] = _attributes(heart, "vertices", "tetrahedra", "fibres", "electrodes")
+        if heart.regions is not None:
+            parts["heart"]["regions"] = heart.regions
         for e in heart.endocardia:
             surface = _attributes(e, "vertices", "triangles", "root", "direction")
             parts[f"{e.side} endocardium"] = surface

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
+from fascicle.core.quantities import checked
 from fascicle.purkinje.tree import PurkinjeTree
 
 FURTHEST_STIMULUS = 5.0  # mm; a stimulus further from the tissue, or from its tree, is a mistake
@@ -97,8 +98,9 @@ class Scenario:
         Slow or blocked segments; where they overlap the factors multiply.
     silent : tuple of str
         Trees whose root does not fire.
-    orthodromic_delay, antidromic_delay : float
-        Delays of the junctions from tree to myocardium and back (ms); inf blocks that direction.
+    orthodromic_delay, antidromic_delay : float, optional
+        Delays of the junctions from tree to myocardium and back (ms), in place of the network's;
+        inf blocks that direction.
     trees : tuple of (PurkinjeTree, float)
         Trees beside the heart's own, and when their roots fire (ms).
     source : str, optional
@@ -108,16 +110,16 @@ class Scenario:
     stimuli: tuple[Stimulus, ...] = ()
     slowings: tuple[Slowing, ...] = ()
     silent: tuple[str, ...] = ()
-    orthodromic_delay: float = 0.0
-    antidromic_delay: float = 0.0
+    orthodromic_delay: float | None = None
+    antidromic_delay: float | None = None
     trees: tuple[tuple[PurkinjeTree, float], ...] = ()
     source: str | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("orthodromic_delay", "antidromic_delay"):
             value = getattr(self, name)
-            if not value >= 0:
-                raise InputError(f"{name} is {value} ms; it must be 0 or more")
+            if value is not None:
+                checked({name: value})
         for slowing in self.slowings:
             if not 0 <= slowing.speed < np.inf:
                 raise InputError(
@@ -177,6 +179,13 @@ class Scenario:
             number = tree_number(trees, slowing.tree)
             factors[number][slowing.segments(trees[number])] *= slowing.speed
         return np.concatenate([*factors, np.empty(0)])
+
+    def delays(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Delays of the junctions (ms): its own, or those among the quantities of a network."""
+        return {
+            name: own if (own := getattr(self, name)) is not None else values.get(name, 0.0)
+            for name in ("orthodromic_delay", "antidromic_delay")
+        }
 
     def root_times(self, trees: Sequence[PurkinjeTree], root_times: Sequence[float]) -> list[float]:
         """When each root fires (ms), inf where it is silent."""

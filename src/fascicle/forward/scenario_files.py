@@ -106,8 +106,8 @@ class _Tree(_Table):
 
 class _Delay(_Table):
     model_config = ConfigDict(allow_inf_nan=True)  # inf blocks
-    orthodromic: Delay = 0.0
-    antidromic: Delay = 0.0
+    orthodromic: Delay | None = None
+    antidromic: Delay | None = None
 
 
 class _File(_Table):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
+from fascicle.core.quantities import checked
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
@@ -29,12 +29,6 @@ from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
 
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
-# What lies outside is a slip of units or sign; the ranges that are searched are narrower.
-PLAUSIBLE = {
-    "angle": (-2 * math.pi, 2 * math.pi, "rad"),
-    "cv": (0.1, 20.0, "m/s"),
-    "root_time": (-1000.0, 1000.0, "ms"),
-}
 
 
 def simulate_inputs(
@@ -42,8 +36,7 @@ def simulate_inputs(
     params: Path | None = None,
     lv_tree: Path | None = None,
     rv_tree: Path | None = None,
-    cv: float | None = None,
-    root_time: float | None = None,
+    overrides: Mapping[str, float] | None = None,
     scenario: Scenario | None = None,
 ) -> tuple[Simulation, dict[str, object]]:
     """Run the forward model on what the user gave: a parameter file, or two trees.
@@ -57,8 +50,8 @@ def simulate_inputs(
         Parameter file; without it and without trees, the example parameters.
     lv_tree, rv_tree : Path, optional
         Files of trees, both or none.
-    cv, root_time : float, optional
-        Speed in the trees (mm/ms) and t_RV − t_LV (ms), in place of the file's.
+    overrides : mapping of name to float, optional
+        Quantities in place of the file's.
     scenario : Scenario, optional
         Extra stimuli, blocked or slow segments, junction delays, trees of your own.
 
@@ -73,16 +66,11 @@ def simulate_inputs(
     InputError
         If files cannot be used, one tree is missing, or the parameters give no tree.
     """
-    given = {"cv": cv, "root_time": root_time}
-    overrides = {name: value for name, value in given.items() if value is not None}
-    for name, value in overrides.items():
-        _check_plausible("--" + name.replace("_", "-"), name, value)
+    overrides = checked(overrides if overrides is not None else {})
     if lv_tree is None and rv_tree is None:
         parameters = read_parameters(params) if params is not None else dict(EXAMPLE_PARAMETERS)
         parameters |= overrides
         source = str(params) if params is not None else "example parameters"
-        for name, value in parameters.items():
-            _check_plausible(source, name, value)
         model = make_model()
         with _naming(scenario):
             _check_trees(scenario, model)
@@ -94,8 +82,7 @@ def simulate_inputs(
         raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")
     if lv_tree is None or rv_tree is None:
         raise InputError("only one tree is given; give both --lv-tree and --rv-tree")
-    defaults = {name: EXAMPLE_PARAMETERS[name] for name in given}
-    physics = defaults | overrides
+    physics = {name: EXAMPLE_PARAMETERS[name] for name in ("root_time", "cv")} | overrides
     trees, model = [], make_model()
     for path, endocardium in zip((lv_tree, rv_tree), model.heart.endocardia, strict=True):
         tree = read_tree(path, endocardium.side, endocardium.vertices[endocardium.root])
@@ -105,7 +92,7 @@ def simulate_inputs(
     files: dict[str, object] = {"lv_tree": str(lv_tree), "rv_tree": str(rv_tree)}
     with _naming(scenario):
         _check_trees(scenario, model)
-        simulation = model.activate(trees, physics["root_time"], physics["cv"], scenario)
+        simulation = model.activate(trees, scenario=scenario, **physics)
     return simulation, files | physics
 
 
@@ -133,17 +120,6 @@ def _check_at_tissue(what: str, model: ForwardModel, tree: PurkinjeTree) -> None
             f"more than {FURTHEST_JUNCTION:g} mm from the tissue (up to {distances.max():.1f} mm); "
             "give the tree in the heart's frame, in mm"
         )
-
-
-def _check_plausible(source: str, name: str, value: float) -> None:
-    """Refuse values that no heart has, and that would cost hours or gigabytes."""
-    if "_length" in name:
-        plausible, needed = 0 < value < math.inf, "positive (mm)"
-    else:
-        lower, upper, unit = PLAUSIBLE["angle" if "_angle" in name else name]
-        plausible, needed = lower <= value <= upper, f"between {lower:g} and {upper:g} {unit}"
-    if not plausible:
-        raise InputError(f"{source}: parameter '{name}' is {value:g}; it must be {needed}")
 
 
 def _check_side(path: Path, heart: Heart, tree: PurkinjeTree) -> None:

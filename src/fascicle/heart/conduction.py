@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
+import igl
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
+from fascicle.core.quantities import checked, region_labels
 from fascicle.heart.heart import Heart
 
 # α² G is (cm/ms)²; speeds here are in mm/ms
 MM2_PER_CM2 = 100.0
+CONDUCTIVITIES = (
+    "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
+    "torso", "body", "lung", "blood",
+)  # fmt: skip
+LEARNABLE = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
 
 
 @dataclass(frozen=True)
@@ -101,6 +110,17 @@ class Conduction:
         the parametric model of Gabriel, Lau and Gabriel (Phys. Med. Biol. 41, 1996, 2271-2293).
     regions : tuple of Region
         Where the myocardium conducts differently; where they overlap the last one counts.
+    anisotropy_ratio : float, optional
+        Speed along the fibre over that across it, where the conductivities are not to say it.
+    endocardial_layer : float
+        Thickness (mm) of a layer under the endocardia that conducts faster.
+    endocardial_speed : float
+        Factor on the speeds in it; conductivities, and so the ECG of a given activation, stay.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible.
     """
 
     intracellular_l: float = 3.0
@@ -113,6 +133,49 @@ class Conduction:
     lung: float = 0.389
     blood: float = 7.0
     regions: tuple[Region, ...] = ()
+    anisotropy_ratio: float | None = None
+    endocardial_layer: float = 0.0
+    endocardial_speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in CONDUCTIVITIES:
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                raise InputError(f"conductivity '{name}' is {value} mS/cm; it must be positive")
+        names = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
+        given = {name: getattr(self, name) for name in names}
+        checked({name: value for name, value in given.items() if value is not None})
+
+    @classmethod
+    def of(cls, heart: Heart, regions: Sequence[Region] = ()) -> Conduction:
+        """The heart's own, with more regions.
+
+        Parameters
+        ----------
+        heart : Heart
+            Its values count where it has any.
+        regions : sequence of Region
+            Where they overlap with the heart's own, they count.
+        """
+        own = cls().with_values(heart.values)
+        return replace(own, regions=(*own.regions, *regions))
+
+    def with_values(self, values: Mapping[str, float]) -> Conduction:
+        """The same with other values of the quantities in `values` that concern it.
+
+        Parameters
+        ----------
+        values : mapping of name to float
+            Quantities of `fascicle.core.quantities`; a region of a label that is there already is
+            replaced.
+        """
+        changes = {name: values[name] for name in LEARNABLE if name in values}
+        if "fibre_speed" in values:
+            changes["alpha"] = self.alpha * values["fibre_speed"] / self.speeds[0]
+        labels = region_labels(values)
+        regions = [r for r in self.regions if r.label is None or r.label not in labels]
+        added = [Region(values[name], label) for label, name in labels.items()]
+        return replace(self, regions=(*added, *regions), **changes)
 
     def scale(self, heart: Heart) -> Floats:
         """Factor on all conductivities of each tetrahedron, shape (m,); 0 where none conducts."""
@@ -121,6 +184,14 @@ class Conduction:
             scale[region.elements(heart)] = region.conductivity
         if not (scale > 0).any():
             raise InputError("no tissue conducts; make the regions of conductivity 0 smaller")
+        return scale
+
+    def diffusion_scale(self, heart: Heart) -> Floats:
+        """Factor on D, the square of the speeds, of each tetrahedron, shape (m,)."""
+        scale = self.scale(heart)
+        if self.endocardial_layer > 0 and self.endocardial_speed != 1:
+            share = layer_share(heart, self.endocardial_layer)
+            scale *= 1 + share * (self.endocardial_speed**2 - 1)
         return scale
 
     @property
@@ -138,6 +209,8 @@ class Conduction:
         along, across = (
             MM2_PER_CM2 * self.alpha**2 * intra * extra / (intra + extra) for intra, extra in pairs
         )
+        if self.anisotropy_ratio is not None:
+            across = along / self.anisotropy_ratio**2
         return along, across
 
     def intracellular(self, fibres: Floats) -> Floats:
@@ -156,6 +229,42 @@ class Conduction:
         """D⁻¹ (ms²/mm²) for unit fibres of shape (m, 3); shape (m, 3, 3)."""
         along, across = self._squared_speeds()
         return transversely_isotropic(fibres, 1 / along, 1 / across)
+
+
+def layer_share(heart: Heart, thickness: float) -> Floats:
+    """Share of each tetrahedron that lies nearer than `thickness` (mm) to an endocardium, (m,).
+
+    The distance is interpolated linearly in each; the share depends continuously on the thickness.
+    """
+    distance = np.full(len(heart.vertices), np.inf)
+    for e in heart.endocardia:
+        squares = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)[0]
+        distance = np.minimum(distance, np.sqrt(squares))
+    return share_below(distance[heart.tetrahedra], thickness)
+
+
+def share_below(values: Floats, level: float) -> Floats:
+    """Share of the volume in which a function, linear in a tetrahedron, is below a level.
+
+    That is the distribution function of the quadratic B-spline whose knots are the four values at
+    the corners (Hermite-Genocchi).
+
+    Parameters
+    ----------
+    values : (m, 4) array
+        At the corners.
+    level : float
+        In the same unit.
+    """
+    knots = np.sort(values, axis=1)
+    # equal knots, of which the formula is a limit, are set apart by a millionth of the range
+    apart = 1e-6 * np.maximum(np.abs(knots).max(axis=1, keepdims=True), 1e-12)
+    knots = knots + apart * np.arange(4)
+    gaps = knots[:, None, :] - knots[:, :, None]
+    gaps[:, range(4), range(4)] = 1.0
+    share = (np.clip(level - knots, 0, None) ** 3 / gaps.prod(axis=2)).sum(axis=1)
+    share = np.where(level >= knots[:, 3], 1.0, np.where(level <= knots[:, 0], 0.0, share))
+    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
 def transversely_isotropic(fibres: Floats, along: float, across: float) -> Floats:

@@ -18,7 +18,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, check_folder, check_nothing_lost, user_cache
 from fascicle.core.leads import ELECTRODES
+from fascicle.core.quantities import Changes, checked, quantity, region_labels
 from fascicle.heart.assembly import REGION, SHEET, VALVE, assemble_heart
+from fascicle.heart.conduction import Region
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart
 from fascicle.heart.torso import LeadFields, read_torso, write_torso
@@ -73,6 +75,7 @@ class Manifest(_Strict):
     lead_fields: LeadFieldKeys | None = None
     lv: Seeds
     rv: Seeds
+    values: dict[str, Any] = {}
 
 
 def load_heart(path: Path | str) -> Heart:
@@ -115,7 +118,8 @@ def load_heart(path: Path | str) -> Heart:
     if manifest.torso is not None:
         torso = read_torso(folder / manifest.torso, heart.vertices)
     lead_fields = _lead_fields(mesh, manifest.lead_fields)
-    return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields)
+    values = _patient_values(folder / MANIFEST, manifest.values, heart)
+    return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields, values=values)
 
 
 def _read_manifest(folder: Path) -> Manifest:
@@ -136,6 +140,20 @@ def _read_manifest(folder: Path) -> Manifest:
         ) from None
     except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
         raise InputError(f"{path}: not valid TOML ({error}); import the heart again") from None
+
+
+def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[str, float]:
+    """The patient's values, of quantities that there are, and of regions that there are."""
+    try:
+        found = checked(values)
+        for label, name in region_labels(found).items():
+            Region(found[name], label).elements(heart)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    for name in found:
+        if quantity(name).changes not in (Changes.TISSUE, Changes.TIMES):
+            raise InputError(f"{path}: '{name}' is no property of the tissue; leave it out")
+    return found
 
 
 def _lead_fields(mesh: MeshFile, keys: LeadFieldKeys | None) -> LeadFields | None:
@@ -221,6 +239,9 @@ def _manifest_text(heart: Heart, files: dict[str, str]) -> str:
             f"root = {endocardium.root}",
             f"direction = {endocardium.direction}",
         ]
+    if heart.values:
+        lines += ["", "[values]  # of this patient; 'fascicle parameters' lists what there is"]
+        lines += [f"{name} = {value!r}" for name, value in heart.values.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,9 @@ class Heart:
         The body around it; without one the volume conductor is unbounded.
     lead_fields : LeadFields, optional
         Those of the electrodes in that body, if they were computed before.
+    values : mapping of name to float
+        Quantities of `fascicle.core.quantities` that are this patient's, such as ``alpha`` or
+        ``region_1_conductivity``; the models of the heart start from them.
     folder : Path, optional
         Where what is computed from it once is kept: mostly, where it was read from.
     """
@@ -60,6 +63,7 @@ class Heart:
     sheets: Floats | None = None
     torso: Torso | None = None
     lead_fields: LeadFields | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
     folder: Path | None = None
 
     @property
@@ -103,6 +107,8 @@ class Heart:
             arrays.append(self.lead_fields.values)
         if self.torso is not None:
             arrays += [self.torso.vertices, self.torso.tetrahedra, self.torso.tissues]
+        if self.values:
+            arrays.append(np.array([repr(sorted(self.values.items()))]))
         return digest_of(*arrays)
 
 

@@ -65,7 +65,11 @@ def pace(model: ForwardModel, networks: Sequence[Network], root_time: float) -> 
     """
     before = [network.simulation for network in networks]
     after = [
-        model.activate(network.simulation.trees, root_time, network.parameters["cv"])
+        model.activate(
+            network.simulation.trees,
+            scenario=None,
+            **{**network.parameters, "root_time": root_time},
+        )
         for network in networks
     ]
     return Pacing(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.quantities import checked, fascicles, quantity
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
 from fascicle.kernels.arrays import Rules
@@ -36,6 +37,11 @@ class GrowthRules:
         How often the ends branch.
     clearance : float
         A branch stops nearer than this many segments to a foreign node.
+
+    Raises
+    ------
+    InputError
+        If a number is impossible.
     """
 
     branch_length: float = 8.0
@@ -44,6 +50,20 @@ class GrowthRules:
     branch_angle: float = 0.15
     generations: int = 20
     clearance: float = 0.9
+
+    def __post_init__(self) -> None:
+        checked({field.name: getattr(self, field.name) for field in fields(self)})
+
+    def with_values(self, values: Mapping[str, float]) -> GrowthRules:
+        """The same with other values of the quantities in `values` that concern it."""
+        changes: dict[str, Any] = {
+            field.name: int(values[field.name])
+            if quantity(field.name).whole
+            else values[field.name]
+            for field in fields(self)
+            if field.name in values
+        }
+        return replace(self, **changes)
 
 
 class Seed(NamedTuple):
@@ -131,8 +151,8 @@ def grow_tree(
         np.asarray(fascicle_angles, float),
         Rules(
             step=float(rules.branch_length / rules.segments),
-            segments=rules.segments,
-            generations=rules.generations,
+            segments=int(rules.segments),
+            generations=int(rules.generations),
             repulsion=float(rules.repulsion),
             branch_angle=float(rules.branch_angle),
             clearance=float(rules.clearance),
@@ -164,8 +184,7 @@ def grow_from_parameters(
     parameters : mapping of name to float
         Lengths (mm) and angles (rad) of both sides, named as in `fascicle.core.parameters`.
     """
-    prefix = f"{side}_fascicle_length_"
-    numbers = sorted(int(n.removeprefix(prefix)) for n in parameters if n.startswith(prefix))
+    numbers = range(1, fascicles(side, parameters) + 1)
     return grow_tree(
         side,
         chart,

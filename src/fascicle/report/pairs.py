@@ -21,6 +21,7 @@ from fascicle.report.figures import new_figure
 PANEL = 0.95  # inch
 LEGEND_SIZE = 14.0  # points, where the empty triangle has room
 SMALL = 8.5  # points
+PRIOR_POINTS = 101  # of the curve of a prior
 BINS = (10, 40)  # fewest and most in a histogram
 
 BEST_MARK: dict[str, Any] = {
@@ -59,7 +60,7 @@ def pair_figure(
     -------
     Figure
         d (d+1)/2 axes, row by row: scatter below the diagonal; on it, the histogram as a density
-        against the uniform prior as a flat line.
+        against the prior as a broken line.
     """
     size = len(space)
     side = max(PANEL * size + 1.3, 4.0)
@@ -103,11 +104,12 @@ def _draw_marginal(axes: Axes, parameter: Parameter, sample: Floats, marks: Mark
     edges = np.linspace(parameter.lower, parameter.upper, _bins(len(sample)) + 1)
     density, _ = np.histogram(sample, edges, density=True)
     axes.stairs(density, edges, fill=True, color=style.BLUE, alpha=0.45)
-    prior = 1 / (parameter.upper - parameter.lower)
-    axes.axhline(prior, color=style.GREY, linewidth=1.0, linestyle="--")
+    within = np.linspace(parameter.lower, parameter.upper, PRIOR_POINTS)
+    prior = parameter.density(within)
+    axes.plot(within, prior, color=style.GREY, linewidth=1.0, linestyle="--")
     for point, mark in marks:
         axes.axvline(point[parameter.name], color=mark["color"], linewidth=1.2)
-    axes.set_ylim(0, 1.15 * max(float(density.max()), 2 * prior))
+    axes.set_ylim(0, 1.15 * max(float(density.max()), 2 * float(prior.mean()), float(prior.max())))
     axes.set_yticks([])
     axes.spines[["top", "right", "left"]].set_visible(False)
 

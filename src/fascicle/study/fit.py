@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.core.progress import Progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
@@ -21,7 +21,8 @@ from fascicle.recording.target_files import read_target, write_target
 from fascicle.study.population import read_population
 from fascicle.study.problem import Problem
 from fascicle.study.results import POSTERIOR, FittedStudy, write_results
-from fascicle.study.settings import FitSettings
+from fascicle.study.settings import PAPER, FitSettings
+from fascicle.study.space import study_space
 from fascicle.study.study import Study, StudyConfig, first_problem
 
 HEART, TARGET = "heart", "target.nc"  # in the study's folder
@@ -32,6 +33,7 @@ def fit(
     target: Target | Path | str,
     out: Path | str,
     *,
+    parameters: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
     **settings: Any,
 ) -> FittedStudy:
@@ -48,12 +50,18 @@ def fit(
         The target, or its netCDF file.
     out : path
         Folder of the study.
+    parameters : mapping of name to value, optional
+        Quantities of `fascicle.core.quantities.QUANTITIES` to learn or to fix otherwise than
+        `method` says: a number fixes one, ``"free"`` frees it with its usual prior, a mapping with
+        another one: ``{"prior": "log-normal", "median": 0.07, "sd": 0.2}``; keys are `prior`,
+        `lower`, `upper`, `median`, `sd` (`fascicle.core.parameters.Parameter`).
     progress : Progress, optional
         Called with the stage, and how far it is.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. Size of the stages:
-        `initial`, `steps`, `refine`, `samples`; `seed`, `workers`, `free_gain`; acceptance:
-        `tolerance`, `draws`, `candidate_order`, `refit_after`, `rounds`, `walk_steps`.
+        `initial`, `steps`, `refine`, `samples`; what is compared: `method`, `leads`, `free_gain`,
+        `fewest_junctions`; `seed`, `workers`; acceptance: `tolerance`, `draws`,
+        `candidate_order`, `refit_after`, `rounds`, `walk_steps`.
 
     Returns
     -------
@@ -73,10 +81,14 @@ def fit(
     checked = _checked(settings)
     heart = load_heart(heart) if not isinstance(heart, Heart) else heart
     target = read_target(target) if not isinstance(target, Target) else target
+    space, fixed = study_space(checked.method, parameters or {}, heart)
+    if checked.free_gain and ("gain" in space.names or "gain" in fixed):
+        raise InputError("the gain is a parameter and free of its own; leave --free-gain out")
     config = StudyConfig(
         heart=heart.digest,
         target=target_digest(target),
-        space=NETWORK_SPACE.parameters,
+        space=space.parameters,
+        fixed=fixed,
         **checked.model_dump(),
     )
     study = Study.create_or_resume(Path(out), config)
@@ -128,8 +140,9 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
 
 def _checked(settings: dict[str, Any]) -> FitSettings:
     """Settings as they are used; impossible and unknown ones are refused in one line."""
+    preset = PAPER if settings.get("method") == "paper" else {}
     try:
-        return FitSettings(**settings)
+        return FitSettings(**{**preset, **settings})
     except ValidationError as error:
         name, value, message = first_problem(error)
         raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
@@ -142,7 +155,16 @@ def _problem(
     if progress is not None:
         compile_kernels(progress)
     model = ForwardModel(heart, progress=progress)
-    return Problem(model, target, config.parameter_space, config.free_gain, config.workers)
+    return Problem(
+        model,
+        target,
+        config.parameter_space,
+        config.free_gain,
+        config.workers,
+        fixed=config.fixed,
+        independent_leads=config.leads == "8",
+        fewest_junctions=config.fewest_junctions,
+    )
 
 
 def target_digest(target: Target) -> str:

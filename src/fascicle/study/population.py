@@ -111,6 +111,12 @@ def write_population(
             "units": parameter.unit,
             "prior_lower": parameter.lower,
             "prior_upper": parameter.upper,
+            "prior": parameter.prior,
+            **{
+                f"prior_{name}": value
+                for name in ("median", "sd")
+                if (value := getattr(parameter, name)) is not None
+            },
             "best": population.best[parameter.name],
         }
     data.sample_stats["loss"].attrs["units"] = "mV2"

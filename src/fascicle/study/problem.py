@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.leads import LIMB_LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
@@ -62,6 +63,12 @@ class Problem:
         Whether each simulation is scaled by its best global gain first.
     workers : int
         Simulations that run at the same time.
+    fixed : mapping of name to float
+        Quantities that are held at other values than their defaults.
+    independent_leads : bool
+        Whether at most eight leads are compared: of the limb leads two, which say the rest.
+    fewest_junctions : int
+        A network with a tree of fewer is infeasible.
     """
 
     model: ForwardModel
@@ -69,6 +76,9 @@ class Problem:
     space: ParameterSpace
     free_gain: bool = False
     workers: int = 1
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    independent_leads: bool = False
+    fewest_junctions: int = 0
 
     def __call__(self, points: Sequence[Floats]) -> list[Evaluation]:
         """Evaluate points of the unit cube, in order."""
@@ -76,9 +86,13 @@ class Problem:
 
     def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
-        outcome = self.model.simulate(self.space.from_unit(point))
+        outcome = self.model.simulate({**self.fixed, **self.space.from_unit(point)})
         if isinstance(outcome, InvalidTree):
             return Evaluation.infeasible(point, outcome.reason)
+        for tree in outcome.trees:
+            if len(tree.junctions) < self.fewest_junctions:
+                reason = f"{tree.side.upper()} tree has {len(tree.junctions)} junctions only"
+                return Evaluation.infeasible(point, reason)
         alignment = self.align(outcome)
         # the beats are aligned with one another, so one alignment with their mean serves all
         return Evaluation(point, alignment.loss, mismatch(self._recorded_beats, alignment))
@@ -87,9 +101,25 @@ class Problem:
         """Simulate parameters that are known to give trees, as those of a population are."""
         return self._in_threads(self._network, list(parameters))
 
-    def align(self, simulation: Simulation) -> Alignment:
-        """Best alignment of a simulation with the mean recorded QRS, over the target's leads."""
+    @cached_property
+    def compared(self) -> Booleans:
+        """Which of the twelve leads are compared, shape (12,)."""
         used = self.target.used
+        limb = np.flatnonzero(used[: len(LIMB_LEADS)])
+        if self.independent_leads:
+            used = used.copy()
+            used[limb[2:]] = False
+        return used
+
+    @property
+    def flat(self) -> float:
+        """Mismatch of a flat line (mV²)."""
+        recorded = self.target.qrs[self.compared]
+        return float((recorded**2).sum() / recorded.shape[1])
+
+    def align(self, simulation: Simulation) -> Alignment:
+        """Best alignment of a simulation with the mean recorded QRS, over the compared leads."""
+        used = self.compared
         return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
 
     def predicted(self, simulation: Simulation) -> Floats:
@@ -98,7 +128,8 @@ class Problem:
         shift = alignment.shift - self.target.qrs_samples.start
         return alignment.gain * placed(simulation.leads, shift, len(self.target.time))
 
-    def _network(self, parameters: Mapping[str, float]) -> Network:
+    def _network(self, learnt: Mapping[str, float]) -> Network:
+        parameters = {**self.fixed, **learnt}
         simulation = self.model.simulate(parameters)
         if isinstance(simulation, InvalidTree):
             raise RuntimeError(f"a network of the population does not grow: {simulation.reason}")
@@ -111,7 +142,7 @@ class Problem:
         if target.noise is not None:
             # one seed for all time: every evaluation, and a resumed study, sees the same beats
             target = repeated(target, np.random.default_rng(0))
-        return np.asarray(target.qrs_beats[:, target.used])
+        return np.asarray(target.qrs_beats[:, self.compared])
 
     def _in_threads(
         self, function: Callable[[Item], Result], items: Sequence[Item]

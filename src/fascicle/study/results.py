@@ -14,6 +14,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.quantities import region_labels
 from fascicle.inference.evaluation import best_of
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
@@ -24,6 +25,8 @@ from fascicle.study.problem import Network, Problem
 from fascicle.study.study import Study
 
 POSTERIOR = "posterior.nc"
+LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
+HEALTHY = 0  # label of ordinary tissue
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,36 @@ class FittedStudy:
     def best_initial_loss(self) -> float:
         """Least mismatch among the points of the Latin hypercube (mV²)."""
         return best_of(r.evaluation for r in self.study.records() if r.stage is Stage.INITIAL).loss
+
+    @property
+    def explained(self) -> float:
+        """Share of the energy of the recorded QRS that the best network explains, 0 to 1.
+
+        Below 0 it is worse than a flat line.
+        """
+        return 1 - self.population.best_loss / self.problem.flat
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader of the results must know first, a line each."""
+        found = []
+        if self.explained < LEAST_EXPLAINED:
+            found.append(
+                f"the best network explains {max(self.explained, 0):.0%} of the recorded QRS: "
+                "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
+                "(--free alpha) before you believe anything below"
+            )
+        regions = self.problem.model.heart.regions
+        if regions is not None:
+            own = {region.label for region in self.problem.model.conduction.regions}
+            learnt = region_labels((*self.problem.space.names, *self.problem.fixed))
+            healthy = sorted({int(r) for r in np.unique(regions)} - own - learnt.keys() - {HEALTHY})
+            if healthy:
+                found.append(
+                    f"regions {', '.join(map(str, healthy))} of the heart count as healthy; say "
+                    f"otherwise in its heart.toml, or by --fix region_{healthy[0]}_conductivity=0"
+                )
+        return found
 
     @cached_property
     def best_network(self) -> Network:
@@ -129,6 +162,9 @@ def _summary(fitted: FittedStudy) -> dict[str, object]:
         "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
         "best_initial_loss_mV2": fitted.best_initial_loss,
         "best_loss_mV2": population.best_loss,
+        "flat_line_mV2": fitted.problem.flat,
+        "warnings": fitted.warnings,
+        "fixed_parameters": dict(fitted.problem.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
         "networks_wanted": fitted.study.config.samples,

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 from pydantic import Field
 
-from fascicle.inference.abc.settings import AbcSettings
+from fascicle.inference.abc.settings import AbcSettings, CandidateOrder
+
+Method = Literal["default", "paper"]
+# What the paper's method does not have, and its order of candidates
+PAPER: dict[str, Any] = {"refine": 0, "walk_steps": 0, "candidate_order": CandidateOrder.DENSITY}
 
 
 class FitSettings(AbcSettings):
@@ -16,6 +22,20 @@ class FitSettings(AbcSettings):
         default=200,
         ge=0,
         description="Generations of refinement, up to 20 simulations each; 0 as in the paper.",
+    )
+    method: Method = Field(
+        default="default",
+        description="'paper': the paper's parameters, with the speed constant alpha fixed, and "
+        "neither refinement nor random walks; 'default' learns alpha, too.",
+    )
+    leads: Literal["12", "8"] = Field(
+        default="12",
+        description="Leads that are compared: all 12, as in the paper, or the 8 independent ones.",
+    )
+    fewest_junctions: int = Field(
+        default=0,
+        ge=0,
+        description="A network with a tree of fewer junctions does not count as one.",
     )
     seed: int = Field(default=0, ge=0, description="Of all random numbers.")
     free_gain: bool = Field(

@@ -103,7 +103,7 @@ class Run:
             self.settings,
             self._report_round,
         )
-        if len(found.accepted) >= self.settings.samples:
+        if len(found.accepted) >= self.settings.samples or not self.settings.walk_steps:
             return found
         return walk(
             found,

@@ -13,7 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
@@ -26,14 +26,7 @@ from fascicle.study.settings import FitSettings
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 2  # of the folder
-# Names that settings had in format 1, which is otherwise the same.
-RENAMED = {
-    "gain": "free_gain",
-    "batch": "workers",
-    "patience": "refit_after",
-    "sweeps": "walk_steps",
-}
+FORMAT: Final = 3  # of the folder
 
 
 class StudyConfig(FitSettings):
@@ -44,7 +37,9 @@ class StudyConfig(FitSettings):
     heart, target : str
         Hashes of the heart and of the target.
     space : tuple of Parameter
-        What is learnt, and in which ranges.
+        What is learnt, in which ranges and with which priors.
+    fixed : dict of name to float
+        Quantities that are held at other values than their defaults.
     version : int
         Format of the study folder.
     """
@@ -52,15 +47,8 @@ class StudyConfig(FitSettings):
     heart: str
     target: str
     space: tuple[Parameter, ...] = Field(min_length=1)
-    version: Literal[2] = FORMAT
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_format_1(cls, fields: Any) -> Any:
-        if isinstance(fields, dict) and fields.get("version") == 1:
-            renamed = {RENAMED.get(name, name): value for name, value in fields.items()}
-            return renamed | {"version": FORMAT}
-        return fields
+    fixed: dict[str, float] = Field(default_factory=dict)
+    version: Literal[3] = FORMAT
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -161,6 +149,8 @@ def _read(folder: Path) -> StudyConfig:
         if isinstance(error, ValidationError):
             name, _, message = first_problem(error)
             where = f"{name or 'JSON'}: {message}"
+            if name == "version":
+                where = "made by another version of fascicle, with which losses cannot be compared"
         raise InputError(
             f"{path}: not a configuration that this version reads ({where}); "
             "give another folder (--out)"

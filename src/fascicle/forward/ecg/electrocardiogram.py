@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -109,6 +109,17 @@ class Electrocardiograph:
         )
         return np.asarray(respond(histogram, kernel, self.bins_per_step, samples))
 
+    def scaled(self, factors: Floats) -> Electrocardiograph:
+        """The same with the conductivity of each tetrahedron times a factor (m,); 0 is no source.
+
+        Lead fields stay: tissue that does not activate still conducts the currents of the rest.
+        """
+        if (factors == 1).all():
+            return self
+        there = factors > 0
+        weights = self.weights[there] * factors[there, None, None].astype(np.float32)
+        return replace(self, corners=self.corners[there], weights=weights)
+
     def leads(self, activation: Floats) -> Floats:
         """The twelve leads (mV), shape (12, n_time); see `channels`."""
         return leads_from_independent() @ self.channels(activation)
@@ -194,8 +205,7 @@ def build_electrocardiograph(
     corners : (m, 4) array
         Vertices of each tetrahedron.
     barycentric, volumes, intracellular
-        See `channel_weights`; Gᵢ is zero in tissue that does not conduct, which then contributes
-        nothing.
+        See `channel_weights`.
     gradients : (9, m, 3) array
         Mean ∇Z of each electrode in each tetrahedron (kΩ/mm): `lead_field.unbounded_gradients`, or
         `lead_field.nodal_gradients` of lead fields known at the vertices.
@@ -205,9 +215,6 @@ def build_electrocardiograph(
     independent = lead_matrix()[INDEPENDENT_ROWS]
     of_leads = np.tensordot(independent, gradients, axes=1)
     weights = channel_weights(barycentric, volumes, intracellular, of_leads)
-    conducting = weights.any(axis=(1, 2))
     return Electrocardiograph(
-        corners[conducting].astype(np.int32),
-        weights[conducting].astype(np.float32),
-        action_potential,
+        corners.astype(np.int32), weights.astype(np.float32), action_potential
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -100,6 +100,15 @@ class Activation:
     captured: Booleans
     junction_distances: tuple[Floats, ...]
 
+    def with_clock(self, speed: float) -> Activation:
+        """The same on a clock that runs `speed` times as fast: all times divided by it."""
+        return replace(
+            self,
+            myocardium=self.myocardium / speed,
+            trees=tuple(times / speed for times in self.trees),
+            stimulus_times=self.stimulus_times / speed,
+        )
+
 
 def attach(
     myocardium: Myocardium, trees: Sequence[PurkinjeTree], points: Floats | None = None
@@ -158,6 +167,7 @@ def solve(
     speed: ArrayLike = 1.0,
     orthodromic_delay: ArrayLike = 0.0,
     antidromic_delay: ArrayLike = 0.0,
+    tissue_speed: float = 1.0,
 ) -> Activation:
     """Solve the coupled eikonal problem, orthodromic and antidromic, in one sweep.
 
@@ -180,7 +190,23 @@ def solve(
         Factor on the speed of the segment that ends in each node, tree by tree; 0 blocks it.
     orthodromic_delay, antidromic_delay : float or (n_junctions,) arrays
         Delays of the junctions (ms), tree by tree; inf blocks that direction.
+    tissue_speed : float
+        Factor on all speeds of the myocardium. A heart that conducts c times as fast is one that
+        conducts as before while everything else takes c times as long, seen on a clock that runs
+        c times as fast: nothing about it need be prepared anew.
     """
+    if tissue_speed != 1.0:
+        slowed = solve(
+            coupling,
+            [tissue_speed * time for time in root_times],
+            cv / tissue_speed,
+            stimuli=[tissue_speed * time for time in stimuli],
+            node_times=[(tree, node, tissue_speed * time) for tree, node, time in node_times],
+            speed=speed,
+            orthodromic_delay=tissue_speed * np.asarray(orthodromic_delay),
+            antidromic_delay=tissue_speed * np.asarray(antidromic_delay),
+        )
+        return slowed.with_clock(tissue_speed)
     if len(root_times) != len(coupling.trees):
         raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
     mesh, sites = coupling.myocardium.mesh, coupling.sites

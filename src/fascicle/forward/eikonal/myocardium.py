@@ -149,7 +149,7 @@ def build_myocardium(
     vertices, renumbered = np.ascontiguousarray(heart.vertices[order]), number[heart.tetrahedra]
     place = np.argsort(renumbered.min(axis=1), kind="stable")
     corners = np.ascontiguousarray(renumbered[place], dtype=np.int32)
-    scale = conduction.scale(heart)[place]
+    scale = conduction.diffusion_scale(heart)[place]
     conducts = scale > 0
     whole_scale = np.where(conducts, scale, 1.0)
     cells, solver, least = _elements(

@@ -48,5 +48,7 @@ class AbcSettings(BaseModel):
         default=4, ge=1, description="Fits at most; random walks then complete the population."
     )
     walk_steps: int = Field(
-        default=100, ge=1, description="Steps of each walk after the best network last changed."
+        default=100,
+        ge=0,
+        description="Steps of each walk after the best network last changed; 0: no walks.",
     )

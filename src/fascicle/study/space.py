@@ -1,0 +1,119 @@
+"""Which quantities a study learns, with which priors, and which it holds fixed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
+from fascicle.core.parameters import Parameter, ParameterSpace, free, network_space, read_toml
+from fascicle.core.quantities import SIDES, USUAL_FASCICLES, checked, region_labels
+from fascicle.heart.conduction import Region
+from fascicle.heart.heart import Heart
+from fascicle.study.settings import Method
+
+FREE = "free"
+PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
+PARAMETERS = "parameters"  # table of a settings file
+SAME = ("alpha", "fibre_speed")  # two ways to say one thing
+
+
+def study_space(
+    method: Method, wanted: Mapping[str, Any], heart: Heart
+) -> tuple[ParameterSpace, dict[str, float]]:
+    """Free and fixed quantities of a study.
+
+    Parameters
+    ----------
+    method : str
+        ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and speed in
+        the trees; ``"default"`` also the speed constant of the myocardium, where the heart does not
+        say it.
+    wanted : mapping of name to value
+        What differs: a number is a fixed value, ``"free"`` the usual prior, a mapping one with
+        other `lower`, `upper`, `prior`, `median` or `sd` (`fascicle.core.parameters.Parameter`).
+    heart : Heart
+        Its own values and regions.
+
+    Returns
+    -------
+    space : ParameterSpace
+        What is learnt.
+    fixed : dict of name to float
+        What is not, and differs from the defaults; the heart's own values are the heart's.
+
+    Raises
+    ------
+    InputError
+        If a quantity is unknown or impossible, its prior is none, or nothing is left to learn.
+    """
+    chosen = {name: _chosen(name, value) for name, value in wanted.items()}
+    numbers = {side: chosen.pop(f"{side}_fascicles", USUAL_FASCICLES) for side in SIDES}
+    counts = {side: int(n) for side, n in numbers.items() if not isinstance(n, Parameter)}
+    usual = list(network_space(**counts).parameters)
+    if method == "default" and not any(n in chosen or n in heart.values for n in SAME):
+        usual.append(free("alpha"))
+    if all(name in chosen for name in SAME):
+        raise InputError("parameters 'alpha' and 'fibre_speed' say the same; give one")
+    for label, name in region_labels(chosen).items():
+        Region(1.0, label, source=name).elements(heart)
+    learnt = {p.name: p for p in usual if not isinstance(chosen.get(p.name), float)}
+    learnt |= {name: value for name, value in chosen.items() if isinstance(value, Parameter)}
+    fixed = {name: value for name, value in chosen.items() if isinstance(value, float)}
+    _check_fascicles(learnt.keys() | fixed.keys(), counts)
+    if not learnt:
+        raise InputError("every parameter is fixed, so nothing is left to learn; free one")
+    return ParameterSpace(tuple(learnt.values())), fixed
+
+
+def _chosen(name: str, value: Any) -> Parameter | float:
+    """What was said of one quantity: to be learnt, or fixed."""
+    if isinstance(value, str) and value == FREE:
+        return free(name)
+    if not isinstance(value, Mapping):
+        return checked({name: value})[name]
+    unknown = [key for key in value if key not in PRIOR_KEYS]
+    if unknown:
+        raise InputError(
+            f"parameter '{name}': unknown key '{unknown[0]}'; known: {', '.join(PRIOR_KEYS)}"
+        )
+    priors = ("uniform", "normal", "log-uniform", "log-normal")
+    if value.get("prior", "uniform") not in priors:
+        raise InputError(
+            f"parameter '{name}': prior is {value['prior']!r}; known: {', '.join(priors)}"
+        )
+    for key in value.keys() - {"prior"}:
+        number = value[key]
+        if isinstance(number, bool) or not isinstance(number, (int, float)):
+            raise InputError(f"parameter '{name}': '{key}' is {number!r}; give a number")
+    return free(name, **value)
+
+
+def _check_fascicles(names: set[str], counts: Mapping[str, int]) -> None:
+    """Refuse fascicles beyond the number there is."""
+    for side, count in counts.items():
+        for name in sorted(names):
+            number = name.rpartition("_")[2]
+            if name.startswith(f"{side}_fascicle_") and number.isdigit() and int(number) > count:
+                raise InputError(
+                    f"parameter '{name}': there are {count} {side.upper()} fascicles; fix "
+                    f"{side}_fascicles at {number}"
+                )
+
+
+def read_settings(path: Path | str) -> dict[str, Any]:
+    """Read a settings file: settings of the fit, and a table ``[parameters]``.
+
+    Raises
+    ------
+    InputError
+        If it is missing or not TOML, or ``parameters`` is no table.
+    """
+    path = Path(path)
+    check_file(path, (".toml",), "settings")
+    values = read_toml(path, "write lines like 'steps = 100'")
+    if not isinstance(values.get(PARAMETERS, {}), dict):
+        raise InputError(f"{path}: 'parameters' is no table; write [parameters] above them")
+    return values

@@ -1,0 +1,81 @@
+"""Priors: the map from the unit cube against SciPy's distributions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import NETWORK_SPACE, Parameter, free
+
+SHARES = np.linspace(0.0, 1.0, 41)
+
+
+def truncated(distribution, lower, upper):
+    """Quantile function of a distribution within a range."""
+    low, high = distribution.cdf([lower, upper])
+    return lambda share: np.clip(distribution.ppf(low + share * (high - low)), lower, upper)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "distribution"),
+    [
+        (Parameter("cv", "", 2.0, 4.0), scipy.stats.uniform(2, 2)),
+        (Parameter("cv", "", 2.0, 4.0, "normal", 2.5, 0.4), scipy.stats.norm(2.5, 0.4)),
+        (Parameter("g", "", 0.2, 5.0, "log-uniform"), scipy.stats.loguniform(0.2, 5.0)),
+        (
+            Parameter("a", "", 0.04, 0.12, "log-normal", 0.07, 0.3),
+            scipy.stats.lognorm(0.3, scale=0.07),
+        ),
+    ],
+    ids=lambda value: getattr(value, "prior", ""),
+)
+def test_quantiles_and_density(parameter, distribution):
+    quantiles = truncated(distribution, parameter.lower, parameter.upper)
+    values = parameter.from_unit(SHARES)
+    np.testing.assert_allclose(values, quantiles(SHARES), rtol=1e-9)
+    np.testing.assert_allclose(parameter.to_unit(values), SHARES, atol=1e-9)
+    assert values[0] == pytest.approx(parameter.lower)
+    assert values[-1] == pytest.approx(parameter.upper)
+    mass = np.ptp(distribution.cdf([parameter.lower, parameter.upper]))
+    inside = values[1:-1]
+    np.testing.assert_allclose(
+        parameter.density(inside), distribution.pdf(inside) / mass, rtol=1e-4
+    )
+
+
+@given(st.lists(st.floats(0, 1), min_size=12, max_size=12))
+def test_a_point_of_the_cube_and_back(point):
+    values = NETWORK_SPACE.from_unit(np.array(point))
+    np.testing.assert_allclose(NETWORK_SPACE.to_unit(values), point, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("prior", "message"),
+    [
+        ({"lower": 3.0, "upper": 2.5}, "3 to 2.5 is none"),
+        ({"lower": float("nan")}, "is nan"),
+        ({"upper": 1e9}, "give 0.1 to 20"),
+        ({"prior": "normal"}, "needs median and sd"),
+        ({"prior": "normal", "median": 3.0}, "needs median and sd"),
+        ({"median": 3.0, "sd": 0.1}, "has no median and sd"),
+        ({"prior": "normal", "median": 9.0, "sd": 0.1}, "must lie within"),
+        ({"prior": "log-normal", "median": 3.0, "sd": -0.1}, "sd above 0"),
+    ],
+)
+def test_impossible_priors_are_refused(prior, message):
+    with pytest.raises(InputError, match=message):
+        free("cv", **prior)
+
+
+def test_a_logarithm_needs_a_range_above_zero():
+    with pytest.raises(InputError, match="above 0"):
+        free("orthodromic_delay", prior="log-uniform")
+
+
+def test_counts_cannot_be_learnt():
+    with pytest.raises(InputError, match="fixed, not learnt"):
+        free("generations")

@@ -1,0 +1,201 @@
+"""What each quantity does in the forward model, and what is computed anew for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import igl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.quantities import QUANTITIES, Changes, fascicle_names
+from fascicle.forward.compile_kernels import _smallest_heart
+from fascicle.heart.conduction import Conduction, Region, share_below
+
+CV = EXAMPLE_PARAMETERS["cv"]
+
+
+@pytest.fixture(scope="module")
+def plain(default_model):
+    return default_model.simulate(EXAMPLE_PARAMETERS)
+
+
+def test_alpha_without_preparing_anew_is_alpha_prepared(default_model, plain):
+    """Scaling the clock, against a heart that was prepared for the other speed."""
+    other = fascicle.ForwardModel(default_model.heart, Conduction(alpha=0.08))
+    scaled = default_model.simulate(EXAMPLE_PARAMETERS | {"alpha": 0.08})
+    prepared = other.simulate(EXAMPLE_PARAMETERS)
+    # rays are traced as far as 50 ms, which is farther in the faster heart
+    np.testing.assert_allclose(scaled.activation, prepared.activation, atol=0.7)
+    assert np.abs(scaled.activation - prepared.activation).mean() < 0.02
+    assert scaled.total_activation_time < plain.total_activation_time - 5
+
+
+def test_all_speeds_together_are_the_clock(default_model, plain):
+    """With every speed doubled and every delay halved, every time is halved."""
+    delays = {"orthodromic_delay": 3.0, "antidromic_delay": 5.0, "root_time": -20.0}
+    slow = default_model.simulate(EXAMPLE_PARAMETERS | delays)
+    halved = {name: value / 2 for name, value in delays.items()}
+    fast = default_model.simulate(EXAMPLE_PARAMETERS | halved | {"cv": 2 * CV, "alpha": 0.1})
+    np.testing.assert_allclose(2 * fast.activation, slow.activation, rtol=1e-12)
+    for one, other in zip(fast.coupled.trees, slow.coupled.trees, strict=True):
+        np.testing.assert_allclose(2 * one, other, rtol=1e-12)
+
+
+def test_fibre_speed_stands_for_alpha(default_model):
+    by_speed = default_model.simulate(EXAMPLE_PARAMETERS | {"fibre_speed": 0.9})
+    alpha = 0.05 * 0.9 / Conduction().speeds[0]
+    by_alpha = default_model.simulate(EXAMPLE_PARAMETERS | {"alpha": alpha})
+    np.testing.assert_allclose(by_speed.activation, by_alpha.activation, rtol=1e-12)
+
+
+def test_gain_scales_the_ecg_alone(default_model, plain):
+    loud = default_model.simulate(EXAMPLE_PARAMETERS | {"gain": 2.5})
+    np.testing.assert_allclose(loud.leads, 2.5 * plain.leads)
+    np.testing.assert_array_equal(loud.activation, plain.activation)
+
+
+def test_junction_delay_is_that_of_a_scenario_unless_it_has_its_own(default_model, plain):
+    late = default_model.simulate(EXAMPLE_PARAMETERS | {"orthodromic_delay": 4.0})
+    np.testing.assert_allclose(late.activation, plain.activation + 4.0, atol=4.0)
+    assert late.activation.min() == pytest.approx(plain.activation.min() + 4.0, abs=1e-9)
+    scenario = fascicle.Scenario(orthodromic_delay=0.0)
+    again = default_model.simulate(EXAMPLE_PARAMETERS | {"orthodromic_delay": 4.0}, scenario)
+    np.testing.assert_array_equal(again.activation, plain.activation)
+
+
+def test_times_regrow_no_tree_and_prepare_no_tissue(default_model):
+    default_model.simulate(EXAMPLE_PARAMETERS)
+    before = default_model._grow.cache_info().misses, default_model._tissue.cache_info().misses
+    for known in QUANTITIES.values():
+        if known.changes is Changes.TIMES:
+            low, high = known.searched
+            default_model.simulate(EXAMPLE_PARAMETERS | {known.name: (low + high) / 2})
+    after = default_model._grow.cache_info().misses, default_model._tissue.cache_info().misses
+    assert after == before
+
+
+def test_rules_of_growth_are_quantities(default_model):
+    few = default_model.simulate(EXAMPLE_PARAMETERS | {"generations": 3, "branch_length": 12.0})
+    rules = fascicle.GrowthRules(generations=3, branch_length=12.0)
+    same = fascicle.ForwardModel(
+        default_model.heart, rules=rules, prepared=default_model.prepared
+    ).simulate(EXAMPLE_PARAMETERS)
+    for one, other in zip(few.trees, same.trees, strict=True):
+        np.testing.assert_array_equal(one.nodes, other.nodes)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_one_to_four_fascicles(default_model, count):
+    values = {n: v for n, v in EXAMPLE_PARAMETERS.items() if not n.startswith("lv_fascicle")}
+    names = fascicle_names("lv", count)
+    values |= dict.fromkeys(names[:count], 15.0)
+    values |= dict(zip(names[count:], np.linspace(-0.6, 1.2, count), strict=True))
+    left, _ = default_model.grow(values)
+    assert sum(part.startswith("fascicle") for part in left.parts) == count
+
+
+class TestTissue:
+    def test_anisotropy(self, default_model, plain):
+        """Slower across the fibre: nothing is earlier, and the time of the last rises."""
+        more = default_model.simulate(EXAMPLE_PARAMETERS | {"anisotropy_ratio": 3.5})
+        assert (more.activation >= plain.activation - 0.2).all()
+        assert more.total_activation_time > plain.total_activation_time + 5
+        assert Conduction(anisotropy_ratio=3.5).speeds[1] == pytest.approx(
+            Conduction().speeds[0] / 3.5
+        )
+
+    def test_anisotropy_of_the_conductivities_changes_nothing(self, default_model, plain):
+        same = default_model.simulate(EXAMPLE_PARAMETERS | {"anisotropy_ratio": 2.5})
+        np.testing.assert_allclose(same.activation, plain.activation, atol=1e-4)
+
+    def test_endocardial_layer(self, default_model, plain):
+        layer = {"endocardial_layer": 2.0, "endocardial_speed": 2.0}
+        fast = default_model.simulate(EXAMPLE_PARAMETERS | layer)
+        assert (fast.activation <= plain.activation + 0.2).all()
+        assert fast.activation.mean() < plain.activation.mean() - 1
+        heart = default_model.heart
+        scale = Conduction(**layer).diffusion_scale(heart)
+        assert 1.0 <= scale.min() < scale.max() <= 4.0
+        area = sum(igl.doublearea(e.vertices, e.triangles).sum() / 2 for e in heart.endocardia)
+        volume = ((scale - 1) / 3 * heart.volumes).sum()
+        assert volume == pytest.approx(2.0 * area, rel=0.15)
+
+    def test_a_region_by_its_label_is_the_region(self, default_model):
+        heart = default_model.heart
+        centroids = heart.vertices[heart.tetrahedra].mean(axis=1)
+        labels = (centroids[:, 0] > np.median(centroids[:, 0])).astype(np.int64)
+        heart = replace(heart, regions=labels, folder=None)
+        by_region = fascicle.ForwardModel(heart, Conduction(regions=(Region(0.25, 1),)))
+        by_value = fascicle.ForwardModel(heart)
+        parameters = EXAMPLE_PARAMETERS | {"region_1_conductivity": 0.25}
+        one, other = by_region.simulate(EXAMPLE_PARAMETERS), by_value.simulate(parameters)
+        np.testing.assert_allclose(one.activation, other.activation, atol=1e-9)
+        np.testing.assert_allclose(one.leads, other.leads, atol=1e-9)
+        own = fascicle.ForwardModel(replace(heart, values={"region_1_conductivity": 0.25}))
+        np.testing.assert_array_equal(own.simulate(EXAMPLE_PARAMETERS).leads, one.leads)
+
+    def test_a_region_that_is_not_there(self, default_model):
+        with pytest.raises(InputError, match="no labels"):
+            default_model.simulate(EXAMPLE_PARAMETERS | {"region_1_conductivity": 0.5})
+
+
+def test_share_of_a_tetrahedron_below_a_level():
+    """The spline's distribution function against many random points."""
+    rng = np.random.default_rng(0)
+    values = np.vstack([rng.random((6, 4)), [0.3, 0.3, 0.3, 0.9], [0.5] * 4, [0.0, 0, 0.6, 0.6]])
+    points = rng.dirichlet(np.ones(4), 200_000)
+    for level in (0.2, 0.45, 0.7):
+        drawn = (points @ values.T < level).mean(axis=0)
+        np.testing.assert_allclose(share_below(values, level), drawn, atol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"cv": -2.8}, "cv"), ({"cv": 1e-9}, "cv"), ({"cv": float("nan")}, "cv"),
+        ({"root_time": float("nan")}, "root_time"), ({"alpha": 0.0}, "alpha"),
+        ({"root_time": [0.0, float("nan")]}, "root_time"), ({"rooot": 1.0}, "rooot"),
+    ],
+)  # fmt: skip
+def test_activate_refuses_what_is_impossible(default_model, plain, wrong, message):
+    given = {"root_time": 0.0, "cv": 3.0} | wrong
+    with pytest.raises(InputError, match=message):
+        default_model.activate(plain.trees, **given)
+
+
+@pytest.fixture(scope="module")
+def small_model():
+    return fascicle.ForwardModel(_smallest_heart())
+
+
+NUMBERS = st.one_of(st.floats(), st.integers(), st.floats(width=32).map(np.float32), st.none())
+
+
+@given(st.dictionaries(st.sampled_from(sorted(QUANTITIES)), NUMBERS, max_size=3))
+@settings(max_examples=60, deadline=None)
+def test_any_numbers_are_simulated_or_refused_in_one_line(small_model, values):
+    found = outcome(small_model, small_parameters() | values)
+    if isinstance(found, InputError):
+        assert "\n" not in str(found)
+    else:
+        assert isinstance(found, (fascicle.Simulation, fascicle.InvalidTree))
+
+
+def outcome(model, parameters):
+    try:
+        return model.simulate(parameters)
+    except InputError as error:
+        return error
+
+
+def small_parameters():
+    return {
+        n: (6.0 if "initial" in n else 2.0) if "length" in n else v
+        for n, v in EXAMPLE_PARAMETERS.items()
+    }

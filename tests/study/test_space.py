@@ -1,0 +1,112 @@
+"""What a study learns and what it holds fixed, and settings files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.study.space import read_settings, study_space
+
+
+def test_the_paper_learns_twelve(default_heart):
+    space, fixed = study_space("paper", {}, default_heart)
+    assert space == NETWORK_SPACE
+    assert fixed == {}
+
+
+def test_the_default_learns_alpha_too_unless_it_is_known(default_heart):
+    space, _ = study_space("default", {}, default_heart)
+    assert space.names == (*NETWORK_SPACE.names, "alpha")
+    for wanted, heart in (
+        ({"alpha": 0.08}, default_heart),
+        ({"fibre_speed": 0.6}, default_heart),
+        ({}, replace(default_heart, values={"alpha": 0.07})),
+    ):
+        space, fixed = study_space("default", wanted, heart)
+        assert space.names == NETWORK_SPACE.names
+        assert fixed == wanted
+
+
+def test_what_is_said_of_a_quantity_counts(default_heart):
+    wanted = {
+        "cv": np.float32(2.5),
+        "root_time": {"lower": -120.0, "upper": 0.0},
+        "gain": {"prior": "log-normal", "median": 1.0, "sd": 0.3},
+        "endocardial_speed": "free",
+        "endocardial_layer": 1,
+    }
+    space, fixed = study_space("paper", wanted, default_heart)
+    assert fixed == {"cv": 2.5, "endocardial_layer": 1.0}
+    learnt = {p.name: p for p in space.parameters}
+    assert "cv" not in learnt
+    assert (learnt["root_time"].lower, learnt["root_time"].upper) == (-120.0, 0.0)
+    assert (learnt["gain"].prior, learnt["gain"].median) == ("log-normal", 1.0)
+    assert learnt["endocardial_speed"].prior == "uniform"
+    assert len(learnt) == 13
+
+
+@pytest.mark.parametrize(("lv", "rv"), [(1, 2), (3, 4)])
+def test_number_of_fascicles(default_heart, lv, rv):
+    space, fixed = study_space("paper", {"lv_fascicles": lv, "rv_fascicles": rv}, default_heart)
+    assert sum(name.startswith("lv_fascicle_length") for name in space.names) == lv
+    assert sum(name.startswith("rv_fascicle_angle") for name in space.names) == rv
+    assert fixed == {}
+
+
+def test_a_region_must_be_there(default_heart):
+    with pytest.raises(InputError, match="no labels"):
+        study_space("paper", {"region_1_conductivity": "free"}, default_heart)
+    labels = np.zeros(len(default_heart.tetrahedra), dtype=np.int64)
+    labels[:10] = 4
+    heart = replace(default_heart, regions=labels)
+    with pytest.raises(InputError, match="labels are 0, 4"):
+        study_space("paper", {"region_1_conductivity": 0.0}, heart)
+    space, _ = study_space("paper", {"region_4_conductivity": "free"}, heart)
+    assert space.names[-1] == "region_4_conductivity"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"kv": 3.0}, "unknown parameter 'kv'"),
+        ({"cv": "fixed"}, "give a number"),
+        ({"cv": 99}, "give"),
+        ({"cv": {"mean": 3.0}}, "unknown key 'mean'; known: prior, lower"),
+        ({"cv": {"prior": "beta"}}, "'beta'; known: uniform, normal"),
+        ({"cv": {"prior": ["uniform"]}}, "known: uniform"),
+        ({"cv": {"lower": "2"}}, "'lower' is '2'; give a number"),
+        ({"cv": {"lower": True}}, "give a number"),
+        ({"generations": "free"}, "fixed, not learnt"),
+        ({"lv_fascicles": "free"}, "fixed, not learnt"),
+        ({"lv_fascicles": 5}, "give 1 to 4"),
+        ({"lv_fascicle_length_3": 10.0}, "fix lv_fascicles at 3"),
+        ({"alpha": 0.05, "fibre_speed": "free"}, "say the same"),
+        (dict.fromkeys(NETWORK_SPACE.names, 1.0) | {"cv": 3.0}, "nothing is left to learn"),
+    ],
+)
+def test_impossible_studies_are_refused(default_heart, wanted, message):
+    with pytest.raises(InputError, match=message) as caught:
+        study_space("paper", wanted, default_heart)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_file(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text('steps = 7\n[parameters]\ncv = 2.5\nalpha = "free"\n')
+    assert read_settings(path) == {"steps": 7, "parameters": {"cv": 2.5, "alpha": "free"}}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("parameters = 3", r"write \[parameters\]"), ("steps = ", "not valid")]
+)
+def test_damaged_settings_file(tmp_path, text, message):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_settings(path)
+    with pytest.raises(InputError, match=r"none\.toml"):
+        read_settings(tmp_path / "none.toml")
