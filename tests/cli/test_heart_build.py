@@ -137,9 +137,11 @@ def test_segmentations_with_scar(build, tmp_path, monkeypatch, name):
     monkeypatch.setattr("fascicle.build.segmentation.surface.EDGE", 3.0)
     write = anatomies.write_nifti if "nii" in name else anatomies.write_nrrd
     heart, ended = build(write(tmp_path / name), "--labels", BLOOD_AND_SCAR, edge_length=7.5)
-    assert_ventricles(heart)
+    assert_ventricles(replace(heart, values={}))  # in which the scar conducts
     assert "scar: region 1" in ended.out
     assert np.unique(heart.regions).tolist() == [0, 1]
+    assert heart.values == {"region_1_conductivity": 0.0}  # in heart.toml
+    assert fascicle.ForwardModel(heart).simulate(NETWORK).unreached.any()
     scar = heart.regions == 1
     assert heart.volumes[scar].sum() / 1000 == pytest.approx(anatomies.scar_volume(), rel=0.1)
     centres = heart.vertices[heart.tetrahedra].mean(axis=1)

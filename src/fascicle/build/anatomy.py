@@ -80,6 +80,8 @@ class Anatomy:
         Whether the labels were found from the shape, so that they should be looked at.
     own_mesh : bool
         Whether the tetrahedra are the source's own.
+    values : mapping of name to float
+        The patient's values of quantities of `fascicle.core.quantities`.
     """
 
     mesh: LabelledMesh
@@ -88,3 +90,4 @@ class Anatomy:
     notes: tuple[str, ...] = ()
     guessed: bool = False
     own_mesh: bool = False
+    values: Mapping[str, float] = field(default_factory=dict)

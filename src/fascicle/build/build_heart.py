@@ -188,9 +188,8 @@ def heart_of(
     chosen = {side: seeds.get(side, (None, None)) for side in surfaces}
     left, right = seeded_endocardia(surfaces, chosen)
     unplaced = np.full((len(ELECTRODES), 3), np.nan)
-    return Heart(
-        mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name, mesh.regions, sheets
-    )
+    heart = Heart(mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name)
+    return replace(heart, regions=mesh.regions, sheets=sheets, values=anatomy.values)
 
 
 def in_body(

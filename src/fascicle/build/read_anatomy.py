@@ -27,6 +27,7 @@ from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 
+SCAR = "region_1_conductivity"  # quantity that says how the scar of a segmentation conducts
 SEGMENTATIONS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
 
 
@@ -111,11 +112,13 @@ def _from_segmentation(
         segmentation, labels, stage_progress(progress, "surface"), notes
     )
     mesh = _meshed(surface, edge_length, progress)
+    values = {}
     if labels.scar is not None:
         centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
         mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
-        notes.append("scar: region 1; it conducts as the rest unless a scenario says otherwise")
-    return Anatomy(mesh, notes=tuple(notes))
+        values[SCAR] = 0.0
+        notes.append(f"scar: region 1; it does not conduct ({SCAR} = 0 in heart.toml)")
+    return Anatomy(mesh, notes=tuple(notes), values=values)
 
 
 def _segmentation_labels(
