@@ -2,6 +2,7 @@
 from .core.errors import InputError as InputError
 from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
+from .core.quantities import QUANTITIES as QUANTITIES
 from .forward.model import ForwardModel as ForwardModel
 from .forward.scenario import Scenario as Scenario
 from .forward.scenario import Slowing as Slowing

@@ -80,7 +80,7 @@ def test_prediction_lies_under_the_recorded_beat(default_model, target, points):
     """Over the whole beat, not only in the QRS window; a shift by the window's start would show."""
     problem = Problem(default_model, target, NETWORK_SPACE)
     simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    predicted = problem.predicted(simulation)
+    predicted = problem.predicted(simulation, problem.align(simulation))
     assert predicted.shape == target.mean.shape
     assert np.abs(predicted - target.mean).max() < 5 * NOISE
 
@@ -94,7 +94,7 @@ def test_unused_leads_do_not_count(default_model, target, points):
     assert best.loss == pytest.approx(11 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
     simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    predicted = problem.predicted(simulation)
+    predicted = problem.predicted(simulation, problem.align(simulation))
     assert np.abs(predicted[7] - target.mean[7]).max() < 5 * NOISE
 
 
@@ -109,3 +109,33 @@ def test_single_beat_varies_by_its_stated_noise(default_model, target, points):
     assert first.beat_errors.mean() == pytest.approx(12 * 0.05**2, rel=0.2)
     assert 0.02 < first.beat_errors.std() / first.beat_errors.mean() < 0.3
     assert first.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
+
+
+def test_fixed_quantities_and_the_independent_leads(default_model, target, points):
+    """A fixed gain is that of the simulation; eight leads say what twelve do."""
+    plain = Problem(default_model, target, NETWORK_SPACE)
+    loud = replace(plain, fixed={"gain": 2.0})
+    network = next(loud.networks([NETWORK_SPACE.from_unit(points[0])]))
+    assert network.parameters["gain"] == 2.0
+    assert loud.evaluate(points[0]).loss == pytest.approx(plain.flat, rel=0.05)
+    eight = replace(plain, independent_leads=True)
+    assert eight.compared.tolist() == [True, True, False, False, False, False] + [True] * 6
+    assert 0 < eight.flat < plain.flat
+    assert eight.evaluate(points[0]).loss == pytest.approx(8 * NOISE**2 / 5, rel=0.15)
+
+
+def test_a_network_lies_under_the_recorded_qrs(default_model, target, points):
+    problem = Problem(default_model, target, NETWORK_SPACE)
+    truth = next(problem.networks([NETWORK_SPACE.from_unit(points[0])]))
+    assert truth.under_qrs == pytest.approx(1.0, abs=1e-3)
+    narrow = replace(target, qrs_onset=0.0, qrs_offset=20.0)
+    outside = next(replace(problem, target=narrow).networks([truth.parameters]))
+    assert outside.under_qrs < 0.9
+
+
+def test_trees_of_few_junctions_can_be_left_out(default_model, target, points):
+    problem = Problem(default_model, target, NETWORK_SPACE)
+    assert problem.evaluate(points[0]).feasible
+    strict = replace(problem, fewest_junctions=10_000).evaluate(points[0])
+    assert not strict.feasible
+    assert strict.reason.startswith("LV tree has ")

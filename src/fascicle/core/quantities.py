@@ -169,7 +169,7 @@ def quantity(name: str) -> Quantity:
     match = _REGION.fullmatch(str(name))
     if match is None:
         near = difflib.get_close_matches(str(name), QUANTITIES, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known are: {', '.join(QUANTITIES)}"
+        hint = f"did you mean '{near[0]}'?" if near else "'fascicle parameters' lists what there is"
         raise InputError(f"unknown parameter '{name}'; {hint}")
     return Quantity(
         name, "1", 1.0, (0.0, 1e4), (0.0, 1.0),

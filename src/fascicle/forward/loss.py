@@ -50,6 +50,13 @@ class Alignment:
     under: Floats
     outside: float
 
+    @property
+    def under_qrs(self) -> float:
+        """Share of the simulation's energy that lies under the recorded QRS, 0 to 1."""
+        under = float(_mean_square(self.under))
+        whole = under + self.outside
+        return under / whole if whole > 0 else 0.0
+
 
 def mismatch(recorded: Floats, alignment: Alignment) -> Floats:
     """Loss y of recorded QRS at an alignment that was found before, in mV².

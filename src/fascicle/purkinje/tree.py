@@ -9,6 +9,8 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 
+FEW_JUNCTIONS = 50  # in a tree; hundreds are usual
+
 
 @dataclass(frozen=True, eq=False)  # equal is the same, as fits something made of arrays
 class PurkinjeTree:

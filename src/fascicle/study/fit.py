@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
@@ -21,9 +20,9 @@ from fascicle.recording.target_files import read_target, write_target
 from fascicle.study.population import read_population
 from fascicle.study.problem import Problem
 from fascicle.study.results import POSTERIOR, FittedStudy, write_results
-from fascicle.study.settings import PAPER, FitSettings
+from fascicle.study.settings import checked_settings
 from fascicle.study.space import study_space
-from fascicle.study.study import Study, StudyConfig, first_problem
+from fascicle.study.study import Study, StudyConfig
 
 HEART, TARGET = "heart", "target.nc"  # in the study's folder
 
@@ -78,7 +77,7 @@ def fit(
     >>> fitted = fascicle.fit("HEART", "target.nc", "STUDY", steps=100)  # doctest: +SKIP
     >>> fitted.population.values["cv"].mean()  # doctest: +SKIP
     """
-    checked = _checked(settings)
+    checked = checked_settings(settings)
     heart = load_heart(heart) if not isinstance(heart, Heart) else heart
     target = read_target(target) if not isinstance(target, Target) else target
     space, fixed = study_space(checked.method, parameters or {}, heart)
@@ -136,16 +135,6 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
             "again to rewrite it"
         )
     return FittedStudy(study, _problem(study.config, heart, target, progress), population)
-
-
-def _checked(settings: dict[str, Any]) -> FitSettings:
-    """Settings as they are used; impossible and unknown ones are refused in one line."""
-    preset = PAPER if settings.get("method") == "paper" else {}
-    try:
-        return FitSettings(**{**preset, **settings})
-    except ValidationError as error:
-        name, value, message = first_problem(error)
-        raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
 
 
 def _problem(

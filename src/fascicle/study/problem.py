@@ -37,11 +37,14 @@ class Network:
         What the forward model makes of them.
     predicted : (12, n_time) array
         Its ECG under the recorded mean beat (mV).
+    under_qrs : float
+        Share of the energy of its ECG that lies under the recorded QRS, 0 to 1.
     """
 
     parameters: Mapping[str, float]
     simulation: Simulation
     predicted: Floats
+    under_qrs: float
 
 
 @dataclass(frozen=True)
@@ -122,9 +125,8 @@ class Problem:
         used = self.compared
         return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
 
-    def predicted(self, simulation: Simulation) -> Floats:
+    def predicted(self, simulation: Simulation, alignment: Alignment) -> Floats:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
-        alignment = self.align(simulation)
         shift = alignment.shift - self.target.qrs_samples.start
         return alignment.gain * placed(simulation.leads, shift, len(self.target.time))
 
@@ -133,7 +135,9 @@ class Problem:
         simulation = self.model.simulate(parameters)
         if isinstance(simulation, InvalidTree):
             raise RuntimeError(f"a network of the population does not grow: {simulation.reason}")
-        return Network(parameters, simulation, self.predicted(simulation))
+        alignment = self.align(simulation)
+        predicted = self.predicted(simulation, alignment)
+        return Network(parameters, simulation, predicted, alignment.under_qrs)
 
     @cached_property
     def _recorded_beats(self) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from fascicle.core.quantities import region_labels
 from fascicle.inference.evaluation import best_of
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
+from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.purkinje.tree_files import write_tree
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Population, write_population
@@ -26,6 +27,7 @@ from fascicle.study.study import Study
 
 POSTERIOR = "posterior.nc"
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
+LEAST_UNDER_QRS = 0.9  # of the energy of a simulated ECG; more lies there in every good fit
 HEALTHY = 0  # label of ordinary tissue
 
 
@@ -85,6 +87,20 @@ class FittedStudy:
                     f"regions {', '.join(map(str, healthy))} of the heart count as healthy; say "
                     f"otherwise in its heart.toml, or by --fix region_{healthy[0]}_conductivity=0"
                 )
+        if has_few_junctions(self.best_network):
+            counts = ", ".join(
+                f"{len(tree.junctions)} ({tree.side.upper()})"
+                for tree in self.best_network.simulation.trees
+            )
+            found.append(
+                f"the best network has {counts} junctions, where hundreds are usual; "
+                f"--fewest-junctions {FEW_JUNCTIONS} leaves such networks out"
+            )
+        if self.best_network.under_qrs < LEAST_UNDER_QRS:
+            found.append(
+                f"only {self.best_network.under_qrs:.0%} of the best network's ECG lies under the "
+                "recorded QRS; is the QRS window right?"
+            )
         return found
 
     @cached_property
@@ -126,7 +142,7 @@ def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None
             "activation_sd": activations.std(axis=0),
         },
     )
-    write_text(folder / "summary.json", json.dumps(_summary(fitted), indent=2) + "\n")
+    write_text(folder / "summary.json", json.dumps(_summary(fitted, networks), indent=2) + "\n")
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
     # last, since its presence says that the study is finished
     write_population(folder / POSTERIOR, population, problem.space, problem.target, predicted)
@@ -141,6 +157,11 @@ def spread(values: Floats) -> dict[str, float]:
     }
 
 
+def has_few_junctions(network: Network) -> bool:
+    """Whether a tree of a network has so few junctions that it hardly is one."""
+    return any(len(tree.junctions) < FEW_JUNCTIONS for tree in network.simulation.trees)
+
+
 def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
     """One folder a network, with its trees; those of an earlier run are replaced."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -153,7 +174,7 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
             write_text(temporary / name / "parameters.toml", "\n".join(lines) + "\n")
 
 
-def _summary(fitted: FittedStudy) -> dict[str, object]:
+def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, object]:
     records, population = fitted.study.records(), fitted.population
     return {
         "heart": fitted.problem.model.heart.name,
@@ -167,6 +188,8 @@ def _summary(fitted: FittedStudy) -> dict[str, object]:
         "fixed_parameters": dict(fitted.problem.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
+        "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
+        "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "networks_wanted": fitted.study.config.samples,
         "candidates_evaluated": sum(r.stage in (Stage.POSTERIOR, Stage.WALK) for r in records),
         "posterior_rounds": fitted.study.steps(Stage.POSTERIOR),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
+from fascicle.core.errors import InputError
 from fascicle.inference.abc.settings import AbcSettings, CandidateOrder
 
 Method = Literal["default", "paper"]
@@ -53,3 +55,19 @@ FitSettings.__doc__ = "\n".join(
         for name, field in FitSettings.model_fields.items()
     ]
 )
+
+
+def checked_settings(given: Mapping[str, Any]) -> FitSettings:
+    """Settings as they are used; impossible and unknown ones are refused in one line."""
+    preset = PAPER if given.get("method") == "paper" else {}
+    try:
+        return FitSettings(**{**preset, **given})
+    except ValidationError as error:
+        name, value, message = first_problem(error)
+        raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
+
+
+def first_problem(error: ValidationError) -> tuple[str, Any, str]:
+    """Setting, value and what is wrong with it, of the first setting that was refused."""
+    first = error.errors()[0]
+    return ".".join(map(str, first["loc"])), first["input"], first["msg"]

@@ -12,7 +12,7 @@ from fascicle.core.parameters import Parameter, ParameterSpace, free, network_sp
 from fascicle.core.quantities import SIDES, USUAL_FASCICLES, checked, region_labels
 from fascicle.heart.conduction import Region
 from fascicle.heart.heart import Heart
-from fascicle.study.settings import Method
+from fascicle.study.settings import Method, checked_settings
 
 FREE = "free"
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
@@ -109,11 +109,18 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is missing or not TOML, or ``parameters`` is no table.
+        If it is missing or not TOML, or something in it is unknown or impossible.
     """
     path = Path(path)
     check_file(path, (".toml",), "settings")
     values = read_toml(path, "write lines like 'steps = 100'")
-    if not isinstance(values.get(PARAMETERS, {}), dict):
+    parameters = values.get(PARAMETERS, {})
+    if not isinstance(parameters, dict):
         raise InputError(f"{path}: 'parameters' is no table; write [parameters] above them")
+    try:
+        checked_settings({name: value for name, value in values.items() if name != PARAMETERS})
+        for name, value in parameters.items():
+            _chosen(name, value)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     return values

@@ -11,7 +11,7 @@ draws from ``default_rng([seed, stage, k])`` and from nothing else.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from pydantic import Field, ValidationError
 
@@ -22,7 +22,7 @@ from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Objective
 from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.population import Population
-from fascicle.study.settings import FitSettings
+from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
@@ -132,12 +132,6 @@ class Study:
         config, space = self.config, self.config.parameter_space
         journal = Journal(self._database, objective, len(space), config.seed, config.workers)
         return Run(config, space, journal, progress).population()
-
-
-def first_problem(error: ValidationError) -> tuple[str, Any, str]:
-    """Setting, value and what is wrong with it, of the first setting that was refused."""
-    first = error.errors()[0]
-    return ".".join(map(str, first["loc"])), first["input"], first["msg"]
 
 
 def _read(folder: Path) -> StudyConfig:

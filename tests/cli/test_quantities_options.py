@@ -1,0 +1,132 @@
+"""`fascicle parameters`, and the options --fix, --free and --settings."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.core.quantities import QUANTITIES
+
+SMALL = ("--initial", 8, "--steps", 2, "--refine", 0, "--samples", 2, "--draws", 2000,
+         "--rounds", 1, "--walk-steps", 1)  # fmt: skip
+
+
+def test_every_quantity_is_listed(run):
+    ended = run("parameters")
+    assert ended.status == 0
+    for name, known in QUANTITIES.items():
+        if "_fascicle_" not in name:
+            assert name in ended.out
+            assert known.meaning.split()[0] in ended.out
+
+
+def test_fixed_in_a_simulation(run, outside):
+    out = outside / "sim"
+    assert (
+        run("simulate", "default", "--fix", "alpha=0.08", "--fix", "gain=2", "--out", out).status
+        == 0
+    )
+    inputs = json.loads((out / "summary.json").read_text())["inputs"]["parameters"]
+    assert (inputs["alpha"], inputs["gain"]) == (0.08, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--fix", "alpha"], "--fix alpha: not a name and a number"),
+        (["--fix", "alfa=0.1"], "did you mean 'alpha'"),
+        (["--fix", "alpha=0.1", "--fix", "alpha=0.2"], "given twice"),
+        (["--cv", "3", "--fix", "cv=2"], "given twice"),
+        (["--fix", "cv=200"], "--fix cv=200: parameter 'cv' is 200 mm/ms; give"),
+    ],
+)
+def test_wrong_fixes_of_a_simulation(refused, outside, options, words):
+    refused(["simulate", "default", *options, "--out", outside / "sim"], words)
+
+
+@pytest.fixture(scope="module")
+def target(tmp_path_factory, default_model):
+    import numpy as np
+
+    from examples.recover_known_network import synthetic_target
+    from fascicle.core.parameters import EXAMPLE_PARAMETERS
+    from fascicle.recording.target_files import write_target
+
+    leads = default_model.simulate(EXAMPLE_PARAMETERS).leads
+    path = tmp_path_factory.mktemp("target") / "target.nc"
+    write_target(synthetic_target(leads, np.random.default_rng(0)), path)
+    return path
+
+
+class TestFit:
+    def space(self, out):
+        config = json.loads((out / "study.json").read_text())
+        return [p["name"] for p in config["space"]], config
+
+    def test_alpha_is_learnt_unless_it_is_fixed(self, run, outside, target):
+        assert run("fit", "default", target, "--out", outside / "a", *SMALL).status == 0
+        names, config = self.space(outside / "a")
+        assert names == [*NETWORK_SPACE.names, "alpha"]
+        assert config["fixed"] == {}
+        options = ["--fix", "alpha=0.06", "--free", "gain", "--leads", "8"]
+        assert run("fit", "default", target, "--out", outside / "b", *SMALL, *options).status == 0
+        names, config = self.space(outside / "b")
+        assert names == [*NETWORK_SPACE.names, "gain"]
+        assert config["fixed"] == {"alpha": 0.06}
+        assert config["leads"] == "8"
+        written = (outside / "b" / "networks" / "best" / "parameters.toml").read_text()
+        assert "alpha = 0.06" in written
+        assert run("predict", outside / "b", "--out", outside / "p").status == 0
+
+    def test_settings_file_and_options_over_it(self, run, outside, target):
+        settings = outside / "study.toml"
+        settings.write_text(
+            'seed = 5\nmethod = "paper"\n[parameters]\ncv = 2.5\n'
+            'alpha = {prior = "log-normal", median = 0.07, sd = 0.2}\n'
+        )
+        arguments = ["--settings", settings, "--fix", "cv=2.7", *SMALL]
+        ended = run("fit", "default", target, "--out", outside / "a", *arguments)
+        assert ended.status == 0, ended.err
+        names, config = self.space(outside / "a")
+        assert "cv" not in names
+        assert config["fixed"] == {"cv": 2.7}
+        assert (config["seed"], config["method"], config["initial"]) == (5, "paper", 8)
+        assert config["space"][-1]["prior"] == "log-normal"
+
+    def test_the_paper_has_no_walks_and_no_refinement(self, run, outside, target):
+        small = [*SMALL[:4], "--draws", 2000, "--rounds", 1, "--method", "paper"]
+        assert run("fit", "default", target, "--out", outside / "a", *small).status == 0
+        names, config = self.space(outside / "a")
+        assert names == list(NETWORK_SPACE.names)
+        assert (config["refine"], config["walk_steps"]) == (0, 0)
+        assert config["candidate_order"] == "density"
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (["--free", "generations"], "fixed, not learnt"),
+            (["--free", "alpha", "--fix", "alpha=0.1"], "--free alpha: it is fixed as well"),
+            (["--free", "gain", "--free-gain"], "leave --free-gain out"),
+            (["--fix", "region_1_conductivity=0"], "no labels"),
+            (["--settings", "none.toml"], "none.toml"),
+        ],
+    )
+    def test_wrong_options(self, refused, outside, target, options, words):
+        refused(["fit", "default", target, "--out", outside / "s", *options], words)
+        assert not (outside / "s").exists()
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("stepz = 3", "'stepz'"),
+            ('steps = "many"', "'steps'"),
+            ("[parameters]\nkv = 3", "unknown parameter 'kv'"),
+        ],
+    )
+    def test_wrong_settings_files_are_named(self, refused, outside, target, text, words):
+        path = outside / "study.toml"
+        path.write_text(text)
+        arguments = ["fit", "default", target, "--out", outside / "s", "--settings", path]
+        refused(arguments, path, words)
