@@ -265,6 +265,9 @@ def template(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
+    free_gain: Annotated[
+        bool, typer.Option(help="Scale each simulated ECG: heart and body are not the patient's.")
+    ] = True,
 ) -> None:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
     from fascicle.cli.demo import demo_recording, run_demo
@@ -273,7 +276,7 @@ def demo(
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
     with _resumable(), TerminalProgress() as progress:
-        analysis, fitted, pacing = run_demo(out, progress)
+        analysis, fitted, pacing = run_demo(out, progress, free_gain=free_gain)
     print_analysis(analysis)
     print_fit(fitted)
     print_pacing(pacing)

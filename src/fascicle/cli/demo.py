@@ -19,9 +19,9 @@ from fascicle.study.fit import fit
 from fascicle.study.results import FittedStudy
 
 # A fraction of the paper's budget and no refinement: enough to see every stage work, not to trust
-# the numbers. The gain is free, since the heart and its volume conductor are somebody else's.
+# the numbers.
 SETTINGS: dict[str, Any] = {
-    "initial": 60, "steps": 60, "refine": 0, "samples": 10, "draws": 500_000, "free_gain": True,
+    "initial": 60, "steps": 60, "refine": 0, "samples": 10, "draws": 500_000,
 }  # fmt: skip
 
 
@@ -32,7 +32,9 @@ def demo_recording() -> Path:
     return Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
 
 
-def run_demo(out: Path, progress: Progress) -> tuple[Analysis, FittedStudy, Pacing]:
+def run_demo(
+    out: Path, progress: Progress, *, free_gain: bool
+) -> tuple[Analysis, FittedStudy, Pacing]:
     """Make the target, fit, draw the figures, predict simultaneous activation of both trees.
 
     Parameters
@@ -42,11 +44,14 @@ def run_demo(out: Path, progress: Progress) -> tuple[Analysis, FittedStudy, Paci
         study resumes.
     progress : Progress
         Called with the stage, and how far it is.
+    free_gain : bool
+        Whether simulations are scaled: the heart and its body are somebody else's.
     """
     analysis = analyse(read_recording(demo_recording()))
     write_target(analysis.target, out / "target.nc")
     save(recording_figure(analysis), out / "target.png")
-    fitted = fit("default", analysis.target, out / "study", progress=progress, **SETTINGS)
+    settings = SETTINGS | {"free_gain": free_gain}
+    fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
     write_figures(fitted, fitted.networks(progress))
     pacing = write_pacing(fitted, 0.0, out / "pacing", progress)
     return analysis, fitted, pacing

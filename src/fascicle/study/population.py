@@ -98,14 +98,16 @@ def write_population(
         warnings.simplefilter("ignore", FutureWarning)
         import arviz as az
 
-    data = az.from_dict(
-        posterior={name: values[None] for name, values in population.values.items()},
-        sample_stats={"loss": population.losses[None], "distance": population.distances[None]},
-        posterior_predictive={"ecg": predicted[None]},
-        observed_data={"ecg": target.mean},
-        coords={"lead": list(LEADS), "time": target.time},
-        dims={"ecg": ["lead", "time"]},
-    )
+    with warnings.catch_warnings():  # nothing accepted is no mistake in the shape of the arrays
+        warnings.filterwarnings("ignore", "More chains")
+        data = az.from_dict(
+            posterior={name: values[None] for name, values in population.values.items()},
+            sample_stats={"loss": population.losses[None], "distance": population.distances[None]},
+            posterior_predictive={"ecg": predicted[None]},
+            observed_data={"ecg": target.mean},
+            coords={"lead": list(LEADS), "time": target.time},
+            dims={"ecg": ["lead", "time"]},
+        )
     for parameter in space.parameters:
         data.posterior[parameter.name].attrs = {
             "units": parameter.unit,
