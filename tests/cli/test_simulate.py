@@ -208,19 +208,25 @@ class TestTrees:
         _, refuse = self.spoil(simulated, outside, length=length)
         refuse(simulate_refused, "segment 6 has length", "; correct or remove the array 'length'")
 
-    def test_a_repeated_point_is_no_segment(self, simulated, small_heart, outside, run):
+    def test_a_repeated_point_changes_no_time(self, simulated, small_heart, outside, run):
+        """It makes a node more, since the lines are a tree as they stand, and no detour."""
         tree = pv.read(simulated / "lv_tree.vtu")
         lines = tree.cells.reshape(-1, 3)[:, 1:].copy()
         twin = tree.n_points
         points = np.vstack([tree.points, tree.points[lines[4, 0]]])
         extra = [[lines[4, 0], twin], [twin, lines[4, 1]]]
-        file, _ = self.spoil(
-            simulated, outside, points=points, lines=np.vstack([np.delete(lines, 4, 0), extra])
-        )
-        arguments = self.arguments(simulated, lv=file)
-        assert run("simulate", small_heart, *arguments, "--out", outside / "out").status == 0
-        summary = json.loads((outside / "out" / "summary.json").read_text())
-        assert summary["trees"]["lv"]["nodes"] == tree.n_points
+        repeated = {"points": points, "lines": np.vstack([np.delete(lines, 4, 0), extra])}
+        summaries, activations = [], []
+        for name, arrays in (("plain", {}), ("repeated", repeated)):
+            file, _ = self.spoil(simulated, outside, **arrays)
+            arguments = self.arguments(simulated, lv=file)
+            assert run("simulate", small_heart, *arguments, "--out", outside / name).status == 0
+            content = json.loads((outside / name / "summary.json").read_text())
+            summaries.append(content["trees"]["lv"])
+            activations.append(pv.read(outside / name / "activation.vtu")["activation"])
+        assert [summary["nodes"] for summary in summaries] == [twin, twin + 1]
+        assert summaries[0]["junctions"] == summaries[1]["junctions"]
+        np.testing.assert_allclose(activations[1], activations[0], rtol=0, atol=1e-9)
 
     def test_no_lines(self, simulated, simulate_refused):
         file = simulated / "activation.vtu"

@@ -79,12 +79,11 @@ def turned(heading, angle):
     return np.array([[c, -s], [s, c]]) @ heading
 
 
-def nearest_foreign(surface, tree, point, t, kin, start):
-    """Nearest node that is not kin, and its distance in the triangle's metric (mm)."""
+def nearest_but(surface, tree, point, t, hidden):
+    """Nearest node that is not hidden, and its distance in the triangle's metric (mm)."""
     offset = point - np.array(tree.disk)
     distance = np.linalg.norm(offset @ surface.jacobian[t].T, axis=1)
-    distance[np.isin(tree.branch, kin)] = np.inf
-    distance[start] = np.inf
+    distance[list(hidden)] = np.inf
     best = int(distance.argmin())
     return best, distance[best]
 
@@ -124,14 +123,16 @@ def sprout(surface, tree, tips, label, step, rules):
             headings.append(turned(heading, angle))
             alive.append(True)
     starts = list(ends)
+    laid = [[] for _ in ends]  # the nodes of each branch, by segment
     for segment in range(rules.segments):
         for k in range(len(ends)):
             if not alive[k]:
                 continue
-            kin, near = (label + k, label + (k ^ 1)), -1
+            own, sister, near = {starts[k], *laid[k]}, laid[k ^ 1], -1
             point, t, heading = tree.disk[ends[k]], tree.triangle[ends[k]], headings[k]
             if segment > 0:
-                near, distance = nearest_foreign(surface, tree, point, t, kin, starts[k])
+                this_round = sister[segment:]
+                near, distance = nearest_but(surface, tree, point, t, own | set(this_round))
                 heading = heading / np.linalg.norm(surface.jacobian[t] @ heading)
                 heading = heading + rules.repulsion * (point - tree.disk[near]) / distance
             try:
@@ -139,11 +140,12 @@ def sprout(surface, tree, tips, label, step, rules):
             except LeftError:
                 alive[k] = False
                 continue
-            _, distance = nearest_foreign(surface, tree, point, t, kin, starts[k])
+            _, distance = nearest_but(surface, tree, point, t, own | set(sister))
             if distance < rules.clearance * step:
                 alive[k] = False
                 continue
-            ends[k] = tree.add(point, t, ends[k], kin[0], near)
+            ends[k] = tree.add(point, t, ends[k], label + k, near)
+            laid[k].append(ends[k])
             headings[k] = heading
     lived = [(e, h) for e, h, a in zip(ends, headings, alive, strict=True) if a]
     return lived, label + len(ends)

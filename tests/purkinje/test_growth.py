@@ -10,8 +10,8 @@ from builders import half_ellipsoid
 from grown_trees import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root, stretches
 from scipy.spatial import cKDTree
 
-from fascicle.purkinje.chart import build_chart
-from fascicle.purkinje.growth import GrowthRules, find_seed, grow_from_parameters
+from fascicle.purkinje.chart import Chart, build_chart
+from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters, grow_tree
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 
 
@@ -162,6 +162,41 @@ def test_branches_leave_at_the_branch_angle_to_both_sides(surface):
         a, b = tree.nodes[children[fork]] - tree.nodes[fork]
         between = math.acos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
         assert 0.15 < between < 0.6  # rad; 2·0.15 where the map is conformal
+
+
+def fork_on_a_plane(repulsion):
+    """The two sisters, (n, 2) in mm, that leave the origin of a plane about the x-axis."""
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    scale = 100.0  # mm
+    chart = Chart(
+        points=corners,
+        vertices=np.column_stack([scale * corners, np.zeros(4)]),
+        triangles=np.array([[0, 1, 2], [0, 2, 3]]),
+        neighbours=np.array([[-1, 1, -1], [-1, -1, 0]]),
+        metric=np.tile([scale**2, 0.0, scale**2], (2, 1)),
+    )
+    seed = Seed(np.array([-0.2, 0.0]), 1, np.array([1.0, 0.0]))
+    rules = GrowthRules(generations=1, repulsion=repulsion)
+    tree = grow_tree("lv", chart, seed, 15.0, [5.0], [0.0], rules)
+    return [tree.nodes[tree.labels == label, :2] for label in (2, 3)]
+
+
+def test_sisters_repel_one_another():
+    """The first segments leave at ±0.15 rad; each later one turns away from the sister by w."""
+    left, right = fork_on_a_plane(repulsion=0.1)
+    assert len(left) == len(right) == GrowthRules().segments
+    np.testing.assert_allclose(left[0], [math.cos(0.15), math.sin(0.15)], atol=1e-12)
+    heading = left[0] + [0.0, 0.1]  # straight away from the sister's first node
+    second = left[0] + heading / np.linalg.norm(heading)
+    np.testing.assert_allclose(left[1], second, atol=1e-12)
+    straight, _ = fork_on_a_plane(repulsion=0.0)
+    assert left[-1, 1] > 2 * straight[-1, 1]
+
+
+def test_sisters_are_mirror_images():
+    """One must not see the segment that the other laid a moment ago."""
+    left, right = fork_on_a_plane(repulsion=0.1)
+    np.testing.assert_allclose(left, right * [1, -1], atol=1e-11)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def test_same_tree_as_growth_written_down_plainly(surface, angles):
 def test_a_tree_of_many_nodes_begins_as_one_of_fewer_generations(surface):
     """The nodes' array grows meanwhile: nothing may be lost or mixed up."""
     many, few = (
-        grow(surface, rules=GrowthRules(branch_length=4.0, generations=g)) for g in (40, 6)
+        grow(surface, rules=GrowthRules(branch_length=3.0, generations=g)) for g in (40, 6)
     )
     n = len(few.nodes)
     assert len(many.nodes) > 10000

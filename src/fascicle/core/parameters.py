@@ -239,16 +239,16 @@ def read_toml(path: Path, remedy: str) -> dict[str, Any]:
 # Found by a random search on the packaged heart and on the mean shape of 1000 hearts (Cobiveco's
 # geo1), both in the idealised torso; with root_time -60 both show left bundle branch block.
 EXAMPLE_PARAMETERS: dict[str, float] = {
-    "lv_initial_length": 86.5,
-    "rv_initial_length": 79.0,
-    "lv_fascicle_length_1": 42.5,
-    "lv_fascicle_length_2": 28.5,
-    "rv_fascicle_length_1": 20.5,
-    "rv_fascicle_length_2": 43.5,
-    "lv_fascicle_angle_1": 1.75,
-    "lv_fascicle_angle_2": 0.78,
-    "rv_fascicle_angle_1": -0.72,
-    "rv_fascicle_angle_2": -0.29,
+    "lv_initial_length": 98.0,
+    "rv_initial_length": 86.0,
+    "lv_fascicle_length_1": 48.5,
+    "lv_fascicle_length_2": 36.5,
+    "rv_fascicle_length_1": 20.0,
+    "rv_fascicle_length_2": 49.5,
+    "lv_fascicle_angle_1": 1.25,
+    "lv_fascicle_angle_2": -0.02,
+    "rv_fascicle_angle_1": -0.78,
+    "rv_fascicle_angle_2": 0.87,
     "root_time": 2.0,
-    "cv": 2.8,
+    "cv": 3.1,
 }

@@ -97,11 +97,12 @@ def _square(u, v, node, metric, triangle):
 def _nearest(point, kin, nearest, nodes, head, metric):
     """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
 
-    Foreign are all but `kin`: the node that the branch starts from, the nodes of the branch itself
-    and of its sister. Only a node that is nearer replaces `nearest`.
+    Foreign are all nodes but those of `kin`: the node that the branch starts from, the nodes of the
+    branch itself, and of its sister's those numbered `unseen` and above. Only a node that is nearer
+    replaces `nearest`.
     """
     u, v, triangle = point
-    start, own, sister = kin
+    start, own, sister, unseen = kin
     best, best_square = nearest
     g11, g12, g22 = metric[triangle, 0], metric[triangle, 1], metric[triangle, 2]
     # the box around the ellipse of that distance
@@ -112,23 +113,11 @@ def _nearest(point, kin, nearest, nodes, head, metric):
             k = head[i, j]
             while k >= 0:
                 node = nodes[k]
-                if k != start and node.branch != own and node.branch != sister:
-                    square = _square(u, v, node, metric, triangle)
-                    if square < best_square:
-                        best, best_square = k, square
+                is_kin = k == start or node.branch == own or (node.branch == sister and k >= unseen)
+                square = _square(u, v, node, metric, triangle)
+                if square < best_square and not is_kin:
+                    best, best_square = k, square
                 k = node.following
-    return best, best_square
-
-
-@allocating_kernel()
-def _nearest_of(first, last, point, sister, nearest, nodes, metric):
-    """As `_nearest`, among the nodes `first` to `last` - 1, none of which is the branch's own."""
-    u, v, triangle = point
-    best, best_square = nearest
-    for k in range(first, last):
-        square = _square(u, v, nodes[k], metric, triangle)
-        if square < best_square and nodes[k].branch != sister:
-            best, best_square = k, square
     return best, best_square
 
 
@@ -205,6 +194,26 @@ def _steered(point, heading, nearest, repulsion, nodes, metric):
 
 
 @allocating_kernel()
+def _steered_by(point, kin, beside, nodes, head, metric):
+    """The node that repels a branch, and its squared distance (mm²).
+
+    As d_CP in equation 1 of the paper, it is the nearest of all but the branch itself and its
+    start, and of the sister's nodes those laid in earlier rounds: the sister that moves second must
+    not see more of the first than the first sees of it, or left and right would differ. `beside` is
+    the end of the sister.
+    """
+    start, _, _, unseen = kin
+    if beside >= unseen:
+        beside = nodes[beside].parent
+    # the sister is mostly the nearest, and if not, bounds the search; where it laid nothing, the
+    # parent does, and nothing when the tree starts here
+    guess = beside if beside != start else nodes[start].parent
+    u, v, triangle = point
+    bound = _square(u, v, nodes[guess], metric, triangle) if guess >= 0 else np.inf
+    return _nearest(point, kin, (guess, bound), nodes, head, metric)
+
+
+@allocating_kernel()
 def _sprout(tips, heading, label, rules, tree, chart):
     """Grow one generation: two branches from every tip, advanced a segment at a time in step.
 
@@ -219,13 +228,10 @@ def _sprout(tips, heading, label, rules, tree, chart):
         angle = rules.branch_angle if k % 2 == 0 else -rules.branch_angle
         toward[k] = _turned(heading[k // 2], angle)
     alive = np.ones(count, np.bool_)
-    near = np.full(count, -1, np.int64)  # nearest foreign node of each end
-    near_square = np.full(count, np.inf)  # and its squared distance (mm²)
-    seen = np.zeros(count, np.int64)  # among the nodes before this one
     too_near = (rules.clearance * step) ** 2
     for segment in range(rules.segments):
         tree = _with_room(tree, count)
-        nodes, head = tree.nodes, tree.head
+        nodes, head, round_start = tree.nodes, tree.head, tree.size
         for k in range(count):
             if not alive[k]:
                 continue
@@ -233,30 +239,22 @@ def _sprout(tips, heading, label, rules, tree, chart):
             start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
             point = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
             a, b = toward[k, 0], toward[k, 1]
-            guess = nodes[start].parent  # a foreign node, and none when the tree starts here
             if segment > 0:
-                # known from when this end was laid; since then only others have laid nodes
-                known = near[k], near_square[k]
-                guess, square = _nearest_of(seen[k], tree.size, point, sister, known, nodes, metric)
-                known = guess, square
-                a, b = _steered(point, (a, b), known, rules.repulsion, nodes, metric)
+                kin = start, own, sister, round_start
+                near = _steered_by(point, kin, end[k ^ 1], nodes, head, metric)
+                a, b = _steered(point, (a, b), near, rules.repulsion, nodes, metric)
             u, v, t, missing = walk(point[0], point[1], point[2], a, b, step, chart)
             if missing > 0.0:
                 alive[k] = False
                 continue
-            # what was nearest before the step bounds the search after it
-            bound = _square(u, v, nodes[guess], metric, t) if guess >= 0 else np.inf
-            if segment == rules.segments - 1 and bound > too_near:
-                guess, bound = -1, too_near  # no step follows: only the stop test matters
-            near[k], near_square[k] = _nearest(
-                (u, v, t), (start, own, sister), (guess, bound), nodes, head, metric
-            )
-            if near_square[k] < too_near:
+            # no node of the sister stops a branch: they begin nearer to each other than that
+            kin = start, own, sister, 0
+            _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
+            if square < too_near:
                 alive[k] = False
                 continue
             tree = _append(tree, (u, v, t), end[k], step, own)
             end[k] = tree.size - 1
-            seen[k] = tree.size
             toward[k, 0], toward[k, 1] = a, b
     return tree, end[alive], toward[alive]
 

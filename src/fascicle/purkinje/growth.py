@@ -30,13 +30,14 @@ class GrowthRules:
     segments : int
         Segments a branch is laid in.
     repulsion : float
-        Weight w of the direction away from the nearest foreign node.
+        Weight w of the direction away from the nearest node, the sister branch's included.
     branch_angle : float
         Angle between a branch and its parent (rad).
     generations : int
         How often the ends branch.
     clearance : float
-        A branch stops nearer than this many segments to a foreign node.
+        A branch stops nearer than this many segments to a node that is neither its own nor its
+        sister's.
 
     Raises
     ------
@@ -143,6 +144,17 @@ def grow_tree(
     -------
     PurkinjeTree or InvalidTree
         `InvalidTree` where the bundle or a fascicle would leave the endocardium.
+
+    Notes
+    -----
+    d_CP is the distance to the nearest node already in the tree, those of the branch itself and
+    the one it starts from excepted. The sister branch repels, as in the published code
+    (fractal-tree, purkinje-uv), but here only with nodes laid in earlier rounds. There the branch
+    that moves second also sees the node that its sister has just laid, so that left and right
+    differ. Neither code lets the sister stop a branch. Other differences: the published code lets
+    the start node repel as well, gives a branch one segment more than N_s, lays a node before it
+    finds that it is too near another (here it is not laid), and measures with one factor of scale
+    per triangle instead of its metric.
     """
     status, missing, grown = growth.grow(
         seed,

@@ -22,7 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
@@ -88,7 +88,8 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     """Read a tree of lines.
 
     Segments take their length from a cell array ``length`` (mm) if there is one, as in trees that
-    were written here, else from their ends.
+    were written here, else from their ends. Lines that make one tree by their point numbers are
+    taken as they are; else points in one place are made one first.
 
     Parameters
     ----------
@@ -112,32 +113,42 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     mesh = _read_opencarp_tree(path, purpose) if is_opencarp else read_mesh(path, purpose)
     segments, lengths = _segments(mesh)
     used, compact = np.unique(segments, return_inverse=True)
-    nodes, merged = _merged(mesh.points[used])
-    segments = merged[compact].reshape(-1, 2)
-    real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline is no segment
-    segments, lengths = segments[real], lengths[real]
-    if not len(segments):
+    nodes, segments = mesh.points[used], compact.reshape(-1, 2)
+    if np.ptp(nodes, axis=0).max() < SAME_POINT:
         raise InputError(f"{path}: every line has length zero; give a tree with branches, in mm")
-    count = len(nodes)
-    graph = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), (count, count))
-    graph = (graph + graph.T).tocsr()
-    pieces, _ = connected_components(graph, directed=False)
-    if pieces > 1:
-        raise InputError(f"{path}: the lines fall into {pieces} unconnected pieces; give one tree")
-    if len(segments) != count - 1:
-        raise InputError(
-            f"{path}: {len(segments)} segments between {count} nodes make a loop or repeat "
-            "themselves; a tree has one segment fewer than nodes"
-        )
-    ends = np.flatnonzero(np.bincount(segments.ravel(), minlength=count) == 1)
+    if _why_no_tree(segments, len(nodes)):
+        nodes, segments, lengths = _merged(nodes, segments, lengths)
+        problem = _why_no_tree(segments, len(nodes))
+        if problem:
+            raise InputError(f"{path}: {problem}")
+    ends = np.flatnonzero(np.bincount(segments.ravel(), minlength=len(nodes)) == 1)
     root = int(ends[np.argmin(np.linalg.norm(nodes[ends] - near, axis=1))])
-    _, parents = breadth_first_order(graph, root, directed=False)
-    parents = np.where(np.arange(count) == root, -1, parents).astype(np.int64)
+    _, parents = breadth_first_order(_graph(segments, len(nodes)), root, directed=False)
+    parents = np.where(np.arange(len(nodes)) == root, -1, parents).astype(np.int64)
     is_first = parents[segments[:, 1]] == segments[:, 0]
     child = np.where(is_first, segments[:, 1], segments[:, 0])
-    to_parent = np.zeros(count)
+    to_parent = np.zeros(len(nodes))
     to_parent[child] = lengths
     return PurkinjeTree(side, nodes, parents, to_parent)
+
+
+def _graph(segments: Integers, count: int) -> csr_array:
+    """The segments as edges between `count` nodes, in both directions."""
+    one_way = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), (count, count))
+    return (one_way + one_way.T).tocsr()
+
+
+def _why_no_tree(segments: Integers, count: int) -> str:
+    """What keeps segments between `count` nodes from being one tree; empty if nothing does."""
+    pieces, _ = connected_components(_graph(segments, count), directed=False)
+    if pieces > 1:
+        return f"the lines fall into {pieces} unconnected pieces; give one tree"
+    if len(segments) != count - 1:
+        return (
+            f"{len(segments)} segments between {count} nodes make a loop or repeat "
+            "themselves; a tree has one segment fewer than nodes"
+        )
+    return ""
 
 
 def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
@@ -154,14 +165,18 @@ def _read_opencarp_tree(path: Path | str, purpose: str) -> MeshFile:
     return replace(mesh, cell_data={LINE: {**mesh.cell_data[LINE], "length": lengths}})
 
 
-def _merged(points: Floats) -> tuple[Floats, Integers]:
-    """Points with those in one place made one, and the new number of each."""
+def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats, Integers, Floats]:
+    """Points, segments and lengths with points in one place made one.
+
+    Only for lines that are no tree as they stand: polylines often repeat the points they share.
+    Two nodes of a tree may well lie in one place and be different nodes.
+    """
     pairs = cKDTree(points).query_pairs(SAME_POINT, output_type="ndarray")
-    ones = np.ones(len(pairs))
-    same = coo_array((ones, (pairs[:, 0], pairs[:, 1])), (len(points), len(points)))
-    _, number = connected_components(same, directed=False)
+    _, number = connected_components(_graph(pairs, len(points)), directed=False)
     _, first = np.unique(number, return_index=True)
-    return points[first], np.asarray(number, dtype=np.int64)
+    segments = np.asarray(number, dtype=np.int64)[segments]
+    real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline is no segment
+    return points[first], segments[real], lengths[real]
 
 
 def _segments(mesh: MeshFile) -> tuple[Integers, Floats]:

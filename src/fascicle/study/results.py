@@ -93,7 +93,8 @@ class FittedStudy:
                 for tree in self.best_network.simulation.trees
             )
             found.append(
-                f"the best network has {counts} junctions, where hundreds are usual; "
+                f"the best network has {counts} junctions, where {FEW_JUNCTIONS} to hundreds a "
+                f"side are usual; "
                 f"--fewest-junctions {FEW_JUNCTIONS} leaves such networks out"
             )
         if self.best_network.under_qrs < LEAST_UNDER_QRS:
