@@ -14,6 +14,7 @@ from fascicle.recording.analysis import Beat
 from fascicle.recording.beat_selection import FEW_ALIKE
 from fascicle.recording.choices import Choices, check_window
 from fascicle.recording.detection import magnitude
+from fascicle.recording.filters import Filter
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.target import SAMPLING_STEP, Target
@@ -31,6 +32,7 @@ def target_from_beats(
     choices: Choices,
     label: str,
     findings: Sequence[Finding],
+    filters: tuple[Filter, ...],
 ) -> Target:
     """Make a target.
 
@@ -48,6 +50,8 @@ def target_from_beats(
         Class of the beats.
     findings : sequence of Finding
         What the checks of the recording said.
+    filters : tuple of Filter
+        What the beats have passed.
 
     Raises
     ------
@@ -65,10 +69,12 @@ def target_from_beats(
         qrs_onset=onset,
         qrs_offset=offset,
         heart_rate=_heart_rate(beats),
-        provenance=_provenance(recording, beats, len(aligned.beats), choices),
+        provenance=_provenance(recording, beats, len(aligned.beats), choices)
+        | {"filters": "\n".join(map(str, filters)) or "none known"},
         onset_sd=onset_sd if choices.onset is None else 0.0,
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
+        filters=filters,
     )
     warnings = _warnings(recording, target, beats, label, choices, findings)
     if not warnings:
@@ -76,10 +82,10 @@ def target_from_beats(
     return replace(target, provenance=target.provenance | {"warnings": "\n".join(warnings)})
 
 
-def _heart_rate(beats: Sequence[Beat]) -> float:
-    """Beats per minute, of all classes; NaN where there is one beat only."""
+def _heart_rate(beats: Sequence[Beat]) -> float | None:
+    """Beats per minute, of all classes; None where there is one beat only."""
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
-    return 60000.0 / float(np.mean(intervals)) if intervals else math.nan
+    return 60000.0 / float(np.mean(intervals)) if intervals else None
 
 
 def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
@@ -169,8 +175,9 @@ def _warnings(
         warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
     if "remarks" in notes:
         warnings.append(notes["remarks"])
-    if not LOWEST_RATE <= target.heart_rate <= HIGHEST_RATE:
-        warnings.append(f"{target.heart_rate:.0f} beats per minute; is the sampling rate right?")
+    rate = target.heart_rate
+    if rate is not None and not LOWEST_RATE <= rate <= HIGHEST_RATE:
+        warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)

@@ -98,8 +98,8 @@ def _measures_text(analysis: Analysis) -> str:
     spread = math.hypot(target.onset_sd, target.offset_sd)
     uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
     onset, offset = style.whole(target.qrs_onset), style.whole(target.qrs_offset)
-    known = math.isfinite(target.heart_rate)
-    rate = f"{target.heart_rate:.0f} beats/min" if known else "heart rate unknown"
+    heart_rate = target.heart_rate
+    rate = f"{heart_rate:.0f} beats/min" if heart_rate is not None else "heart rate unknown"
     qrs = f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R"
     used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
     beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"

@@ -89,14 +89,20 @@ class Problem:
 
     def align(self, simulation: Simulation) -> Alignment:
         """Best alignment of a simulation with the mean recorded QRS, over the target's leads."""
-        used = self.target.used
-        return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
+        target, used = self.target, self.target.used
+        return align(
+            simulation.leads[used],
+            target.qrs[used],
+            free_gain=self.free_gain,
+            response=target.response,
+        )
 
     def predicted(self, simulation: Simulation) -> Floats:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
         alignment = self.align(simulation)
         shift = alignment.shift - self.target.qrs_samples.start
-        return alignment.gain * placed(simulation.leads, shift, len(self.target.time))
+        length, response = len(self.target.time), self.target.response
+        return alignment.gain * placed(simulation.leads, shift, length, response)
 
     def _network(self, parameters: Mapping[str, float]) -> Network:
         simulation = self.model.simulate(parameters)
