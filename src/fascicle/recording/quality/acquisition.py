@@ -66,7 +66,7 @@ def check_filters(recording: Recording, passed: Sequence[Filter]) -> list[Findin
         known = ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
         low = (
             f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{known} {much}smooths the QRS "
-            f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered if you can"
+            f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if filters.highpass is not None and filters.highpass > HIGHPASS.limit:
         high = (
