@@ -18,7 +18,7 @@ from fascicle.recording.filters import Filter
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.target import SAMPLING_STEP, Target
-from fascicle.recording.window import qrs_window, window_uncertainty
+from fascicle.recording.window import qrs_window, smoothing_against_ringing, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
 LARGEST_END_SD = 40.0  # ms
@@ -59,8 +59,11 @@ def target_from_beats(
         When a single beat has no stated noise, or the window is impossible or cannot be found.
     """
     _check_noise(len(aligned.beats), label, choices, recording.source)
-    onset, offset = _window(aligned, choices, recording.source)
-    ends = window_uncertainty(aligned.beats, SAMPLING_STEP, aligned.not_before, noise=choices.noise)
+    smoothing = smoothing_against_ringing(filters)
+    onset, offset = _window(aligned, smoothing, choices, recording.source)
+    ends = window_uncertainty(
+        aligned.beats, SAMPLING_STEP, aligned.not_before, choices.noise, smoothing
+    )
     onset_sd, offset_sd = (math.hypot(sd, aligned.alignment_sd) for sd in ends)
     _check_ends(onset_sd, offset_sd, choices, recording.source)
     target = Target(
@@ -113,9 +116,11 @@ def _check_ends(onset_sd: float, offset_sd: float, choices: Choices, source: str
             )
 
 
-def _window(aligned: AlignedBeats, choices: Choices, source: str) -> tuple[float, float]:
+def _window(
+    aligned: AlignedBeats, smoothing: float, choices: Choices, source: str
+) -> tuple[float, float]:
     """QRS window (ms from R): what is given, otherwise what is found."""
-    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before)
+    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before, smoothing)
     time = aligned.time
     start = float(time[first]) if choices.onset is None else float(choices.onset)
     end = float(time[last]) if choices.offset is None else float(choices.offset)
