@@ -345,9 +345,7 @@ def test_a_short_artefact_leaves_the_gain_alone():
 
 def test_single_beat_shows_the_stated_noise():
     analysis = synthetic()
-    single = replace(
-        analysis.target, beats=analysis.target.beats[:1], noise=0.05, heart_rate=np.nan
-    )
+    single = replace(analysis.target, beats=analysis.target.beats[:1], noise=0.05, heart_rate=None)
     figure = recording_figure(replace(analysis, target=single))
     axes = figure.axes[1 + LEADS.index("II")]
     (band,) = axes.collections

@@ -21,6 +21,7 @@ NOTCH_QUALITY = 30.0  # of a notch filter: 50 Hz +- 0.8 Hz
 # Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
 # steeply they fall from there; an analogue stage of second order is usual.
 RECORDER_ORDER = 2.0
+DIGITAL_ORDERS = range(1, 11)  # of a digital low-pass, as designed
 DECIBELS = 10 / math.log(10)  # in one neper of power
 
 
@@ -79,7 +80,7 @@ class Filter:
             return
         if not 2 * self.frequency < self.sampling_rate < math.inf:
             raise ValueError(f"{self.frequency} Hz in a signal of {self.sampling_rate} Hz")
-        if self.kind is FilterKind.LOW_PASS and self.shape != round(self.shape):
+        if self.kind is FilterKind.LOW_PASS and self.shape not in DIGITAL_ORDERS:
             raise ValueError(f"digital low-pass of order {self.shape}")
 
     def gain(self, frequency: Floats) -> Floats:
