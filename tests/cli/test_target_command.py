@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from pydicom.data import get_testdata_file
 
 from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
+from fascicle.recording.filters import FilterOrigin
 from fascicle.recording.target_files import read_target
 
 RATE, SECONDS = 500, 8
@@ -192,6 +194,39 @@ def test_filters(tmp_path, run, outside):
     assert quiet.provenance["choice_notch_hz"] == "50"
 
 
+def test_filters_are_told(tmp_path, run, outside):
+    recording = table(tmp_path / "rec.csv")
+    target, ended = made(run, outside, recording)
+    assert target.response is None
+    assert re.search(r"^filters +none known$", ended.out, re.MULTILINE)
+    target, ended = made(run, outside, recording, "--recorder-lowpass", "100", "--lowpass", "150")
+    told = "low-pass 100 Hz (order 2), the recorder's, as the user says"
+    assert f"filters        {told}\n" in ended.out
+    own = "low-pass 150 Hz (order 2), applied by this program"
+    assert target.provenance["filters"] == f"{told}\n{own}"
+    assert target.provenance["choice_recorder_lowpass_hz"] == "100"
+    alone = [one.gain(np.array([100.0]))[0] for one in target.filters]
+    assert alone[0] == pytest.approx(0.5**0.5)
+    assert target.response(np.array([0.1]))[0] == pytest.approx(alone[0] * alone[1])
+
+
+def test_single_averaged_beat(data_folder, run, outside):
+    """One living subject's beat, behind a steep low-pass; the published QRS is 88 ms long."""
+    beat = data_folder / "hearts" / "dti004" / "ecg_beat.csv"
+    target, ended = made(run, outside, beat, "--unit", "uV", "--noise", "0.03")
+    assert target.heart_rate is None
+    (lowpass,) = target.filters
+    assert lowpass.origin is FilterOrigin.ESTIMATED
+    assert lowpass.frequency == pytest.approx(35.0, abs=1.0)
+    assert target.qrs_duration == pytest.approx(88.0, abs=5.0)
+    assert re.search(r"^beats +1 used$", ended.out, re.MULTILINE)
+    assert "noise          0.03 mV, as stated" in ended.out
+    assert [line for line in ended.err.splitlines() if line.startswith("warning")] == [
+        "warning: the recorder's low-pass at 35 Hz, estimated from the spectrum, strongly smooths "
+        "the QRS (150 Hz are recommended); export the recording unfiltered"
+    ]
+
+
 def hum(signal):
     t = np.arange(signal.shape[1]) / RATE
     return 0.08 * np.sin(2 * np.pi * 50 * t) * np.linspace(0.5, 1, 12)[:, None]
@@ -215,6 +250,7 @@ def hum(signal):
         (("--shared-gain",), "leave out --shared-gain"),
         (("--lowpass", "5"), "low-pass is 5 Hz"),
         (("--notch", "55"), "notch filter at 55 Hz"),
+        (("--recorder-lowpass", "5"), "recorder's low-pass is 5 Hz; give 20 to 1000 Hz"),
         (("--exclude-beat", "1-30"), "there is no beat 11; 10 beats"),
     ],
 )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, combined_gain
 from fascicle.recording.target import Target
 from fascicle.study.problem import Problem
 
@@ -139,3 +140,45 @@ def test_trees_of_few_junctions_can_be_left_out(default_model, target, points):
     strict = replace(problem, fewest_junctions=10_000).evaluate(points[0])
     assert not strict.feasible
     assert strict.reason.startswith("LV tree has ")
+
+
+@pytest.fixture(scope="module")
+def ringing(default_model, truth):
+    """One beat behind a steep low-pass at 35 Hz; its QRS window holds the ringing, too."""
+    lowpass = Filter(FilterKind.LOW_PASS, 35.0, FilterOrigin.ESTIMATED, 20.0)
+    leads = default_model.simulate(truth).leads
+    sharp = np.pad(leads, ((0, 0), (300, 300)))
+    size = sharp.shape[1]
+    gain = combined_gain([lowpass], np.fft.rfftfreq(size, 1e-3))
+    beat = np.fft.irfft(gain * np.fft.rfft(sharp), size)
+    time = np.arange(size) - 300.0
+    end = 300.0 + leads.shape[1]
+    filters = (lowpass,)
+    return Target(beat[None], time, -200.0, end - 100.0, None, noise=NOISE, filters=filters), slice(
+        100, 300
+    )
+
+
+def predicted(problem, simulation):
+    return problem.predicted(simulation, problem.align(simulation))
+
+
+def test_ringing_is_explained_by_the_filter_and_not_without(default_model, truth, ringing):
+    target, before = ringing
+    simulation = default_model.simulate(truth)
+    knowing = Problem(default_model, target, NETWORK_SPACE)
+    unaware = Problem(default_model, replace(target, filters=()), NETWORK_SPACE)
+    assert unaware.align(simulation).loss > 1e4 * knowing.align(simulation).loss
+    recorded = target.mean[:, before]
+    assert np.abs(recorded).max() > 0.02  # mV
+    np.testing.assert_allclose(predicted(knowing, simulation)[:, before], recorded, atol=1e-3)
+    assert np.abs(predicted(unaware, simulation)[:, before]).max() < 1e-6
+
+
+def test_ringing_has_the_period_of_the_cut_off(ringing):
+    """As in the averaged beat of a subject, where it is 30 ms at 35 Hz."""
+    target, before = ringing
+    waves = target.mean[:, before]
+    spectrum = (np.abs(np.fft.rfft(waves * np.hanning(waves.shape[1]), 4000)) ** 2).sum(axis=0)
+    frequency = np.fft.rfftfreq(4000, 1e-3)
+    assert frequency[np.argmax(spectrum * (frequency > 15))] == pytest.approx(34.0, abs=3.0)

@@ -16,7 +16,7 @@ from fascicle.recording.quality.check import check_leads, check_recording
 def every(recording):
     """All findings, with the R peaks that the detector gives."""
     peaks = r_peaks(recording.signal, recording.sampling_rate)
-    return [*check_leads(recording), *check_recording(recording, peaks)]
+    return [*check_leads(recording), *check_recording(recording, peaks, ())]
 
 
 def test_nothing_against_a_good_recording() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from quality_recordings import beating, fatal, row, warned, with_lead
 
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.quality.acquisition import (
     check_clipping,
     check_extent_in_time,
@@ -129,18 +130,32 @@ def test_wander(good: Recording, time: np.ndarray) -> None:
 
 def test_rate_and_length() -> None:
     short = Recording(np.random.default_rng(0).standard_normal((12, 900)), 300.0, "made")
-    rate, duration = check_extent_in_time(short)
+    rate, duration = check_extent_in_time(short, 3)
     assert (rate.value, duration.value) == (300.0, 3.0)
     assert len(warned([rate, duration])) == 2
-    assert warned(check_extent_in_time(beating())) == []
+    assert warned(check_extent_in_time(beating(), 9)) == []
+
+
+def test_a_single_beat_is_not_too_short() -> None:
+    beat = Recording(np.random.default_rng(0).standard_normal((12, 700)), 1000.0, "made")
+    _, duration = check_extent_in_time(beat, 1)
+    assert np.isnan(duration.value)
+    assert warned([duration]) == []
 
 
 def test_filters_of_the_recorder(good: Recording) -> None:
-    assert np.isnan([finding.value for finding in check_filters(good)]).all()
-    fine = replace(good, filters=Filters(highpass=0.05, lowpass=150.0, notch=50.0))
-    assert warned(check_filters(fine)) == []
-    assert check_filters(fine)[2].message == "note: the recorder's mains filter at 50 Hz was on"
-    bad = replace(good, filters=Filters(highpass=1.0, lowpass=40.0))
-    low, high = warned(check_filters(bad))
-    assert "low-pass at 40 Hz strongly smooths the QRS" in low
+    assert np.isnan([finding.value for finding in check_filters(good, ())]).all()
+    fine = replace(good, filters=Filters(highpass=0.05, notch=50.0))
+    passed = (Filter(FilterKind.LOW_PASS, 150.0, FilterOrigin.FILE, 2.0),)
+    assert warned(check_filters(fine, passed)) == []
+    assert (
+        check_filters(fine, passed)[2].message
+        == "note: the recorder's mains filter at 50 Hz was on"
+    )
+    bad = replace(good, filters=Filters(highpass=1.0))
+    estimated = (Filter(FilterKind.LOW_PASS, 40.0, FilterOrigin.ESTIMATED, 10.0),)
+    low, high = warned(check_filters(bad, estimated))
+    assert "low-pass at 40 Hz, estimated from the spectrum, strongly smooths the QRS" in low
     assert "high-pass at 1 Hz bends the QRS" in high
+    own = (Filter(FilterKind.LOW_PASS, 40.0, FilterOrigin.APPLIED, 2.0, 1000.0),)
+    assert warned(check_filters(good, own)) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import xarray as xr
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.covariance import residual_covariance
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target, write_target
 
@@ -79,12 +81,13 @@ def test_covariance_can_be_put_together_from_the_file(target, tmp_path):
 def test_single_beat_and_unused_leads_come_back(target, tmp_path):
     beats = target.beats[:1].copy()
     beats[:, 7] = np.nan
-    one = replace(target, beats=beats, noise=0.03, heart_rate=float("nan"))
+    one = replace(target, beats=beats, noise=0.03, heart_rate=None)
     write_target(one, tmp_path / "one.nc")
     again = read_target(tmp_path / "one.nc")
     assert np.array_equal(again.beats, beats, equal_nan=True)
     assert again.noise == 0.03
-    assert np.isnan(again.heart_rate)
+    assert again.heart_rate is None
+    assert "heart_rate_bpm" not in xr.load_dataset(tmp_path / "one.nc", engine="h5netcdf").attrs
     assert not again.used[7]
     assert again.used.sum() == 11
     dataset = xr.load_dataset(tmp_path / "one.nc", engine="h5netcdf")
@@ -130,6 +133,35 @@ def test_files_that_are_not_targets(target, tmp_path):
     refused(tmp_path / "other.nc", "not a target")
 
 
+STRANGE = (
+    '[{"kind": "low-pass", "frequency_Hz": NaN, "order": 2, "sampling_rate_Hz": null,'
+    ' "origin": "applied by this program"}]'
+)
+
+
+def without_filters(dataset):
+    del dataset.attrs["filters"]
+    return dataset
+
+
+def test_filters_come_back_and_can_be_read_by_others(target, tmp_path):
+    filters = (
+        Filter(FilterKind.LOW_PASS, 36.25, FilterOrigin.ESTIMATED, 12.5),
+        Filter(FilterKind.NOTCH, 60.0, FilterOrigin.FILE, 30.0),
+        *applied_filters(150.0, 50.0, 1000.0),
+    )
+    write_target(replace(target, filters=filters), tmp_path / "target.nc")
+    assert read_target(tmp_path / "target.nc").filters == filters
+    text = xr.load_dataset(tmp_path / "target.nc", engine="h5netcdf").attrs["filters"]
+    assert json.loads(text)[0] == {
+        "kind": "low-pass",
+        "frequency_Hz": 36.25,
+        "order": 12.5,
+        "origin": "estimated from the spectrum of the recording",
+        "sampling_rate_Hz": None,
+    }
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -141,6 +173,13 @@ def test_files_that_are_not_targets(target, tmp_path):
         (lambda d: d.assign_attrs(heart_rate_bpm=np.nan), "heart_rate_bpm is"),
         (lambda d: d.assign_attrs(qrs_onset_ms="early"), "qrs_onset_ms is 'early'"),
         (lambda d: d.assign_attrs(format_version=99), "format version 99"),
+        (lambda d: d.assign_attrs(format_version=2), "format version 2, this fascicle reads 3"),
+        (lambda d: d.assign_attrs(filters="40 Hz"), "filters are '40 Hz', not a list of filters"),
+        (lambda d: d.assign_attrs(filters=7.0), "not a list of filters"),
+        (lambda d: d.assign_attrs(filters="[1]"), "not a list of filters"),
+        (lambda d: d.assign_attrs(filters='[{"kind": "low-pass"}]'), "not a list of filters"),
+        (lambda d: d.assign_attrs(filters=STRANGE), "not a list of filters"),
+        (without_filters, "damaged target without filters"),
         (lambda d: d.assign_attrs(format="fascicle heart"), "not a target"),
     ],
 )

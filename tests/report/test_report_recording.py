@@ -1,6 +1,6 @@
 import warnings
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, pairwise
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat, BeatClass, Unused
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 from fascicle.report.beat_panels import MOST_DRAWN
@@ -345,9 +346,7 @@ def test_a_short_artefact_leaves_the_gain_alone():
 
 def test_single_beat_shows_the_stated_noise():
     analysis = synthetic()
-    single = replace(
-        analysis.target, beats=analysis.target.beats[:1], noise=0.05, heart_rate=np.nan
-    )
+    single = replace(analysis.target, beats=analysis.target.beats[:1], noise=0.05, heart_rate=None)
     figure = recording_figure(replace(analysis, target=single))
     axes = figure.axes[1 + LEADS.index("II")]
     (band,) = axes.collections
@@ -356,6 +355,50 @@ def test_single_beat_shows_the_stated_noise():
     np.testing.assert_allclose((high + low) / 2, single.beats[0, 1])
     assert {"the beat", "± 0.05 mV, noise as stated"} <= set(texts(figure))
     assert any(text.startswith("heart rate unknown") for text in texts(figure))
+
+
+def single_beat(scale=1.0):
+    """A recording of 0.8 s with its one beat at 0.4 s, behind a known low-pass."""
+    analysis = synthetic(duration=0.8, scale=scale)
+    filters = (Filter(FilterKind.LOW_PASS, 40.0, FilterOrigin.STATED, 2.0),)
+    target = replace(analysis.target, noise=0.05, heart_rate=None, filters=filters)
+    return replace(analysis, target=target)
+
+
+def test_recording_of_one_beat_is_shown_large():
+    figure = recording_figure(single_beat())
+    paper = figure.axes[0]
+    size = paper.bbox.size / figure.dpi * 25.4
+    np.testing.assert_allclose((np.ptp(paper.get_xlim()), np.ptp(paper.get_ylim())), size)
+    lines = traces(paper, BLUE)
+    assert len(lines) == 12
+    for (x, y), height in zip(lines, HEIGHTS, strict=True):
+        assert np.ptp(x) == pytest.approx(50.0 * 0.649)  # mm: from 0.25 s before R to the end
+        assert np.ptp(y) == pytest.approx(20.0 * abs(height), abs=20.0 * 0.08)
+    shown = texts(figure)
+    assert any("50 mm/s, 20 mm/mV" in text and "0.05 mV" in text for text in shown)
+    assert any(text.startswith("heart rate unknown") and "a single beat" in text for text in shown)
+    assert "filters: low-pass 40 Hz (order 2), the recorder's, as the user says" in shown
+    assert not any("filled number" in text for text in shown)
+
+
+@pytest.mark.parametrize(("scale", "gain"), [(1.0, 20), (2.0, 10), (4.0, 5), (8.0, 2.5)])
+def test_leads_of_a_single_beat_keep_apart(scale, gain):
+    figure = recording_figure(single_beat(scale))
+    assert any(f" {gain:g} mm/mV" in text for text in texts(figure))
+    lines = [y for _, y in traces(figure.axes[0], BLUE)]
+    for lead, (upper, lower) in enumerate(pairwise(lines)):
+        if lead % 3 < 2:  # of one column
+            assert upper.min() > lower.max()
+    bottom, top = figure.axes[0].get_ylim()
+    assert bottom < min(y.min() for y in lines) < max(y.max() for y in lines) < top
+
+
+def test_lead_without_a_signal_says_so_beside_a_single_beat():
+    analysis = single_beat()
+    signal = analysis.signal.copy()
+    signal[LEADS.index("V2")] = np.nan
+    assert "V2 not used" in texts(recording_figure(replace(analysis, signal=signal)))
 
 
 def test_of_very_many_beats_some_are_drawn_and_the_page_says_so():

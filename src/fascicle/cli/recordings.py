@@ -66,6 +66,13 @@ SamplingRate = Annotated[
 Unit = Annotated[
     str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
 ]
+RecorderLowpass = Annotated[
+    float | None,
+    typer.Option(
+        help="The recorder's own low-pass (Hz, -3 dB), if the file does not say; estimated from "
+        "the spectrum by default."
+    ),
+]
 Lowpass = Annotated[float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")]
 Notch = Annotated[
     float | None, typer.Option(help="Mains hum to remove, 50 or 60 (Hz); none by default.")
@@ -90,6 +97,7 @@ def target(
     unit: Unit = None,
     lowpass: Lowpass = None,
     notch: Notch = None,
+    recorder_lowpass: RecorderLowpass = None,
 ) -> None:
     """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
 
@@ -103,7 +111,12 @@ def target(
     fascicle target ecg.hea --out t.nc --class B          # the ectopic beats
     fascicle target ecg.dcm --out t.nc --swap RA-LA       # arm cables were exchanged
     fascicle target ecg.csv --out t.nc --unit uV --sampling-rate 500
+    fascicle target ecg.csv --out t.nc --recorder-lowpass 40
+    fascicle target beat.csv --out t.nc --noise 0.03      # a single averaged beat
     ```
+
+    Simulated ECGs pass the filters that the recording has passed: those that the file names or you
+    state, otherwise a steep low-pass that shows in the spectrum, and --lowpass and --notch.
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.recording.choices import Choices
@@ -123,6 +136,7 @@ def target(
         noise=noise,
         lowpass=lowpass,
         notch=notch,
+        recorder_lowpass=recorder_lowpass,
     )
     gain = _gain(shared_gain, digits_per_mv)
     with TerminalProgress() as progress:
@@ -198,7 +212,9 @@ def print_analysis(analysis: Analysis) -> None:
         )
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
-        _line(f"class {group.label}", f"{group.count} beats{notable}")
+        _line(
+            f"class {group.label}", f"{group.count} beat{'s' if group.count != 1 else ''}{notable}"
+        )
     for beat in analysis.beats:
         if beat.unused not in (None, Unused.OTHER_CLASS):
             _line(
@@ -212,7 +228,11 @@ def _print_target(target: Target) -> None:
     """Print the figures of a target; its warnings go to the standard error."""
     import numpy as np
 
-    rate = f" at {target.heart_rate:.0f} per minute" if np.isfinite(target.heart_rate) else ""
+    for k, one in enumerate(target.filters):
+        _line("" if k else "filters", str(one))
+    if not target.filters:
+        _line("filters", "none known")
+    rate = f" at {target.heart_rate:.0f} per minute" if target.heart_rate is not None else ""
     _line("beats", f"{len(target.beats)} used{rate}")
     width_sd = float(np.hypot(target.onset_sd, target.offset_sd))
     _line(
@@ -220,8 +240,11 @@ def _print_target(target: Target) -> None:
         f"{target.qrs_duration:.0f} ± {width_sd:.0f} ms, from {target.qrs_onset:.0f} ± "
         f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R",
     )
-    spread = np.nanmean(target.standard_deviation[:, target.qrs_samples])
-    _line("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
+    if target.noise is not None:
+        _line("noise", f"{target.noise:.3g} mV, as stated")
+    else:
+        spread = np.nanmean(target.standard_deviation[:, target.qrs_samples])
+        _line("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
     for warning in target.provenance.get("warnings", "").splitlines():
         print(f"warning: {warning}", file=sys.stderr)
 

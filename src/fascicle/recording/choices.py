@@ -10,6 +10,7 @@ from fascicle.recording.resampling import MAINS
 
 SHORTEST_WINDOW = 20.0  # ms
 LOWPASS_RANGE = (40.0, 450.0)  # Hz; lower ones smear the QRS, higher ones do nothing
+RECORDER_RANGE = (20.0, 1000.0)  # Hz; lower ones leave no QRS
 LARGEST_NOISE = 1.0  # mV
 
 
@@ -33,6 +34,8 @@ class Choices:
         Cutoff of a zero-phase low-pass (Hz).
     notch : float, optional
         Mains frequency to remove (Hz).
+    recorder_lowpass : float, optional
+        Cut-off (Hz, -3 dB) of the recorder's own low-pass, where the file does not name it.
 
     Raises
     ------
@@ -48,6 +51,7 @@ class Choices:
     noise: float | None = None
     lowpass: float | None = None
     notch: float | None = None
+    recorder_lowpass: float | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("onset", self.onset), ("offset", self.offset)):
@@ -61,6 +65,7 @@ class Choices:
             raise InputError("--beats names beats of whatever class; give it or --class, not both")
         _check_within("noise", self.noise, (1e-4, LARGEST_NOISE), "mV")
         _check_within("low-pass", self.lowpass, LOWPASS_RANGE, "Hz")
+        _check_within("recorder's low-pass", self.recorder_lowpass, RECORDER_RANGE, "Hz")
         if self.notch is not None and self.notch not in MAINS:
             raise InputError(f"notch filter at {self.notch:g} Hz; mains have 50 or 60 Hz")
 
@@ -73,6 +78,9 @@ class Choices:
             "noise_mV": None if self.noise is None else f"{self.noise:g}",
             "lowpass_hz": None if self.lowpass is None else f"{self.lowpass:g}",
             "notch_hz": None if self.notch is None else f"{self.notch:g}",
+            "recorder_lowpass_hz": (
+                None if self.recorder_lowpass is None else f"{self.recorder_lowpass:g}"
+            ),
         }
         return {f"choice_{name}": text for name, text in texts.items() if text is not None}
 

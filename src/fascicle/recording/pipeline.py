@@ -18,6 +18,7 @@ from fascicle.recording.analysis import Analysis, Beat, BeatClass
 from fascicle.recording.beat_selection import by_name, select_beats
 from fascicle.recording.choices import Choices
 from fascicle.recording.lead_groups import LeadGroup, lead_groups
+from fascicle.recording.passed_filters import passed_filters
 from fascicle.recording.quality.check import check_leads, check_recording
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import Recording
@@ -94,7 +95,8 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
         checked = groups[0].recording if len(groups) == 1 else recording
         times = np.concatenate([group.times for group in groups])
         r_peaks = np.round(times * recording.sampling_rate).astype(np.int64)
-        findings += check_recording(checked, r_peaks)
+        filters = passed_filters(recording, r_peaks, choices)
+        findings += check_recording(checked, r_peaks, filters)
         _refuse(findings, recording)
         by_group, label = select_beats(groups, choices, source)
         aligned = combine(
@@ -104,7 +106,7 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
             ]
         )
         beats = tuple(beat for own in by_group for beat in own)
-        target = target_from_beats(recording, aligned, beats, choices, label, findings)
+        target = target_from_beats(recording, aligned, beats, choices, label, findings, filters)
     except NoQrsError as error:
         raise InputError(
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"

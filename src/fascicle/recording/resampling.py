@@ -7,14 +7,13 @@ from fractions import Fraction
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.recording.filters import applied_filters, apply
 from fascicle.recording.target import SAMPLING_STEP
 
 TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
 SIMPLE, FINEST = 1000, 20_000  # largest denominators of the ratio of the two rates
 LARGEST_DRIFT = 0.5  # ms by which the last sample may be off, before the finer ratio is taken
 MAINS = (50.0, 60.0)  # Hz
-FILTER_ORDER = 2  # run forward and backward: 4 in effect, without a shift in time
-NOTCH_QUALITY = 30.0  # of the notch filter: 50 Hz +- 0.8 Hz
 
 
 def resample(signal: Floats, sampling_rate: float) -> Floats:
@@ -52,11 +51,4 @@ def filtered(signal: Floats, lowpass_cutoff: float | None, mains: float | None) 
     mains : float, optional
         Frequency (Hz) of the hum that a notch filter removes.
     """
-    from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
-
-    if lowpass_cutoff is not None:
-        sections = butter(FILTER_ORDER, lowpass_cutoff, fs=TARGET_RATE, output="sos")
-        signal = np.asarray(sosfiltfilt(sections, signal, axis=-1))
-    if mains is not None:
-        signal = np.asarray(filtfilt(*iirnotch(mains, NOTCH_QUALITY, fs=TARGET_RATE), signal))
-    return signal
+    return apply(applied_filters(lowpass_cutoff, mains, TARGET_RATE), signal)

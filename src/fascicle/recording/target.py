@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.recording.filters import Filter, combined_gain
 
 SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
 
@@ -25,25 +27,28 @@ class Target:
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float
         QRS window (ms from the R peak).
-    heart_rate : float
-        Beats per minute.
+    heart_rate : float, optional
+        Beats per minute; None where a single beat does not tell.
     provenance : dict
         Text about where this came from: source file, its hash, choices made.
     onset_sd, offset_sd : float
         Standard deviations of the ends of the window (ms); 0 where the user has given them.
     noise : float, optional
         Standard deviation of every sample (mV), stated by the user; needed for a single beat.
+    filters : tuple of Filter
+        What the beats have passed, as far as it is known; a simulation must pass the same.
     """
 
     beats: Floats
     time: Floats
     qrs_onset: float
     qrs_offset: float
-    heart_rate: float
+    heart_rate: float | None
     provenance: dict[str, str] = field(default_factory=dict)
     onset_sd: float = 0.0
     offset_sd: float = 0.0
     noise: float | None = None
+    filters: tuple[Filter, ...] = ()
 
     @cached_property
     def used(self) -> Booleans:
@@ -61,6 +66,16 @@ class Target:
         if self.noise is not None:
             return np.where(self.used[:, None], self.noise, np.nan) * np.ones(len(self.time))
         return np.asarray(self.beats.std(axis=0, ddof=1))
+
+    @property
+    def response(self) -> Callable[[Floats], Floats] | None:
+        """Gain of all filters at frequencies in cycles per sample; None without filters."""
+        if not self.filters:
+            return None
+        return self._gain
+
+    def _gain(self, frequency: Floats) -> Floats:
+        return combined_gain(self.filters, frequency * (1000.0 / SAMPLING_STEP))
 
     @property
     def qrs_duration(self) -> float:

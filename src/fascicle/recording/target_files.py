@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.recording.covariance import residual_covariance
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import SAMPLING_STEP, Target
 
 if TYPE_CHECKING:
@@ -22,18 +24,21 @@ if TYPE_CHECKING:
 Variable = tuple[tuple[str, ...], Floats, dict[str, Any]]  # dimensions, values, attributes
 
 FORMAT = "fascicle target"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _PREFIX = "provenance_"
 _REMAKE = "make the target again with 'fascicle target'"
+_FILTERS = "filters"  # an attribute that holds a list as JSON
 _NOISE = "stated_noise_mV"  # an attribute only where the user has stated the noise
+_RATE = "heart_rate_bpm"  # an attribute only where more than one beat was recorded
 _NUMBERS = {  # attribute of the file: field of the target
     "qrs_onset_ms": "qrs_onset",
     "qrs_offset_ms": "qrs_offset",
     "qrs_onset_sd_ms": "onset_sd",
     "qrs_offset_sd_ms": "offset_sd",
-    "heart_rate_bpm": "heart_rate",
+    _RATE: "heart_rate",
     _NOISE: "noise",
 }
+_SHAPES = {FilterKind.LOW_PASS: "order", FilterKind.NOTCH: "quality"}
 COVARIANCE_COMMENT = (
     "The covariance of the beats about their mean, of lead l at time t with lead m at time s, is "
     "standard_deviation[l, t] * standard_deviation[m, s] * residual_covariance_leads[l, m] * "
@@ -74,6 +79,8 @@ def read_target(path: str | Path) -> Target:
     for problem in _problems(dataset):
         raise InputError(f"{path}: {problem}; {_REMAKE}")
     attributes = dataset.attrs
+    numbers: dict[str, Any] = {"heart_rate": None}
+    numbers |= {name: float(attributes[key]) for key, name in _NUMBERS.items() if key in attributes}
     return Target(
         beats=dataset["beats"].transpose("beat", "lead", "time").to_numpy().astype(np.float64),
         time=dataset["time"].to_numpy().astype(np.float64),
@@ -82,7 +89,8 @@ def read_target(path: str | Path) -> Target:
             for key, value in attributes.items()
             if str(key).startswith(_PREFIX)
         },
-        **{name: float(attributes[key]) for key, name in _NUMBERS.items() if key in attributes},
+        filters=_filters_from(attributes[_FILTERS]),
+        **numbers,
     )
 
 
@@ -167,12 +175,58 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
         "comment": (
             "The QRS lasts from qrs_onset_ms to qrs_offset_ms, counted from the R peak (time 0); "
             "their standard deviations are 0 where the user has given them. Attributes that begin "
-            "with 'provenance_' say where the beats came from and what was chosen."
+            "with 'provenance_' say where the beats came from and what was chosen. 'filters' lists "
+            "(as JSON) what the potentials have passed: the kind of each filter, its frequency "
+            "(cut-off, or middle of a notch), the order of a low-pass (Butterworth) or the quality "
+            "factor of a notch, how it is known, and the sampling rate of a digital one that was "
+            "run forward and backward (null: an analogue one, run once)."
         ),
+        _FILTERS: _filters_text(target.filters),
         "qrs_duration_ms": float(target.qrs_duration),
         **{key: float(value) for key, value in numbers.items() if value is not None},
         **{_PREFIX + key: text.decode() for key, text in texts.items()},
     }
+
+
+def _filters_text(filters: Sequence[Filter]) -> str:
+    """Filters as a list in JSON."""
+    return json.dumps(
+        [
+            {
+                "kind": one.kind.value,
+                "frequency_Hz": one.frequency,
+                _SHAPES[one.kind]: one.shape,
+                "origin": one.origin.value,
+                "sampling_rate_Hz": one.sampling_rate,
+            }
+            for one in filters
+        ]
+    )
+
+
+def _filters_from(text: object) -> tuple[Filter, ...]:
+    """The filters of a list in JSON.
+
+    Raises
+    ------
+    ValueError
+        When it is none.
+    """
+    try:
+        return tuple(_filter_from(entry) for entry in json.loads(str(text)))
+    except (TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"{text} is no list of filters") from error
+
+
+def _filter_from(entry: dict[str, Any]) -> Filter:
+    kind, rate = FilterKind(entry["kind"]), entry["sampling_rate_Hz"]
+    return Filter(
+        kind=kind,
+        frequency=float(entry["frequency_Hz"]),
+        origin=FilterOrigin(entry["origin"]),
+        shape=float(entry[_SHAPES[kind]]),
+        sampling_rate=None if rate is None else float(rate),
+    )
 
 
 def _problems(dataset: xr.Dataset) -> Iterator[str]:
@@ -184,7 +238,8 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
     if number != FORMAT_VERSION:
         yield f"target of format version {number}, this fascicle reads {FORMAT_VERSION}"
     missing = [name for name in ("beats", "lead", "time") if name not in dataset.variables]
-    missing += [name for name in _NUMBERS if name not in attributes and name != _NOISE]
+    needed = [name for name in (*_NUMBERS, _FILTERS) if name not in (_NOISE, _RATE)]
+    missing += [name for name in needed if name not in attributes]
     if missing:
         yield f"damaged target without {', '.join(missing)}"
     beats, time = dataset["beats"], dataset["time"].to_numpy()
@@ -202,9 +257,12 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
         yield f"time does not run in steps of {SAMPLING_STEP:g} ms"
     for name in (name for name in _NUMBERS if name in attributes):
         value = attributes[name]
-        unknown = name == "heart_rate_bpm" and sizes["beat"] == 1  # one beat has no rate
-        if not isinstance(value, (int, float, np.number)) or not (np.isfinite(value) or unknown):
+        if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
             yield f"{name} is {value!r}, not a number"
+    try:
+        _filters_from(attributes[_FILTERS])
+    except ValueError:
+        yield f"{_FILTERS} are {str(attributes[_FILTERS])[:60]!r}, not a list of filters"
     onset, offset = attributes["qrs_onset_ms"], attributes["qrs_offset_ms"]
     if not time[0] <= onset < offset <= time[-1]:
         yield f"QRS from {onset} to {offset} ms, beats from {time[0]} to {time[-1]} ms"

@@ -14,10 +14,11 @@ from fascicle.recording.analysis import Beat
 from fascicle.recording.beat_selection import FEW_ALIKE
 from fascicle.recording.choices import Choices, check_window
 from fascicle.recording.detection import magnitude
+from fascicle.recording.filters import Filter
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.target import SAMPLING_STEP, Target
-from fascicle.recording.window import qrs_window, window_uncertainty
+from fascicle.recording.window import qrs_window, smoothing_against_ringing, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
 LARGEST_END_SD = 40.0  # ms
@@ -31,6 +32,7 @@ def target_from_beats(
     choices: Choices,
     label: str,
     findings: Sequence[Finding],
+    filters: tuple[Filter, ...],
 ) -> Target:
     """Make a target.
 
@@ -48,6 +50,8 @@ def target_from_beats(
         Class of the beats.
     findings : sequence of Finding
         What the checks of the recording said.
+    filters : tuple of Filter
+        What the beats have passed.
 
     Raises
     ------
@@ -55,8 +59,11 @@ def target_from_beats(
         When a single beat has no stated noise, or the window is impossible or cannot be found.
     """
     _check_noise(len(aligned.beats), label, choices, recording.source)
-    onset, offset = _window(aligned, choices, recording.source)
-    ends = window_uncertainty(aligned.beats, SAMPLING_STEP, aligned.not_before, noise=choices.noise)
+    smoothing = smoothing_against_ringing(filters)
+    onset, offset = _window(aligned, smoothing, choices, recording.source)
+    ends = window_uncertainty(
+        aligned.beats, SAMPLING_STEP, aligned.not_before, choices.noise, smoothing
+    )
     onset_sd, offset_sd = (math.hypot(sd, aligned.alignment_sd) for sd in ends)
     _check_ends(onset_sd, offset_sd, choices, recording.source)
     target = Target(
@@ -65,10 +72,12 @@ def target_from_beats(
         qrs_onset=onset,
         qrs_offset=offset,
         heart_rate=_heart_rate(beats),
-        provenance=_provenance(recording, beats, len(aligned.beats), choices),
+        provenance=_provenance(recording, beats, len(aligned.beats), choices)
+        | {"filters": "\n".join(map(str, filters)) or "none known"},
         onset_sd=onset_sd if choices.onset is None else 0.0,
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
+        filters=filters,
     )
     warnings = _warnings(recording, target, beats, label, choices, findings)
     if not warnings:
@@ -76,10 +85,10 @@ def target_from_beats(
     return replace(target, provenance=target.provenance | {"warnings": "\n".join(warnings)})
 
 
-def _heart_rate(beats: Sequence[Beat]) -> float:
-    """Beats per minute, of all classes; NaN where there is one beat only."""
+def _heart_rate(beats: Sequence[Beat]) -> float | None:
+    """Beats per minute, of all classes; None where there is one beat only."""
     intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
-    return 60000.0 / float(np.mean(intervals)) if intervals else math.nan
+    return 60000.0 / float(np.mean(intervals)) if intervals else None
 
 
 def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
@@ -107,9 +116,11 @@ def _check_ends(onset_sd: float, offset_sd: float, choices: Choices, source: str
             )
 
 
-def _window(aligned: AlignedBeats, choices: Choices, source: str) -> tuple[float, float]:
+def _window(
+    aligned: AlignedBeats, smoothing: float, choices: Choices, source: str
+) -> tuple[float, float]:
     """QRS window (ms from R): what is given, otherwise what is found."""
-    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before)
+    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before, smoothing)
     time = aligned.time
     start = float(time[first]) if choices.onset is None else float(choices.onset)
     end = float(time[last]) if choices.offset is None else float(choices.offset)
@@ -169,8 +180,9 @@ def _warnings(
         warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
     if "remarks" in notes:
         warnings.append(notes["remarks"])
-    if not LOWEST_RATE <= target.heart_rate <= HIGHEST_RATE:
-        warnings.append(f"{target.heart_rate:.0f} beats per minute; is the sampling rate right?")
+    rate = target.heart_rate
+    if rate is not None and not LOWEST_RATE <= rate <= HIGHEST_RATE:
+        warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)

@@ -9,6 +9,7 @@ stand out from. `benchmarks/qrs_window.py` measures the errors on simulated ECGs
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,10 +18,14 @@ from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats
 from fascicle.recording.detection import complete_leads
+from fascicle.recording.filters import Filter, FilterKind
 from fascicle.recording.resampling import MAINS
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
 NOISY_SMOOTHINGS = (5.0, 6.0, 8.0)  # ms; instead, where the leads are never still otherwise
+RINGING_ORDER = 4.0  # low-passes of higher order ring at their cut-off
+# of whose period so wide a Gaussian leaves 4 % of the ringing: exp(-2 (0.4 pi)^2)
+AGAINST_RINGING = 0.4
 CORE_SMOOTHING = 10.0  # ms; leaves 1 % of 50 Hz hum
 # Time (ms) that makes a speed of a curvature, in the core: tall T waves are steep, but turn slowly.
 CORE_TURNING = 10.0
@@ -114,7 +119,28 @@ def spatial_velocity(signal: Floats, step: float) -> Floats:
     return np.asarray(np.sqrt(np.mean(slope**2, axis=0)))
 
 
-def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, int]:
+def smoothing_against_ringing(filters: Sequence[Filter]) -> float:
+    """Smoothing (ms) under which steep low-passes that a recording has passed do not show.
+
+    Without it the ringing before and after a QRS counts as QRS: in 30 simulated ECGs behind a
+    low-pass at 35 Hz, of order 20, the onset was found 25 ms early and the offset 31 ms late.
+
+    Parameters
+    ----------
+    filters : sequence of Filter
+        What the recording has passed.
+    """
+    ringing = [
+        1000.0 * AGAINST_RINGING / one.frequency
+        for one in filters
+        if one.kind is FilterKind.LOW_PASS and one.shape > RINGING_ORDER
+    ]
+    return max([SMOOTHING, *ringing])
+
+
+def qrs_window(
+    signal: Floats, step: float, not_before: int = 0, smoothing: float = SMOOTHING
+) -> tuple[int, int]:
     r"""First and last sample of the QRS.
 
     The fastest stretches of the beat are its core; from there outward the QRS lasts until the leads
@@ -134,6 +160,8 @@ def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, i
     not_before : int
         Sample before which the onset cannot be: the end of a pacing spike. Nothing before it is
         looked at.
+    smoothing : float
+        Least smoothing (ms); see `smoothing_against_ringing`.
 
     Returns
     -------
@@ -152,7 +180,7 @@ def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, i
     """
     leads = signal[complete_leads(signal), not_before:]
     first, last = _core(_motion_of(leads, CORE_SMOOTHING, step).speed(CORE_TURNING), step)
-    motion = _quiet_motion(_without_hum(leads, first, last, step), step)
+    motion = _quiet_motion(_without_hum(leads, first, last, step), step, smoothing)
     end = leads.shape[1] - 1
     onset = end - _still_from(motion.backward(), end - first, ONSET, step)
     offset = _still_from(motion, last, OFFSET, step)
@@ -164,10 +192,10 @@ def qrs_window(signal: Floats, step: float, not_before: int = 0) -> tuple[int, i
     return not_before + onset, not_before + offset
 
 
-def _quiet_motion(leads: Floats, step: float) -> _Motion:
+def _quiet_motion(leads: Floats, step: float, smoothing: float) -> _Motion:
     """Motion with as little smoothing as makes its noise slower than the onset of a QRS."""
-    motion = _motion_of(leads, SMOOTHING, step)
-    for wider in NOISY_SMOOTHINGS:
+    motion = _motion_of(leads, smoothing, step)
+    for wider in (wider for wider in NOISY_SMOOTHINGS if wider > smoothing):
         speed = motion.speed(OFFSET.turning)
         if STANDS_OUT * _stillest(speed, step) <= ONSET.level * _highest(speed, step):
             break
@@ -279,7 +307,11 @@ def _still_after(speed: Floats, core: int, level: float, reach: float, step: flo
 
 
 def window_uncertainty(
-    beats: Floats, step: float, not_before: int = 0, noise: float | None = None
+    beats: Floats,
+    step: float,
+    not_before: int = 0,
+    noise: float | None = None,
+    smoothing: float = SMOOTHING,
 ) -> tuple[float, float]:
     """Standard deviations of the ends of the QRS that `qrs_window` finds in the mean beat.
 
@@ -293,7 +325,7 @@ def window_uncertainty(
         Aligned beats (mV); leads that are not there are NaN in every beat.
     step : float
         Sampling step (ms).
-    not_before : int
+    not_before, smoothing
         As in `qrs_window`.
     noise : float, optional
         Standard deviation of every sample of a beat (mV); needed where there is one beat.
@@ -323,7 +355,7 @@ def window_uncertainty(
     else:
         means = beats.mean(axis=0) + _noise(rng, beats.shape[1:], step) * noise / n_beats**0.5
         inflation = 1.0
-    windows = np.array([qrs_window(mean, step, not_before) for mean in means])
+    windows = np.array([qrs_window(mean, step, not_before, smoothing) for mean in means])
     # 68 % of a normal distribution; a few means in which another wave stands out do not count
     low, high = np.quantile(windows, [0.16, 0.84], axis=0)
     by_noise = step**2 * inflation * ((high - low) / 2) ** 2

@@ -18,6 +18,8 @@ from fascicle.report.beat_panels import ROWS, draw_beats, panel_handles
 from fascicle.report.ecg_paper import PACE, PAPER_GAIN, PAPER_PACE, SHOWN, draw_strip, strip_start
 from fascicle.report.figures import new_figure
 from fascicle.report.fitted_text import shortened, wrapped
+from fascicle.report.single_beat import PACE as SINGLE_PACE
+from fascicle.report.single_beat import draw_single_beat, is_single_beat
 
 MM = 1 / 25.4  # inch
 PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0  # mm, A4
@@ -40,7 +42,8 @@ def recording_figure(analysis: Analysis) -> Figure:
     """Draw the page from which a cardiologist judges a target.
 
     The strip above shows ten seconds of all leads as they were recorded, on the squares of ECG
-    paper, beats numbered and coloured by class. The panels below show the target: its beats, their
+    paper, beats numbered and coloured by class; of a recording of one beat it shows that, large.
+    The panels below show the target: its beats, their
     mean and spread, and the QRS window.
 
     Parameters
@@ -56,15 +59,22 @@ def recording_figure(analysis: Analysis) -> Figure:
     """
     figure = new_figure(PAGE_WIDTH * MM, PAGE_HEIGHT * MM, constrained=False)
     colours = class_colours(analysis)
-    top = _class_legend(figure, analysis, colours, _head(figure, analysis))
+    top, single = _head(figure, analysis), is_single_beat(analysis)
+    if not single:  # its class says nothing
+        top = _class_legend(figure, analysis, colours, top)
     unused = _unused_text(analysis)
     panels_top = PAGE_HEIGHT - BELOW_PANELS - PANEL_BLOCK
     strip_bottom = panels_top - ABOVE_PANELS - (2 if unused else 1) * LINE
     top += LINE  # for the scale
     height = strip_bottom - top - GAP
     strip = _axes(figure, LEFT, top + GAP, SHOWN * PACE, height)
-    gain, cut = draw_strip(strip, analysis, colours, height)
-    _write(figure, TEXT_LEFT, top, _scale_text(analysis, gain, cut=cut), weight="bold")
+    if single:
+        gain = draw_single_beat(strip, analysis, SHOWN * PACE, height)
+        scale = _single_scale_text(analysis, gain)
+    else:
+        gain, cut = draw_strip(strip, analysis, colours, height)
+        scale = _scale_text(analysis, gain, cut=cut)
+    _write(figure, TEXT_LEFT, top, scale, weight="bold")
     if unused:
         _write(figure, TEXT_LEFT, strip_bottom + 2 * LINE, unused)
     handles = panel_handles(analysis.target)
@@ -87,10 +97,10 @@ def _head(figure: Figure, analysis: Analysis) -> float:
     name = shortened(name, size, TEXT_WIDTH, "bold")
     _write(figure, TEXT_LEFT, NAME_BASE, name, size=size, weight="bold")
     _write(figure, TEXT_LEFT, MEASURES_BASE, _measures_text(analysis), size=style.LABEL_SIZE)
-    warnings = _warning_lines(analysis)
-    for k, line in enumerate(warnings):
+    lines = [*_filter_lines(analysis), *_warning_lines(analysis)]
+    for k, line in enumerate(lines):
         _write(figure, TEXT_LEFT, WARNINGS_BASE + k * LINE, line)
-    return WARNINGS_BASE + (len(warnings) - 1) * LINE
+    return WARNINGS_BASE + (len(lines) - 1) * LINE
 
 
 def _measures_text(analysis: Analysis) -> str:
@@ -98,14 +108,22 @@ def _measures_text(analysis: Analysis) -> str:
     spread = math.hypot(target.onset_sd, target.offset_sd)
     uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
     onset, offset = style.whole(target.qrs_onset), style.whole(target.qrs_offset)
-    known = math.isfinite(target.heart_rate)
-    rate = f"{target.heart_rate:.0f} beats/min" if known else "heart rate unknown"
+    heart_rate = target.heart_rate
+    rate = f"{heart_rate:.0f} beats/min" if heart_rate is not None else "heart rate unknown"
     qrs = f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R"
     used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
     beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
     if used != count:
         beats += f", put together to {count}"
+    if is_single_beat(analysis):
+        beats = "a single beat"
     return "   ·   ".join([rate, qrs, beats])
+
+
+def _filter_lines(analysis: Analysis) -> list[str]:
+    """What the beats have passed, in one line; none where nothing is known."""
+    filters = "; ".join(map(str, analysis.target.filters))
+    return [shortened(f"filters: {filters}", SMALL, TEXT_WIDTH)] if filters else []
 
 
 def _warning_lines(analysis: Analysis) -> list[str]:
@@ -186,6 +204,17 @@ def _scale_text(analysis: Analysis, gain: float, *, cut: bool) -> str:
         parts.append("largest excursions cut off")
     if recording.derived:
         parts.append(f"computed from other leads: {', '.join(recording.derived)}")
+    return shortened("   ·   ".join(parts), SMALL, TEXT_WIDTH, "bold")
+
+
+def _single_scale_text(analysis: Analysis, gain: float) -> str:
+    """Scales of a beat that is drawn large, and which leads were computed."""
+    parts = [
+        f"{SINGLE_PACE:g} mm/s, {gain:g} mm/mV on A4",
+        f"small square {1000 / SINGLE_PACE:g} ms, {1 / gain:g} mV",
+    ]
+    if analysis.recording.derived:
+        parts.append(f"computed from other leads: {', '.join(analysis.recording.derived)}")
     return shortened("   ·   ".join(parts), SMALL, TEXT_WIDTH, "bold")
 
 

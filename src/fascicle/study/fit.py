@@ -165,4 +165,7 @@ def target_digest(target: Target) -> str:
     for array in (target.beats, target.time, np.array(numbers)):
         digest.update(str(array.shape).encode())
         digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    for one in target.filters:  # how they are known does not matter
+        text = f"{one.kind.value} {one.frequency!r} {one.shape!r} {one.sampling_rate!r}"
+        digest.update(text.encode())
     return digest.hexdigest()

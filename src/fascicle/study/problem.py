@@ -123,12 +123,18 @@ class Problem:
     def align(self, simulation: Simulation) -> Alignment:
         """Best alignment of a simulation with the mean recorded QRS, over the compared leads."""
         used = self.compared
-        return align(simulation.leads[used], self.target.qrs[used], free_gain=self.free_gain)
+        return align(
+            simulation.leads[used],
+            self.target.qrs[used],
+            free_gain=self.free_gain,
+            response=self.target.response,
+        )
 
     def predicted(self, simulation: Simulation, alignment: Alignment) -> Floats:
         """The simulated ECG under the whole recorded beat, shape (12, n_time) (mV)."""
         shift = alignment.shift - self.target.qrs_samples.start
-        return alignment.gain * placed(simulation.leads, shift, len(self.target.time))
+        length, response = len(self.target.time), self.target.response
+        return alignment.gain * placed(simulation.leads, shift, length, response)
 
     def _network(self, learnt: Mapping[str, float]) -> Network:
         parameters = {**self.fixed, **learnt}

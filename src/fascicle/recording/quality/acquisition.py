@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.quality.finding import Check, Finding, Severity
 from fascicle.recording.quality.lead_signals import UV_PER_MV, measured
 from fascicle.recording.recording import Recording
@@ -27,22 +30,28 @@ STEEPEST_ROUND = 4.0  # digits between the run and the sample beside it
 FEWEST_RUNS, LONG_RUN = 3, 0.02  # runs, or s of one run; fewer and shorter happen by chance
 
 
-def check_extent_in_time(recording: Recording) -> list[Finding]:
-    """Compare the sampling rate (Hz) and the duration (s) with what is usual: two findings."""
+def check_extent_in_time(recording: Recording, n_beats: int) -> list[Finding]:
+    """Compare the sampling rate (Hz) and the duration (s) with what is usual: two findings.
+
+    The duration is not judged (NaN) where there is a single beat, whose noise is stated.
+    """
     rate, duration = recording.sampling_rate, recording.duration
     slow, short = "", ""
     if rate < RATE.limit:
         slow = f"{rate:g} Hz blur the QRS; export the recording at {RATE.limit:g} Hz or more"
-    if duration < DURATION.limit:
+    if n_beats == 1:
+        duration = np.nan
+    elif duration < DURATION.limit:
         short = f"{duration:.1f} s hold few beats, so their spread is uncertain; give 10 s"
     return [RATE.found(rate, slow), DURATION.found(duration, short)]
 
 
-def check_filters(recording: Recording) -> list[Finding]:
-    """Say what the filters that the file names do to the QRS.
+def check_filters(recording: Recording, passed: Sequence[Filter]) -> list[Finding]:
+    """Say what the recorder's filters do to the QRS.
 
-    The figures are the low-pass, high-pass and notch (Hz); NaN where the file does not say, which
-    is fine.
+    The figures are the low-pass, high-pass and notch (Hz); NaN where none is known, which is fine.
+    Of the filters that were `passed` the recorder's low-pass counts, which is not always in the
+    file.
 
     References
     ----------
@@ -51,10 +60,12 @@ def check_filters(recording: Recording) -> list[Finding]:
     """
     filters = recording.filters
     low, high, notch = "", "", ""
-    if filters.lowpass is not None and filters.lowpass < LOWPASS.limit:
-        much = "strongly " if filters.lowpass <= STRONG_LOWPASS else ""
+    lowpass = _recorder_lowpass(passed)
+    if lowpass is not None and lowpass.frequency < LOWPASS.limit:
+        much = "strongly " if lowpass.frequency <= STRONG_LOWPASS else ""
+        known = ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
         low = (
-            f"the recorder's low-pass at {filters.lowpass:g} Hz {much}smooths the QRS "
+            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{known} {much}smooths the QRS "
             f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered"
         )
     if filters.highpass is not None and filters.highpass > HIGHPASS.limit:
@@ -65,10 +76,18 @@ def check_filters(recording: Recording) -> list[Finding]:
     if filters.notch is not None:
         notch = f"note: the recorder's mains filter at {filters.notch:g} Hz was on"
     return [
-        LOWPASS.found(_or_nan(filters.lowpass), low),
+        LOWPASS.found(_or_nan(None if lowpass is None else lowpass.frequency), low),
         HIGHPASS.found(_or_nan(filters.highpass), high),
         MAINS_FILTER.found(_or_nan(filters.notch), notch, Severity.FINE),
     ]
+
+
+def _recorder_lowpass(filters: Sequence[Filter]) -> Filter | None:
+    """The low-pass that is not this program's."""
+    for one in filters:
+        if one.kind is FilterKind.LOW_PASS and one.origin is not FilterOrigin.APPLIED:
+            return one
+    return None
 
 
 def _or_nan(value: float | None) -> float:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fascicle.core.arrays import Integers
+from fascicle.recording.filters import Filter
 from fascicle.recording.quality import acquisition, disturbances, electrodes
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.quality.identities import check_identities
@@ -15,12 +18,14 @@ def check_leads(recording: Recording) -> tuple[Finding, ...]:
     return (*disturbances.check_flatness(recording), *disturbances.check_duplicates(recording))
 
 
-def check_recording(recording: Recording, peaks: Integers) -> tuple[Finding, ...]:
+def check_recording(
+    recording: Recording, peaks: Integers, filters: Sequence[Filter]
+) -> tuple[Finding, ...]:
     """Every check of a recording with a signal in each lead, also those that are fine.
 
     Leads may be absent, or recorded one group after another; the R peaks (n_beats,) are samples of
-    ``recording.signal``. NaN is the figure of a check that the recording does not allow; its
-    message says so.
+    ``recording.signal``, and the filters those that it has passed. NaN is the figure of a check
+    that the recording does not allow; its message says so.
     """
     return (
         *check_synchrony(recording),
@@ -31,6 +36,6 @@ def check_recording(recording: Recording, peaks: Integers) -> tuple[Finding, ...
         *disturbances.check_mains(recording),
         *disturbances.check_wander(recording),
         *acquisition.check_resolution(recording),
-        *acquisition.check_extent_in_time(recording),
-        *acquisition.check_filters(recording),
+        *acquisition.check_extent_in_time(recording, len(peaks)),
+        *acquisition.check_filters(recording, filters),
     )
