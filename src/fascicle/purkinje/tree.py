@@ -9,11 +9,11 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 
-# A tree with fewer junctions than this has hardly branched, mostly because its fascicles end beside
-# the bundle or the base. Of 500 networks drawn from the ranges of `NETWORK_SPACE`, the packaged
-# heart's trees have a median of 280 (left) and 345 (right) junctions, 1 % of the right ones below
-# 50 and then below 20; crtdemo's right ones 210 and 0.4 %. Its left ventricle is too small for
-# that (median 66, a third below 50): there few junctions are usual, and worth saying all the same.
+# A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
+# of `NETWORK_SPACE`, the packaged heart's trees have a median of 280 (left) and 345 (right)
+# junctions; 1 % of the right ones have fewer than 50, all of these fewer than 20. On crtdemo the
+# right trees have a median of 210, 0.4 % below 50. In its small left ventricle few junctions are
+# usual (median 66, a third below 50).
 FEW_JUNCTIONS = 50
 
 

@@ -177,13 +177,13 @@ def default_template() -> CableTemplate:
     The paper says "a 1D cable simulation with the Ten Tusscher-Panfilov model" and not which cell.
     One template stands for all layers, so what the layers differ in would enter the ECG with the
     wrong sign somewhere; the endocardial type has least of it. On the packaged heart with the
-    example parameters, 5 ms after the last activation, the largest lead is at 0.009 mV with the
-    endocardial template and at 0.042 and 0.052 mV with the epicardial and the mid-myocardial one,
+    example parameters, 5 ms after the last activation, the largest lead is at 0.007 mV with the
+    endocardial template and at 0.052 and 0.066 mV with the epicardial and the mid-myocardial one,
     whose notch (phase 1) is deep everywhere at once and so lifts the ST segment, though no
     difference between layers is modelled that a J wave could come from.
 
-    That U stops at 60 ms changes no lead of the QRS by more than 0.010 mV of 1.70 mV. At 40 ms it
-    would be as much for this type and 0.024 mV for the others, at 25 ms 0.028 and 0.091 mV.
+    That U stops at 60 ms changes no lead of the QRS by more than 0.007 mV of 2.36 mV. At 40 ms it
+    would be 0.009 mV for this type and 0.033 mV for the others, at 25 ms 0.038 and 0.126 mV.
     """
     return stored_template(DEFAULT_CELL)
 
