@@ -105,7 +105,9 @@ def _of_trees() -> Iterator[Quantity]:
     yield Quantity(
         "generations", "1", 20, (0, 100), (5, 30), "how often ends branch", trees, whole=True
     )
-    yield Quantity("segments", "1", 8, (1, 1000), (4, 16), "segments of a branch", trees, whole=True)
+    yield Quantity(
+        "segments", "1", 8, (1, 1000), (4, 16), "segments of a branch", trees, whole=True
+    )
     yield Quantity(
         "clearance", "1", 0.9, (0.0, 10.0), (0.5, 1.5),
         "a branch stops nearer than this many segments to another", trees,
