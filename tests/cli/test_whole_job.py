@@ -42,7 +42,7 @@ def run(monkeypatch, *arguments):
 def test_study_folder_holds_what_is_promised(study):
     folder = study.folder
     posterior = az.from_netcdf(folder / "posterior.nc")
-    assert set(posterior.posterior.data_vars) == set(fascicle.NETWORK_SPACE.names)
+    assert set(posterior.posterior.data_vars) == {*fascicle.NETWORK_SPACE.names, "alpha"}
     assert posterior.posterior["cv"].attrs["units"] == "mm/ms"
     assert posterior.posterior["cv"].shape == (1, len(study.population))
     assert posterior.posterior_predictive["ecg"].dims == ("chain", "draw", "lead", "time")

@@ -96,7 +96,8 @@ class ForwardModel:
         Networks that were grown lately are remembered: where only times and speeds change, no tree
         is grown again.
         """
-        anatomy = {n: v for n, v in parameters.items() if quantity(n).changes is Changes.TREES}
+        of_trees = {n: v for n, v in parameters.items() if quantity(n).changes is Changes.TREES}
+        anatomy = checked(of_trees)
         rules = self.rules.with_values(anatomy)
         return self._grow(rules, tuple(sorted(anatomy.items())))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import checked, fascicles, quantity
+from fascicle.core.quantities import check, checked, fascicles, quantity
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
 from fascicle.kernels.arrays import Rules
@@ -156,6 +156,10 @@ def grow_tree(
     finds that it is too near another (here it is not laid), and measures with one factor of scale
     per triangle instead of its metric.
     """
+    length, angle = (quantity(f"lv_fascicle_{what}_1") for what in ("length", "angle"))
+    for known, values in ((length, (bundle_length, *fascicle_lengths)), (angle, fascicle_angles)):
+        for value in values:
+            check(known, value)
     status, missing, grown = growth.grow(
         seed,
         float(bundle_length),
