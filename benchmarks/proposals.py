@@ -118,7 +118,8 @@ def heart_task(folder: Path) -> Task:
 
     model = ForwardModel(_heart(build_case(folder)))
     ecg = simulate_valid(model, TRUTH).ecg.to_numpy()
-    problem = Problem(model, synthetic_target(ecg, np.random.default_rng(0)), NETWORK_SPACE)
+    target = synthetic_target(ecg, np.random.default_rng(0))
+    problem = Problem(model, target, NETWORK_SPACE, fixed={"alpha": TRUTH["alpha"]})
 
     def losses(points: Array) -> Array:
         return np.array([evaluation.loss for evaluation in problem(list(points))])

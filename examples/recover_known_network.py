@@ -47,6 +47,7 @@ TRUTH = {
     "rv_fascicle_angle_2": 0.2,
     "root_time": -30.0,
     "cv": 2.7,
+    "alpha": 0.065,
 }
 
 
@@ -114,6 +115,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     truth = read_parameters(given.truth) if given.truth else TRUTH
+    truth = {"alpha": fascicle.Conduction().alpha, **truth}
     fitted = recover(
         given.heart, truth, given.out, given.seed,
         initial=given.initial, steps=given.steps, samples=given.samples,
@@ -123,8 +125,8 @@ def main() -> None:
     for parameter in fitted.problem.space.parameters:
         values = population.values[parameter.name]
         print(
-            f"{parameter.name:<22} {truth[parameter.name]:8.2f} {np.median(values):8.2f} "
-            f"{values.min():8.2f} {values.max():8.2f} {parameter.unit}"
+            f"{parameter.name:<22} {truth[parameter.name]:8.3g} {np.median(values):8.3g} "
+            f"{values.min():8.3g} {values.max():8.3g} {parameter.unit}"
         )
     write_figures(fitted, fitted.networks())
     pairs = pair_figure(fitted.problem.space, population.values, population.best, truth)
