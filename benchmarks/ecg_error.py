@@ -27,20 +27,11 @@ from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
-from fascicle.mesh.topology import TETRAHEDRON_EDGES
+from fascicle.mesh.refinement import CHILDREN, in_eight
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-CHILDREN = 8
-# Children of a tetrahedron: 0 to 3 its corners, 4 to 9 the middles of its edges; the octahedron in
-# the middle is cut along the diagonal from the midpoint of edge (0, 2) to that of (1, 3)
-RED = np.array(
-    [
-        [0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3],
-        [5, 8, 4, 6], [5, 8, 6, 9], [5, 8, 9, 7], [5, 8, 7, 4],
-    ]
-)  # fmt: skip
 FINER_BINS = 16  # per ms
 SUBSAMPLES = 8
 BLOCK = 50_000  # elements at a time
@@ -67,20 +58,12 @@ class ActivatedMesh:
 
     def refined(self) -> ActivatedMesh:
         """Each tetrahedron in eight, numbered together; the activation stays the same field."""
-        edges = np.sort(self.corners[:, TETRAHEDRON_EDGES].reshape(-1, 2), axis=1)
-        key, edge = np.unique(edges @ [len(self.vertices), 1], return_inverse=True)
-        first, second = np.divmod(key, len(self.vertices))
-        midpoints = len(self.vertices) + edge.reshape(-1, len(TETRAHEDRON_EDGES))
-
-        def with_midpoints(values: Array) -> Array:
-            return np.concatenate([values, 0.5 * (values[first] + values[second])])
-
-        children = np.concatenate([self.corners, midpoints], axis=1)[:, RED].reshape(-1, 4)
+        finer = in_eight(self.vertices, self.corners)
         return ActivatedMesh(
-            with_midpoints(self.vertices),
-            children,
+            finer.vertices,
+            finer.tetrahedra,
             np.repeat(self.fibres, CHILDREN, axis=0),
-            with_midpoints(self.activation),
+            finer.at_vertices(self.activation),
         )
 
     def electrocardiograph(self, gradients: Array) -> Electrocardiograph:

@@ -25,7 +25,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -33,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.references import solve_from_vertices
+from fascicle.build.refinement import refined
 from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.heart.conduction import MM2_PER_CM2, Conduction
@@ -105,47 +105,6 @@ def block(size: Array, cell: float, fibres: Fibres, jitter: float = JITTER) -> H
     dummy = Endocardium("lv", vertices[:3], np.array([[0, 1, 2]]), 0, 1)
     directions = fibres(vertices[tetrahedra].mean(axis=1))
     return Heart(vertices, tetrahedra, directions, dummy, dummy, np.zeros((9, 3)))
-
-
-def refined(heart: Heart) -> Heart:
-    """Each tetrahedron cut into eight at its edges' midpoints; old vertices keep their numbers.
-
-    The four corners are cut off and the octahedron that remains along its shortest diagonal.
-    Fibres (and labels) are inherited.
-    """
-    pairs = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-    edges = np.sort(heart.tetrahedra[:, pairs].reshape(-1, 2), axis=1)
-    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
-    vertices = np.concatenate([heart.vertices, heart.vertices[unique].mean(axis=1)])
-    a, b, c, d = heart.tetrahedra.T
-    ab, ac, ad, bc, bd, cd = len(heart.vertices) + inverse.reshape(-1, 6).T
-    corners = [(a, ab, ac, ad), (ab, b, bc, bd), (ac, bc, c, cd), (ad, bd, cd, d)]
-    ring = {
-        (0, 5): (ab, cd, (ac, ad, bd, bc)),
-        (1, 4): (ac, bd, (ab, ad, cd, bc)),
-        (2, 3): (ad, bc, (ab, ac, cd, bd)),
-    }
-    lengths = np.stack(
-        [np.linalg.norm(vertices[one] - vertices[other], axis=1) for one, other, _ in ring.values()]
-    )
-    shortest = lengths.argmin(axis=0)
-    inner = []
-    for k in range(4):
-        choices = [
-            np.stack([one, other, around[k], around[(k + 1) % 4]], axis=1)
-            for one, other, around in ring.values()
-        ]
-        inner.append(np.choose(shortest[:, None], choices))
-    tetrahedra = np.stack([*(np.stack(c, axis=1) for c in corners), *inner], axis=1).reshape(-1, 4)
-    flip = signed_volumes(vertices, tetrahedra) < 0
-    tetrahedra[flip] = tetrahedra[flip][:, [1, 0, 2, 3]]
-    return replace(
-        heart,
-        vertices=vertices,
-        tetrahedra=np.ascontiguousarray(tetrahedra),
-        fibres=np.repeat(heart.fibres, 8, axis=0),
-        regions=None if heart.regions is None else np.repeat(heart.regions, 8),
-    )
 
 
 def fired(myocardium: Myocardium, points: Array, times: npt.ArrayLike) -> Array:

@@ -114,11 +114,13 @@ def heart_task(folder: Path) -> Task:
     from examples.recover_known_network import TRUTH, synthetic_target
     from fascicle.core.parameters import NETWORK_SPACE
     from fascicle.forward.model import ForwardModel
-    from fascicle.study.problem import Problem, simulate_valid
+    from fascicle.purkinje.tree import InvalidTree
+    from fascicle.study.problem import Problem
 
     model = ForwardModel(_heart(build_case(folder)))
-    ecg = simulate_valid(model, TRUTH).ecg.to_numpy()
-    target = synthetic_target(ecg, np.random.default_rng(0))
+    simulation = model.simulate(TRUTH)
+    assert not isinstance(simulation, InvalidTree)
+    target = synthetic_target(simulation.leads, np.random.default_rng(0))
     problem = Problem(model, target, NETWORK_SPACE, fixed={"alpha": TRUTH["alpha"]})
 
     def losses(points: Array) -> Array:

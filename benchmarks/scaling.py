@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.eikonal_error import refined as in_eight
 from benchmarks.forward import _heart, _named_parameters, build_case, pin_to_one_core
+from fascicle.build.refinement import refined as in_eight
 
 if TYPE_CHECKING:
     from fascicle.forward.model import ForwardModel

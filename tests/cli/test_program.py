@@ -38,6 +38,7 @@ def test_installed_program():
     ("command", "words"),
     [
         ("heart", "import"), ("heart import", "--lv-endocardium"), ("heart check", "HEART"),
+        ("heart refine", "--out"),
         ("simulate", "--root-time"), ("target", "--out"), ("fit", "--initial"),
         ("predict", "--root-time"), ("report", "Finished study"), ("demo", "--out"),
     ],

@@ -1,0 +1,72 @@
+"""A finer mesh of a heart: every tetrahedron in eight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fascicle.build.volume_meshing import available_memory
+from fascicle.core.errors import InputError
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.heart import Heart
+from fascicle.heart.torso import LeadFields
+from fascicle.mesh.refinement import CHILDREN, in_eight
+from fascicle.torso.lead_fields import key_of, resolve_lead_fields
+
+# Measured on the packaged heart: 7.1 times the vertices, and 1.0 GB to prepare its 107,000
+MORE_VERTICES = 7
+MEMORY_PER_VERTEX = 1e4  # bytes
+
+
+def refined(heart: Heart, progress: Progress | None = None) -> Heart:
+    """The same heart on a mesh with eight times the tetrahedra, of half the edge length.
+
+    Fibres, sheets and regions are those of the tetrahedron that each lies in. Endocardia,
+    electrodes, seeds and the patient's values stay. Lead fields are interpolated linearly, so that
+    their gradients stay, too; the torso, whose mesh no longer fits, is left out.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    progress : Progress, optional
+        Progress callback, for lead fields that must be computed first.
+
+    Raises
+    ------
+    InputError
+        If the finer mesh would not fit in the memory, or the heart's lead fields are out of date
+        and there is no torso to compute new ones in.
+    """
+    _check_memory(heart)
+    conduction = Conduction.of(heart)
+    report = stage_progress(progress, "lead fields", "of the coarser mesh")
+    fields = resolve_lead_fields(heart, conduction, report)
+    mesh = in_eight(heart.vertices, heart.tetrahedra)
+    finer = replace(
+        heart,
+        vertices=mesh.vertices,
+        tetrahedra=mesh.tetrahedra,
+        fibres=np.repeat(heart.fibres, CHILDREN, axis=0),
+        regions=None if heart.regions is None else np.repeat(heart.regions, CHILDREN),
+        sheets=None if heart.sheets is None else np.repeat(heart.sheets, CHILDREN, axis=0),
+        torso=None,
+        lead_fields=None,
+        folder=None,
+    )
+    if fields is None:
+        return finer
+    values = mesh.at_vertices(fields.values)
+    return replace(finer, lead_fields=LeadFields(values, key_of(finer, conduction), fields.torso))
+
+
+def _check_memory(heart: Heart) -> None:
+    needed, free = MEMORY_PER_VERTEX * MORE_VERTICES * len(heart.vertices), available_memory()
+    if needed > free:
+        raise InputError(
+            f"{heart.name}: with eight times its {len(heart.tetrahedra)} tetrahedra preparing "
+            f"it takes some {needed / 1e9:.1f} GB of memory, {free / 1e9:.1f} GB are free; use the "
+            "mesh as it is"
+        )
