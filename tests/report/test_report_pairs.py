@@ -62,7 +62,7 @@ def test_outer_axes_name_parameter_and_unit():
     figure = pair_figure(SPACE, samples(), BEST)
     assert panel(figure, 2, 0).get_xlabel() == "LV bundle\nlength (mm)"
     assert panel(figure, 2, 1).get_xlabel() == "RV fasc. 1\nangle (rad)"
-    assert panel(figure, 2, 0).get_ylabel() == "speed\n(mm/ms)"
+    assert panel(figure, 2, 0).get_ylabel() == "tree speed\n(mm/ms)"
     assert panel(figure, 1, 1).get_xlabel() == ""
 
 

@@ -123,7 +123,7 @@ def _of_conduction() -> Iterator[Quantity]:
     )  # fmt: skip
     yield Quantity("cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "speed in the trees", times)
     yield Quantity(
-        "alpha", "cm/ms (mS/cm)^-1/2", 0.05, (0.005, 0.5), (0.04, 0.12),
+        "alpha", "cm/ms √(cm/mS)", 0.05, (0.005, 0.5), (0.04, 0.12),
         "speed constant of the myocardium: D = alpha² Gi (Gi+Ge)^-1 Ge", times,
     )  # fmt: skip
     yield Quantity(

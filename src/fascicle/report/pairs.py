@@ -94,7 +94,7 @@ def short_name(name: str) -> str:
     """Break a parameter's name into the two lines that stand on an axis, the unit to follow."""
     match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
     if match is None:
-        return {"cv": "speed"}.get(name, name.replace("_", " ")) + "\n"
+        return {"cv": "tree speed"}.get(name, name.replace("_", " ")) + "\n"
     side, stretch, quantity, number = match.groups()
     part = "bundle" if stretch == "initial" else f"fasc. {number}"
     return f"{side.upper()} {part}\n{quantity} "
@@ -143,15 +143,21 @@ def _label(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: bool) 
     for spine in axes.spines.values():
         spine.set_linewidth(0.5)
     if bottom:
-        axes.set_xlabel(f"{short_name(x.name)}({x.unit})", fontsize=SMALL)
+        axes.set_xlabel(_title(x), fontsize=SMALL)
     else:
         axes.tick_params(labelbottom=False)
     if left and x is not y:
-        axes.set_ylabel(f"{short_name(y.name)}({y.unit})", fontsize=SMALL)
+        axes.set_ylabel(_title(y), fontsize=SMALL)
     elif left:
         axes.set_ylabel("density", fontsize=SMALL)
     else:
         axes.tick_params(labelleft=False)
+
+
+def _title(parameter: Parameter) -> str:
+    """Name and unit, if it has one."""
+    unit = "" if parameter.unit == "1" else f"({parameter.unit})"
+    return f"{short_name(parameter.name)}{unit}".rstrip()
 
 
 def _legend(figure: Figure, count: int, marks: Marks) -> None:
