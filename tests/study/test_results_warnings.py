@@ -1,0 +1,60 @@
+"""What a reader of a study's results is told first."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.heart.conduction import Conduction
+from fascicle.study.results import FittedStudy
+
+
+def fitted(*, loss=0.5, regions=None, values=None, fixed=None, junctions=(200, 300), under=0.99):
+    """A study of which only what decides the warnings is there."""
+    heart = SimpleNamespace(regions=None if regions is None else np.array(regions))
+    conduction = Conduction().with_values(values or {})
+    model = SimpleNamespace(heart=heart, conduction=conduction)
+    trees = [
+        SimpleNamespace(side=side, junctions=np.arange(count))
+        for side, count in zip(("lv", "rv"), junctions, strict=True)
+    ]
+    study = FittedStudy(
+        SimpleNamespace(),
+        SimpleNamespace(flat=2.0, model=model, space=NETWORK_SPACE, fixed=fixed or {}),
+        SimpleNamespace(best_loss=loss),
+    )
+    simulation = SimpleNamespace(trees=trees)
+    study.__dict__["best_network"] = SimpleNamespace(simulation=simulation, under_qrs=under)
+    return study
+
+
+def test_a_good_fit_has_none():
+    assert fitted().warnings == []
+    assert fitted().explained == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize(("loss", "share"), [(1.2, "40%"), (2.5, "0%")])
+def test_what_the_model_does_not_explain(loss, share):
+    (warning,) = fitted(loss=loss).warnings
+    assert f"explains {share} of the recorded QRS" in warning
+
+
+def test_regions_that_count_as_healthy():
+    (warning,) = fitted(regions=[0, 1, 1, 5]).warnings
+    assert warning.startswith("regions 1, 5 of the heart count as healthy")
+    assert fitted(regions=[0, 1], values={"region_1_conductivity": 0.0}).warnings == []
+    assert fitted(regions=[0, 1], fixed={"region_1_conductivity": 0.2}).warnings == []
+
+
+def test_trees_of_few_junctions():
+    (warning,) = fitted(junctions=(200, 12)).warnings
+    assert "200 (LV), 12 (RV) junctions" in warning
+    assert "--fewest-junctions 50" in warning
+
+
+def test_a_network_outside_the_qrs():
+    (warning,) = fitted(under=0.4).warnings
+    assert "only 40% of the best network's ECG lies under the recorded QRS" in warning
