@@ -134,14 +134,30 @@ def attenuation(ratio: Floats, order: float) -> Floats:
 
 
 def lowpass_sections(cutoff: float, order: int, sampling_rate: float) -> Floats:
-    """Second-order sections of a digital Butterworth low-pass (Hz), for one run of it."""
+    """Second-order sections of a digital Butterworth low-pass, for one run of it.
+
+    Parameters
+    ----------
+    cutoff, sampling_rate : float
+        In Hz.
+    order : int
+        Of the filter.
+    """
     from scipy.signal import butter
 
     return np.asarray(butter(order, cutoff, fs=sampling_rate, output="sos"))
 
 
 def notch_coefficients(mains: float, quality: float, sampling_rate: float) -> tuple[Floats, Floats]:
-    """Numerator and denominator of a digital notch filter (Hz), for one run of it."""
+    """Numerator and denominator of a digital notch filter, for one run of it.
+
+    Parameters
+    ----------
+    mains, sampling_rate : float
+        In Hz.
+    quality : float
+        `mains` over the width of the notch.
+    """
     from scipy.signal import iirnotch
 
     numerator, denominator = iirnotch(mains, quality, fs=sampling_rate)

@@ -23,9 +23,17 @@ def check_recording(
 ) -> tuple[Finding, ...]:
     """Every check of a recording with a signal in each lead, also those that are fine.
 
-    Leads may be absent, or recorded one group after another; the R peaks (n_beats,) are samples of
-    ``recording.signal``, and the filters those that it has passed. NaN is the figure of a check
-    that the recording does not allow; its message says so.
+    Leads may be absent, or recorded one group after another. NaN is the figure of a check that the
+    recording does not allow; its message says so.
+
+    Parameters
+    ----------
+    recording : Recording
+        As it was read.
+    peaks : (n_beats,) array
+        Samples of its R peaks.
+    filters : sequence of Filter
+        Those that it has passed.
     """
     return (
         *check_synchrony(recording),
