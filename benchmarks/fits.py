@@ -35,7 +35,6 @@ from fascicle.heart.heart import Heart
 from fascicle.recording.choices import Choices
 from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
 from fascicle.recording.pipeline import analyse
-from fascicle.recording.readers.raw_recording import ReadOptions
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target import Target
 from fascicle.study.evaluations import Stage
@@ -84,8 +83,7 @@ def ludb24_target(data: Path) -> Target:
 
 def dti004_target(data: Path) -> Target:
     file = data / "hearts" / "dti004" / "ecg_beat.csv"
-    recording = read_recording(file, ReadOptions(unit="uV"))
-    return analyse(recording, Choices(noise=DTI_NOISE)).target
+    return analyse(read_recording(file, unit="uV"), Choices(noise=DTI_NOISE)).target
 
 
 CASES = {
