@@ -59,8 +59,9 @@ def dti004(data: Path, out: Path, electrodes: Path | None = None) -> Heart:
     """Built once, and read back from `out` afterwards."""
     folder = out / ("dti004" if electrodes is None else "dti004-unbounded")
     if not folder.exists():
-        torso = "idealised" if electrodes is None else "none"
-        body = Body(torso, pose="lps", electrodes=electrodes)
+        body = Body("none", electrodes=electrodes)
+        if electrodes is None:
+            body = Body("idealised", pose="lps")
         source = Source(file=data / "hearts" / "dti004" / "mesh.vtu", parts={})
         with TerminalProgress() as progress:
             built = build_heart(source, body=body, name=folder.name, progress=progress)
