@@ -11,8 +11,12 @@ from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.heart.conduction import Conduction
 from fascicle.study.results import FittedStudy
 
+MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
 
-def fitted(*, loss=0.5, regions=None, values=None, fixed=None, junctions=(200, 300), under=0.99):
+
+def fitted(
+    *, loss=0.5, best=None, regions=None, values=None, fixed=None, junctions=(200, 300), under=0.99
+):
     """A study of which only what decides the warnings is there."""
     heart = SimpleNamespace(regions=None if regions is None else np.array(regions))
     conduction = Conduction().with_values(values or {})
@@ -24,7 +28,7 @@ def fitted(*, loss=0.5, regions=None, values=None, fixed=None, junctions=(200, 3
     study = FittedStudy(
         SimpleNamespace(),
         SimpleNamespace(flat=2.0, model=model, space=NETWORK_SPACE, fixed=fixed or {}),
-        SimpleNamespace(best_loss=loss),
+        SimpleNamespace(best_loss=loss, best=MIDDLE | (best or {})),
     )
     simulation = SimpleNamespace(trees=trees)
     study.__dict__["best_network"] = SimpleNamespace(simulation=simulation, under_qrs=under)
@@ -58,3 +62,9 @@ def test_trees_of_few_junctions():
 def test_a_network_outside_the_qrs():
     (warning,) = fitted(under=0.4).warnings
     assert "only 40% of the best network's ECG lies under the recorded QRS" in warning
+
+
+def test_a_value_at_the_end_of_its_range():
+    (warning,) = fitted(best={"cv": 3.999, "root_time": -75.0}).warnings
+    assert "at the end of the range of root_time, cv:" in warning
+    assert fitted(best={"cv": 3.9}).warnings == []

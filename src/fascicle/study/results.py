@@ -27,6 +27,7 @@ from fascicle.study.study import Study
 
 POSTERIOR = "posterior.nc"
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
+AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not found
 LEAST_UNDER_QRS = 0.9  # of the energy of a simulated ECG; more lies there in every good fit
 HEALTHY = 0  # label of ordinary tissue
 
@@ -87,6 +88,14 @@ class FittedStudy:
                     f"regions {', '.join(map(str, healthy))} of the heart count as healthy; say "
                     f"otherwise in its heart.toml, or by --fix region_{healthy[0]}_conductivity=0"
                 )
+        best = self.problem.space.to_unit(self.population.best)
+        at_end = np.minimum(best, 1 - best) < AT_END
+        if at_end.any():
+            names = (n for n, there in zip(self.problem.space.names, at_end, strict=True) if there)
+            found.append(
+                f"the best network lies at the end of the range of {', '.join(names)}: what it "
+                "says of that is the range's, or makes up for another fault of heart and body"
+            )
         if has_few_junctions(self.best_network):
             counts = ", ".join(
                 f"{len(tree.junctions)} ({tree.side.upper()})"
