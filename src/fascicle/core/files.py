@@ -6,9 +6,11 @@ import errno
 import os
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 
@@ -154,6 +156,14 @@ def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
             f"{path}: cannot read '{suffix or 'no suffix'}' as {purpose}; "
             f"use one of {', '.join(formats)}"
         )
+
+
+def read_toml(path: Path, remedy: str) -> dict[str, Any]:
+    """Read a TOML file; `remedy` ends the message where it is none."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a mark
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
+        raise InputError(f"{path}: not valid TOML ({error}); {remedy}") from None
 
 
 def user_cache() -> Path:

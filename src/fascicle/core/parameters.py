@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +12,12 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
+from fascicle.core.files import check_file, read_toml
 from fascicle.core.quantities import (
     SIDES,
     USUAL_FASCICLES,
     Changes,
+    check_one_speed,
     checked,
     fascicle_names,
     fascicles,
@@ -199,8 +199,7 @@ def complete(values: Mapping[str, Any]) -> dict[str, float]:
     for name in numbers:
         if quantity(name).changes is Changes.STUDY:
             raise InputError(f"parameter '{name}': the names of the others say it; leave it out")
-    if "alpha" in numbers and "fibre_speed" in numbers:
-        raise InputError("parameters 'alpha' and 'fibre_speed' say the same; give one")
+    check_one_speed(numbers)
     needed = (*(f"{side}_initial_length" for side in SIDES), "root_time", "cv")
     missing = [name for name in needed if name not in numbers]
     if missing:
@@ -225,14 +224,6 @@ def read_parameters(path: Path | str) -> dict[str, float]:
         return complete(values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-
-
-def read_toml(path: Path, remedy: str) -> dict[str, Any]:
-    """Read a TOML file; `remedy` ends the message where it is none."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a mark
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
-        raise InputError(f"{path}: not valid TOML ({error}); {remedy}") from None
 
 
 # A network with an ECG within normal limits: QRS 90 to 100 ms, normal axis, transition at V3 or V4.

@@ -9,7 +9,7 @@ import difflib
 import math
 import numbers
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -155,6 +155,7 @@ def _of_conduction() -> Iterator[Quantity]:
 
 
 QUANTITIES: dict[str, Quantity] = {q.name: q for q in (*_of_trees(), *_of_conduction())}
+SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
 INFINITE = ("orthodromic_delay", "antidromic_delay")
 
 
@@ -178,6 +179,12 @@ def quantity(name: str) -> Quantity:
         f"factor on the conductivities of the elements labelled {int(match[1])}; 0 is scar",
         Changes.TISSUE,
     )  # fmt: skip
+
+
+def check_one_speed(names: Collection[str]) -> None:
+    """Refuse quantities that say the speed of the myocardium twice."""
+    if all(name in names for name in SPEED):
+        raise InputError("parameters 'alpha' and 'fibre_speed' say the same; give one")
 
 
 def region_labels(values: Iterable[str]) -> dict[int, str]:

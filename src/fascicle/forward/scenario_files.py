@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
+from fascicle.core.files import check_file, read_toml
 from fascicle.forward.scenario import Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
@@ -141,10 +140,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     """
     path = Path(path)
     check_file(path, (".toml",), "scenario")
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))  # Notepad writes a mark
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
-        raise InputError(f"{path}: not valid TOML ({error}); see docs/files.md") from None
+    values = read_toml(path, "see docs/files.md")
     try:
         content = _File.model_validate(values)
     except ValidationError as error:

@@ -20,7 +20,7 @@ CONDUCTIVITIES = (
     "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
     "torso", "body", "lung", "blood",
 )  # fmt: skip
-LEARNABLE = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
+SPEEDS = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,7 @@ class Conduction:
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise InputError(f"conductivity '{name}' is {value} mS/cm; it must be positive")
-        names = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
-        given = {name: getattr(self, name) for name in names}
+        given = {name: getattr(self, name) for name in SPEEDS}
         checked({name: value for name, value in given.items() if value is not None})
 
     @classmethod
@@ -169,7 +168,7 @@ class Conduction:
             Quantities of `fascicle.core.quantities`; a region of a label that is there already is
             replaced.
         """
-        changes = {name: values[name] for name in LEARNABLE if name in values}
+        changes = {name: values[name] for name in SPEEDS if name in values}
         if "fibre_speed" in values:
             changes["alpha"] = self.alpha * values["fibre_speed"] / self.speeds[0]
         labels = region_labels(values)

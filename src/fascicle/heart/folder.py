@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
@@ -16,11 +15,17 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_folder, check_folder, check_nothing_lost, user_cache
+from fascicle.core.files import (
+    atomic_folder,
+    check_folder,
+    check_nothing_lost,
+    read_toml,
+    user_cache,
+)
 from fascicle.core.leads import ELECTRODES
-from fascicle.core.quantities import Changes, checked, quantity, region_labels
+from fascicle.core.quantities import SPEED, check_one_speed, checked, region_labels
 from fascicle.heart.assembly import REGION, SHEET, VALVE, assemble_heart
-from fascicle.heart.conduction import Region
+from fascicle.heart.conduction import SPEEDS, Region
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.heart import Heart
 from fascicle.heart.torso import LeadFields, read_torso, write_torso
@@ -130,28 +135,30 @@ def _read_manifest(folder: Path) -> Manifest:
         raise InputError(
             f"{folder}: not a heart folder (no {MANIFEST}); make one with 'fascicle heart build'"
         )
+    values = read_toml(path, "import the heart again")
     try:
-        return Manifest.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return Manifest.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
         raise InputError(
             f"{path}: '{key}': {first['msg']}; correct it or import the heart again"
         ) from None
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of a number too long
-        raise InputError(f"{path}: not valid TOML ({error}); import the heart again") from None
 
 
 def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[str, float]:
     """The patient's values, of quantities that there are, and of regions that there are."""
     try:
         found = checked(values)
-        for label, name in region_labels(found).items():
+        check_one_speed(found)
+        regions = region_labels(found)
+        for label, name in regions.items():
             Region(found[name], label).elements(heart)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     for name in found:
-        if quantity(name).changes not in (Changes.TISSUE, Changes.TIMES):
+        # all that `Conduction.with_values` looks at; anything else would count for nothing
+        if name not in (*SPEEDS, *SPEED, *regions.values()):
             raise InputError(f"{path}: '{name}' is no property of the tissue; leave it out")
     return found
 

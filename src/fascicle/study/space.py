@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
-from fascicle.core.parameters import Parameter, ParameterSpace, free, network_space, read_toml
-from fascicle.core.quantities import SIDES, USUAL_FASCICLES, checked, region_labels
+from fascicle.core.files import check_file, read_toml
+from fascicle.core.parameters import Parameter, ParameterSpace, Prior, free, network_space
+from fascicle.core.quantities import (
+    SIDES,
+    SPEED,
+    USUAL_FASCICLES,
+    check_one_speed,
+    checked,
+    region_labels,
+)
 from fascicle.heart.conduction import Region
 from fascicle.heart.heart import Heart
 from fascicle.study.settings import Method, checked_settings
@@ -17,7 +24,6 @@ from fascicle.study.settings import Method, checked_settings
 FREE = "free"
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
 PARAMETERS = "parameters"  # table of a settings file
-SAME = ("alpha", "fibre_speed")  # two ways to say one thing
 
 
 def study_space(
@@ -53,10 +59,9 @@ def study_space(
     numbers = {side: chosen.pop(f"{side}_fascicles", USUAL_FASCICLES) for side in SIDES}
     counts = {side: int(n) for side, n in numbers.items() if not isinstance(n, Parameter)}
     usual = list(network_space(**counts).parameters)
-    if method == "default" and not any(n in chosen or n in heart.values for n in SAME):
+    if method == "default" and not any(n in chosen or n in heart.values for n in SPEED):
         usual.append(free("alpha"))
-    if all(name in chosen for name in SAME):
-        raise InputError("parameters 'alpha' and 'fibre_speed' say the same; give one")
+    check_one_speed(chosen)
     for label, name in region_labels(chosen).items():
         Region(1.0, label, source=name).elements(heart)
     learnt = {p.name: p for p in usual if not isinstance(chosen.get(p.name), float)}
@@ -79,7 +84,7 @@ def _chosen(name: str, value: Any) -> Parameter | float:
         raise InputError(
             f"parameter '{name}': unknown key '{unknown[0]}'; known: {', '.join(PRIOR_KEYS)}"
         )
-    priors = ("uniform", "normal", "log-uniform", "log-normal")
+    priors = get_args(Prior)
     if value.get("prior", "uniform") not in priors:
         raise InputError(
             f"parameter '{name}': prior is {value['prior']!r}; known: {', '.join(priors)}"

@@ -1,0 +1,48 @@
+"""A patient's values in heart.toml: kept and counted, or refused where they would not count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.folder import MANIFEST, load_heart, write_heart
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, default_heart):
+    path = tmp_path_factory.mktemp("hearts") / "heart"
+    write_heart(replace(default_heart, values={"alpha": 0.08}), path)
+    return path
+
+
+def test_values_come_back_and_count(folder, default_heart):
+    heart = load_heart(folder)
+    assert heart.values == {"alpha": 0.08}
+    assert heart.digest != default_heart.digest
+    assert Conduction.of(heart).alpha == 0.08
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("gain = 2.0", "'gain' is no property of the tissue"),
+        ("orthodromic_delay = 2.0", "no property of the tissue"),
+        ("cv = 3.0", "no property of the tissue"),
+        ("branch_length = 8.0", "no property of the tissue"),
+        ("fibre_speed = 0.6", "say the same"),
+        ("region_1_conductivity = 0.0", "no labels"),
+        ("anisotropy_ratio = 0.5", "give 1 to 10"),
+        ("speed = 0.5", "unknown parameter 'speed'"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_file(folder, line, words):
+    manifest = folder / MANIFEST
+    before = manifest.read_text(encoding="utf-8")
+    manifest.write_text(f"{before}{line}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=words) as caught:
+        load_heart(folder)
+    manifest.write_text(before, encoding="utf-8")
+    assert str(caught.value).startswith(str(manifest))
