@@ -64,7 +64,7 @@ def write_tree(path: Path, tree: PurkinjeTree, activation: Floats) -> None:
 
 
 def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
-    """Write a tree as line elements, by the convention of `fascicle.build.opencarp`.
+    """Write a tree as line elements, by the convention of this module's docstring.
 
     Positions and lengths keep 1e-9 mm.
     """

@@ -19,7 +19,6 @@ SHOWN = 10.0  # s
 PACE = 19.0  # mm/s; ten seconds then fill a page of A4
 PAPER_PACE, PAPER_GAIN = 25.0, 10.0  # mm/s and mm/mV, usual on electrocardiographs
 SMALL_SQUARE = PACE / PAPER_PACE  # mm; 40 ms wide
-LARGE_SQUARE = 5 * SMALL_SQUARE  # mm; 200 ms wide
 GAINS = (1.0, 0.5, 0.25)  # of the standard, as on electrocardiographs
 THIN_PINK, THICK_PINK = "#FBE3E0", "#F0B8B1"
 
@@ -75,7 +74,7 @@ def draw_strip(
     first, stop = (round(second * 1000.0 / SAMPLING_STEP) for second in (start, start + SHOWN))
     signal = analysis.signal[:, first:stop]
     time = start + np.arange(signal.shape[1], dtype=np.float64) * (SAMPLING_STEP / 1000.0)
-    level = _without_baseline(signal)
+    level = without_baseline(signal)
     letters = len(analysis.classes) > 1
     head = NUMBER_ROW + LETTER_ROW * letters + SPIKE_ROW * (len(analysis.spikes) > 0)
     flat = _without_spikes(level, time, analysis.spikes)
@@ -95,6 +94,42 @@ def draw_strip(
     return gain, cut
 
 
+def without_baseline(signal: Floats) -> Floats:
+    """Each lead (12, n) less its median, which is its baseline."""
+    level = np.full(signal.shape, np.nan)
+    for lead, samples in enumerate(signal):
+        if np.isfinite(samples).any():
+            level[lead] = samples - np.nanmedian(samples)
+    return level
+
+
+def draw_paper(
+    axes: Axes, extent: tuple[float, float], height: float, *, square: float, pace: float = 1.0
+) -> None:
+    """Draw the squares of ECG paper, small ones and those of five, from the upper left corner.
+
+    Parameters
+    ----------
+    axes : Axes
+        Its vertical axis is in mm, 0 at the top.
+    extent : (start, width)
+        Along the horizontal axis, in its unit.
+    height : float
+        Of the paper (mm).
+    square : float
+        Side of a small square (mm).
+    pace : float
+        How many mm a unit of the horizontal axis is wide.
+    """
+    start, width = extent
+    for side, colour, line in ((square, THIN_PINK, 0.35), (5 * square, THICK_PINK, 0.5)):
+        across = start + np.arange(0.0, width + 1e-9, side / pace)
+        down = -np.arange(0.0, height + 1e-9, side)
+        axes.vlines(across, -height, 0.0, color=colour, linewidth=line, zorder=0.5)
+        axes.hlines(down, start, start + width, color=colour, linewidth=line, zorder=0.5)
+    axes.spines[:].set(color=THICK_PINK, linewidth=0.6)
+
+
 def beat_colour(beat: Beat, colours: Mapping[str, str], chosen: str) -> str:
     """Colour of a beat's trace: that of its class, paler where the target lacks it nevertheless.
 
@@ -112,15 +147,6 @@ def beat_colour(beat: Beat, colours: Mapping[str, str], chosen: str) -> str:
         return colour
     red, green, blue = (0.5 + 0.5 * part for part in to_rgb(colour))
     return to_hex((red, green, blue)).upper()
-
-
-def _without_baseline(signal: Floats) -> Floats:
-    """Each lead (12, n) less its median, which is its baseline."""
-    level = np.full(signal.shape, np.nan)
-    for lead, samples in enumerate(signal):
-        if np.isfinite(samples).any():
-            level[lead] = samples - np.nanmedian(samples)
-    return level
 
 
 def _without_spikes(level: Floats, time: Floats, spikes: Floats) -> Floats:
@@ -164,15 +190,8 @@ def _within_reach(traces: Floats, flat: Floats) -> tuple[Floats, bool]:
 
 
 def _draw_grid(axes: Axes, start: float, height: float) -> None:
-    """Squares of 1 and 5 mm paper, at the strip's scale, from its upper left corner."""
-    for square, colour, width in (
-        (SMALL_SQUARE, THIN_PINK, 0.35), (LARGE_SQUARE, THICK_PINK, 0.5),
-    ):  # fmt: skip
-        across = start + np.arange(0.0, SHOWN + 1e-9, square / PACE)
-        down = -np.arange(0.0, height + 1e-9, square)
-        axes.vlines(across, -height, 0.0, color=colour, linewidth=width, zorder=0.5)
-        axes.hlines(down, start, start + SHOWN, color=colour, linewidth=width, zorder=0.5)
-    axes.spines[:].set(color=THICK_PINK, linewidth=0.6)
+    """Paper at the strip's scale, and seconds below it."""
+    draw_paper(axes, (start, SHOWN), height, square=SMALL_SQUARE, pace=PACE)
     axes.set_yticks([])
     seconds = start + np.arange(SHOWN + 1)
     axes.set_xticks(seconds, [f"{second:g}" for second in seconds[:-1]] + [f"{seconds[-1]:g} s"])

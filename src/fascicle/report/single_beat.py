@@ -11,13 +11,13 @@ from fascicle.recording.analysis import Analysis
 from fascicle.recording.target import SAMPLING_STEP
 from fascicle.report import style
 from fascicle.report.beat_panels import ROWS
-from fascicle.report.ecg_paper import THICK_PINK, THIN_PINK
+from fascicle.report.ecg_paper import draw_paper, without_baseline
 
 PACE = 50.0  # mm/s; a beat then fills a column
 GAINS = (20.0, 10.0, 5.0, 2.5)  # mm/mV, the largest that fits
 BEFORE, AFTER = 0.25, 0.5  # s about R that are shown
 LONGEST = 2.0  # s; a longer recording is a strip, even if one beat alone was found
-SMALL_SQUARE, LARGE_SQUARE = 1.0, 5.0  # mm, as on real paper
+SMALL_SQUARE = 1.0  # mm, as on real paper
 MARGIN = 2.0  # mm between one lead and the next
 INDENT, NAME = 1.0, 9.0  # mm from the left edge of a column to its names, and to its traces
 
@@ -47,13 +47,11 @@ def draw_single_beat(axes: Axes, analysis: Analysis, width: float, height: float
     r_peak = round(analysis.beats[0].time * 1000.0 / SAMPLING_STEP)
     first = max(r_peak - round(BEFORE * 1000.0 / SAMPLING_STEP), 0)
     signal = analysis.signal[:, first : r_peak + round(AFTER * 1000.0 / SAMPLING_STEP)]
-    level = np.full(signal.shape, np.nan)
-    for lead, samples in enumerate(signal):
-        if np.isfinite(samples).all():
-            level[lead] = samples - np.median(samples)
+    level = without_baseline(signal)
+    level[~np.isfinite(signal).all(axis=1)] = np.nan
     gain, baselines = _arrange(np.nan_to_num(level), height)
     axes.set(xlim=(0.0, width), ylim=(-height, 0.0), xticks=[], yticks=[])
-    _draw_grid(axes, width, height)
+    draw_paper(axes, (0.0, width), height, square=SMALL_SQUARE)
     column = width / (len(LEADS) // ROWS)
     along = np.arange(signal.shape[1]) * (SAMPLING_STEP / 1000.0 * PACE) + NAME
     for lead, name in enumerate(LEADS):
@@ -84,15 +82,3 @@ def _arrange(level: Floats, height: float) -> tuple[float, Floats]:
             break
     rooms = gain * distances + MARGIN + spare / len(distances)
     return gain, -np.cumsum(rooms)[:ROWS]
-
-
-def _draw_grid(axes: Axes, width: float, height: float) -> None:
-    """Squares of 1 and 5 mm from the upper left corner."""
-    for square, colour, line in (
-        (SMALL_SQUARE, THIN_PINK, 0.35), (LARGE_SQUARE, THICK_PINK, 0.5),
-    ):  # fmt: skip
-        across = np.arange(0.0, width + 1e-9, square)
-        down = -np.arange(0.0, height + 1e-9, square)
-        axes.vlines(across, -height, 0.0, color=colour, linewidth=line, zorder=0.5)
-        axes.hlines(down, 0.0, width, color=colour, linewidth=line, zorder=0.5)
-    axes.spines[:].set(color=THICK_PINK, linewidth=0.6)

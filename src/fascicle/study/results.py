@@ -71,47 +71,14 @@ class FittedStudy:
     @property
     def warnings(self) -> list[str]:
         """What a reader of the results must know first, a line each."""
-        found = []
-        if self.explained < LEAST_EXPLAINED:
-            found.append(
-                f"the best network explains {max(self.explained, 0):.0%} of the recorded QRS: "
-                "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
-                "(--free alpha) before you believe anything below"
-            )
-        regions = self.problem.model.heart.regions
-        if regions is not None:
-            own = {region.label for region in self.problem.model.conduction.regions}
-            learnt = region_labels((*self.problem.space.names, *self.problem.fixed))
-            healthy = sorted({int(r) for r in np.unique(regions)} - own - learnt.keys() - {HEALTHY})
-            if healthy:
-                found.append(
-                    f"regions {', '.join(map(str, healthy))} of the heart count as healthy; say "
-                    f"otherwise in its heart.toml, or by --fix region_{healthy[0]}_conductivity=0"
-                )
-        best = self.problem.space.to_unit(self.population.best)
-        at_end = np.minimum(best, 1 - best) < AT_END
-        if at_end.any():
-            names = (n for n, there in zip(self.problem.space.names, at_end, strict=True) if there)
-            found.append(
-                f"the best network lies at the end of the range of {', '.join(names)}: what it "
-                "says of that is the range's, or makes up for another fault of heart and body"
-            )
-        if has_few_junctions(self.best_network):
-            counts = ", ".join(
-                f"{len(tree.junctions)} ({tree.side.upper()})"
-                for tree in self.best_network.simulation.trees
-            )
-            found.append(
-                f"the best network has {counts} junctions, where {FEW_JUNCTIONS} to hundreds a "
-                f"side are usual; "
-                f"--fewest-junctions {FEW_JUNCTIONS} leaves such networks out"
-            )
-        if self.best_network.under_qrs < LEAST_UNDER_QRS:
-            found.append(
-                f"only {self.best_network.under_qrs:.0%} of the best network's ECG lies under the "
-                "recorded QRS; is the QRS window right?"
-            )
-        return found
+        found = (
+            _unexplained(self),
+            _regions_taken_as_healthy(self),
+            _at_end_of_range(self),
+            _few_junctions(self),
+            _outside_qrs(self),
+        )
+        return [warning for warning in found if warning]
 
     @cached_property
     def best_network(self) -> Network:
@@ -129,6 +96,73 @@ class FittedStudy:
             networks.append(network)
             report(len(networks), count)
         return networks
+
+
+def _unexplained(fitted: FittedStudy) -> str:
+    """Warn of a best network that is not the patient's; empty if it may be."""
+    if fitted.explained >= LEAST_EXPLAINED:
+        return ""
+    return (
+        f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
+        "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
+        "(--free alpha) before you believe anything below"
+    )
+
+
+def _regions_taken_as_healthy(fitted: FittedStudy) -> str:
+    """Warn of labelled regions of which nothing is said."""
+    model = fitted.problem.model
+    if model.heart.regions is None:
+        return ""
+    own = {region.label for region in model.conduction.regions}
+    learnt = region_labels((*fitted.problem.space.names, *fitted.problem.fixed))
+    there = {int(label) for label in np.unique(model.heart.regions)}
+    healthy = sorted(there - own - learnt.keys() - {HEALTHY})
+    if not healthy:
+        return ""
+    return (
+        f"regions {', '.join(map(str, healthy))} of the heart count as healthy; say "
+        f"otherwise in its heart.toml, or by --fix region_{healthy[0]}_conductivity=0"
+    )
+
+
+def _at_end_of_range(fitted: FittedStudy) -> str:
+    """Warn of values that were stopped, not found."""
+    space = fitted.problem.space
+    best = space.to_unit(fitted.population.best)
+    at_end = np.minimum(best, 1 - best) < AT_END
+    names = [name for name, there in zip(space.names, at_end, strict=True) if there]
+    if not names:
+        return ""
+    return (
+        f"the best network lies at the end of the range of {', '.join(names)}: what it "
+        "says of that is the range's, or makes up for another fault of heart and body"
+    )
+
+
+def _few_junctions(fitted: FittedStudy) -> str:
+    """Warn of trees that have hardly branched."""
+    if not has_few_junctions(fitted.best_network):
+        return ""
+    counts = ", ".join(
+        f"{len(tree.junctions)} ({tree.side.upper()})"
+        for tree in fitted.best_network.simulation.trees
+    )
+    return (
+        f"the best network has {counts} junctions, where {FEW_JUNCTIONS} to hundreds a side are "
+        f"usual; --fewest-junctions {FEW_JUNCTIONS} leaves such networks out"
+    )
+
+
+def _outside_qrs(fitted: FittedStudy) -> str:
+    """Warn of activity where the recording has none."""
+    under = fitted.best_network.under_qrs
+    if under >= LEAST_UNDER_QRS:
+        return ""
+    return (
+        f"only {under:.0%} of the best network's ECG lies under the "
+        "recorded QRS; is the QRS window right?"
+    )
 
 
 def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None:
