@@ -27,7 +27,8 @@ from typing import Any, NamedTuple
 
 import fascicle
 from fascicle.build.anatomy import Source
-from fascicle.build.build_heart import Body, build_heart
+from fascicle.build.body import Body
+from fascicle.build.build_heart import build_heart
 from fascicle.cli.demo import demo_recording
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.heart.folder import write_heart

@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 
 import fascicle
 from fascicle.build.anatomy import Source
-from fascicle.build.build_heart import Body, build_heart
+from fascicle.build.body import Body
+from fascicle.build.build_heart import build_heart
 from fascicle.build.check import cavity_volume, check_heart
 from fascicle.build.endocardia import endocardia
 from fascicle.core.errors import InputError

@@ -10,7 +10,8 @@ import pyvista as pv
 from anatomies import LV, RV
 
 from fascicle.build.anatomy import Source
-from fascicle.build.build_heart import Body, build_heart
+from fascicle.build.body import Body
+from fascicle.build.build_heart import build_heart
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.read import read_mesh

@@ -10,7 +10,7 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh
-from fascicle.torso import idealised
+from fascicle.torso import lungs
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.electrode_sites import (
     check_not_mirrored,
@@ -19,8 +19,9 @@ from fascicle.torso.electrode_sites import (
     electrode_warnings,
 )
 from fascicle.torso.enclosure import check_within, crossing
-from fascicle.torso.idealised import frame_around, idealised_torso, trunk
+from fascicle.torso.idealised import frame_around, idealised_torso
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, signed_distance
+from fascicle.torso.trunk import trunk
 
 MIRRORS = [np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) for axis in range(3)]
 
@@ -165,7 +166,7 @@ def test_refuses_a_heart_that_does_not_fit(mesh: LabelledMesh) -> None:
 def test_refuses_a_heart_without_room_for_a_lung(
     mesh: LabelledMesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(idealised, "SMALLEST_LUNG", 1.95)  # litres, between the left and the right
+    monkeypatch.setattr(lungs, "SMALLEST_LUNG", 1.95)  # litres, between the left and the right
     with pytest.raises(InputError, match="leaves no room for the left lung"):
         idealised_torso(mesh)
 

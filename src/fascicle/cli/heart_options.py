@@ -15,7 +15,6 @@ from fascicle.core.errors import InputError
 if TYPE_CHECKING:
     from fascicle.heart.fibres.rules import FibreAngles
     from fascicle.heart.seeds import ChosenSeed
-    from fascicle.torso.body_size import BodySize
 
 ANATOMY, FIBRES, BODY, BUNDLES = "Anatomy", "Fibres", "Torso and electrodes", "Bundles"
 STEEPEST = 90.0  # degrees
@@ -72,16 +71,17 @@ PoseOption = Annotated[
     Literal["standard", "ras", "lps"],
     _option(
         BODY,
-        "How the heart lies in the idealised torso: 'standard' by its axes, or 'ras' "
-        "(NIfTI) or 'lps' (DICOM) where its coordinates are the patient's.",
+        "How the heart lies in the idealised torso: 'standard' by its electrodes, or without "
+        "them by its axes; 'ras' (NIfTI) or 'lps' (DICOM) where its coordinates are the "
+        "patient's.",
     ),
 ]
 ElectrodesOption = Annotated[
     Path | None,
     _option(
         BODY,
-        "Nine electrodes, CSV name,x,y,z or JSON; without it, at the standard places of "
-        "the idealised torso.",
+        "Nine electrodes, CSV name,x,y,z or JSON, which the idealised torso is fitted to; "
+        "without it, at its standard places.",
     ),
 ]
 SeedOption = Annotated[
@@ -124,12 +124,9 @@ def fibre_angles(lv: str, rv: str) -> FibreAngles:
     return FibreAngles(*angles)
 
 
-def body_size(**given: float | None) -> BodySize | None:
-    """Size of the body from the measures that are given, None where there are none."""
-    from fascicle.torso.body_size import BodySize
-
-    known = {name: value for name, value in given.items() if value is not None}
-    return BodySize(**known) if known else None
+def known(**given: float | None) -> dict[str, float]:
+    """Measures of the person that are given."""
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def seeds_of(

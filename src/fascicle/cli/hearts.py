@@ -63,7 +63,8 @@ def heart_build(
     ```
     """
     from fascicle.build.anatomy import Source
-    from fascicle.build.build_heart import Body, build_heart
+    from fascicle.build.body import Body
+    from fascicle.build.build_heart import build_heart
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.heart.folder import check_heart_folder
 
@@ -80,13 +81,13 @@ def heart_build(
     folder = out if out is not None else Path(source.name)
     files = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
     check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
-    size = options.body_size(height=height, weight=weight, chest=chest)
+    measures = options.known(height=height, weight=weight, chest=chest)
     with TerminalProgress() as progress:
         built = build_heart(
             source,
             edge_length=edge_length,
             angles=angles,
-            body=Body(torso, tuple(lung or ()), size, pose, electrodes),
+            body=Body(torso, tuple(lung or ()), measures, pose, electrodes),
             seeds=seeds,
             name=folder.resolve().name,
             progress=progress,

@@ -17,10 +17,13 @@ HEIGHTS, WEIGHTS, GIRTHS = (1.2, 2.3), (25.0, 250.0), (50.0, 180.0)  # m, kg, cm
 
 DEPTH_TO_WIDTH = 0.70
 
+FACTORS = (0.5, 2.0)  # on the standard adult's shape
+
 SQUARENESS = 2.4  # exponent of the superellipse that is the outline; 2 is an ellipse
 
 V1_LEVEL = 0.735  # of the height
 
+SHAPE = ("depth", "shoulders", "hips")
 MM_PER_M, MM_PER_CM = 1000, 10
 OUTLINE_POINTS = 721  # on which its length is measured
 LEAST_HEIGHT = 1e-3  # m, against division by zero; the range refuses such heights
@@ -38,6 +41,9 @@ class BodySize:
         Body weight (kg).
     chest : float, optional
         Girth of the chest at the level of the nipples (cm); from height and weight if not given.
+    depth, shoulders, hips : float
+        Factors on the standard adult's depth by width of the chest, and on the width of shoulders
+        and hips.
 
     Raises
     ------
@@ -48,12 +54,16 @@ class BodySize:
     height: float = HEIGHT
     weight: float = WEIGHT
     chest: float | None = None
+    depth: float = 1.0
+    shoulders: float = 1.0
+    hips: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value, (low, high), unit in (
             ("height", self.height, HEIGHTS, "m"),
             ("weight", self.weight, WEIGHTS, "kg"),
             ("chest girth", self.girth, GIRTHS, "cm"),
+            *((name, getattr(self, name), FACTORS, "times") for name in SHAPE),
         ):
             if not low <= value <= high:
                 raise InputError(
@@ -74,14 +84,14 @@ class BodySize:
         angle = np.linspace(0, 2 * np.pi, OUTLINE_POINTS)
         outline = np.stack([np.cos(angle), np.sin(angle)])
         outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
-        outline[1] *= DEPTH_TO_WIDTH
+        outline[1] *= self.depth * DEPTH_TO_WIDTH
         perimeter = np.linalg.norm(np.diff(outline), axis=0).sum()
         return float(MM_PER_CM * self.girth / perimeter)
 
     @property
     def half_depth(self) -> float:
         """Of the chest's outline at the level of V1 (mm)."""
-        return DEPTH_TO_WIDTH * self.half_width
+        return self.depth * DEPTH_TO_WIDTH * self.half_width
 
     def level(self, fraction: float) -> float:
         """Height z in the body frame (mm) of a fraction of the standing height."""

@@ -54,15 +54,32 @@ def standard_electrodes(body: BodySize, skin: Surface) -> Floats:
     (9, 3) array
         In the order of `fascicle.core.leads.ELECTRODES` (mm).
     """
+    starts, directions = site_rays(body)
+    return np.array([_on_skin(skin, *ray) for ray in zip(starts, directions, strict=True)])
+
+
+def site_rays(body: BodySize) -> tuple[Floats, Floats]:
+    """Where electrodes belong: on the skin that rays from within the trunk leave through.
+
+    Parameters
+    ----------
+    body : BodySize
+        What the torso is scaled by.
+
+    Returns
+    -------
+    starts, directions : (9, 3) and (9, 3) arrays
+        In the body frame (mm), in the order of `fascicle.core.leads.ELECTRODES`.
+    """
     width, height = body.half_width, MM_PER_M * body.height
     low = -INTERCOSTAL * height
     axillary = np.array([np.sin(AXILLARY), -np.cos(AXILLARY)])
     front = np.array([0.0, -1.0])
     # a place within the trunk, (x, z), and the direction from there to the skin, (x, y)
     rays = {
-        RA: (-SHOULDER * width, SHOULDER_LEVEL * height, front),
-        LA: (SHOULDER * width, SHOULDER_LEVEL * height, front),
-        LL: (HIP * width, HIP_LEVEL * height, front),
+        RA: (-SHOULDER * body.shoulders * width, SHOULDER_LEVEL * height, front),
+        LA: (SHOULDER * body.shoulders * width, SHOULDER_LEVEL * height, front),
+        LL: (HIP * body.hips * width, HIP_LEVEL * height, front),
         V1: (-STERNAL * width, 0.0, front),
         V2: (STERNAL * width, 0.0, front),
         V3: ((STERNAL + MIDCLAVICULAR) / 2 * width, low / 2, front),
@@ -70,12 +87,10 @@ def standard_electrodes(body: BodySize, skin: Surface) -> Floats:
         V5: (0.0, low, axillary),
         V6: (0.0, low, np.array([1.0, 0.0])),
     }
-    return np.array(
-        [
-            _on_skin(skin, np.array([x, 0.0, z]), np.append(direction, 0.0))
-            for _, (x, z, direction) in sorted(rays.items())
-        ]
-    )
+    places = [rays[k] for k in range(len(ELECTRODES))]
+    starts = np.array([(x, 0.0, z) for x, z, _ in places])
+    directions = np.array([(*direction, 0.0) for _, _, direction in places])
+    return starts, directions
 
 
 def _on_skin(skin: Surface, start: Floats, direction: Floats) -> Floats:
@@ -150,6 +165,25 @@ def check_not_mirrored(name: str, heart: Heart) -> None:
                 f"{name}: the RV lies {where} the LV as the electrodes see it, so the heart or the "
                 "electrodes are mirrored; check the axes of both (RAS or LPS), and which is the LV"
             )
+
+
+def check_not_exchanged(name: str, heart: Heart) -> None:
+    """Refuse electrodes of which two have each other's name, where a torso is to be fitted to them.
+
+    Parameters
+    ----------
+    name : str
+        What to call them in the error.
+    heart : Heart
+        With its electrodes (mm).
+
+    Raises
+    ------
+    InputError
+        As `electrode_warnings` words it.
+    """
+    for warning in [*_reversals(heart), *_heights(heart)]:
+        raise InputError(f"{name}: {warning}")
 
 
 def electrode_warnings(heart: Heart) -> list[str]:

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
+from fascicle.torso.body_size import BodySize
 from fascicle.torso.surfaces import Surface
 
 Pose = Literal["standard", "ras", "lps"]
@@ -29,6 +31,10 @@ ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
 # Body axes in the patient axes of images: columns are x, y and z. NIfTI's RAS+ counts to the right,
 # to the front and up, DICOM's LPS+ to the left, to the back and up.
 _PATIENT_AXES: dict[Pose, Floats] = {"ras": np.diag([-1.0, -1.0, 1.0]), "lps": np.eye(3)}
+
+
+# Usual centroid of the myocardium: to the left (mm), in front (of the half-depth), below V1 (mm)
+HEART_LEFT, HEART_FRONT, HEART_BELOW = 33.0, 0.335, 5.0
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,11 @@ def standard_axes() -> Floats:
     return np.stack([lv_to_rv, np.cross(apex_to_base, lv_to_rv), apex_to_base], axis=1)
 
 
+def usual_place(body: BodySize) -> Floats:
+    """Where the centroid of the myocardium usually lies in the body frame (mm); (3,)."""
+    return np.array([HEART_LEFT, -HEART_FRONT * body.half_depth, -HEART_BELOW])
+
+
 def body_frame(
     lv: Surface, rv: Surface, centroid: Floats, place: Floats, pose: Pose = "standard"
 ) -> BodyFrame:
@@ -137,16 +148,62 @@ def body_frame(
         rotation = axes @ standard_axes().T
     else:
         rotation = _PATIENT_AXES[pose]
-        _check_pose(pose, -rotation.T @ axes[:, 2])
+        check_apex(f"pose '{pose}'", rotation, lv, rv)
     return BodyFrame(rotation, centroid - rotation @ place)
 
 
-def _check_pose(pose: Pose, towards_apex: Floats) -> None:
-    """Refuse image axes in which the apex points two of these ways: right, back, up.
+def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
+    """Body axes as electrodes tell them: those that put the standard sites nearest to them.
+
+    Parameters
+    ----------
+    electrodes : (9, 3) array
+        In the heart's coordinates (mm).
+    sites : (9, 3) array
+        Standard sites in the body frame (mm).
+
+    Returns
+    -------
+    (3, 3) array
+        Its columns are the body's axes in the heart's coordinates. The rotation of least squares
+        (Kabsch 1976, Acta Cryst A32:922-923).
+    """
+    rotation, _ = Rotation.align_vectors(
+        electrodes - electrodes.mean(axis=0), sites - sites.mean(0)
+    )
+    return np.asarray(rotation.as_matrix())
+
+
+def apex_direction(rotation: Floats, lv: Surface, rv: Surface) -> tuple[float, float]:
+    """Where the apex points: to the left of straight ahead, and down (degrees).
+
+    Parameters
+    ----------
+    rotation : (3, 3) array
+        Its columns are the body's axes in the heart's coordinates.
+    lv, rv : Surface
+        Endocardia in the heart's coordinates (mm).
+    """
+    left, back, up = -rotation.T @ heart_axes(lv, rv)[1][:, 2]
+    return float(np.degrees(np.arctan2(left, -back))), float(np.degrees(np.arcsin(-up)))
+
+
+def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
+    """Refuse body axes in which the apex points two of these ways: right, back, up.
 
     Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
     one hardly down.
+
+    Parameters
+    ----------
+    source : str
+        What the axes come from, for the message.
+    rotation : (3, 3) array
+        Its columns are the body's axes in the heart's coordinates.
+    lv, rv : Surface
+        Endocardia in the heart's coordinates (mm).
     """
+    towards_apex = -rotation.T @ heart_axes(lv, rv)[1][:, 2]
     wrong = [
         name
         for name, component in zip(
@@ -156,6 +213,6 @@ def _check_pose(pose: Pose, towards_apex: Floats) -> None:
     ]
     if len(wrong) > 1:
         raise InputError(
-            f"pose '{pose}': the apex then points to the {' and the '.join(wrong)}, where "
-            "none does; check the axes of the image, or use 'standard'"
+            f"{source}: the apex then points to the {' and the '.join(wrong)}, where none does; "
+            "check the axes (RAS or LPS)"
         )

@@ -16,8 +16,9 @@ from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import turned_outwards
 from fascicle.mesh.topology import boundary_triangles, without_unused_vertices
 from fascicle.torso.enclosure import LUNG_EXTENT, TORSO_EXTENT, check_closed, check_within
-from fascicle.torso.idealised import LUNG_EDGE, SKIN_EDGE
+from fascicle.torso.lungs import LUNG_EDGE
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, remeshed
+from fascicle.torso.trunk import SKIN_EDGE
 
 MOST_TRIANGLES = 20_000  # of a surface; a finer one makes the mesh larger and nothing more exact
 

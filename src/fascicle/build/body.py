@@ -1,0 +1,170 @@
+"""The body around a heart: its torso, electrodes and lead fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.electrodes import read_electrodes
+from fascicle.heart.heart import Heart
+from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.validate import check_electrodes
+from fascicle.torso.body_size import SHAPE, BodySize
+from fascicle.torso.electrode_sites import (
+    check_not_exchanged,
+    check_not_mirrored,
+    check_on_skin,
+    distances_to_skin,
+)
+from fascicle.torso.fit import FittedTrunk
+from fascicle.torso.heart_pose import Pose, apex_direction
+from fascicle.torso.idealised import fitted_torso, idealised_torso
+from fascicle.torso.lead_fields import resolve_lead_fields
+from fascicle.torso.mesh import mesh_torso
+from fascicle.torso.surface_files import read_torso_surfaces
+from fascicle.torso.surfaces import Surface, TorsoSurfaces
+
+IDEALISED, NONE = "idealised", "none"
+
+
+@dataclass(frozen=True)
+class Body:
+    """What surrounds the heart.
+
+    Attributes
+    ----------
+    torso : str
+        ``"idealised"``, ``"none"`` (unbounded conductor), or the file of a closed skin surface.
+    lungs : tuple of Path
+        Closed surfaces, with a skin of the user's own.
+    measures : mapping of name to float
+        Height (m), weight (kg) and chest girth (cm) of the person, as far as they are known, to
+        scale the idealised torso.
+    pose : {"standard", "ras", "lps"}
+        See `fascicle.torso.heart_pose.body_frame`.
+    electrodes : Path, optional
+        File of positions, which the idealised torso is fitted to; without it, they are at its
+        standard places.
+    """
+
+    torso: str = IDEALISED
+    lungs: tuple[Path, ...] = ()
+    measures: Mapping[str, float] = field(default_factory=dict)
+    pose: Pose = "standard"
+    electrodes: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.torso != IDEALISED:
+            if self.electrodes is None:
+                raise InputError(
+                    f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
+                    "idealised torso has places for them)"
+                )
+            if self.measures or self.pose != "standard":
+                option = "--pose" if not self.measures else "--height, --weight or --chest"
+                raise InputError(
+                    f"{option} goes with the idealised torso, not with --torso {self.torso}; leave "
+                    "it out"
+                )
+        if self.lungs and self.torso in (IDEALISED, NONE):
+            raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
+        # what would otherwise be found out after minutes is refused at once
+        skin = () if self.torso in (IDEALISED, NONE) else (Path(self.torso),)
+        for path in (*skin, *self.lungs):
+            if not path.is_file():
+                raise InputError(f"{path}: no such file (torso); check the path")
+        BodySize(**self.measures)
+        _ = self.positions
+
+    @cached_property
+    def positions(self) -> Floats | None:
+        """Electrodes of the file (9, 3) (mm), if there is one."""
+        return None if self.electrodes is None else read_electrodes(self.electrodes)
+
+
+def in_body(
+    heart: Heart, mesh: LabelledMesh, body: Body, progress: Progress | None = None
+) -> tuple[Heart, tuple[str, ...]]:
+    """Put torso, electrodes and lead fields around a heart.
+
+    Parameters
+    ----------
+    heart : Heart
+        Its electrodes do not count.
+    mesh : LabelledMesh
+        Its tetrahedra, with their boundary labelled.
+    body : Body
+        What surrounds it.
+    progress : Progress, optional
+        Progress callback.
+
+    Returns
+    -------
+    heart : Heart
+        With all of them.
+    notes : tuple of str
+        How the torso was fitted, for people.
+    """
+    source = str(body.electrodes) if body.electrodes is not None else mesh.name
+    notes: tuple[str, ...] = ()
+    surfaces: TorsoSurfaces | None = None
+    if body.positions is None:
+        surfaces = idealised_torso(mesh, BodySize(**body.measures), body.pose)
+        positions = surfaces.electrodes
+        assert positions is not None
+        heart = _with_electrodes(heart, positions, source)
+    else:
+        heart = _with_electrodes(heart, body.positions, source)
+        if body.torso == IDEALISED:
+            check_not_exchanged(source, heart)
+            surfaces, fitted = fitted_torso(
+                mesh, heart.electrodes, source, body.measures, body.pose
+            )
+            notes = tuple(_notes_on_fit(heart, fitted, body.pose))
+        elif body.torso != NONE:
+            surfaces = read_torso_surfaces(Path(body.torso), body.lungs, mesh)
+    if surfaces is None:
+        return heart, notes
+    check_on_skin(source, distances_to_skin(heart.electrodes, surfaces.skin))
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
+    heart = replace(heart, torso=torso)
+    fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
+    return replace(heart, lead_fields=fields), notes
+
+
+def _with_electrodes(heart: Heart, positions: Floats, source: str) -> Heart:
+    heart = replace(heart, electrodes=positions)
+    check_electrodes(source, positions, heart)
+    check_not_mirrored(source, heart)
+    return heart
+
+
+def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
+    """What the trunk took to hold the electrodes on its skin, in all and for each."""
+    body = fitted.body
+    lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
+    azimuth, descent = apex_direction(fitted.frame.rotation, lv, rv)
+    shape = ", ".join(f"{name} {getattr(body, name):.2f}" for name in SHAPE)
+    axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
+    off = fitted.electrodes - fitted.sites
+    return [
+        f"torso: fitted to the electrodes; height {body.height:.2f} m, chest {body.girth:.0f} cm; "
+        f"times the standard adult's: {shape}",
+        f"pose: {axes}; the apex points {azimuth:.0f} degrees to the left and {descent:.0f} down",
+        "electrodes: how far the skin was moved to each, and how far each is from its standard "
+        "site, mm",
+        f"{'':<5}{'skin':>6}{'left':>7}{'back':>7}{'up':>7}",
+        *(
+            f"{electrode:<5}{moved:6.1f}" + "".join(f"{value:7.0f}" for value in np.round(vector))
+            for electrode, moved, vector in zip(ELECTRODES, fitted.moved, off, strict=True)
+        ),
+    ]
