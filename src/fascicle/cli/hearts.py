@@ -107,6 +107,12 @@ def heart_import(
     rv_endocardium: Annotated[Path, typer.Option(help="RV endocardium, open at the base.")],
     electrodes: Annotated[Path, typer.Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
     out: OutOption,
+    torso: options.TorsoOption = "none",
+    lung: options.LungOption = None,
+    height: options.HeightOption = None,
+    weight: options.WeightOption = None,
+    chest: options.ChestOption = None,
+    pose: options.PoseOption = "standard",
     lv_root: options.SeedOption = None,
     lv_direction: options.SeedOption = None,
     rv_root: options.SeedOption = None,
@@ -116,13 +122,19 @@ def heart_import(
 
     Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
     points may come in another order. Without seeds, sensible ones are found on the septal side of
-    the base, pointing to the apex. The volume conductor is unbounded; **heart build** adds a torso.
+    the base, pointing to the apex. Without **--torso idealised** the volume conductor is unbounded,
+    and the ratios of the leads are wrong.
     """
+    from fascicle.build.body import Body, in_body
+    from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.heart.assembly import assemble_heart
+    from fascicle.heart.boundary_labels import labelled_mesh
     from fascicle.heart.folder import check_heart_folder
     from fascicle.mesh.formats.read import read_mesh
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
+    measures = options.known(height=height, weight=weight, chest=chest)
+    body = Body(torso, tuple(lung or ()), measures, pose, electrodes)
     heart = assemble_heart(
         mesh=read_mesh(mesh, "mesh"),
         fibres=read_mesh(fibres, "fibres"),
@@ -134,6 +146,10 @@ def heart_import(
         electrodes=electrodes,
         name=out.resolve().name,
     )
+    with TerminalProgress() as progress:
+        heart, notes = in_body(heart, labelled_mesh(heart), body, progress)
+    for note in notes:
+        print(note)
     _write_and_check(heart, out, {"lv": lv_endocardium, "rv": rv_endocardium})
 
 

@@ -73,6 +73,7 @@ class FittedStudy:
         """What a reader of the results must know first, a line each."""
         found = (
             _unexplained(self),
+            _unbounded(self),
             _regions_taken_as_healthy(self),
             _at_end_of_range(self),
             _few_junctions(self),
@@ -106,6 +107,18 @@ def _unexplained(fitted: FittedStudy) -> str:
         f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
         "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
         "(--free alpha) before you believe anything below"
+    )
+
+
+def _unbounded(fitted: FittedStudy) -> str:
+    """Warn of a heart without a body."""
+    heart = fitted.problem.model.heart
+    if heart.torso is not None or heart.lead_fields is not None:
+        return ""
+    return (
+        "the heart has no torso, and in the unbounded conductor the ratios of the leads are wrong "
+        "(each 0.1 to 0.8 of what a torso makes of it); 'fascicle heart build' and 'heart import "
+        "--torso idealised' make one"
     )
 
 

@@ -42,7 +42,8 @@ MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips
 # where limbs join the trunk, as limb electrodes are anywhere from there to the wrist
 ACROSS, ALONG, ALONG_LIMBS = 5.0, 25.0, 50.0
 SKIN_TO_HEART, SKIN_TO_HEART_SD = 32.0, 8.0  # mm; only less than that is penalised
-OUTLIER = 3.0  # standard deviations beyond which a residual counts linearly
+OUTLIER = 3.0  # standard deviations beyond which a residual counts less and less
+MOST, MOST_OFF_PLACE = 3.0, 15.0  # standard deviations, of tilt and measures, and of the place
 
 FURTHEST_PLACE = 80.0  # mm, of the heart from its usual place
 FARTHEST = 60.0  # mm, of an electrode from the fitted skin, which the deformation can take up
@@ -132,8 +133,10 @@ def fit_trunk(
         adult's skin.
     """
     problem = _Problem(electrodes, heart[ConvexHull(heart).vertices], centroid, rotation, known)
+    most = np.array([MOST] * 3 + [MOST_OFF_PLACE] * 3 + [MOST] * len(problem.free))
+    # an electrode at an odd place hardly counts, so that the others tell how odd it is
     found = least_squares(
-        problem.residuals, np.zeros(6 + len(problem.free)), loss="soft_l1", f_scale=OUTLIER
+        problem.residuals, np.zeros(len(most)), bounds=(-most, most), loss="cauchy", f_scale=OUTLIER
     )
     body, frame = problem.body(found.x), problem.frame(found.x)
     _check_place(name, PLACE * found.x[3:6])

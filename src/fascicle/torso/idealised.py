@@ -40,7 +40,6 @@ from fascicle.torso.heart_pose import (
 from fascicle.torso.lungs import convex_hull, kept_clear, lungs_of
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, signed_distance
 from fascicle.torso.trunk import (
-    ROUNDING,
     Deformation,
     as_it_is,
     outside_trunk,
@@ -51,6 +50,7 @@ from fascicle.torso.trunk import (
 )
 
 SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
+NEAR_HEART = 4 * SKIN_MARGIN  # within which a fitted skin keeps clear of the heart
 
 
 def idealised_torso(
@@ -120,10 +120,12 @@ def fitted_torso(
     placed = fitted.frame.to_body(heart)
     hull = convex_hull(placed)
     trunk_as_it_was = outside_trunk(fitted.body)
+    low, high = placed.min(axis=0) - NEAR_HEART, placed.max(axis=0) + NEAR_HEART
 
     def outside(points: Floats) -> Floats:
         of_trunk = trunk_as_it_was(fitted.undeformed(points))
-        near = of_trunk > -SKIN_MARGIN - ROUNDING  # elsewhere the heart makes no difference
+        # elsewhere the heart makes no difference
+        near = ((points > low) & (points < high)).all(axis=1) & (of_trunk > -NEAR_HEART)
         of_heart = signed_distance(points[near], hull) - 2 * SKIN_MARGIN
         of_trunk[near] = -smooth_max(-of_trunk[near], -of_heart, SKIN_MARGIN)
         return of_trunk

@@ -1,0 +1,155 @@
+"""The idealised torso shaped to electrodes, against bodies that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fascicle.build.body import Body, in_body
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.boundary_labels import labelled_mesh
+from fascicle.heart.electrodes import read_electrodes, write_electrodes
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.torso.body_size import BodySize
+from fascicle.torso.electrode_sites import check_not_exchanged, distances_to_skin
+from fascicle.torso.fit import fit_trunk, leaving
+from fascicle.torso.heart_pose import axes_of_electrodes
+from fascicle.torso.idealised import fitted_torso, frame_around
+from fascicle.torso.trunk import outside_trunk
+
+TURN = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
+
+
+@pytest.fixture(scope="module")
+def mesh(default_heart):
+    return labelled_mesh(default_heart)
+
+
+def sites(mesh, body):
+    """The standard sites on the trunk of a person around a heart, in its coordinates."""
+    return frame_around(mesh, body).to_heart(leaving(outside_trunk(body), body))
+
+
+def fit(mesh, electrodes, **known):
+    heart = mesh.vertices[np.unique(mesh.triangles)]
+    frame = frame_around(mesh, BodySize())
+    centre = frame.to_heart(np.array([33.0, -0.335 * BodySize().half_depth, -5.0]))
+    return fit_trunk("e.csv", electrodes, heart, centre, frame.rotation, known)
+
+
+@pytest.mark.parametrize(
+    "person",
+    [BodySize(), BodySize(1.90, 75), BodySize(1.58, 90), BodySize(1.7, chest=105, shoulders=1.1)],
+)
+def test_a_person_is_found_again(mesh, person):
+    """From electrodes at their sites; unusual measures are drawn to the usual ones a little."""
+    found = fit(mesh, sites(mesh, person))
+    assert found.moved.max() < 4
+    assert found.body.girth == pytest.approx(person.girth, rel=0.05)
+    assert found.body.height == pytest.approx(person.height, rel=0.05)
+    assert found.body.shoulders == pytest.approx(person.shoulders, rel=0.06)
+    assert np.abs(found.electrodes - found.sites).max() < 20
+
+
+def test_measures_of_the_person_are_kept(mesh):
+    electrodes = sites(mesh, BodySize(1.80, 80))
+    body = fit(mesh, electrodes, height=1.65, weight=70).body
+    assert (body.height, body.weight, body.chest) == (1.65, 70, None)
+    assert fit(mesh, electrodes, chest=90).body.girth == 90
+
+
+def test_the_deformation_puts_the_skin_at_the_electrodes_and_folds_nothing(mesh):
+    electrodes = sites(mesh, BodySize())
+    electrodes[4] += [8, -14, 0]
+    electrodes[7] += [15, 0, 10]
+    fitted = fit(mesh, electrodes)
+    assert fitted.moved.max() > 3
+    outside = outside_trunk(fitted.body)
+    np.testing.assert_allclose(outside(fitted.undeformed(fitted.electrodes)), 0, atol=1e-6)
+    far = np.array([[0.0, 120, -380], [0, 120, 100]])
+    assert np.linalg.norm(fitted.undeformed(far) - far, axis=1).max() < 0.5 * fitted.moved.max()
+    points = np.random.default_rng(0).uniform([-200, -150, -400], [200, 150, 180], (3000, 3))
+    step = 0.1 * np.eye(3)
+    columns = [fitted.undeformed(points + e) - fitted.undeformed(points - e) for e in step]
+    assert np.linalg.det(np.stack(columns, axis=2) / 0.2).min() > 0.3
+
+
+def test_axes_follow_the_electrodes(mesh):
+    standard = leaving(outside_trunk(BodySize()), BodySize())
+    turned = standard @ TURN.T + [30, -50, 900]
+    np.testing.assert_allclose(axes_of_electrodes(turned, standard), TURN, atol=1e-12)
+
+
+def test_torso_turns_with_heart_and_electrodes(mesh):
+    electrodes = sites(mesh, BodySize(1.8, 80))
+    one, fitted = fitted_torso(mesh, electrodes, "e.csv", {})
+    moved = replace(mesh, vertices=mesh.vertices @ TURN.T + [30, -50, 900])
+    other, _ = fitted_torso(moved, electrodes @ TURN.T + [30, -50, 900], "e.csv", {})
+    extent = [np.ptp(surface.skin.vertices @ axes, axis=0) for surface, axes in (
+        (one, fitted.frame.rotation), (other, TURN @ fitted.frame.rotation))]  # fmt: skip
+    np.testing.assert_allclose(extent[0], extent[1], atol=1)
+    for torso in (one, other):
+        assert distances_to_skin(torso.electrodes, torso.skin).max() < 1
+    assert one.skin.litres == pytest.approx(other.skin.litres, rel=1e-3)
+
+
+def test_an_electrode_on_the_wrist_is_named(mesh):
+    electrodes = sites(mesh, BodySize())
+    electrodes[0] = frame_around(mesh, BodySize()).to_heart(np.array([-600.0, 0.0, -150.0]))
+    message = r"e\.csv: electrode RA is \d{3} mm from the skin of any adult's trunk"
+    with pytest.raises(InputError, match=message):
+        fit(mesh, electrodes)
+
+
+def test_electrodes_of_another_frame(mesh):
+    elsewhere = frame_around(mesh, BodySize()).rotation @ [0, 0, 190.0]
+    with pytest.raises(InputError, match=r"the heart lies \d+ mm too far to the feet"):
+        fit(mesh, sites(mesh, BodySize()) + elsewhere)
+    # a heart in LPS, electrodes in RAS
+    frame = frame_around(mesh, BodySize())
+    turned = frame.to_body(sites(mesh, BodySize())) * [-1, -1, 1]
+    with pytest.raises(InputError, match="the apex then points to the right and the back"):
+        fitted_torso(mesh, frame.to_heart(turned), "e.csv", {})
+
+
+@pytest.mark.parametrize(
+    ("order", "message"),
+    [
+        ([1, 0, 2, 3, 4, 5, 6, 7, 8], "e.csv: electrodes RA and LA"),
+        ([0, 2, 1, 3, 4, 5, 6, 7, 8], "e.csv: electrode"),
+        ([2, 1, 0, 3, 4, 5, 6, 7, 8], "e.csv: electrode"),
+        ([0, 1, 2, 8, 7, 6, 5, 4, 3], "e.csv: electrodes V1 to V6 run from the left"),
+        ([0, 1, 2, 4, 3, 5, 6, 7, 8], "e.csv: electrodes V1 and V2"),
+    ],
+)
+def test_exchanged_electrodes(default_heart, mesh, order, message):
+    electrodes = sites(mesh, BodySize())
+    check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes))
+    with pytest.raises(InputError, match=message):
+        check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes[order]))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("centimetres", 0.1), ("metres", 0.001)])
+def test_electrodes_in_other_units(default_heart, mesh, tmp_path, unit, factor):
+    file = tmp_path / "e.csv"
+    write_electrodes(file, factor * sites(mesh, BodySize()))
+    with pytest.raises(InputError, match=rf"e\.csv .*seems to be in {unit}; multiply"):
+        in_body(default_heart, mesh, Body(electrodes=file))
+
+
+def test_a_living_subject(data_folder):
+    """Electrodes of a person, once refused at 49 mm from the skin."""
+    folder = data_folder / "hearts" / "dti004"
+    electrodes = read_electrodes(folder / "electrodes.csv")
+    heart = read_mesh(folder / "mesh.vtu", "mesh").points
+    fitted = fit_trunk("e.csv", electrodes, heart, heart.mean(axis=0), np.eye(3), {})
+    assert fitted.moved.max() < 7
+    assert 85 < fitted.body.girth < 110
+    in_body_frame = fitted.frame.to_body(heart)
+    assert outside_trunk(fitted.body)(fitted.undeformed(in_body_frame)).max() < -30
+    front = [ELECTRODES.index(name) for name in ("V1", "V2", "V3", "V4")]
+    assert (fitted.electrodes[front, 1] < fitted.electrodes[8, 1]).all()
