@@ -1,6 +1,7 @@
 """How well networks explain real ECGs, with the speed constant α learnt and fixed.
 
-    python -m benchmarks.fits --data DATA_FOLDER [--only demo|ludb24|dti004|dti004-unbounded]
+    python -m benchmarks.fits --data DATA_FOLDER
+                              [--only demo|ludb24|dti004|dti004-standard|dti004-unbounded]
                               [--seeds 1] [--steps 300] [--refine 200] [--alpha free|fixed]
 
 Fits without a population. Printed for each heart and ECG are the lowest loss (mV²) after the 250
@@ -10,9 +11,10 @@ what it has learnt of α.
 
 - demo: the packaged heart and the ECG that comes with pydicom;
 - ludb24: the packaged heart and LUDB's left bundle branch block;
-- dti004: one subject's heart in an idealised torso, and that subject's own ECG;
-- dti004-unbounded: the same with the subject's own electrodes in an unbounded conductor, its gain
-  free.
+- dti004: one subject's heart in an idealised torso fitted to that subject's electrodes, and that
+  subject's own ECG;
+- dti004-standard: the same with standard electrodes on the standard adult's torso;
+- dti004-unbounded: the same with the subject's electrodes in an unbounded conductor, its gain free.
 
 Hearts are built in the folder of --out, and found there again. Run from the root of the repository.
 """
@@ -22,6 +24,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,22 +59,21 @@ def packaged(data: Path, out: Path) -> Heart:
     return fascicle.load_heart("default")
 
 
-def dti004(data: Path, out: Path, electrodes: Path | None = None) -> Heart:
+def dti004(data: Path, out: Path, name: str = "dti004") -> Heart:
     """Built once, and read back from `out` afterwards."""
-    folder = out / ("dti004" if electrodes is None else "dti004-unbounded")
+    folder = out / name
     if not folder.exists():
-        body = Body("none", electrodes=electrodes)
-        if electrodes is None:
-            body = Body("idealised", pose="lps")
-        source = Source(file=data / "hearts" / "dti004" / "mesh.vtu", parts={})
+        files = data / "hearts" / "dti004"
+        surrounding = Body(electrodes=files / "electrodes.csv")
+        if name == "dti004-standard":
+            surrounding = Body(pose="lps")
+        if name == "dti004-unbounded":
+            surrounding = Body("none", electrodes=files / "electrodes.csv")
+        source = Source(file=files / "mesh.vtu", parts={})
         with TerminalProgress() as progress:
-            built = build_heart(source, body=body, name=folder.name, progress=progress)
+            built = build_heart(source, body=surrounding, name=name, progress=progress)
         write_heart(built.heart, folder)
     return fascicle.load_heart(folder)
-
-
-def dti004_unbounded(data: Path, out: Path) -> Heart:
-    return dti004(data, out, data / "hearts" / "dti004" / "electrodes.csv")
 
 
 def demo_target(data: Path) -> Target:
@@ -92,7 +94,10 @@ CASES = {
     "demo": Case(packaged, demo_target, {}),
     "ludb24": Case(packaged, ludb24_target, {}),
     "dti004": Case(dti004, dti004_target, {}),
-    "dti004-unbounded": Case(dti004_unbounded, dti004_target, {"free_gain": True}),
+    "dti004-standard": Case(partial(dti004, name="dti004-standard"), dti004_target, {}),
+    "dti004-unbounded": Case(
+        partial(dti004, name="dti004-unbounded"), dti004_target, {"free_gain": True}
+    ),
 }
 
 

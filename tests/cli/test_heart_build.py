@@ -17,10 +17,12 @@ from anatomies import CENTRE_X, EDGE, HALF_AXES, LV, NETWORK, RV, SCAR_CENTRE, S
 import fascicle
 from fascicle.build.check import cavity_volume
 from fascicle.build.volume_meshing import mesh_surface
+from fascicle.core.leads import ELECTRODES
 from fascicle.forward.scenario_files import read_scenario
 from fascicle.heart.heart import digest_of
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.topology import boundary_loops
+from fascicle.torso.lead_fields import place_electrodes
 
 BLOOD_AND_SCAR = "lv=1,rv=2,myocardium=3,scar=4"
 SURFACE_KINDS = {
@@ -211,6 +213,22 @@ def test_named_after_the_file_and_written_where_one_is(run, tmp_path, mesh_file,
     assert "heart written to mesh" in ended.out
     assert fascicle.load_heart("mesh").name == "mesh"
     assert (tmp_path / "mesh" / "check.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_torso_is_shaped_to_electrodes(run, tmp_path, mesh_file):
+    electrodes = anatomies.write_electrodes(tmp_path / "electrodes.csv")
+    command = ["heart", "build", mesh_file, "--electrodes", electrodes, "--chest", 95]
+    ended = run(*command, "--out", tmp_path / "heart")
+    assert ended.status == 0, ended
+    assert "torso: fitted to the electrodes; height 1." in ended.out
+    assert "chest 95 cm" in ended.out
+    assert "pose: from the electrodes; the apex points " in ended.out
+    for name in ELECTRODES:
+        assert f"\n{name:<5}" in ended.out
+    heart = fascicle.load_heart(tmp_path / "heart")
+    whole = np.concatenate([heart.tetrahedra, heart.torso.tetrahedra])
+    assert place_electrodes(heart.torso.vertices, whole, heart.electrodes).moved.max() < 2
+    np.testing.assert_allclose(heart.electrodes, list(anatomies.PLACES.values()))
 
 
 def test_found_seeds_lie_on_the_septum_near_the_base(build, mesh_file):

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.heart.folder import load_heart
 from fascicle.mesh.topology import boundary_loops
+from fascicle.torso.lead_fields import place_electrodes
 
 
 @pytest.fixture
@@ -46,6 +47,17 @@ def test_with_the_published_seeds_to_an_ecg(command, outside, run, tmp_path):
     assert (ended.status, ended.err) == (0, "")
     summary = json.loads((outside / "simulated" / "summary.json").read_text())
     assert 60 < summary["qrs_duration_ms"] < 200
+
+
+@pytest.mark.slow
+def test_in_a_torso_shaped_to_its_electrodes(command, outside, run):
+    ended = run(*command, "--torso", "idealised")
+    assert ended.status == 0
+    assert "torso: fitted to the electrodes" in ended.out
+    heart = load_heart(outside / "crtdemo")
+    whole = np.concatenate([heart.tetrahedra, heart.torso.tetrahedra])
+    assert place_electrodes(heart.torso.vertices, whole, heart.electrodes).moved.max() < 3
+    assert heart.lead_fields is not None
 
 
 def test_without_seeds_they_are_found_on_the_septum(command, outside, run):
