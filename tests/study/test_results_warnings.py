@@ -15,10 +15,21 @@ MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
 
 
 def fitted(
-    *, loss=0.5, best=None, regions=None, values=None, fixed=None, junctions=(200, 300), under=0.99
+    *,
+    loss=0.5,
+    best=None,
+    regions=None,
+    values=None,
+    fixed=None,
+    junctions=(200, 300),
+    under=0.99,
+    lead_fields=True,
 ):
     """A study of which only what decides the warnings is there."""
-    heart = SimpleNamespace(regions=None if regions is None else np.array(regions))
+    heart = SimpleNamespace(
+        regions=None if regions is None else np.array(regions),
+        torso=None, lead_fields=object() if lead_fields else None,
+    )  # fmt: skip
     conduction = Conduction().with_values(values or {})
     model = SimpleNamespace(heart=heart, conduction=conduction)
     trees = [
@@ -51,6 +62,11 @@ def test_regions_that_count_as_healthy():
     assert warning.startswith("regions 1, 5 of the heart count as healthy")
     assert fitted(regions=[0, 1], values={"region_1_conductivity": 0.0}).warnings == []
     assert fitted(regions=[0, 1], fixed={"region_1_conductivity": 0.2}).warnings == []
+
+
+def test_a_heart_without_a_body():
+    (warning,) = fitted(lead_fields=False).warnings
+    assert warning.startswith("the heart has no torso, and in the unbounded conductor")
 
 
 def test_trees_of_few_junctions():
