@@ -43,7 +43,7 @@ MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips
 ACROSS, ALONG, ALONG_LIMBS = 5.0, 25.0, 50.0
 SKIN_TO_HEART, SKIN_TO_HEART_SD = 32.0, 8.0  # mm; only less than that is penalised
 OUTLIER = 3.0  # standard deviations beyond which a residual counts less and less
-MOST, MOST_OFF_PLACE = 3.0, 15.0  # standard deviations, of tilt and measures, and of the place
+MOST = 3.0  # standard deviations, of tilt and measures
 
 FURTHEST_PLACE = 80.0  # mm, of the heart from its usual place
 FARTHEST = 60.0  # mm, of an electrode from the fitted skin, which the deformation can take up
@@ -133,7 +133,7 @@ def fit_trunk(
         adult's skin.
     """
     problem = _Problem(electrodes, heart[ConvexHull(heart).vertices], centroid, rotation, known)
-    most = np.array([MOST] * 3 + [MOST_OFF_PLACE] * 3 + [MOST] * len(problem.free))
+    most = np.array([MOST] * 3 + [np.inf] * 3 + [MOST] * len(problem.free))
     # an electrode at an odd place hardly counts, so that the others tell how odd it is
     found = least_squares(
         problem.residuals, np.zeros(len(most)), bounds=(-most, most), loss="cauchy", f_scale=OUTLIER
