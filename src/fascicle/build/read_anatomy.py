@@ -17,6 +17,7 @@ from fascicle.build.segmentation.files import read_segmentation
 from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, regions_at
 from fascicle.build.segmentation.surface import surface_from_segmentation
 from fascicle.build.sides import check_labelled_sides
+from fascicle.build.subdivision import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
 from fascicle.build.volume_meshing import mesh_surface
 from fascicle.core.arrays import Floats, Integers
@@ -50,7 +51,8 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
     """
     if source.file is None:
         source.check_unused("separate surfaces", "numbers", "array", "labels_file")
-        return Anatomy(_meshed(_joined(source, progress), edge_length, progress))
+        joined, notes = _fine_enough(_joined(source, progress), edge_length)
+        return Anatomy(_meshed(joined, edge_length, progress), notes=notes)
     if source.file.name.lower().endswith(SEGMENTATIONS):
         source.check_unused("a segmentation", "array", "labels_file")
         return _from_segmentation(source, source.file, edge_length, progress)
@@ -80,15 +82,29 @@ def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
-        surface = labelled_surface(mesh, source.array, source.numbers, source.labels_file)
-        return Anatomy(_meshed(surface, edge_length, progress))
+        surface, notes = _fine_enough(
+            labelled_surface(mesh, source.array, source.numbers, source.labels_file), edge_length
+        )
+        return Anatomy(_meshed(surface, edge_length, progress), notes=notes)
     points, triangles = _triangles(mesh)
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
-    closed = closed_surface(LabelledSurface(points, triangles, unlabelled, str(mesh.path)))
+    closed, notes = _fine_enough(
+        closed_surface(LabelledSurface(points, triangles, unlabelled, str(mesh.path))), edge_length
+    )
     surface = classify_surface(
         closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
     )
-    return Anatomy(_meshed(surface, edge_length, progress), guessed=True)
+    return Anatomy(_meshed(surface, edge_length, progress), notes=notes, guessed=True)
+
+
+def _fine_enough(
+    surface: LabelledSurface, edge_length: float
+) -> tuple[LabelledSurface, tuple[str, ...]]:
+    """The surface, subdivided where it is coarse against the edge length, and a note if so."""
+    if not is_coarse(surface, edge_length):
+        return surface, ()
+    finer, note = subdivided(surface, edge_length)
+    return finer, (note,)
 
 
 def _meshed(
