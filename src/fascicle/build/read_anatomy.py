@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.build.anatomy import Anatomy, Source
+from fascicle.build.classification.borders import cut_along_borders
 from fascicle.build.classification.classify import classify_surface
 from fascicle.build.joining.join import join_surfaces
 from fascicle.build.labelled_mesh_files import labelled_tetrahedra
@@ -94,6 +95,7 @@ def _from_surface(
     surface = classify_surface(
         closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
     )
+    surface = cut_along_borders(surface)
     return Anatomy(_meshed(surface, edge_length, progress), notes=notes, guessed=True)
 
 
