@@ -10,14 +10,16 @@ import numpy as np
 from fascicle.build.surface_repair import closed_surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.labelled_surface import LabelledSurface
+from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.measures import closed_volume, mean_edge_length, triangle_areas
 
 # Mean edge, in wanted edge lengths, above which a surface is coarse: remeshing keeps to its flat
 # triangles, so the mesh would have their edges and creases.
 COARSE = 3.0
-FINE = 1.5  # mean edge, in wanted edge lengths, at which to stop; remeshing does the rest
+FINE = 2.0  # mean edge, in wanted edge lengths, at which to stop; remeshing does the rest
 LIMIT_LEVELS = 2  # of subdivision that show where a vertex comes to lie, to a few percent
 OFFSETS = 3  # Newton steps for the volume; each leaves a thousandth of its error
+SHARES = (1.0, 0.5, 0.0)  # of the correction, the first for which the surface does not cut itself
 ML = 1e3  # mm³
 
 
@@ -33,9 +35,9 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
 
     Loop's surface does not pass through the vertices that it comes from: walls of one or two
     triangles would shrink. So each vertex is first moved by as much as it would be missed by (one
-    step of progressive interpolation; more make a flat base undulate and thin walls cut
-    themselves), and the finer surface is moved along its normals by the hundredths of a mm that
-    give the volume back.
+    step of progressive interpolation; more make a flat base undulate), or by half of it where walls
+    would cut one another. Then the finer surface is moved along its normals by the hundredths of a
+    mm that give the volume back.
 
     Parameters
     ----------
@@ -67,9 +69,13 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
     before = mean_edge_length(given.vertices, given.triangles)
     levels = int(np.ceil(np.log2(before / (FINE * edge_length))))
     limit = _loop(given.vertices, given.triangles, LIMIT_LEVELS)[0][: len(given.vertices)]
-    vertices, triangles = _loop(2 * given.vertices - limit, given.triangles, levels)
     volume = closed_volume(given.vertices, given.triangles)
-    vertices = _with_volume(vertices, triangles, volume)
+    for share in SHARES:
+        vertices = given.vertices + share * (given.vertices - limit)
+        vertices, triangles = _loop(vertices, given.triangles, levels)
+        vertices = _with_volume(vertices, triangles, volume)
+        if not len(self_intersections(vertices, triangles)):
+            break
     labels = np.repeat(given.labels, 4**levels)  # four follow one another for each
     note = (
         f"surface: its triangles of {before:.3g} mm are coarse for edges of {edge_length:g} mm; "

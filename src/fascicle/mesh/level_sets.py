@@ -10,6 +10,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.topology import TRIANGLE_EDGES, unique_edges
 
 NEAR = 0.15  # of an edge; a line that passes a vertex so near is led through it
+UNCUT = -1  # in place of the new vertex of an edge
 
 
 class CutSurface(NamedTuple):
@@ -73,12 +74,12 @@ def _divided(corners: list[int], on_edge: dict[tuple[int, int], int]) -> list[li
     new = []
     for start, end in TRIANGLE_EDGES:
         a, b = sorted((corners[start], corners[end]))
-        new.append(on_edge.get((a, b)))
-    if sum(vertex is not None for vertex in new) == 1:
-        k = next(k for k in range(3) if new[k] is not None)
-        a, b, c = (corners[(k + s) % 3] for s in range(3))
-        return [[a, new[k], c], [new[k], b, c]]
-    k = next(k for k in range(3) if new[k] is None)  # its two ends lie on one side
+        new.append(on_edge.get((a, b), UNCUT))
+    cut = [vertex != UNCUT for vertex in new]
+    # first the one edge that is cut, or the one that is not, whose ends lie on one side
+    k = cut.index(sum(cut) == 1)
     a, b, c = (corners[(k + s) % 3] for s in range(3))
+    if sum(cut) == 1:
+        return [[a, new[k], c], [new[k], b, c]]
     bc, ca = new[(k + 1) % 3], new[(k + 2) % 3]
     return [[a, b, bc], [a, bc, ca], [ca, bc, c]]

@@ -11,6 +11,7 @@ from fascicle.build.classification.dual_graph import DualGraph
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.level_sets import cut_at_zero
+from fascicle.mesh.topology import boundary_loops
 
 # Regions while the surface is divided: the cavities come first, the larger area first of all, and
 # the base lies between all others.
@@ -18,7 +19,6 @@ FIRST, SECOND, OUTER, BASAL = range(4)
 REACH = 2.5  # mm over which a border is smoothed
 LEAST_REACH = 1.5  # mean edges that it is at least
 NARROWEST = 2.0  # mm between endocardium and epicardium, so that a thin wall, too, ends in a rim
-SHARP = 0.02  # crease weight (1 rad) below which a border stays on the edge that it lies on
 
 
 def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
@@ -28,7 +28,7 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     stays; then the outer surface ends `NARROWEST` before the cavities do.
     """
     shares = [_smoothed(graph, regions == part) for part in (FIRST, SECOND, OUTER)]
-    smooth = np.argmax([*shares, np.full(len(regions), 0.5)], axis=0)
+    smooth: Integers = np.argmax([*shares, np.full(len(regions), 0.5)], axis=0)
     sides = smooth[graph.edges[0]]
     ends = (sides[:, 0] != sides[:, 1]) & (sides < OUTER).any(axis=1)
     if not ends.any():
@@ -49,7 +49,11 @@ def cut_along_borders(surface: LabelledSurface) -> LabelledSurface:
     for part in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):
         inside = surface.labels == part
         graph = DualGraph(surface.vertices, surface.triangles)
-        cut = cut_at_zero(graph.vertices, graph.triangles, _level(graph, inside))
+        level = _level(graph, inside)
+        if part == Label.EPICARDIUM:
+            away = _distance_to_endocardia(surface) / NARROWEST - 1
+            level = np.minimum(level, away)
+        cut = cut_at_zero(graph.vertices, graph.triangles, level)
         before = surface.labels[cut.parent]
         outside = np.where(before == part, Label.BASE, before)
         labels = np.where(cut.side > 0, part, np.where(cut.side < 0, outside, before))
@@ -69,13 +73,22 @@ def _smoothed(graph: DualGraph, chosen: Booleans) -> Floats:
     return np.asarray(splu(csc_array(system)).solve(graph.areas * chosen))
 
 
+def _distance_to_endocardia(surface: LabelledSurface) -> Floats:
+    """Distance of each vertex from the nearest edge of an endocardium (mm), shape (n,)."""
+    line = np.concatenate(
+        [
+            loop
+            for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+            for loop in boundary_loops(surface.having(label))
+        ]
+    )
+    return np.asarray(cKDTree(surface.vertices[line]).query(surface.vertices)[0])
+
+
 def _level(graph: DualGraph, inside: Booleans) -> Floats:
     """A function of the vertices that is positive inside, zero on the smooth border, (n,)."""
     corners, count = graph.triangles.ravel(), len(graph.vertices)
     weights = np.repeat(graph.areas, 3)
     share = np.repeat(_smoothed(graph, inside) - 0.5, 3)
     level = np.bincount(corners, weights * share, count) / np.bincount(corners, weights, count)
-    sides = inside[graph.edges[0]]
-    kept = (sides[:, 0] != sides[:, 1]) & (graph.crease_weights < SHARP)
-    level[graph.edges[1][kept]] = 0.0
     return np.asarray(level)
