@@ -14,6 +14,7 @@ from fascicle.build.classification.classify import classify_surface
 from fascicle.build.joining.join import join_surfaces
 from fascicle.build.labelled_mesh_files import labelled_tetrahedra
 from fascicle.build.labelled_surface_files import has_labels, labelled_surface
+from fascicle.build.mesh_repair import repaired_edges
 from fascicle.build.segmentation.files import read_segmentation
 from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, regions_at
 from fascicle.build.segmentation.surface import surface_from_segmentation
@@ -158,7 +159,7 @@ def _segmentation_labels(
 def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:
     source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.numbers if source.numbers is not None else {})
-    read = labelled_tetrahedra(mesh, source.array, names)
+    read = repaired_edges(labelled_tetrahedra(mesh, source.array, names))
     if not read.mesh.labels.any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
         source.check_unused(unlabelled, "numbers")

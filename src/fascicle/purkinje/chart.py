@@ -14,7 +14,6 @@ from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
 
-
 STRETCHED = 20.0  # stretch one way over the other above which another map is tried
 
 
