@@ -14,6 +14,7 @@ from fascicle.build.classification.classify import classify_surface
 from fascicle.build.joining.join import join_surfaces
 from fascicle.build.labelled_mesh_files import labelled_tetrahedra
 from fascicle.build.labelled_surface_files import has_labels, labelled_surface
+from fascicle.build.mesh_remeshing import remeshed_anatomy
 from fascicle.build.mesh_repair import repaired_edges
 from fascicle.build.segmentation.files import read_segmentation
 from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, regions_at
@@ -52,11 +53,11 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         If a file cannot be used; the message says why.
     """
     if source.file is None:
-        source.check_unused("separate surfaces", "numbers", "array", "labels_file")
+        source.check_unused("separate surfaces", "numbers", "array", "labels_file", "remesh")
         joined, notes = _fine_enough(_joined(source, progress), edge_length)
         return Anatomy(_meshed(joined, edge_length, progress), notes=notes)
     if source.file.name.lower().endswith(SEGMENTATIONS):
-        source.check_unused("a segmentation", "array", "labels_file")
+        source.check_unused("a segmentation", "array", "labels_file", "remesh")
         return _from_segmentation(source, source.file, edge_length, progress)
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
@@ -83,6 +84,7 @@ def _triangles(mesh: MeshFile) -> tuple[Floats, Integers]:
 def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
+    source.check_unused("a surface, which is meshed anew anyway", "remesh")
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
         surface, notes = _fine_enough(
             labelled_surface(mesh, source.array, source.numbers, source.labels_file), edge_length
@@ -171,4 +173,4 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
         )
         read = replace(read, mesh=replace(read.mesh, labels=found.labels), guessed=True)
     check_labelled_sides(read.mesh)
-    return read
+    return remeshed_anatomy(read) if source.remesh else read
