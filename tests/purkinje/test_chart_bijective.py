@@ -9,7 +9,13 @@ from builders import half_ellipsoid
 
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
-from fascicle.purkinje.chart import _circle_by_arc_length, _mean_value_map, build_chart
+from fascicle.purkinje.chart import (
+    _circle_by_arc_length,
+    _mean_value_map,
+    _metric,
+    build_chart,
+    stretch,
+)
 
 SYNTHETIC = half_ellipsoid(jitter=0.3)
 CASES = ["synthetic", "default_heart lv", "default_heart rv", "crtdemo lv", "crtdemo rv"]
@@ -127,3 +133,35 @@ def test_mean_value_map_reproduces_a_flat_disk():
     loop = boundary_loops(chart.triangles)[0]
     mapped = _mean_value_map(flat, chart.triangles, loop, chart.points[loop])
     np.testing.assert_allclose(mapped, chart.points, atol=1e-12)
+
+
+def test_mean_value_map_takes_over_where_the_harmonic_map_nearly_folds():
+    """A rough dome on which the harmonic map stretches one triangle 245 times."""
+    surface = half_ellipsoid(rings=10, sectors=24)
+    vertices, triangles = surface.vertices.copy(), surface.triangles
+    loop = boundary_loops(triangles)[0]
+    inner = np.setdiff1d(np.arange(len(vertices)), loop)
+    vertices[inner] += np.random.default_rng(84).normal(scale=3.0, size=(len(inner), 3))
+    circle = _circle_by_arc_length(vertices[loop])
+    harmonic = np.asarray(igl.harmonic(vertices, triangles, loop, circle, 1))
+    assert signed_areas_of(harmonic, triangles).min() > 0
+    assert stretch(_metric(harmonic, vertices, triangles)).max() > 200
+    chart = build_chart(Endocardium("lv", vertices, triangles, 0, 1))
+    assert signed_areas_of(chart.points, triangles).min() > 0
+    assert chart.distortion.max() < 6
+    edges = np.diff(vertices[triangles[:, :2]], axis=1)[:, 0]
+    flat = np.diff(chart.points[triangles[:, :2]], axis=1)[:, 0]
+    g11, g12, g22 = chart.metric.T
+    x, y = flat.T
+    squared = g11 * x**2 + 2 * g12 * x * y + g22 * y**2
+    np.testing.assert_allclose(squared, (edges**2).sum(axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES[1:])
+def test_a_chart_that_is_hardly_stretched_is_the_harmonic_map(case, request):
+    fixture, side = case.split()
+    endocardium = getattr(request.getfixturevalue(fixture), side)
+    loop = boundary_loops(endocardium.triangles)[0]
+    circle = _circle_by_arc_length(endocardium.vertices[loop])
+    harmonic = igl.harmonic(endocardium.vertices, endocardium.triangles, loop, circle, 1)
+    np.testing.assert_array_equal(build_chart(endocardium).points, harmonic)

@@ -11,7 +11,12 @@ from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 
 PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
-OPTIONS = {"numbers": "--labels", "array": "--label-array", "labels_file": "--labels-file"}
+OPTIONS = {
+    "numbers": "--labels",
+    "array": "--label-array",
+    "labels_file": "--labels-file",
+    "remesh": "--remesh",
+}
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,8 @@ class Source:
         The array of labels.
     labels_file : Path, optional
         Labels of a surface whose file holds none.
+    remesh : bool, optional
+        Whether to mesh the inside of a tetrahedral mesh anew.
     """
 
     file: Path | None
@@ -37,6 +44,7 @@ class Source:
     numbers: Mapping[str, int] | None = None
     array: str | None = None
     labels_file: Path | None = None
+    remesh: bool | None = None
 
     def __post_init__(self) -> None:
         if (self.file is None) == (not self.parts):

@@ -239,8 +239,8 @@ def _size_warnings(
             )
     if shape.angles.min() < FLAT:
         warnings.append(
-            f"mesh: smallest dihedral angle {shape.angles.min():.1f} degrees; remesh (times and "
-            "potentials are poor in elements so flat)"
+            f"mesh: smallest dihedral angle {shape.angles.min():.1f} degrees; remesh (heart "
+            "build --remesh): times and potentials are poor in elements so flat"
         )
     for side, chart in charts.items():
         worst = float(chart.distortion.max())

@@ -9,14 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.build.anatomy import Anatomy, Source
+from fascicle.build.classification.borders import cut_along_borders
 from fascicle.build.classification.classify import classify_surface
 from fascicle.build.joining.join import join_surfaces
 from fascicle.build.labelled_mesh_files import labelled_tetrahedra
 from fascicle.build.labelled_surface_files import has_labels, labelled_surface
+from fascicle.build.mesh_remeshing import remeshed_anatomy
+from fascicle.build.mesh_repair import repaired_edges
 from fascicle.build.segmentation.files import read_segmentation
 from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, regions_at
 from fascicle.build.segmentation.surface import surface_from_segmentation
 from fascicle.build.sides import check_labelled_sides
+from fascicle.build.subdivision import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
 from fascicle.build.volume_meshing import mesh_surface
 from fascicle.core.arrays import Floats, Integers
@@ -49,10 +53,11 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         If a file cannot be used; the message says why.
     """
     if source.file is None:
-        source.check_unused("separate surfaces", "numbers", "array", "labels_file")
-        return Anatomy(_meshed(_joined(source, progress), edge_length, progress))
+        source.check_unused("separate surfaces", "numbers", "array", "labels_file", "remesh")
+        joined, notes = _fine_enough(_joined(source, progress), edge_length)
+        return Anatomy(_meshed(joined, edge_length, progress), notes=notes)
     if source.file.name.lower().endswith(SEGMENTATIONS):
-        source.check_unused("a segmentation", "array", "labels_file")
+        source.check_unused("a segmentation", "array", "labels_file", "remesh")
         return _from_segmentation(source, source.file, edge_length, progress)
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
@@ -79,16 +84,32 @@ def _triangles(mesh: MeshFile) -> tuple[Floats, Integers]:
 def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
+    source.check_unused("a surface, which is meshed anew anyway", "remesh")
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
-        surface = labelled_surface(mesh, source.array, source.numbers, source.labels_file)
-        return Anatomy(_meshed(surface, edge_length, progress))
+        surface, notes = _fine_enough(
+            labelled_surface(mesh, source.array, source.numbers, source.labels_file), edge_length
+        )
+        return Anatomy(_meshed(surface, edge_length, progress), notes=notes)
     points, triangles = _triangles(mesh)
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
-    closed = closed_surface(LabelledSurface(points, triangles, unlabelled, str(mesh.path)))
+    closed, notes = _fine_enough(
+        closed_surface(LabelledSurface(points, triangles, unlabelled, str(mesh.path))), edge_length
+    )
     surface = classify_surface(
         closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
     )
-    return Anatomy(_meshed(surface, edge_length, progress), guessed=True)
+    surface = cut_along_borders(surface)
+    return Anatomy(_meshed(surface, edge_length, progress), notes=notes, guessed=True)
+
+
+def _fine_enough(
+    surface: LabelledSurface, edge_length: float
+) -> tuple[LabelledSurface, tuple[str, ...]]:
+    """The surface, subdivided where it is coarse against the edge length, and a note if so."""
+    if not is_coarse(surface, edge_length):
+        return surface, ()
+    finer, note = subdivided(surface, edge_length)
+    return finer, (note,)
 
 
 def _meshed(
@@ -140,7 +161,7 @@ def _segmentation_labels(
 def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:
     source.check_unused("tetrahedra", "labels_file")
     names = labels_by_number(source.numbers if source.numbers is not None else {})
-    read = labelled_tetrahedra(mesh, source.array, names)
+    read = repaired_edges(labelled_tetrahedra(mesh, source.array, names))
     if not read.mesh.labels.any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
         source.check_unused(unlabelled, "numbers")
@@ -152,4 +173,4 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
         )
         read = replace(read, mesh=replace(read.mesh, labels=found.labels), guessed=True)
     check_labelled_sides(read.mesh)
-    return read
+    return remeshed_anatomy(read) if source.remesh else read

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,28 @@ def _refined(
     surface: LabelledSurface, vertices: Floats, tetrahedra: Integers, edge_length: float
 ) -> LabelledMesh:
     """The same boundary with tetrahedra of the edge length, and its labels."""
+    mesh = remeshed_inside(surface, vertices, tetrahedra, hsiz=edge_length)
+    labels = cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels)
+    return replace(mesh, labels=labels)  # coarse borders can touch themselves
+
+
+def remeshed_inside(
+    surface: LabelledSurface | LabelledMesh,
+    vertices: Floats,
+    tetrahedra: Integers,
+    **options: float,
+) -> LabelledMesh:
+    """Mesh the inside of a boundary anew by Mmg; the boundary and its labels stay.
+
+    Parameters
+    ----------
+    surface : LabelledSurface or LabelledMesh
+        The boundary of the tetrahedra, its vertices first among theirs.
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        Positions (mm) and vertex indices.
+    **options
+        Mmg's: ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it as it is.
+    """
     import mmgpy
 
     mesh = mmgpy.MmgMesh3D(as_float64(vertices), as_int32(tetrahedra))
@@ -117,7 +140,7 @@ def _refined(
     mesh.set_vertices(as_float64(vertices))
     mesh.set_tetrahedra(as_int32(tetrahedra))
     mesh.set_triangles(as_int32(surface.triangles), as_int32(surface.labels))
-    mesh.remesh(hsiz=edge_length, nosurf=1, verbose=-1)
+    mesh.remesh(**options, nosurf=1, verbose=-1)
     refined = np.array(mesh.get_tetrahedra(), dtype=np.int64)
     labelled, labels = mesh.get_triangles_with_refs()
     boundary, _ = boundary_triangles(refined)
@@ -127,9 +150,5 @@ def _refined(
         raise RuntimeError("the boundary is not the surface that was to be kept")
     kept = np.asarray(labels, dtype=np.int64)[at]
     return LabelledMesh(
-        vertices=positions,
-        tetrahedra=refined,
-        triangles=boundary,
-        labels=cleaned_labels(positions, boundary, kept),  # coarse borders can touch themselves
-        name=surface.name,
+        vertices=positions, tetrahedra=refined, triangles=boundary, labels=kept, name=surface.name
     )

@@ -64,6 +64,14 @@ TorsoOption = Annotated[
 LungOption = Annotated[
     list[Path] | None, _option(BODY, "Closed surface of a lung, with --torso FILE.")
 ]
+RemeshOption = Annotated[
+    bool,
+    _option(
+        ANATOMY,
+        "Mesh the inside of a tetrahedral mesh anew, for one with flat elements; its surface, "
+        "fibres and regions stay.",
+    ),
+]
 HeightOption = Annotated[float | None, _option(BODY, "Of the person (m).")]
 WeightOption = Annotated[float | None, _option(BODY, "kg.")]
 ChestOption = Annotated[float | None, _option(BODY, "Circumference (cm).")]

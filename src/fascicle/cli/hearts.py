@@ -33,6 +33,7 @@ def heart_build(
     labels: options.LabelsOption = None,
     label_array: options.LabelArrayOption = None,
     labels_file: options.LabelsFileOption = None,
+    remesh: options.RemeshOption = False,
     lv_endocardium: options.FirstPartOption = None,
     rv_endocardium: options.PartOption = None,
     epicardium: options.PartOption = None,
@@ -75,6 +76,7 @@ def heart_build(
         numbers=options.label_numbers(labels),
         array=label_array,
         labels_file=labels_file,
+        remesh=remesh or None,
     )
     angles = options.fibre_angles(lv_angles, rv_angles)
     seeds = options.seeds_of(lv_root, lv_direction, rv_root, rv_direction)

@@ -14,6 +14,8 @@ from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
 
+STRETCHED = 20.0  # stretch one way over the other above which another map is tried
+
 
 class Chart(NamedTuple):
     """A bijective map between an endocardium and the unit disk, linear on each triangle.
@@ -44,9 +46,7 @@ class Chart(NamedTuple):
     @property
     def distortion(self) -> Floats:
         """Ratio of the largest to the smallest stretch of each triangle, 1 where conformal."""
-        g11, g12, g22 = self.metric.T
-        mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)
-        return np.asarray(np.sqrt((mean + half) / (mean - half)))
+        return stretch(self.metric)
 
 
 def build_chart(endocardium: Endocardium) -> Chart:
@@ -55,7 +55,10 @@ def build_chart(endocardium: Endocardium) -> Chart:
     Harmonic map with the boundary placed by arc length: Δu = 0 on the surface, u on the circle at
     the base, once for each coordinate (the paper's section "Purkinje network generation"). Obtuse
     triangles can make it fold; then the mean-value weights, which are positive and so give a
-    bijection by Tutte's theorem, take the place of the cotangents.
+    bijection by Tutte's theorem, take the place of the cotangents. They do so too where the
+    harmonic map nearly folds, so that it stretches some triangle `STRETCHED` times more one way
+    than the other, if they stretch less. The metric is that of the real surface in either case, so
+    lengths stay exact.
 
     References
     ----------
@@ -74,6 +77,8 @@ def build_chart(endocardium: Endocardium) -> Chart:
     points = np.asarray(igl.harmonic(vertices, triangles, loop, circle, 1))
     if (signed_areas(points, triangles) <= 0).any():
         points = _mean_value_map(vertices, triangles, loop, circle)
+    elif stretch(_metric(points, vertices, triangles)).max() > STRETCHED:
+        points = _less_stretched(points, vertices, triangles, loop, circle)
     folded = np.flatnonzero(signed_areas(points, triangles) <= 0)
     if folded.size:
         raise InputError(
@@ -88,6 +93,13 @@ def build_chart(endocardium: Endocardium) -> Chart:
     return Chart(points, vertices, triangles, neighbours, _metric(points, vertices, triangles))
 
 
+def stretch(metric: Floats) -> Floats:
+    """Ratio of the largest to the smallest stretch for each metric (m, 3), shape (m,)."""
+    g11, g12, g22 = metric.T
+    mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)
+    return np.asarray(np.sqrt((mean + half) / (mean - half)))
+
+
 def signed_areas(points: Floats, triangles: Integers) -> Floats:
     """Signed area of every triangle in the disk; positive means not folded."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
@@ -100,6 +112,17 @@ def _circle_by_arc_length(loop: Floats) -> Floats:
     steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
     angle = 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / steps.sum()
     return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _less_stretched(
+    points: Floats, vertices: Floats, triangles: Integers, loop: Integers, circle: Floats
+) -> Floats:
+    """The mean-value map where it folds nothing and stretches less than these points, or these."""
+    other = _mean_value_map(vertices, triangles, loop, circle)
+    if (signed_areas(other, triangles) <= 0).any():
+        return points
+    worst = [stretch(_metric(each, vertices, triangles)).max() for each in (points, other)]
+    return other if worst[1] < worst[0] else points
 
 
 def _mean_value_map(

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.classification.ambient_occlusion import openness
+from fascicle.build.classification.borders import BASAL, FIRST, OUTER, SECOND, smoothed_regions
 from fascicle.build.classification.dual_graph import DualGraph
 from fascicle.build.sides import cavity_volume, leftness
 from fascicle.build.surface_checks import check_edges, oriented_piece, place
@@ -28,10 +29,6 @@ SMALLEST_CAVITY = 0.02  # of the whole area; smaller dents are none
 CLEANING_ROUNDS = 20
 ML = 1e3  # mm³
 
-# Regions while the surface is divided: the cavities come first, the larger area first of all, and
-# the base lies between all others.
-FIRST, SECOND, OUTER, BASAL = range(4)
-
 
 def classify_surface(
     vertices: Floats, triangles: Integers, name: str, progress: StageProgress = no_progress
@@ -41,7 +38,8 @@ def classify_surface(
     Endocardium is where rays that leave the surface mostly meet it again (ambient occlusion); there
     must be two such pieces, of which the left one is rounder, closer to convex and behind the
     thicker wall. The base is where the surface faces the way up out of the wall along the openings,
-    whether it is flat or a rounded rim. A random walker draws the borders along the creases.
+    whether it is flat or a rounded rim. A random walker draws the borders along the
+    creases; teeth are smoothed away, and the base is nowhere narrower than some 2 mm.
 
     Parameters
     ----------
@@ -73,6 +71,7 @@ def classify_surface(
     exposed = openness(graph, progress)
     cavity = _cavities(graph, exposed, name)
     regions = _clean_regions(graph, _divided(graph, exposed, cavity), name)
+    regions = _clean_regions(graph, smoothed_regions(graph, regions), name)
     _check_openings(graph, regions, name)
     outer, first, second = (
         (vertices, np.ascontiguousarray(triangles[regions == region]))
