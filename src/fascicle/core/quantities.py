@@ -200,7 +200,10 @@ QUANTITIES: dict[str, Quantity] = {
 # Names that stand for several quantities where these are freed
 GROUPS: dict[str, tuple[str, ...]] = {
     "pose": tuple(n for n in QUANTITIES if n.startswith("heart_")),
-    "electrodes": (*(n for n in QUANTITIES if n[0] == "v" and n[1].isdigit()), "chest_electrodes_up"),
+    "electrodes": (
+        *(n for n in QUANTITIES if n[0] == "v" and n[1].isdigit()),
+        "chest_electrodes_up",
+    ),
     "conductivities": tuple(
         f"{tissue}_conductivity" for tissue in ("lung", "blood", "myocardium", "body")
     ),
@@ -317,5 +320,7 @@ def _shown(value: object) -> str:
 def body_values(values: Mapping[str, float]) -> dict[str, float]:
     """Those of the body that are not as in the heart folder's torso."""
     return {
-        name: values[name] for name in BODY if name in values and values[name] != QUANTITIES[name].default
+        name: values[name]
+        for name in BODY
+        if name in values and values[name] != QUANTITIES[name].default
     }

@@ -26,8 +26,8 @@ from fascicle.heart.heart import Heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
-from fascicle.torso.variation.conductor import InvalidBody
 from fascicle.purkinje.tree_files import read_tree, write_tree
+from fascicle.torso.variation.conductor import InvalidBody
 
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
 

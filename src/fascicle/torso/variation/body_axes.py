@@ -62,7 +62,9 @@ class Motion:
 
     def of_skin(self, points: Floats) -> Floats:
         """Where points (..., 3) that move with the skin are then (mm)."""
-        return np.asarray(self.centroid + (self.size * (points - self.centroid) - self.shift) @ self.turn)
+        return np.asarray(
+            self.centroid + (self.size * (points - self.centroid) - self.shift) @ self.turn
+        )
 
     def in_body(self, points: Floats) -> Floats:
         """The inverse: where points (..., 3) that move with the heart lie in the unmoved body."""

@@ -67,9 +67,7 @@ class BodyState:
         muscle = value("myocardium_conductivity", 1.0)
         ratios = [value(f"{t.name.lower()}_conductivity", 1.0) / muscle for t in TISSUES]
         together = value("chest_electrodes_up")
-        chest = [
-            (value(f"{n.lower()}_left"), value(f"{n.lower()}_up") + together) for n in CHEST
-        ]
+        chest = [(value(f"{n.lower()}_left"), value(f"{n.lower()}_up") + together) for n in CHEST]
         geometry = np.array([*pose, *turns, value("chest_size", 1.0)])
         return cls(geometry, np.array(ratios), np.array(chest))
 

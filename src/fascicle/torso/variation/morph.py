@@ -44,7 +44,9 @@ class Morph:
         away = motion.of_skin(self.centres) - self.centres
         linear = motion.size * motion.turn.T - np.eye(3)
         return np.asarray(
-            np.eye(3) + away[:, :, None] * self.slope[:, None, :] + self.share[:, None, None] * linear
+            np.eye(3)
+            + away[:, :, None] * self.slope[:, None, :]
+            + self.share[:, None, None] * linear
         )
 
     def compression(self, motion: Motion) -> float:

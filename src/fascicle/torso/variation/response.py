@@ -17,7 +17,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpftrf as pftrf
+from scipy.linalg.lapack import dpftrs as pftrs
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import ELECTRODES
@@ -38,7 +39,7 @@ class BodyResponse:
     loads : (b, k) array
         Currents of the modes on the basis.
     fixed : (2, p) array
-        Packed upper triangles of VᵀAV: myocardium and blood.
+        VᵀAV of myocardium and blood, in rectangular full packed format.
     moving : (2·q, p) array
         Those of body and lung for each of the q tensor modes.
     limbs : (3, b) array
@@ -89,22 +90,21 @@ class BodyResponse:
         if critical.compression(motion) < LEAST_COMPRESSION:
             return InvalidBody("the heart would touch the skin")
         at_skin = self.at_electrodes(state)
-        solved = cho_solve(cho_factor(self.reduced(state, motion), lower=False), at_skin.T)
+        factor, failed = pftrf(len(self.loads), self.reduced(state, motion))
+        if failed:
+            return InvalidBody("the heart nearly touches the skin")
+        solved, _ = pftrs(len(self.loads), factor, at_skin.T)
         return np.asarray(solved.T @ self.loads)
 
     def reduced(self, state: BodyState, motion: Motion) -> Floats:
-        """VᵀAV (b, b), its upper triangle."""
+        """VᵀAV in LAPACK's rectangular full packed format (p,)."""
         sampled = Morph(self.sampled_centres, self.sampled_share, self.sampled_slope)
         tensors = sampled.tensors(motion)
-        coefficients = np.tensordot(self.sampled, tensors, axes=2)
+        coefficients = self.sampled.reshape(len(self.sampled), -1) @ tensors.ravel()
         body, lung, blood = state.ratios
         packed = np.array([1.0, blood], dtype=self.fixed.dtype) @ self.fixed
         weights = np.concatenate([body * coefficients, lung * coefficients])
-        packed = packed + weights.astype(self.moving.dtype) @ self.moving
-        size = len(self.loads)
-        full = np.zeros((size, size))
-        full[np.triu_indices(size)] = packed
-        return full
+        return np.asarray(packed + weights.astype(self.moving.dtype) @ self.moving, dtype=float)
 
     def at_electrodes(self, state: BodyState) -> Floats:
         """The basis at the electrodes, less its mean over them (9, b)."""

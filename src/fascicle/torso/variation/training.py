@@ -6,11 +6,12 @@ See `fascicle.torso.variation.response` for what comes out, and why.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.linalg import qr
+from scipy.linalg.lapack import dtrttf
 from scipy.sparse import csr_matrix
 from scipy.stats import qmc
 
@@ -29,10 +30,11 @@ from fascicle.torso.variation.response import BodyResponse
 SHIFT, TURN, SIZE, LOG_FACTOR = 20.0, np.radians(20.0), 0.15, np.log(2.0)
 LEFT_REACH, UP_REACH, TOGETHER_REACH = 25.0, 25.0, 40.0  # mm
 
-ELECTRODE_BODIES, MODE_BODIES = 16, 44  # solved for electrodes and for modes
-LOADS = 8  # random combinations of modes solved in a body
-MODES, BASIS = 32, 200
-TENSOR_BODIES, TENSOR_MODES, SAMPLED = 160, 48, 160
+ELECTRODE_BODIES, MODE_BODIES = 28, 44  # solved for electrodes and for modes
+LOADS = 12  # random combinations of modes solved in a body
+MODES, BASIS = 64, 320
+ELECTRODE_WEIGHT = 0.1  # of fields of electrodes in the choice of the basis
+TENSOR_BODIES, TENSOR_MODES, SAMPLED = 160, 32, 120
 TENSOR_SUBSET = 6000  # tetrahedra that decide on the tensor modes
 CRITICAL = 20  # tetrahedra of each body that are watched for the heart nearing the skin
 TOLERANCE, MOST_ITERATIONS = 3e-3, 40  # of a snapshot: a direction of the basis, no result
@@ -95,15 +97,21 @@ def build_response(
     energy = conductor.stiffness(neutral())
     snapshots: list[Floats] = []
     for body in bodies[:ELECTRODE_BODIES]:
-        snapshots.append(solve_body(conductor, body, currents(places, body, len(energy.indptr) - 1)))
+        snapshots.append(
+            solve_body(conductor, body, currents(places, body, len(energy.indptr) - 1))
+        )
         progress(len(snapshots), total)
     modes, loads, weight = heart_modes(conductor, np.concatenate(snapshots, axis=1))
     for body in bodies[ELECTRODE_BODIES:]:
         mixture = rng.normal(size=(len(weight), LOADS)) * weight[:, None]
         snapshots.append(solve_body(conductor, body, loads @ mixture))
         progress(len(snapshots), total)
-    basis = reduced_basis(np.concatenate(snapshots, axis=1), energy)
-    return _assembled(conductor, places, basis, modes, loads, rng, lambda k: progress(len(snapshots) + k, total))
+    of_electrodes = np.concatenate(snapshots[:ELECTRODE_BODIES], axis=1)
+    of_modes = np.concatenate(snapshots[ELECTRODE_BODIES:], axis=1)
+    basis = reduced_basis(of_electrodes, of_modes, energy)
+    return _assembled(
+        conductor, places, basis, modes, loads, rng, lambda k: progress(len(snapshots) + k, total)
+    )
 
 
 def currents(places: Contacts, body: BodyState, vertices: int) -> Floats:
@@ -116,7 +124,13 @@ def currents(places: Contacts, body: BodyState, vertices: int) -> Floats:
     return np.ascontiguousarray(contacts.currents(vertices).T)
 
 
-def solve_body(conductor: Conductor, body: BodyState, loads: Floats, tolerance: float = TOLERANCE, most: int = MOST_ITERATIONS) -> Floats:
+def solve_body(
+    conductor: Conductor,
+    body: BodyState,
+    loads: Floats,
+    tolerance: float = TOLERANCE,
+    most: int = MOST_ITERATIONS,
+) -> Floats:
     """Potentials (n, c) of currents (n, c) in one body, as many threads as there are cores."""
     stiffness = conductor.stiffness(body)
     earth = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
@@ -166,27 +180,43 @@ def heart_modes(conductor: Conductor, fields: Floats) -> tuple[Floats, Floats, F
     return modes.T.copy(), loads, np.sqrt(values / values[0])
 
 
-def reduced_basis(snapshots: Floats, energy: csr_matrix) -> Floats:
+def reduced_basis(of_electrodes: Floats, of_modes: Floats, energy: csr_matrix) -> Floats:
     """The directions (n, b), orthonormal in an energy, that hold most of the snapshots (n, s)."""
-    scaled = snapshots / np.sqrt(np.einsum("ns,ns->s", snapshots, energy @ snapshots))
+
+    def alike(fields: Floats) -> Floats:
+        return fields / np.sqrt(np.einsum("ns,ns->s", fields, energy @ fields))
+
+    # most of an electrode's energy lies at the electrode, where no mode's potential needs it
+    scaled = np.concatenate([ELECTRODE_WEIGHT * alike(of_electrodes), alike(of_modes)], axis=1)
     values, vectors = np.linalg.eigh(scaled.T @ (energy @ scaled))
     kept = np.argsort(values)[::-1][: min(BASIS, len(values))]
     return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 
-def _assembled(conductor, places, basis, modes, loads, rng, progress):  # type: ignore[no-untyped-def]
+def _assembled(
+    conductor: Conductor,
+    places: Contacts,
+    basis: Floats,
+    modes: Floats,
+    loads: Floats,
+    rng: np.random.Generator,
+    progress: Callable[[int], None],
+) -> BodyResponse:
+    """Everything that the response needs of a basis."""
     heart, torso = conductor.heart, conductor.torso
     tissues, count = torso.tissues, len(heart.tetrahedra)
     sampled, weights, mixing, bodies = tensor_modes(conductor, rng)
     size = basis.shape[1]
-    upper = np.triu_indices(size)
     isotropic = conductor.conductivity[count:, 0, 0]
     own = assemble_stiffness(heart.vertices, heart.tetrahedra, conductor.conductivity[:count])
     in_heart = basis[: len(heart.vertices)]
     gradients = _Gradients(torso.vertices, torso.tetrahedra, basis)
     blood = tissues == TorsoTissue.BLOOD
     unit = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    fixed = [in_heart.T @ (own @ in_heart), gradients.product(np.flatnonzero(blood), isotropic[blood, None] * unit)]
+    fixed = [
+        in_heart.T @ (own @ in_heart),
+        gradients.product(np.flatnonzero(blood), isotropic[blood, None] * unit),
+    ]
     moving = np.zeros((2, len(mixing), size, size))
     motions = [conductor.motion(body) for body in bodies]
     for row, tissue in enumerate((TorsoTissue.BODY, TorsoTissue.LUNG)):
@@ -203,8 +233,8 @@ def _assembled(conductor, places, basis, modes, loads, rng, progress):  # type: 
     rows = np.einsum("ec,ecb->eb", places.weights, basis[places.triangles])
     return BodyResponse(
         modes, basis.T @ loads,
-        np.array([f[upper] for f in fixed], dtype=np.float32),
-        moving.reshape(-1, size, size)[:, *upper].astype(np.float32),
+        np.array([_packed(f) for f in fixed], dtype=np.float32),
+        np.array([_packed(m) for m in moving.reshape(-1, size, size)], dtype=np.float32),
         rows[:FIRST_CHEST],
         rows[FIRST_CHEST:].reshape(len(ELECTRODES) - FIRST_CHEST, len(LEFT), len(UP), size),
         weights, at.centres, at.share, at.slope,
@@ -215,7 +245,9 @@ def _assembled(conductor, places, basis, modes, loads, rng, progress):  # type: 
 
 def tensor_modes(conductor: Conductor, rng: np.random.Generator):  # type: ignore[no-untyped-def]
     """Which bodies' tensors, mixed how, span those of all, and where they are told from."""
-    moves = np.flatnonzero((conductor.morph.share > 0) & (conductor.torso.tissues != TorsoTissue.BLOOD))
+    moves = np.flatnonzero(
+        (conductor.morph.share > 0) & (conductor.torso.tissues != TorsoTissue.BLOOD)
+    )
     bodies = random_bodies(conductor, TENSOR_BODIES, rng)
     volumes = signed_volumes(conductor.torso.vertices, conductor.torso.tetrahedra)
     # near the heart, where its currents are, conductivity counts most
@@ -246,18 +278,21 @@ class _Gradients:
         self.volumes = signed_volumes(vertices, tetrahedra) / MM_PER_CM
 
     def of(self, part: Integers) -> Floats:
-        """∇V (m, 3, b) (per mm) in some tetrahedra, in single precision."""
+        """∇V (3, m, b) (per mm) in some tetrahedra, in single precision."""
         values = self.basis[self.tetrahedra[part]]
-        return np.asarray(np.swapaxes(self.barycentric[part], 1, 2) @ values, dtype=np.float32)
+        gradient = np.einsum("mki,mkb->imb", self.barycentric[part], values, optimize=True)
+        return np.ascontiguousarray(gradient, dtype=np.float32)
 
     def weighted(self, gradient: Floats, part: Integers, entries: Floats) -> Floats:
         """∫ ∇V·σ∇V over them for σ of these entries (m, 6), in mS/cm; (b, b)."""
         from fascicle.torso.variation.morph import symmetric
 
         sigma = symmetric(self.volumes[part, None] * entries).astype(np.float32)
-        size = gradient.shape[2]
-        flux = sigma @ gradient
-        return np.asarray(gradient.reshape(-1, size).T @ flux.reshape(-1, size), dtype=float)
+        total = np.zeros((gradient.shape[2], gradient.shape[2]))
+        for i in range(3):
+            flux = sum(sigma[:, i, j, None] * gradient[j] for j in range(3))
+            total += gradient[i].T @ flux
+        return total
 
     def product(self, chosen: Integers, entries: Floats) -> Floats:
         """The same over any number of tetrahedra."""
@@ -270,6 +305,13 @@ class _Gradients:
         return total
 
 
+def _packed(matrix: Floats) -> Floats:
+    """A symmetric matrix in rectangular full packed format."""
+    packed, failed = dtrttf(matrix)
+    assert not failed
+    return np.asarray(packed)
+
+
 def _blocks(chosen: Integers, size: int = 10_000) -> Iterator[Integers]:
     for start in range(0, len(chosen), size):
         yield chosen[start : start + size]
@@ -279,5 +321,7 @@ def _critical(conductor: Conductor, motions):  # type: ignore[no-untyped-def]
     """Tetrahedra that are compressed most in some body."""
     found: set[int] = set()
     for motion in motions:
-        found.update(np.argsort(np.linalg.det(conductor.morph.jacobians(motion)))[:CRITICAL].tolist())
+        found.update(
+            np.argsort(np.linalg.det(conductor.morph.jacobians(motion)))[:CRITICAL].tolist()
+        )
     return np.array(sorted(found))
