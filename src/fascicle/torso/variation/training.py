@@ -26,7 +26,7 @@ from fascicle.torso.variation.conductor import BodyState, Conductor
 from fascicle.torso.variation.electrode_paths import FIRST_CHEST, LEFT, UP, electrode_places
 from fascicle.torso.variation.response import BodyResponse
 
-# Ends of what is trained: displacement (mm), rotation (rad), size, logarithm of a conductivity's factor
+# Ends of what is trained: displacement (mm), rotation (rad), size, log of conductivities' factors
 SHIFT, TURN, SIZE, LOG_FACTOR = 20.0, np.radians(20.0), 0.15, np.log(2.0)
 LEFT_REACH, UP_REACH, TOGETHER_REACH = 25.0, 25.0, 40.0  # mm
 
@@ -184,7 +184,7 @@ def reduced_basis(of_electrodes: Floats, of_modes: Floats, energy: csr_matrix) -
     """The directions (n, b), orthonormal in an energy, that hold most of the snapshots (n, s)."""
 
     def alike(fields: Floats) -> Floats:
-        return fields / np.sqrt(np.einsum("ns,ns->s", fields, energy @ fields))
+        return np.asarray(fields / np.sqrt(np.einsum("ns,ns->s", fields, energy @ fields)))
 
     # most of an electrode's energy lies at the electrode, where no mode's potential needs it
     scaled = np.concatenate([ELECTRODE_WEIGHT * alike(of_electrodes), alike(of_modes)], axis=1)
@@ -292,7 +292,7 @@ class _Gradients:
         for i in range(3):
             flux = sum(sigma[:, i, j, None] * gradient[j] for j in range(3))
             total += gradient[i].T @ flux
-        return total
+        return np.asarray(total)
 
     def product(self, chosen: Integers, entries: Floats) -> Floats:
         """The same over any number of tetrahedra."""
