@@ -11,12 +11,12 @@ from fascicle.core.quantities import BODY, QUANTITIES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
-from fascicle.torso.lead_fields import assemble_stiffness
+from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
 from fascicle.torso.variation import training
 from fascicle.torso.variation.body_axes import Motion, body_axes
 from fascicle.torso.variation.conductor import BodyState, InvalidBody, build_conductor
 from fascicle.torso.variation.electrode_paths import LEFT, UP, electrode_places
-from fascicle.torso.variation.morph import build_morph, symmetric
+from fascicle.torso.variation.morph import build_morph, pulled_back, symmetric
 from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response, currents, neutral, solve_body
 
@@ -51,6 +51,8 @@ def response(conductor):
         patch.setattr(training, "MODE_BODIES", 24)
         patch.setattr(training, "MODES", 32)
         patch.setattr(training, "BASIS", 220)
+        patch.setattr(training, "TENSOR_BODIES", 80)
+        patch.setattr(training, "TENSOR_MODES", 24)
         return build_response(conductor, np.random.default_rng(1))
 
 
@@ -128,8 +130,6 @@ class TestMovedConductor:
         """Tensors of a rotation alone, where everything moves with the skin."""
         motion = conductor.motion(state(heart_turn_up=0.3))
         jacobians = np.tile(motion.turn.T, (4, 1, 1))
-        from fascicle.torso.variation.morph import pulled_back
-
         np.testing.assert_allclose(
             symmetric(pulled_back(jacobians)), np.tile(np.eye(3), (4, 1, 1)), atol=1e-12
         )
@@ -146,8 +146,6 @@ class TestMovedConductor:
         share = _share_at_vertices(conductor)
         moved = torso.vertices + share[:, None] * (motion.of_skin(torso.vertices) - torso.vertices)
         assert signed_volumes(moved, torso.tetrahedra).min() > 0
-        from fascicle.torso.lead_fields import solve_neumann
-
         places = electrode_places(torso.vertices, conductor.skin, heart.electrodes, conductor.axes)
         loads = currents(places, body, len(torso.vertices))
         stiffness = assemble_stiffness(moved, conductor.tetrahedra, conductor.conductivity)

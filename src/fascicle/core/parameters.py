@@ -150,7 +150,9 @@ class ParameterSpace:
 
 
 def free(name: str, **prior: Any) -> Parameter:
-    """Make a parameter of a quantity, with its usual range and prior, or a uniform one but for `prior`.
+    """Make a parameter of a quantity, with its usual range and prior.
+
+    Where `prior` says anything, it is that, or else uniform.
 
     Parameters
     ----------

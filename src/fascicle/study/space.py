@@ -41,7 +41,8 @@ def study_space(
     wanted : mapping of name to value
         What differs; a group of `GROUPS` stands for all of its quantities, where it is ``"free"``,
         and what is said of one of them alone counts. A number is a fixed value, ``"free"`` the
-        usual prior, a mapping one with other `lower`, `upper`, `prior`, `median` or `sd` (`fascicle.core.parameters.Parameter`).
+        usual prior, a mapping one with other `lower`, `upper`, `prior`, `median` or `sd`
+        (`fascicle.core.parameters.Parameter`).
     heart : Heart
         Its own values and regions.
 

@@ -118,7 +118,7 @@ class BodyResponse:
             rows[FIRST_CHEST + k] = (1 - a) * ((1 - b) * near[i, j] + b * near[i, j + 1]) + a * (
                 (1 - b) * near[i + 1, j] + b * near[i + 1, j + 1]
             )
-        return rows - rows.mean(axis=0)
+        return np.asarray(rows - rows.mean(axis=0))
 
     def arrays(self) -> dict[str, Any]:
         """Every array, by its name, for files."""
