@@ -41,7 +41,7 @@ def model(default_heart):
 
 def test_an_unbounded_conductor_has_no_body(default_heart):
     unbounded = fascicle.ForwardModel(replace(default_heart, lead_fields=None, folder=None))
-    with pytest.raises(InputError, match="'heart_up': .* has no torso"):
+    with pytest.raises(InputError, match=r"'heart_up': .* has no torso"):
         unbounded.simulate(with_body(heart_up=5.0))
 
 
