@@ -1,6 +1,6 @@
 """The ECG as a function of the body: its error against finite elements, its cost, what moves it.
 
-    python -m benchmarks.body_response [--heart FOLDER] [--bodies 20] [--scale 1.0]
+    python -m benchmarks.body_response [--heart FOLDER] [--bodies 20] [--scale 1.0] [--table]
 
 Random bodies are drawn uniformly from the whole range (times --scale about the neutral one), those
 in which the heart would touch the skin left out. The reference solves each of them by finite
@@ -186,6 +186,7 @@ def main() -> None:
     parser.add_argument("--heart", default="default")
     parser.add_argument("--bodies", type=int, default=20)
     parser.add_argument("--scale", type=float, default=1.0)
+    parser.add_argument("--table", action="store_true", help="what each quantity moves")
     arguments = parser.parse_args()
     heart = fascicle.load_heart(arguments.heart)
     model = fascicle.ForwardModel(heart)
@@ -199,7 +200,8 @@ def main() -> None:
     print(f"{len(bodies)} random bodies; {100 * (1 - possible):.0f} % of those drawn impossible")
     accuracy(model, conductor, bodies)
     cost(model, bodies)
-    table(model)
+    if arguments.table:
+        table(model)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,8 @@ def model(default_heart):
         "ELECTRODE_BODIES": 4, "MODE_BODIES": 3, "MODES": 20, "BASIS": 50,
         "TENSOR_BODIES": 12, "TENSOR_MODES": 6,
     }  # fmt: skip
-    model = fascicle.ForwardModel(default_heart)
+    # kept nowhere: other tests would take the crude response for the heart's
+    model = fascicle.ForwardModel(replace(default_heart, folder=None))
     with pytest.MonkeyPatch.context() as patch:
         for name, size in sizes.items():
             patch.setattr(training, name, size)
