@@ -110,3 +110,30 @@ def test_damaged_settings_file(tmp_path, text, message):
         read_settings(path)
     with pytest.raises(InputError, match=r"none\.toml"):
         read_settings(tmp_path / "none.toml")
+
+
+def test_groups_are_written_out(default_heart):
+    space, fixed = study_space("paper", {"pose": "free", "heart_up": 3.0}, default_heart)
+    learnt = {p.name: p for p in space.parameters if p.name.startswith("heart_")}
+    assert list(learnt) == [
+        "heart_left", "heart_back", "heart_turn_left", "heart_turn_back", "heart_turn_up",
+    ]  # fmt: skip
+    assert fixed == {"heart_up": 3.0}
+    assert (learnt["heart_left"].prior, learnt["heart_left"].sd) == ("normal", 8.0)
+
+
+@pytest.mark.parametrize(("group", "count"), [("electrodes", 13), ("conductivities", 4)])
+def test_sizes_of_groups(default_heart, group, count):
+    space, _ = study_space("paper", {group: "free"}, default_heart)
+    assert len(space.names) == len(NETWORK_SPACE.names) + count
+
+
+def test_a_group_has_no_value(default_heart):
+    with pytest.raises(InputError, match="'pose' is 3: a group of quantities can only be 'free'"):
+        study_space("paper", {"pose": 3}, default_heart)
+
+
+def test_a_prior_of_ones_own_replaces_the_usual_one(default_heart):
+    wanted = {"heart_up": {"lower": -5.0, "upper": 5.0}}
+    space, _ = study_space("paper", wanted, default_heart)
+    assert space.parameters[-1].prior == "uniform"

@@ -15,7 +15,11 @@ FixOption = Annotated[
 ]
 FreeOption = Annotated[
     list[str] | None,
-    typer.Option("--free", help="Quantity to learn, with its usual prior, such as gain."),
+    typer.Option(
+        "--free",
+        help="Quantity to learn, with its usual prior, such as gain; or a group of them: pose, "
+        "electrodes or conductivities.",
+    ),
 ]
 
 
@@ -71,7 +75,7 @@ def parameters() -> None:
     import rich
     from rich.table import Table
 
-    from fascicle.core.quantities import MOST_FASCICLES, QUANTITIES, quantity
+    from fascicle.core.quantities import GROUPS, MOST_FASCICLES, QUANTITIES, quantity
 
     table = Table(box=None, pad_edge=False)
     table.add_column("name", overflow="fold", no_wrap=True)
@@ -88,6 +92,7 @@ def parameters() -> None:
             known.meaning,
         )
     rich.print(table)
+    print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
     print(f"Fascicles are numbered 1 to at most {MOST_FASCICLES}; regions by their labels.")
 
 

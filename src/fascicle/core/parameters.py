@@ -150,7 +150,9 @@ class ParameterSpace:
 
 
 def free(name: str, **prior: Any) -> Parameter:
-    """Make a parameter of a quantity, with its usual range and a uniform prior but for `prior`.
+    """Make a parameter of a quantity, with its usual range and prior.
+
+    Where `prior` says anything, it is that, or else uniform.
 
     Parameters
     ----------
@@ -168,6 +170,9 @@ def free(name: str, **prior: Any) -> Parameter:
     if known.whole:
         raise InputError(f"parameter '{name}' counts something; it can be fixed, not learnt")
     lower, upper = known.searched
+    if not prior and known.usual is not None:
+        kind, sd = known.usual
+        prior = {"prior": kind, "median": known.default, "sd": sd}
     fields = {"lower": lower, "upper": upper} | prior
     for end in ("lower", "upper"):
         checked({name: fields[end]})

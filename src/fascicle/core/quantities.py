@@ -30,6 +30,7 @@ class Changes(StrEnum):
     TREES = "trees"
     TISSUE = "speeds of the tissue"
     TIMES = "times alone"
+    BODY = "the lead fields"
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ class Quantity:
         What depends on it.
     whole : bool
         Whether it counts something; such quantities can be fixed only.
+    usual : (str, float), optional
+        Prior where it is learnt and nothing else is said, if it is not uniform: "normal" or
+        "log-normal" about the default, and its standard deviation (of the logarithm).
     """
 
     name: str
@@ -62,6 +66,7 @@ class Quantity:
     meaning: str
     changes: Changes
     whole: bool = False
+    usual: tuple[str, float] | None = None
 
 
 def _of_trees() -> Iterator[Quantity]:
@@ -154,7 +159,56 @@ def _of_conduction() -> Iterator[Quantity]:
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
 
 
-QUANTITIES: dict[str, Quantity] = {q.name: q for q in (*_of_trees(), *_of_conduction())}
+def _of_body() -> Iterator[Quantity]:
+    """What differs from the heart folder's torso; docs/quantities.md says where priors are from."""
+    body, angle = Changes.BODY, math.radians(20.0)
+
+    def moved(name: str, reach: float, sd: float, meaning: str, unit: str = "mm") -> Quantity:
+        ends = (-reach, reach)
+        return Quantity(name, unit, 0.0, ends, ends, meaning, body, usual=("normal", sd))
+
+    for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "up")):
+        yield moved(f"heart_{way}", 20.0, 8.0, f"the heart's displacement {where}")
+    for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "upwards")):
+        yield moved(
+            f"heart_turn_{way}", angle, math.radians(8.0),
+            f"the heart's rotation about the axis {where}, right-handed", "rad",
+        )  # fmt: skip
+    for k in range(1, 7):
+        yield moved(f"v{k}_left", 25.0, 10.0, f"V{k} moved along the skin to the left")
+        yield moved(f"v{k}_up", 25.0, 10.0, f"V{k} moved along the skin upwards")
+    yield moved("chest_electrodes_up", 40.0, 15.0, "V1 to V6 together moved along the skin upwards")
+    for name, what in (
+        ("lung", "the lungs"),
+        ("blood", "the blood"),
+        ("myocardium", "the myocardium, as source and conductor; speeds stay"),
+        ("body", "what else is around the heart"),
+    ):
+        yield Quantity(
+            f"{name}_conductivity", "1", 1.0, (0.5, 2.0), (0.5, 2.0),
+            f"factor on the conductivity of {what}", body, usual=("log-normal", 0.25),
+        )  # fmt: skip
+    yield Quantity(
+        "chest_size", "1", 1.0, (0.85, 1.15), (0.85, 1.15),
+        "factor on the trunk about the heart, which stays", body, usual=("normal", 0.05),
+    )  # fmt: skip
+
+
+QUANTITIES: dict[str, Quantity] = {
+    q.name: q for q in (*_of_trees(), *_of_conduction(), *_of_body())
+}
+# Names that stand for several quantities where these are freed
+GROUPS: dict[str, tuple[str, ...]] = {
+    "pose": tuple(n for n in QUANTITIES if n.startswith("heart_")),
+    "electrodes": (
+        *(n for n in QUANTITIES if n[0] == "v" and n[1].isdigit()),
+        "chest_electrodes_up",
+    ),
+    "conductivities": tuple(
+        f"{tissue}_conductivity" for tissue in ("lung", "blood", "myocardium", "body")
+    ),
+}
+BODY = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.BODY)
 SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
 INFINITE = ("orthodromic_delay", "antidromic_delay")
 
@@ -261,3 +315,12 @@ def _float(value: numbers.Real) -> float:
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:40]}…"
+
+
+def body_values(values: Mapping[str, float]) -> dict[str, float]:
+    """Those of the body that are not as in the heart folder's torso."""
+    return {
+        name: values[name]
+        for name in BODY
+        if name in values and values[name] != QUANTITIES[name].default
+    }

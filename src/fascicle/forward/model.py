@@ -12,12 +12,22 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 
 import numpy as np
 
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
 from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress
-from fascicle.core.quantities import Changes, check, checked, quantity
+from fascicle.core.quantities import Changes, body_values, check, checked, quantity
+from fascicle.forward.body import (
+    BodyModel,
+    body_model,
+    prepare_response,
+    read_response,
+    write_response,
+)
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
@@ -29,9 +39,13 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.torso.variation.conductor import InvalidBody
+from fascicle.torso.variation.response import BodyResponse
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
 TISSUES = 2  # tissues that are kept; each takes the memory of a heart
+
+BODY_FILE = "body.npz"  # beside a model's file for other processes
 
 _Settings = tuple[Conduction, GrowthRules, ActionPotential]
 
@@ -88,6 +102,9 @@ class ForwardModel:
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
         self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
+        self._progress = progress
+        self._body: BodyModel | None = None
+        self._first_body = Lock()
         self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
 
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
@@ -101,9 +118,33 @@ class ForwardModel:
         rules = self.rules.with_values(anatomy)
         return self._grow(rules, tuple(sorted(anatomy.items())))
 
+    def body(self, wanted: Sequence[str]) -> BodyModel:
+        """Lead fields as a function of the body, built when first used: minutes, once per heart.
+
+        Parameters
+        ----------
+        wanted : sequence of str
+            Quantities of the body that ask for it.
+
+        Raises
+        ------
+        InputError
+            If the heart lies in an unbounded conductor.
+        """
+        with self._first_body:
+            if self._body is None:
+                response = prepare_response(self.heart, self.conduction, wanted, self._progress)
+                self.use_body(response)
+            assert self._body is not None
+            return self._body
+
+    def use_body(self, response: BodyResponse) -> None:
+        """Take a response that is at hand, of this heart and conduction, instead of building it."""
+        self._body = body_model(self.heart, self.conduction, response, self.action_potential)
+
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
-    ) -> Simulation | InvalidTree:
+    ) -> Simulation | InvalidTree | InvalidBody:
         """Grow the trees, activate the heart, compute the ECG.
 
         Parameters
@@ -117,8 +158,9 @@ class ForwardModel:
 
         Returns
         -------
-        Simulation or InvalidTree
-            `InvalidTree` where a bundle or fascicle would leave its endocardium.
+        Simulation, InvalidTree or InvalidBody
+            `InvalidTree` where a bundle or fascicle would leave its endocardium, `InvalidBody`
+            where the heart would touch the skin.
 
         Raises
         ------
@@ -127,6 +169,9 @@ class ForwardModel:
             heart, or nothing in it fires.
         """
         values = complete(parameters)
+        body = body_values(values)
+        if body and isinstance(found := self.body([*body]).lead_coefficients(body), InvalidBody):
+            return found
         trees = self.grow(values)
         if isinstance(trees, InvalidTree):
             return trees
@@ -159,7 +204,8 @@ class ForwardModel:
         Raises
         ------
         InputError
-            If a quantity is unknown or impossible, or the scenario does not fit.
+            If a quantity is unknown or impossible, the scenario does not fit, or the heart would
+            touch the skin.
         """
         values = checked(values | {"cv": cv})
         roots = _roots(root_time)
@@ -184,15 +230,56 @@ class ForwardModel:
         )
         times = coupled.myocardium
         check_activation(times)
-        leads = values.get("gain", 1.0) * tissue.electrocardiograph.leads(times)
+        leads = self._leads(times, conduction, values)
         return Simulation(leads, first_sample(times), times, trees, coupled)
+
+    def _leads(self, times: Floats, conduction: Conduction, values: Mapping[str, float]) -> Floats:
+        """The twelve leads (mV), in the body that the values say."""
+        gain = values.get("gain", 1.0)
+        tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
+        body = body_values(values)
+        if not body:
+            return np.asarray(gain * tissue.electrocardiograph.leads(times))
+        found = self.in_bodies(times, [values])[0]
+        if isinstance(found, InvalidBody):
+            raise InputError(f"{', '.join(body)}: {found.reason}; give smaller changes")
+        return found
+
+    def in_bodies(
+        self, activation: Floats, bodies: Sequence[Mapping[str, float]]
+    ) -> list[Floats | InvalidBody]:
+        """The ECG of one activation in several bodies: each after the first takes microseconds.
+
+        Parameters
+        ----------
+        activation : (n,) array
+            Activation time of each vertex (ms).
+        bodies : sequence of mappings of name to float
+            Quantities of the body, gain and regions; the regions must be those of the first.
+
+        Returns
+        -------
+        list of (12, n_time) arrays or InvalidBody
+            Leads (mV), in their order.
+        """
+        conduction = self.conduction.with_values(checked(bodies[0]))
+        tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
+        model = self.body([*bodies[0]]).scaled(conduction.scale(self.heart))
+        own, modes = tissue.electrocardiograph.channels(activation), model.modes(activation)
+        found: list[Floats | InvalidBody] = []
+        for body in map(checked, bodies):
+            coefficients = model.lead_coefficients(body)
+            if not isinstance(coefficients, InvalidBody):
+                coefficients = body.get("gain", 1.0) * model.leads(own, modes, coefficients)
+            found.append(coefficients)
+        return found
 
     def simulate_many(
         self,
         parameters: Iterable[Mapping[str, float]],
         executor: Executor,
         scenario: Scenario | None = None,
-    ) -> list[Simulation | InvalidTree]:
+    ) -> list[Simulation | InvalidTree | InvalidBody]:
         """Simulate many networks at a time.
 
         Parameters
@@ -208,18 +295,22 @@ class ForwardModel:
 
         Returns
         -------
-        list of Simulation or InvalidTree
+        list of Simulation, InvalidTree or InvalidBody
             In the order of the parameters.
         """
+        networks = [dict(p) for p in parameters]
+        bodies = [name for network in networks for name in body_values(network)]
         if isinstance(executor, ThreadPoolExecutor):
-            return list(executor.map(lambda p: self.simulate(p, scenario), parameters))
+            return list(executor.map(lambda p: self.simulate(p, scenario), networks))
         with TemporaryDirectory(prefix="fascicle-") as folder:
             path = Path(folder) / "model.npz"
             save(path, self.prepared, self.heart)
+            if bodies:
+                write_response(path.with_name(BODY_FILE), self.body(bodies).response)
             settings = self.conduction, self.rules, self.action_potential
             futures = [
-                executor.submit(_simulate_elsewhere, path, settings, dict(p), scenario)
-                for p in parameters
+                executor.submit(_simulate_elsewhere, path, settings, network, scenario)
+                for network in networks
             ]
             return [future.result() for future in futures]
 
@@ -230,11 +321,13 @@ _READ: dict[Path, ForwardModel] = {}
 
 def _simulate_elsewhere(
     path: Path, settings: _Settings, parameters: dict[str, float], scenario: Scenario | None
-) -> Simulation | InvalidTree:
+) -> Simulation | InvalidTree | InvalidBody:
     model = _READ.get(path)
     if model is None:
         heart, prepared = load(path, settings[-1])
         model = ForwardModel(heart, *settings, prepared)
+        if path.with_name(BODY_FILE).exists():
+            model.use_body(read_response(path.with_name(BODY_FILE)))
         _READ.clear()  # another thread of this worker may have read another model
         _READ[path] = model
     return model.simulate(parameters, scenario)

@@ -27,6 +27,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
+from fascicle.torso.variation.conductor import InvalidBody
 
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
 
@@ -77,6 +78,8 @@ def simulate_inputs(
             outcome = model.simulate(parameters, scenario)
         if isinstance(outcome, InvalidTree):
             raise InputError(f"{source}: {outcome.reason}; shorten it")
+        if isinstance(outcome, InvalidBody):
+            raise InputError(f"{source}: {outcome.reason}; move it less")
         return outcome, {"parameters": parameters}
     if params is not None:
         raise InputError("--params and --lv-tree/--rv-tree exclude each other; give one kind")

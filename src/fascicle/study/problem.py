@@ -20,6 +20,7 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
+from fascicle.torso.variation.conductor import InvalidBody
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -90,7 +91,7 @@ class Problem:
     def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
         outcome = self.model.simulate({**self.fixed, **self.space.from_unit(point)})
-        if isinstance(outcome, InvalidTree):
+        if isinstance(outcome, (InvalidTree, InvalidBody)):
             return Evaluation.infeasible(point, outcome.reason)
         for tree in outcome.trees:
             if len(tree.junctions) < self.fewest_junctions:
@@ -139,8 +140,8 @@ class Problem:
     def _network(self, learnt: Mapping[str, float]) -> Network:
         parameters = {**self.fixed, **learnt}
         simulation = self.model.simulate(parameters)
-        if isinstance(simulation, InvalidTree):
-            raise RuntimeError(f"a network of the population does not grow: {simulation.reason}")
+        if isinstance(simulation, (InvalidTree, InvalidBody)):
+            raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
         alignment = self.align(simulation)
         predicted = self.predicted(simulation, alignment)
         return Network(parameters, simulation, predicted, alignment.under_qrs)

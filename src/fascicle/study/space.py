@@ -10,6 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.parameters import Parameter, ParameterSpace, Prior, free, network_space
 from fascicle.core.quantities import (
+    GROUPS,
     SIDES,
     SPEED,
     USUAL_FASCICLES,
@@ -38,8 +39,10 @@ def study_space(
         the trees; ``"default"`` also the speed constant of the myocardium, where the heart does not
         say it.
     wanted : mapping of name to value
-        What differs: a number is a fixed value, ``"free"`` the usual prior, a mapping one with
-        other `lower`, `upper`, `prior`, `median` or `sd` (`fascicle.core.parameters.Parameter`).
+        What differs; a group of `GROUPS` stands for all of its quantities, where it is ``"free"``,
+        and what is said of one of them alone counts. A number is a fixed value, ``"free"`` the
+        usual prior, a mapping one with other `lower`, `upper`, `prior`, `median` or `sd`
+        (`fascicle.core.parameters.Parameter`).
     heart : Heart
         Its own values and regions.
 
@@ -55,7 +58,7 @@ def study_space(
     InputError
         If a quantity is unknown or impossible, its prior is none, or nothing is left to learn.
     """
-    chosen = {name: _chosen(name, value) for name, value in wanted.items()}
+    chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
     numbers = {side: chosen.pop(f"{side}_fascicles", USUAL_FASCICLES) for side in SIDES}
     counts = {side: int(n) for side, n in numbers.items() if not isinstance(n, Parameter)}
     usual = list(network_space(**counts).parameters)
@@ -71,6 +74,26 @@ def study_space(
     if not learnt:
         raise InputError("every parameter is fixed, so nothing is left to learn; free one")
     return ParameterSpace(tuple(learnt.values())), fixed
+
+
+def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with each group of quantities that is free written out.
+
+    Raises
+    ------
+    InputError
+        If a group is anything but free.
+    """
+    whole: dict[str, Any] = {}
+    for name, value in wanted.items():
+        if name in GROUPS:
+            if value != FREE:
+                raise InputError(
+                    f"parameter '{name}' is {value!r}: a group of quantities can only be 'free'; "
+                    f"give its quantities one by one: {', '.join(GROUPS[name][:2])}, ..."
+                )
+            whole |= dict.fromkeys(GROUPS[name], FREE)
+    return whole | {name: value for name, value in wanted.items() if name not in GROUPS}
 
 
 def _chosen(name: str, value: Any) -> Parameter | float:
@@ -124,7 +147,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
         raise InputError(f"{path}: 'parameters' is no table; write [parameters] above them")
     try:
         checked_settings({name: value for name, value in values.items() if name != PARAMETERS})
-        for name, value in parameters.items():
+        for name, value in without_groups(parameters).items():
             _chosen(name, value)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -181,7 +181,7 @@ def place_electrodes(vertices: Floats, tetrahedra: Integers, electrodes: Floats)
     electrodes : (e, 3) array
         Positions (mm).
     """
-    skin = _outer_boundary(vertices, tetrahedra)
+    skin = outer_boundary(vertices, tetrahedra)
     squared, nearest, points = igl.point_mesh_squared_distance(
         np.ascontiguousarray(electrodes, dtype=float), vertices, skin
     )
@@ -330,7 +330,7 @@ def _multigrid(stiffness: csr_matrix) -> LinearOperator:
     return hierarchy.aspreconditioner(cycle="V")
 
 
-def _outer_boundary(vertices: Floats, tetrahedra: Integers) -> Integers:
+def outer_boundary(vertices: Floats, tetrahedra: Integers) -> Integers:
     """Triangles of the boundary, without those of holes inside."""
     triangles, _ = boundary_triangles(tetrahedra)
     count, piece = igl.facet_components(triangles)

@@ -1,0 +1,208 @@
+"""The ECG as a function of the body: its error against finite elements, its cost, what moves it.
+
+    python -m benchmarks.body_response [--heart FOLDER] [--bodies 20] [--scale 1.0] [--table]
+
+Random bodies are drawn uniformly from the whole range (times --scale about the neutral one), those
+in which the heart would touch the skin left out. The reference solves each of them by finite
+elements on the heart's mesh, to 1e-7. Errors are in the energy norm of the lead fields in the
+heart, over the eight independent leads, and in the ECG of the example network, both as parts of the
+reference. The table says how far each quantity alone moves that ECG from the neutral body's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fascicle
+from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.forward.body import torso_made_again
+from fascicle.forward.ecg.electrocardiogram import STEP, build_electrocardiograph
+from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.loss import align
+from fascicle.mesh.measures import barycentric_gradients
+from fascicle.recording.window import qrs_window
+from fascicle.torso.lead_fields import assemble_stiffness
+from fascicle.torso.variation.conductor import BodyState, Conductor, build_conductor
+from fascicle.torso.variation.electrode_paths import electrode_places
+from fascicle.torso.variation.training import currents, solve_body
+
+Values = Mapping[str, float]
+Array = NDArray[np.float64]
+
+
+def random_values(
+    conductor: Conductor, count: int, scale: float
+) -> tuple[list[dict[str, float]], float]:
+    """Possible bodies, electrodes at places of the grid, and the share of those drawn."""
+    rng, found, drawn = np.random.default_rng(2026), [], 0
+    while len(found) < count:
+        drawn += 1
+        values = {}
+        for name in BODY:
+            known = QUANTITIES[name]
+            low, high = known.searched
+            part = scale * rng.uniform(-1, 1)
+            if name.endswith("_conductivity"):
+                values[name] = float(high**part)
+            else:
+                values[name] = float((low + high) / 2 + part * (high - low) / 2)
+        if conductor.is_possible(BodyState.of(values)):
+            found.append(values)
+    return found, len(found) / drawn
+
+
+def on_grid(values: dict[str, float]) -> dict[str, float]:
+    """The same with chest electrodes at the nearest places the reference is solved for."""
+    size, together = values["chest_size"], values["chest_electrodes_up"]
+    moved = dict(values)
+    for k in range(1, 7):
+        left, up = values[f"v{k}_left"], values[f"v{k}_up"] + together
+        moved[f"v{k}_left"] = min(24.0, max(-24.0, 6.0 * round(left / size / 6.0))) * size
+        moved[f"v{k}_up"] = 6.0 * round(up / size / 6.0) * size - together
+    return moved
+
+
+def direct(conductor: Conductor, values: Values) -> Array:
+    """Lead fields (9, n) in the heart over the myocardium's factor, by finite elements."""
+    places = electrode_places(
+        conductor.torso.vertices, conductor.skin, conductor.heart.electrodes, conductor.axes
+    )
+    state = BodyState.of(values)
+    loads = currents(places, state, len(conductor.torso.vertices))
+    return solve_body(conductor, state, loads, 1e-7, 500)[: len(conductor.heart.vertices)].T
+
+
+def accuracy(
+    model: fascicle.ForwardModel, conductor: Conductor, bodies: list[dict[str, float]]
+) -> None:
+    """Errors of fields and ECG at some bodies."""
+    heart, response = model.heart, model.body(BODY).response
+    own = conductor.conductivity[: len(heart.tetrahedra)]
+    stiffness = assemble_stiffness(heart.vertices, heart.tetrahedra, own)
+    leads = lead_matrix()[INDEPENDENT_ROWS]
+    barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
+
+    def norm(fields: Array) -> float:
+        return float(np.sqrt(np.sum((leads @ fields) * (stiffness @ (leads @ fields).T).T)))
+
+    activation = model.simulate(EXAMPLE_PARAMETERS).activation
+    neutral = direct(conductor, {})
+
+    def ecg(fields: Array) -> Array:
+        gradients = nodal_gradients(fields, heart.tetrahedra, barycentric)
+        intracellular = model.conduction.intracellular(heart.fibres)
+        return build_electrocardiograph(
+            heart.tetrahedra, barycentric, heart.volumes, intracellular, gradients,
+            model.action_potential,
+        ).channels(activation)  # fmt: skip
+
+    rows = []
+    for values in map(on_grid, bodies):
+        reference = direct(conductor, values)
+        found = response(BodyState.of(values)) @ response.modes
+        best = ((response.modes @ (stiffness @ reference.T)).T) @ response.modes
+        size = norm(reference)
+        e = ecg(reference)
+        rows.append([
+            norm(found - reference) / size, norm(best - reference) / size,
+            norm(neutral - reference) / size,
+            np.linalg.norm(ecg(found) - e) / np.linalg.norm(e),
+            np.linalg.norm(ecg(neutral) - e) / np.linalg.norm(e),
+        ])  # fmt: skip
+    names = ("fields", "best of the modes", "fields, body ignored", "ECG", "ECG, body ignored")
+    for name, column in zip(names, np.transpose(rows), strict=True):
+        shown = " ".join(
+            f"{100 * q:6.1f}" for q in np.quantile(column, [0, 0.25, 0.5, 0.75, 0.9, 1])
+        )
+        print(f"  {name:22s} least, quartiles, 90 %, largest (%): {shown}")
+
+
+def cost(model: fascicle.ForwardModel, bodies: list[dict[str, float]]) -> None:
+    """Milliseconds of one body, and of the modes' ECG."""
+    body = model.body(BODY)
+    activation = model.simulate(EXAMPLE_PARAMETERS).activation
+    times = []
+    for values in 5 * bodies:
+        begin = time.perf_counter()
+        body.lead_coefficients(values)
+        times.append(time.perf_counter() - begin)
+    begin = time.perf_counter()
+    for _ in range(10):
+        body.modes(activation)
+    modes = (time.perf_counter() - begin) / 10
+    begin = time.perf_counter()
+    for _ in range(10):
+        model.electrocardiograph.channels(activation)
+    plain = (time.perf_counter() - begin) / 10
+    print(
+        f"coefficients {1e3 * np.median(times):.2f} ms a body (median), ECG of the modes "
+        f"{1e3 * modes:.1f} ms once an activation; the plain ECG {1e3 * plain:.1f} ms"
+    )
+
+
+def axis(leads: Array) -> float:
+    """Frontal axis (degrees) of the QRS, from the net areas of I and aVF."""
+    onset, offset = qrs_window(leads, STEP)
+    i, avf = leads[[0, 5], onset:offset].sum(axis=1)
+    return float(np.degrees(np.arctan2(2 * avf / np.sqrt(3), i)))
+
+
+def table(model: fascicle.ForwardModel) -> None:
+    """What each quantity moves, at one standard deviation and at the ends."""
+    plain = model.simulate(EXAMPLE_PARAMETERS)
+    bodies, names = [], []
+    for name in BODY:
+        known = QUANTITIES[name]
+        kind, sd = known.usual or ("normal", 0.0)
+        near = [known.default - sd, known.default + sd] if kind == "normal" else np.exp([-sd, sd])
+        for value in (known.searched[0], *near, known.searched[1]):
+            bodies.append({name: float(value)})
+            names.append((name, float(value)))
+    print("quantity | value | loss (mV²) | QRS (ms) | axis (degrees)")
+    onset, offset = qrs_window(plain.leads, STEP)
+    recorded = plain.leads[:, onset:offset]
+    flat = float((recorded**2).sum() / recorded.shape[1])
+    print(
+        f"neutral | | 0 (flat line {flat:.2f}) | {plain.qrs_duration:.0f} | {axis(plain.leads):.0f}"
+    )
+    for (name, value), leads in zip(names, model.in_bodies(plain.activation, bodies), strict=True):
+        if not isinstance(leads, np.ndarray):
+            print(f"{name} | {value:.3g} | {leads.reason} | |")
+            continue
+        begin, end = qrs_window(leads, STEP)
+        loss = align(leads, recorded).loss
+        print(f"{name} | {value:.3g} | {loss:.3f} | {(end - begin) * STEP:.0f} | {axis(leads):.0f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--heart", default="default")
+    parser.add_argument("--bodies", type=int, default=20)
+    parser.add_argument("--scale", type=float, default=1.0)
+    parser.add_argument("--table", action="store_true", help="what each quantity moves")
+    arguments = parser.parse_args()
+    heart = fascicle.load_heart(arguments.heart)
+    model = fascicle.ForwardModel(heart)
+    begin = time.perf_counter()
+    response = model.body(BODY).response
+    print(f"{heart.name}: response in {time.perf_counter() - begin:.0f} s (little if it was kept), "
+          f"{len(response.modes)} modes, basis of {len(response.loads)}")  # fmt: skip
+    torso = heart.torso if heart.torso is not None else torso_made_again(heart)
+    conductor = build_conductor(heart, torso, model.conduction)
+    bodies, possible = random_values(conductor, arguments.bodies, arguments.scale)
+    print(f"{len(bodies)} random bodies; {100 * (1 - possible):.0f} % of those drawn impossible")
+    accuracy(model, conductor, bodies)
+    cost(model, bodies)
+    if arguments.table:
+        table(model)
+
+
+if __name__ == "__main__":
+    main()

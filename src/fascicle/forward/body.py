@@ -1,0 +1,221 @@
+"""The ECG as a function of the body: what depends on heart and conduction alone, and its cache."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.files import DISPOSABLE, atomic_path
+from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.forward.ecg.electrocardiogram import (
+    ActionPotential,
+    Electrocardiograph,
+    channel_weights,
+    leads_from_independent,
+)
+from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.heart.boundary_labels import labelled_mesh
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.heart import Heart
+from fascicle.heart.torso import Torso
+from fascicle.kernels.deposit import CHANNELS
+from fascicle.mesh.measures import barycentric_gradients
+from fascicle.torso.electrode_sites import FARTHEST
+from fascicle.torso.idealised import idealised_torso
+from fascicle.torso.lead_fields import place_electrodes
+from fascicle.torso.mesh import mesh_torso
+from fascicle.torso.variation.conductor import BodyState, InvalidBody, build_conductor
+from fascicle.torso.variation.response import BodyResponse
+from fascicle.torso.variation.training import build_response
+
+FORMAT = 1  # of the files; another number makes them anew
+STAGE, ONCE = "body", "once per heart"
+SEED = 0  # of the bodies that are solved: the same in every run
+READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """Lead fields as a function of the body, and the ECG of each of their modes.
+
+    Attributes
+    ----------
+    response : BodyResponse
+        Coefficients of the modes.
+    electrocardiographs : tuple of Electrocardiograph
+        The ECG integrals of the modes, eight in each.
+    """
+
+    response: BodyResponse
+    electrocardiographs: tuple[Electrocardiograph, ...]
+
+    def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidBody:
+        """Coefficients (8, k) of the modes for the independent leads.
+
+        Parameters
+        ----------
+        values : mapping of name to float
+            Quantities of the body; those that are missing are neutral.
+
+        Notes
+        -----
+        The factor on the myocardium's conductivity divides these and multiplies its sources, so
+        that it counts through its ratio to the other tissues only.
+        """
+        found = self.response(BodyState.of(values))
+        if isinstance(found, InvalidBody):
+            return found
+        return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ found)
+
+    def modes(self, activation: Floats) -> Floats:
+        """ECG (k, n_time) of every mode (mV/kΩ½)."""
+        channels = np.concatenate([e.channels(activation) for e in self.electrocardiographs])
+        return channels[: len(self.response.modes)]
+
+    def leads(self, own: Floats, modes: Floats, coefficients: Floats) -> Floats:
+        """The twelve leads in another body.
+
+        What the modes leave of the ECG in the heart's own body is kept, as large against the rest
+        as it is there: in a body that hardly differs nothing is lost.
+
+        Parameters
+        ----------
+        own : (8, n_time) array
+            Independent leads in the heart's own body (mV).
+        modes : (k, n_time) array
+            See `modes`.
+        coefficients : (8, k) array
+            See `lead_coefficients`.
+
+        Returns
+        -------
+        (12, n_time) array
+            In mV.
+        """
+        size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(self._neutral, axis=1)
+        remainder = size[:, None] * (own - self._neutral @ modes)
+        return np.asarray(leads_from_independent() @ (coefficients @ modes + remainder))
+
+    def scaled(self, factors: Floats) -> BodyModel:
+        """See `Electrocardiograph.scaled`."""
+        scaled = tuple(e.scaled(factors) for e in self.electrocardiographs)
+        return BodyModel(self.response, scaled)
+
+    @cached_property
+    def _neutral(self) -> Floats:
+        found = self.lead_coefficients({})
+        if isinstance(found, InvalidBody):
+            raise InputError("the heart touches the skin of its own torso; build the heart again")
+        return found
+
+
+def body_model(
+    heart: Heart, conduction: Conduction, response: BodyResponse, action_potential: ActionPotential
+) -> BodyModel:
+    """The ECG integrals of a response's modes."""
+    barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
+    intracellular = conduction.intracellular(heart.fibres)
+    gradients = nodal_gradients(response.modes, heart.tetrahedra, barycentric)
+    corners = heart.tetrahedra.astype(np.int32)
+    blocks = []
+    for start in range(0, len(gradients), CHANNELS):
+        part = gradients[start : start + CHANNELS]
+        weights = channel_weights(barycentric, heart.volumes, intracellular, part)
+        blocks.append(Electrocardiograph(corners, weights.astype(np.float32), action_potential))
+    return BodyModel(response, tuple(blocks))
+
+
+def prepare_response(
+    heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
+) -> BodyResponse:
+    """The response of a heart's lead fields to the body, or what was kept of it before.
+
+    Parameters
+    ----------
+    heart, conduction : Heart, Conduction
+        What it depends on.
+    wanted : sequence of str
+        Quantities that ask for it, for an error.
+    progress : Progress, optional
+        Progress callback: it takes minutes.
+
+    Raises
+    ------
+    InputError
+        If the heart lies in an unbounded conductor.
+    """
+    if heart.torso is None and heart.lead_fields is None:
+        raise InputError(
+            f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "
+            "(fascicle heart build), or leave the parameter out"
+        )
+    path = _cache_file(heart, conduction)
+    if path is not None:
+        with suppress(*READ_ERRORS):
+            return read_response(path)
+    response = _build(heart, conduction, progress)
+    if path is not None:
+        with suppress(OSError, InputError):  # a full disk: only the cache is lost
+            write_response(path, response)
+    return response
+
+
+def _build(heart: Heart, conduction: Conduction, progress: Progress | None) -> BodyResponse:
+    torso = heart.torso if heart.torso is not None else torso_made_again(heart, progress)
+    conductor = build_conductor(heart, torso, conduction)
+    return build_response(
+        conductor, np.random.default_rng(SEED), stage_progress(progress, STAGE, ONCE)
+    )
+
+
+def torso_made_again(heart: Heart, progress: Progress | None = None) -> Torso:
+    """The idealised torso of a heart that carries its lead fields without it.
+
+    Raises
+    ------
+    InputError
+        If the heart's electrodes are not on it: then it was another torso.
+    """
+    mesh = labelled_mesh(heart)
+    surfaces = idealised_torso(mesh)
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso", ONCE))
+    whole = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+    distance = place_electrodes(torso.vertices, whole, heart.electrodes).moved.max()
+    if distance > FARTHEST:
+        raise InputError(
+            f"{heart.name}: its torso is not in the folder, and electrodes are {distance:.0f} mm "
+            "from the skin of the standard one; build the heart again with its torso"
+        )
+    return torso
+
+
+def _cache_file(heart: Heart, conduction: Conduction) -> Path | None:
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        return None
+    content = f"{version('fascicle')} {FORMAT} {heart.digest} {conduction}"
+    key = hashlib.sha256(content.encode()).hexdigest()[:32]
+    return heart.folder / DISPOSABLE / f"{key}.body"
+
+
+def write_response(path: Path, response: BodyResponse) -> None:
+    """Write a response as NPZ, whole or not at all."""
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, allow_pickle=False, **response.arrays())
+
+
+def read_response(path: Path) -> BodyResponse:
+    """Read what `write_response` wrote."""
+    with np.load(path, allow_pickle=False) as file:
+        return BodyResponse(**{name: file[name] for name in file.files})

@@ -1,0 +1,118 @@
+"""Bodies in the forward model. The response is a crude one: its accuracy is tested elsewhere."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.forward.body import read_response, torso_made_again, write_response
+from fascicle.torso.lead_fields import is_up_to_date, lead_fields
+from fascicle.torso.variation import training
+from fascicle.torso.variation.conductor import InvalidBody
+
+TISSUES = ("lung", "blood", "myocardium", "body")
+
+
+def with_body(**values):
+    return EXAMPLE_PARAMETERS | values
+
+
+@pytest.fixture(scope="module")
+def model(default_heart):
+    """Of the default heart, with few bodies solved."""
+    sizes = {
+        "ELECTRODE_BODIES": 4, "MODE_BODIES": 3, "MODES": 20, "BASIS": 50,
+        "TENSOR_BODIES": 12, "TENSOR_MODES": 6,
+    }  # fmt: skip
+    # kept nowhere: other tests would take the crude response for the heart's
+    model = fascicle.ForwardModel(replace(default_heart, folder=None))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, size in sizes.items():
+            patch.setattr(training, name, size)
+        model.body(["heart_up"])
+    return model
+
+
+def test_an_unbounded_conductor_has_no_body(default_heart):
+    unbounded = fascicle.ForwardModel(replace(default_heart, lead_fields=None, folder=None))
+    with pytest.raises(InputError, match=r"'heart_up': .* has no torso"):
+        unbounded.simulate(with_body(heart_up=5.0))
+
+
+def test_neutral_bodies_are_the_plain_model(default_model):
+    neutral = {name: QUANTITIES[name].default for name in BODY}
+    plain = default_model.simulate(EXAMPLE_PARAMETERS)
+    found = default_model.simulate(with_body(**neutral))
+    np.testing.assert_array_equal(found.leads, plain.leads)
+    assert default_model._body is None
+
+
+@pytest.mark.slow
+class TestModel:
+    def test_all_conductivities_alike_scale_nothing(self, model):
+        plain = model.simulate(EXAMPLE_PARAMETERS)
+        alike = model.simulate(with_body(**{f"{name}_conductivity": 1.6 for name in TISSUES}))
+        np.testing.assert_allclose(alike.leads, plain.leads, rtol=1e-5, atol=1e-6)
+
+    def test_a_body_that_hardly_differs(self, model):
+        plain = model.simulate(EXAMPLE_PARAMETERS).leads
+        near = model.simulate(with_body(heart_up=1e-3)).leads
+        far = model.simulate(with_body(heart_up=15.0)).leads
+        assert np.abs(near - plain).max() < 1e-3 * np.abs(plain).max()
+        assert np.abs(far - plain).max() > 0.05 * np.abs(plain).max()
+
+    def test_activation_stays(self, model):
+        plain = model.simulate(EXAMPLE_PARAMETERS)
+        other = model.simulate(with_body(myocardium_conductivity=0.6, heart_left=9.0))
+        np.testing.assert_array_equal(other.activation, plain.activation)
+
+    def test_a_moved_electrode_changes_its_lead_alone(self, model):
+        """But for the terminal's reference, which the chest electrodes have no part in."""
+        plain = model.simulate(EXAMPLE_PARAMETERS).leads
+        moved = model.simulate(with_body(v3_up=20.0)).leads
+        change = np.abs(moved - plain).max(axis=1) / np.abs(plain).max()
+        assert change[8] > 0.05
+        assert np.delete(change, 8).max() < 1e-6
+
+    def test_many_bodies_of_one_activation(self, model):
+        bodies = [{"heart_up": 5.0}, {"v1_left": -20.0, "gain": 1.5}, {"chest_size": 1.1}]
+        plain = model.simulate(EXAMPLE_PARAMETERS)
+        for found, body in zip(model.in_bodies(plain.activation, bodies), bodies, strict=True):
+            np.testing.assert_allclose(found, model.simulate(with_body(**body)).leads, atol=1e-9)
+
+    def test_other_processes(self, model):
+        networks = [with_body(heart_up=5.0), EXAMPLE_PARAMETERS]
+        with ProcessPoolExecutor(1) as pool:
+            found = model.simulate_many(networks, pool)
+        for one, network in zip(found, networks, strict=True):
+            np.testing.assert_allclose(one.leads, model.simulate(network).leads, atol=1e-9)
+
+    def test_a_heart_at_the_skin_is_an_outcome(self, model):
+        corner = {"heart_back": -20.0, "heart_left": 20.0, "chest_size": 0.85, "heart_up": -20.0}
+        corner |= {"heart_turn_up": 0.349, "heart_turn_left": -0.349}
+        found = model.simulate(with_body(**corner))
+        assert isinstance(found, InvalidBody)
+        assert "skin" in found.reason
+
+    def test_files(self, model, tmp_path):
+        response = model.body(["heart_up"]).response
+        write_response(tmp_path / "it.npz", response)
+        again = read_response(tmp_path / "it.npz").arrays()
+        for name, value in response.arrays().items():
+            np.testing.assert_array_equal(again[name], value)
+
+    def test_the_torso_made_again_is_that_of_the_lead_fields(self, default_heart):
+        """Meshed anew, it is no longer the same mesh; its fields differ by two in a hundred."""
+        conduction = fascicle.ForwardModel(default_heart).conduction
+        assert is_up_to_date(default_heart, conduction)
+        kept = default_heart.lead_fields.values
+        found = lead_fields(default_heart, torso_made_again(default_heart), conduction)
+        centred = [z - z.mean(axis=1, keepdims=True) for z in (found - kept, kept)]
+        assert np.linalg.norm(centred[0]) < 0.03 * np.linalg.norm(centred[1])

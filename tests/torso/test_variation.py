@@ -1,0 +1,218 @@
+"""Lead fields as a function of the body, on a ball of all tissues."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from spheres import heart_in_torso
+
+from fascicle.core.quantities import BODY, QUANTITIES
+from fascicle.heart.conduction import Conduction
+from fascicle.heart.torso import TorsoTissue
+from fascicle.mesh.measures import signed_volumes
+from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
+from fascicle.torso.variation import training
+from fascicle.torso.variation.body_axes import Motion, body_axes
+from fascicle.torso.variation.conductor import BodyState, InvalidBody, build_conductor
+from fascicle.torso.variation.electrode_paths import LEFT, UP, electrode_places
+from fascicle.torso.variation.morph import build_morph, pulled_back, symmetric
+from fascicle.torso.variation.response import BodyResponse
+from fascicle.torso.variation.training import build_response, currents, neutral, solve_body
+
+RADIUS = 100.0  # mm
+TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
+EXACT = {"tolerance": 1e-8, "most": 500}
+
+
+def angles(azimuth, elevation):
+    """Points of the sphere; degrees from the front (-y) to the left (+x), and upwards."""
+    azimuth, elevation = np.radians(azimuth), np.radians(elevation)
+    flat = np.cos(elevation)
+    return RADIUS * np.stack(
+        [flat * np.sin(azimuth), -flat * np.cos(azimuth), np.sin(elevation)], 1
+    )
+
+
+@pytest.fixture(scope="module")
+def conductor():
+    at = [-60, 60, 40, -10, 10, 25, 40, 60, 80], [45, 45, -45, 5, 5, 0, -5, -5, -5]
+    fibre = np.array([2.0, 0.0, 1.0]) / np.sqrt(5.0)
+    heart, torso = heart_in_torso(
+        8, [20.0, 40.0, 70.0, RADIUS], [0.25, 0.5, 0.75, 1.0], TISSUES, angles(*at), fibre
+    )
+    return build_conductor(heart, torso, Conduction())
+
+
+@pytest.fixture(scope="module")
+def response(conductor):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "ELECTRODE_BODIES", 16)
+        patch.setattr(training, "MODE_BODIES", 24)
+        patch.setattr(training, "MODES", 32)
+        patch.setattr(training, "BASIS", 220)
+        patch.setattr(training, "TENSOR_BODIES", 80)
+        patch.setattr(training, "TENSOR_MODES", 24)
+        return build_response(conductor, np.random.default_rng(1))
+
+
+def state(**values):
+    return BodyState.of(values)
+
+
+def direct(conductor, body):
+    """Lead fields in the heart (9, n) by finite elements."""
+    places = electrode_places(
+        conductor.torso.vertices, conductor.skin, conductor.heart.electrodes, conductor.axes
+    )
+    loads = currents(places, body, len(conductor.torso.vertices))
+    return solve_body(conductor, body, loads, **EXACT)[: len(conductor.heart.vertices)].T
+
+
+def energy(conductor):
+    heart = conductor.heart
+    own = conductor.conductivity[: len(heart.tetrahedra)]
+    return assemble_stiffness(heart.vertices, heart.tetrahedra, own)
+
+
+def relative(conductor, found, expected):
+    """Difference of fields in the energy of the heart, as part of the expected ones."""
+    stiffness = energy(conductor)
+    norms = [np.sqrt(np.sum(z * (stiffness @ z.T).T)) for z in (found - expected, expected)]
+    return norms[0] / norms[1]
+
+
+class TestAxesAndMotion:
+    def test_axes_do_not_mind_where_the_leg_electrode_is(self):
+        electrodes = np.zeros((9, 3))
+        electrodes[:3] = (-150, -80, 130), (150, -80, 130), (110, -80, -300)
+        np.testing.assert_allclose(body_axes(electrodes), np.eye(3), atol=1e-12)
+
+    def test_heart_and_skin_move_against_each_other(self):
+        """A heart moved in a still body sees what a still heart sees as the body moves back."""
+        rng = np.random.default_rng(0)
+        axes = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
+        motion = Motion.of(rng.normal(size=3), axes, np.array([5, -3, 8, 0.2, -0.1, 0.3, 1.1]))
+        points = 50 * rng.normal(size=(20, 3))
+        np.testing.assert_allclose(motion.in_body(motion.of_skin(points)), points)
+
+    def test_left_is_left(self, conductor):
+        """The heart 10 mm to the left: seen from it, the skin lies 10 mm further right."""
+        skin = conductor.motion(state(heart_left=10.0)).of_skin(np.zeros((1, 3)))
+        np.testing.assert_allclose(skin, [[-10.0, 0.0, 0.0]], atol=1e-9)
+
+    def test_neutral_is_every_default(self):
+        body = state(**{name: QUANTITIES[name].default for name in BODY})
+        for found, expected in zip(vars(body).values(), vars(neutral()).values(), strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
+class TestMovedConductor:
+    def test_neutral_body_is_the_torso(self, conductor):
+        expected = assemble_stiffness(
+            conductor.torso.vertices, conductor.tetrahedra, conductor.conductivity
+        )
+        difference = conductor.stiffness(neutral()) - expected
+        assert abs(difference).max() < 1e-9 * abs(expected).max()
+
+    def test_all_conductivities_alike_change_nothing_but_the_scale(self, conductor):
+        names = ("lung", "blood", "myocardium", "body")
+        alike = state(**{f"{name}_conductivity": 1.6 for name in names})
+        np.testing.assert_allclose(alike.ratios, 1.0)
+
+    def test_tissues_conduct_as_their_factors_say(self, conductor):
+        body = state(lung_conductivity=2.0, myocardium_conductivity=0.5)
+        factors = conductor.factors(body)
+        for tissue, factor in zip(TISSUES[2:], (4.0, 2.0), strict=True):
+            assert (factors[conductor.torso.tissues == tissue] == factor).all()
+
+    def test_turning_a_ball_about_its_centre_keeps_its_tissues_in_place(self, conductor):
+        """Tensors of a rotation alone, where everything moves with the skin."""
+        motion = conductor.motion(state(heart_turn_up=0.3))
+        jacobians = np.tile(motion.turn.T, (4, 1, 1))
+        np.testing.assert_allclose(
+            symmetric(pulled_back(jacobians)), np.tile(np.eye(3), (4, 1, 1)), atol=1e-12
+        )
+
+    @pytest.mark.parametrize(
+        "values",
+        [{"heart_back": -15.0, "heart_turn_up": 0.2}, {"chest_size": 0.9, "heart_up": 8.0}],
+    )
+    def test_against_the_moved_mesh(self, conductor, values):
+        """Corners moved by the same map, and tissues as they are."""
+        body = state(**values)
+        heart, torso = conductor.heart, conductor.torso
+        motion = conductor.motion(body)
+        share = _share_at_vertices(conductor)
+        moved = torso.vertices + share[:, None] * (motion.of_skin(torso.vertices) - torso.vertices)
+        assert signed_volumes(moved, torso.tetrahedra).min() > 0
+        places = electrode_places(torso.vertices, conductor.skin, heart.electrodes, conductor.axes)
+        loads = currents(places, body, len(torso.vertices))
+        stiffness = assemble_stiffness(moved, conductor.tetrahedra, conductor.conductivity)
+        expected = solve_neumann(stiffness, loads.T)[:, : len(heart.vertices)]
+        found = direct(conductor, body)
+        assert relative(conductor, found, expected) < 0.04
+        assert relative(conductor, direct(conductor, neutral()), expected) > 0.1
+
+
+def _share_at_vertices(conductor):
+    radius = np.linalg.norm(conductor.torso.vertices, axis=1)
+    inner = np.linalg.norm(conductor.heart.vertices, axis=1).max()
+    return np.clip((radius - inner) / (RADIUS - inner), 0, 1)
+
+
+def test_morph_has_the_slope_of_its_share(conductor):
+    """By differences along a ray, on which heart and skin are spheres."""
+    morph = build_morph(conductor.heart, conductor.torso, conductor.skin)
+    radius = np.linalg.norm(morph.centres, axis=1)
+    outside = (radius > 45) & (radius < 95)
+    slope = np.einsum("mi,mi->m", morph.slope, morph.centres / radius[:, None])
+    np.testing.assert_allclose(slope[outside], 1 / 60.0, rtol=0.25)
+    assert (morph.share[radius < 35] == 0).all()
+
+
+def test_places_along_a_sphere(conductor):
+    """Distances along the skin are arcs."""
+    places = electrode_places(
+        conductor.torso.vertices, conductor.skin, conductor.heart.electrodes, conductor.axes
+    )
+    points = np.einsum("ec,eci->ei", places.weights, conductor.torso.vertices[places.triangles])
+    grid = points[3:].reshape(6, len(LEFT), len(UP), 3)
+    middle = len(LEFT) // 2
+    elevation = np.degrees(
+        np.arcsin(grid[0, middle, :, 2] / np.linalg.norm(grid[0, middle], axis=1))
+    )
+    # the skin is a polyhedron, a little smaller than the sphere
+    np.testing.assert_allclose(elevation, 5 + np.degrees(UP / RADIUS), atol=2.5)
+    east = grid[2, :, len(UP) // 2]
+    azimuth = np.degrees(np.arctan2(east[:, 0], -east[:, 1]))
+    np.testing.assert_allclose(azimuth, 25 + np.degrees(LEFT / RADIUS), atol=2.0)
+
+
+class TestResponse:
+    def test_neutral(self, conductor, response):
+        found = response(neutral()) @ response.modes
+        assert relative(conductor, found, direct(conductor, neutral())) < 0.06
+
+    def test_random_bodies(self, conductor, response):
+        """A twentieth of the work of a heart's own response; it is a tenth of what changes."""
+        bodies = training.random_bodies(conductor, 6, np.random.default_rng(9))
+        errors, changes = [], []
+        for body in bodies:
+            expected = direct(conductor, body)
+            errors.append(relative(conductor, response(body) @ response.modes, expected))
+            changes.append(relative(conductor, direct(conductor, neutral()), expected))
+        assert np.median(errors) < 0.15
+        assert np.median(changes) > 3 * np.median(errors)
+
+    def test_a_heart_that_would_touch_the_skin(self, response):
+        body = BodyState(np.array([60.0, 0, 0, 0, 0, 0, 1.0]), np.ones(3), np.zeros((6, 2)))
+        assert isinstance(response(body), InvalidBody)
+
+    def test_fields_sum_to_zero(self, response):
+        assert np.abs(response(state(v2_left=13.0)).sum(axis=0)).max() < 1e-9
+
+    def test_arrays_say_it_all(self, response):
+        body = state(v2_left=13.0, heart_up=4.0)
+        again = BodyResponse(**response.arrays())
+        np.testing.assert_array_equal(again(body), response(body))
