@@ -98,7 +98,7 @@ def _from_surface(
     surface = classify_surface(
         closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
     )
-    surface = cut_along_borders(surface)
+    surface = cut_along_borders(surface, edge_length)
     return Anatomy(_meshed(surface, edge_length, progress), notes=notes, guessed=True)
 
 

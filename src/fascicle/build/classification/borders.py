@@ -38,20 +38,22 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
     return np.where((smooth == OUTER) & (distance < NARROWEST), BASAL, smooth)
 
 
-def cut_along_borders(surface: LabelledSurface) -> LabelledSurface:
+def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) -> LabelledSurface:
     """The same surface with triangles divided so that borders need not follow their edges.
 
     Parameters
     ----------
     surface : LabelledSurface
         Closed, with `Label.BASE` between the other labels.
+    edge_length : float
+        Of the triangles to come (mm); the base is nowhere narrower than that.
     """
     for part in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):
         inside = surface.labels == part
         graph = DualGraph(surface.vertices, surface.triangles)
         level = _level(graph, inside)
         if part == Label.EPICARDIUM:
-            away = _distance_to_endocardia(surface) / NARROWEST - 1
+            away = _distance_to_endocardia(surface) / max(NARROWEST, edge_length) - 1
             level = np.minimum(level, away)
         cut = cut_at_zero(graph.vertices, graph.triangles, level)
         before = surface.labels[cut.parent]
