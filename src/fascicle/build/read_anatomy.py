@@ -22,7 +22,7 @@ from fascicle.build.segmentation.surface import surface_from_segmentation
 from fascicle.build.sides import check_labelled_sides
 from fascicle.build.subdivision import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
-from fascicle.build.volume_meshing import mesh_surface
+from fascicle.build.volume_meshing import check_memory, mesh_surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress, stage_progress
@@ -108,6 +108,7 @@ def _fine_enough(
     """The surface, subdivided where it is coarse against the edge length, and a note if so."""
     if not is_coarse(surface, edge_length):
         return surface, ()
+    check_memory(surface, edge_length)
     finer, note = subdivided(surface, edge_length)
     return finer, (note,)
 

@@ -25,8 +25,6 @@ ML = 1e3  # mm³
 
 def is_coarse(surface: LabelledSurface, edge_length: float) -> bool:
     """Whether a surface is too coarse to be remeshed at an edge length (mm) as it is."""
-    if not edge_length > 0:
-        return False  # refused where the memory is checked
     return mean_edge_length(surface.vertices, surface.triangles) > COARSE * edge_length
 
 
