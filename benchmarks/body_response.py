@@ -1,12 +1,14 @@
 """The ECG as a function of the body: its error against finite elements, its cost, what moves it.
 
-    python -m benchmarks.body_response [--heart FOLDER] [--bodies 20] [--scale 1.0] [--table]
+    python -m benchmarks.body_response [--heart FOLDER] [--network TOML] [--bodies 20]
+                                       [--scale 1.0] [--table] [--figure FILE]
 
 Random bodies are drawn uniformly from the whole range (times --scale about the neutral one), those
 in which the heart would touch the skin left out. The reference solves each of them by finite
 elements on the heart's mesh, to 1e-7. Errors are in the energy norm of the lead fields in the
-heart, over the eight independent leads, and in the ECG of the example network, both as parts of the
-reference. The table says how far each quantity alone moves that ECG from the neutral body's.
+heart, over the eight independent leads, and in the ECG of a network (the example's if no other is
+given), both as parts of the reference. The table says how far each quantity alone moves that ECG
+from the neutral body's, and the figure draws it.
 """
 
 from __future__ import annotations
@@ -14,13 +16,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
 from fascicle.core.quantities import BODY, QUANTITIES
 from fascicle.forward.body import torso_made_again
 from fascicle.forward.ecg.electrocardiogram import STEP, build_electrocardiograph
@@ -28,6 +31,8 @@ from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.loss import align
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.window import qrs_window
+from fascicle.report import style
+from fascicle.report.figures import new_figure, save
 from fascicle.torso.lead_fields import assemble_stiffness
 from fascicle.torso.variation.conductor import BodyState, Conductor, build_conductor
 from fascicle.torso.variation.electrode_paths import electrode_places
@@ -80,7 +85,10 @@ def direct(conductor: Conductor, values: Values) -> Array:
 
 
 def accuracy(
-    model: fascicle.ForwardModel, conductor: Conductor, bodies: list[dict[str, float]]
+    model: fascicle.ForwardModel,
+    network: Values,
+    conductor: Conductor,
+    bodies: list[dict[str, float]],
 ) -> None:
     """Errors of fields and ECG at some bodies."""
     heart, response = model.heart, model.body(BODY).response
@@ -92,7 +100,7 @@ def accuracy(
     def norm(fields: Array) -> float:
         return float(np.sqrt(np.sum((leads @ fields) * (stiffness @ (leads @ fields).T).T)))
 
-    activation = model.simulate(EXAMPLE_PARAMETERS).activation
+    activation = simulated(model, network).activation
     neutral = direct(conductor, {})
 
     def ecg(fields: Array) -> Array:
@@ -124,10 +132,10 @@ def accuracy(
         print(f"  {name:22s} least, quartiles, 90 %, largest (%): {shown}")
 
 
-def cost(model: fascicle.ForwardModel, bodies: list[dict[str, float]]) -> None:
+def cost(model: fascicle.ForwardModel, network: Values, bodies: list[dict[str, float]]) -> None:
     """Milliseconds of one body, and of the modes' ECG."""
     body = model.body(BODY)
-    activation = model.simulate(EXAMPLE_PARAMETERS).activation
+    activation = simulated(model, network).activation
     times = []
     for values in 5 * bodies:
         begin = time.perf_counter()
@@ -154,9 +162,18 @@ def axis(leads: Array) -> float:
     return float(np.degrees(np.arctan2(2 * avf / np.sqrt(3), i)))
 
 
-def table(model: fascicle.ForwardModel) -> None:
-    """What each quantity moves, at one standard deviation and at the ends."""
-    plain = model.simulate(EXAMPLE_PARAMETERS)
+def simulated(model: fascicle.ForwardModel, network: Values) -> fascicle.Simulation:
+    """The network in the neutral body."""
+    outcome = model.simulate(network)
+    if not isinstance(outcome, fascicle.Simulation):
+        raise SystemExit(f"{model.heart.name}: {outcome.reason}; give another --network")
+    return outcome
+
+
+def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float]]:
+    """What each quantity moves, at one standard deviation and at the ends; loss over flat line."""
+    plain = simulated(model, network)
+    losses: dict[str, list[float]] = {}
     bodies, names = [], []
     for name in BODY:
         known = QUANTITIES[name]
@@ -173,21 +190,45 @@ def table(model: fascicle.ForwardModel) -> None:
         f"neutral | | 0 (flat line {flat:.2f}) | {plain.qrs_duration:.0f} | {axis(plain.leads):.0f}"
     )
     for (name, value), leads in zip(names, model.in_bodies(plain.activation, bodies), strict=True):
+        shares = losses.setdefault(name, [])
         if not isinstance(leads, np.ndarray):
             print(f"{name} | {value:.3g} | {leads.reason} | |")
+            shares.append(np.nan)
             continue
         begin, end = qrs_window(leads, STEP)
         loss = align(leads, recorded).loss
+        shares.append(loss / flat)
         print(f"{name} | {value:.3g} | {loss:.3f} | {(end - begin) * STEP:.0f} | {axis(leads):.0f}")
+    return losses
+
+
+def draw(losses: dict[str, list[float]], title: str, file: Path) -> None:
+    """A bar a quantity: what it does at the ends of its range, and at one standard deviation."""
+    names = sorted(losses, key=lambda name: np.nanmax(losses[name]))
+    ends, near = (
+        [100 * np.nanmax([losses[name][k] for k in chosen]) for name in names]
+        for chosen in ((0, 3), (1, 2))
+    )
+    figure = new_figure(6.5, 5.0)
+    axes = figure.subplots()
+    axes.barh(names, ends, color=style.BLUE, alpha=0.35, label="at the worse end of its range")
+    axes.barh(names, near, color=style.BLUE, label="at one standard deviation of its prior")
+    axes.legend(frameon=False, fontsize=style.TICK_SIZE, loc="lower right")
+    axes.set_title(f"ECG moved by the body alone, {title}", fontsize=style.TITLE_SIZE)
+    style.finish_axes(axes, "mismatch with the ECG in the neutral body (% of a flat line's)", "")
+    save(figure, file)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--heart", default="default")
+    parser.add_argument("--network", type=Path, help="parameters of a network (TOML)")
     parser.add_argument("--bodies", type=int, default=20)
     parser.add_argument("--scale", type=float, default=1.0)
     parser.add_argument("--table", action="store_true", help="what each quantity moves")
+    parser.add_argument("--figure", type=Path, help="of the table (PNG)")
     arguments = parser.parse_args()
+    network = read_parameters(arguments.network) if arguments.network else EXAMPLE_PARAMETERS
     heart = fascicle.load_heart(arguments.heart)
     model = fascicle.ForwardModel(heart)
     begin = time.perf_counter()
@@ -198,10 +239,12 @@ def main() -> None:
     conductor = build_conductor(heart, torso, model.conduction)
     bodies, possible = random_values(conductor, arguments.bodies, arguments.scale)
     print(f"{len(bodies)} random bodies; {100 * (1 - possible):.0f} % of those drawn impossible")
-    accuracy(model, conductor, bodies)
-    cost(model, bodies)
-    if arguments.table:
-        table(model)
+    accuracy(model, network, conductor, bodies)
+    cost(model, network, bodies)
+    if arguments.table or arguments.figure:
+        losses = table(model, network)
+        if arguments.figure:
+            draw(losses, heart.name, arguments.figure)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """How well networks explain real ECGs, with the speed constant α learnt and fixed.
 
     python -m benchmarks.fits --data DATA_FOLDER
-                              [--only demo|ludb24|dti004|dti004-standard|dti004-unbounded]
+                              [--only demo|ludb24|dti004|dti004-body|dti004-standard|
+                                      dti004-unbounded]
                               [--seeds 1] [--steps 300] [--refine 200] [--alpha free|fixed]
 
 Fits without a population. Printed for each heart and ECG are the lowest loss (mV²) after the 250
@@ -13,8 +14,9 @@ what it has learnt of α.
 - ludb24: the packaged heart and LUDB's left bundle branch block;
 - dti004: one subject's heart in an idealised torso fitted to that subject's electrodes, and that
   subject's own ECG;
-- dti004-standard: the same with standard electrodes on the standard adult's torso;
-- dti004-unbounded: the same with the subject's electrodes in an unbounded conductor, its gain free.
+- dti004-body: the same with the heart's pose and the electrodes' places learnt, too;
+- dti004-standard: with standard electrodes on the standard adult's torso;
+- dti004-unbounded: with the subject's electrodes in an unbounded conductor, its gain free.
 
 Hearts are built in the folder of --out, and found there again. Run from the root of the repository.
 """
@@ -53,6 +55,7 @@ class Case(NamedTuple):
     heart: Callable[[Path, Path], Heart]
     target: Callable[[Path], Target]
     settings: dict[str, Any]
+    parameters: dict[str, Any] = {}  # noqa: RUF012 - never changed
 
 
 def packaged(data: Path, out: Path) -> Heart:
@@ -94,6 +97,7 @@ CASES = {
     "demo": Case(packaged, demo_target, {}),
     "ludb24": Case(packaged, ludb24_target, {}),
     "dti004": Case(dti004, dti004_target, {}),
+    "dti004-body": Case(dti004, dti004_target, {}, {"pose": "free", "electrodes": "free"}),
     "dti004-standard": Case(partial(dti004, name="dti004-standard"), dti004_target, {}),
     "dti004-unbounded": Case(
         partial(dti004, name="dti004-unbounded"), dti004_target, {"free_gain": True}
@@ -138,7 +142,10 @@ def main() -> None:
         case = CASES[name]
         heart, target = case.heart(given.data, given.out), case.target(given.data)
         for alpha in given.alpha or ("fixed", "free"):
-            parameters = {"alpha": "free" if alpha == "free" else fascicle.Conduction().alpha}
+            parameters = {
+                "alpha": "free" if alpha == "free" else fascicle.Conduction().alpha,
+                **case.parameters,
+            }
             for seed in range(given.seeds):
                 begin = time.perf_counter()
                 fitted = fascicle.fit(

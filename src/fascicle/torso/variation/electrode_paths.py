@@ -13,10 +13,9 @@ from fascicle.torso.lead_fields import Contacts
 FIRST_CHEST = ELECTRODES.index("V1")
 SPACING = 6.0  # mm, of the places along each way; skins have edges of some 11 mm
 SUBSTEPS = 3  # between two places; each is put back onto the skin
-LEFT: Floats = SPACING * np.arange(
-    -5.0, 6.0
-)  # beyond the 25 mm of one electrode over a chest of 0.85
-UP: Floats = SPACING * np.arange(-13.0, 14.0)  # beyond those and the 40 mm of all together
+# Beyond the 25 mm of one electrode over a chest of 0.85; upwards also the 40 mm of all together
+LEFT: Floats = SPACING * np.arange(-5.0, 6.0)
+UP: Floats = SPACING * np.arange(-13.0, 14.0)
 
 
 def electrode_places(

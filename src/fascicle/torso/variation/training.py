@@ -6,7 +6,7 @@ See `fascicle.torso.variation.response` for what comes out, and why.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -22,8 +22,10 @@ from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 from fascicle.torso.lead_fields import MM_PER_CM, Contacts, assemble_stiffness
 from fascicle.torso.variation.block_solver import block_cg, multigrid
+from fascicle.torso.variation.body_axes import Motion
 from fascicle.torso.variation.conductor import BodyState, Conductor
 from fascicle.torso.variation.electrode_paths import FIRST_CHEST, LEFT, UP, electrode_places
+from fascicle.torso.variation.morph import symmetric
 from fascicle.torso.variation.response import BodyResponse
 
 # Ends of what is trained: displacement (mm), rotation (rad), size, log of conductivities' factors
@@ -243,8 +245,29 @@ def _assembled(
     )  # fmt: skip
 
 
-def tensor_modes(conductor: Conductor, rng: np.random.Generator):  # type: ignore[no-untyped-def]
-    """Which bodies' tensors, mixed how, span those of all, and where they are told from."""
+def tensor_modes(
+    conductor: Conductor, rng: np.random.Generator
+) -> tuple[Integers, Floats, Floats, list[BodyState]]:
+    """Which bodies' tensors, mixed how, span those of all, and where they are told from.
+
+    Parameters
+    ----------
+    conductor : Conductor
+        Heart, torso and electrodes.
+    rng : numpy.random.Generator
+        Which bodies and tetrahedra are looked at.
+
+    Returns
+    -------
+    sampled : (s,) array
+        Tetrahedra of the torso from whose tensors the coefficients of the modes are told.
+    weights : (k, s, 6) array
+        Coefficients of the modes for these tensors' entries.
+    mixing : (k, b) array
+        The modes as combinations of the bodies' tensors.
+    bodies : list of BodyState
+        b of them.
+    """
     moves = np.flatnonzero(
         (conductor.morph.share > 0) & (conductor.torso.tissues != TorsoTissue.BLOOD)
     )
@@ -285,8 +308,6 @@ class _Gradients:
 
     def weighted(self, gradient: Floats, part: Integers, entries: Floats) -> Floats:
         """∫ ∇V·σ∇V over them for σ of these entries (m, 6), in mS/cm; (b, b)."""
-        from fascicle.torso.variation.morph import symmetric
-
         sigma = symmetric(self.volumes[part, None] * entries).astype(np.float32)
         total = np.zeros((gradient.shape[2], gradient.shape[2]))
         for i in range(3):
@@ -317,7 +338,7 @@ def _blocks(chosen: Integers, size: int = 10_000) -> Iterator[Integers]:
         yield chosen[start : start + size]
 
 
-def _critical(conductor: Conductor, motions):  # type: ignore[no-untyped-def]
+def _critical(conductor: Conductor, motions: Sequence[Motion]) -> Integers:
     """Tetrahedra that are compressed most in some body."""
     found: set[int] = set()
     for motion in motions:
