@@ -9,8 +9,8 @@ Sources
 -------
 Spread of measures : Heinz et al. 2003, J Stat Educ 11(2) (height 0.09 m, girth 0.10 of its mean; of
     shoulders, 0.10, and hips, 0.07, hardly less; depth by width 0.09).
-Electrodes : 20 to 30 mm from their sites in practice (Kania et al. 2014, Ann Noninvasive
-    Electrocardiol 19:217-225; Rajaganeshan et al. 2008, Int J Clin Pract 62:65-70).
+Electrodes : 20 to 30 mm from their sites in practice (Wenger and Kligfield 1996, J Electrocardiol
+    29:179-184; Rajaganeshan et al. 2008, Int J Clin Pract 62:65-70).
 Skin to heart : Rahko 2008, J Am Soc Echocardiogr 21:761-764 (32 mm, standard deviation 8).
 """
 
