@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from fascicle.build.anatomy import Anatomy, Source
-from fascicle.build.mesh_remeshing import mean_axes, remeshed_anatomy, smallest_angle
+from fascicle.build.mesh_remeshing import mean_axes, remeshed_anatomy
 from fascicle.build.read_anatomy import read_anatomy
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.quality import quality
 from tests.anatomies import circular_fibres, halves, tissue, write_labelled
 
 
@@ -33,7 +34,9 @@ def flat():
 
 def test_flat_elements_go_and_the_surface_stays(flat):
     found = remeshed_anatomy(flat)
-    before, after = (smallest_angle(a.mesh.vertices, a.mesh.tetrahedra) for a in (flat, found))
+    before, after = (
+        quality(a.mesh.vertices, a.mesh.tetrahedra).angles.min() for a in (flat, found)
+    )
     assert before < 2
     assert after > 8
     assert f"{before:.1f} degrees before, {after:.1f} after" in found.notes[-1]
@@ -70,6 +73,6 @@ def test_a_surface_needs_no_flag(tmp_path):
 def test_dti004(data_folder):
     source = data_folder / "hearts" / "dti004" / "mesh.vtu"
     found = read_anatomy(Source(source, remesh=True), 2.0)
-    assert smallest_angle(found.mesh.vertices, found.mesh.tetrahedra) > 6
+    assert quality(found.mesh.vertices, found.mesh.tetrahedra).angles.min() > 6
     assert "0.2 degrees before" in found.notes[-1]
     assert len(found.fibres) == len(found.mesh.tetrahedra)

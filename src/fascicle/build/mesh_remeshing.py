@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.build.anatomy import Anatomy
 from fascicle.build.volume_meshing import remeshed_inside
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Floats
+from fascicle.mesh.measures import principal_axes
+from fascicle.mesh.quality import quality
 
 NEAREST = 4  # tetrahedra that a direction is averaged over
 ROUNDING = 1e-9  # mm, added to distances, so that a tetrahedron that is still there counts alone
@@ -34,7 +35,7 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
     """
     mesh = anatomy.mesh
     new = remeshed_inside(mesh, mesh.vertices, mesh.tetrahedra, optim=1)
-    before, after = (smallest_angle(each.vertices, each.tetrahedra) for each in (mesh, new))
+    before, after = (quality(each.vertices, each.tetrahedra).angles.min() for each in (mesh, new))
     centres = [each.vertices[each.tetrahedra].mean(axis=1) for each in (mesh, new)]
     distance, near = cKDTree(centres[0]).query(centres[1], k=NEAREST)
     weights = 1 / (distance + ROUNDING)
@@ -53,11 +54,6 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
     )
 
 
-def smallest_angle(vertices: Floats, tetrahedra: Integers) -> float:
-    """Smallest dihedral angle of a mesh (degrees)."""
-    return float(np.degrees(np.asarray(igl.dihedral_angles(vertices, tetrahedra)[0])).min())
-
-
 def mean_axes(directions: Floats, weights: Floats) -> Floats:
     """Mean axis of some directions whose signs do not count.
 
@@ -73,7 +69,6 @@ def mean_axes(directions: Floats, weights: Floats) -> Floats:
     (n, 3) array
         Unit vectors, with the sign of the first direction.
     """
-    tensors = np.einsum("nk,nki,nkj->nij", weights, directions, directions)
-    axes = np.linalg.eigh(tensors)[1][:, :, -1]
+    axes = principal_axes(np.sqrt(weights)[..., None] * directions)
     sign = np.sign(np.einsum("ni,ni->n", axes, directions[:, 0]))
     return np.asarray(axes * np.where(sign == 0, 1, sign)[:, None])

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE, atomic_path
+from fascicle.core.files import atomic_path
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.ecg.electrocardiogram import (
@@ -26,6 +21,7 @@ from fascicle.forward.ecg.electrocardiogram import (
     leads_from_independent,
 )
 from fascicle.forward.ecg.lead_field import nodal_gradients
+from fascicle.forward.preparation import READ_ERRORS, cache_file
 from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
@@ -36,14 +32,13 @@ from fascicle.torso.electrode_sites import FARTHEST
 from fascicle.torso.idealised import idealised_torso
 from fascicle.torso.lead_fields import place_electrodes
 from fascicle.torso.mesh import mesh_torso
-from fascicle.torso.variation.conductor import BodyState, InvalidBody, build_conductor
+from fascicle.torso.variation.conductor import InvalidBody, build_conductor
 from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response
 
 FORMAT = 1  # of the files; another number makes them anew
 STAGE, ONCE = "body", "once per heart"
 SEED = 0  # of the bodies that are solved: the same in every run
-READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True)
@@ -74,7 +69,7 @@ class BodyModel:
         The factor on the myocardium's conductivity divides these and multiplies its sources, so
         that it counts through its ratio to the other tissues only.
         """
-        found = self.response(BodyState.of(values))
+        found = self.response.coefficients(values)
         if isinstance(found, InvalidBody):
             return found
         return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ found)
@@ -113,7 +108,7 @@ class BodyModel:
         scaled = tuple(e.scaled(factors) for e in self.electrocardiographs)
         return BodyModel(self.response, scaled)
 
-    @cached_property
+    @property
     def _neutral(self) -> Floats:
         found = self.lead_coefficients({})
         if isinstance(found, InvalidBody):
@@ -161,7 +156,7 @@ def prepare_response(
             f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "
             "(fascicle heart build), or leave the parameter out"
         )
-    path = _cache_file(heart, conduction)
+    path = cache_file(heart, conduction, FORMAT, "body")
     if path is not None:
         with suppress(*READ_ERRORS):
             return read_response(path)
@@ -199,14 +194,6 @@ def torso_made_again(heart: Heart, progress: Progress | None = None) -> Torso:
             "from the skin of the standard one; build the heart again with its torso"
         )
     return torso
-
-
-def _cache_file(heart: Heart, conduction: Conduction) -> Path | None:
-    if heart.folder is None or not os.access(heart.folder, os.W_OK):
-        return None
-    content = f"{version('fascicle')} {FORMAT} {heart.digest} {conduction}"
-    key = hashlib.sha256(content.encode()).hexdigest()[:32]
-    return heart.folder / DISPOSABLE / f"{key}.body"
 
 
 def write_response(path: Path, response: BodyResponse) -> None:

@@ -36,6 +36,7 @@ from fascicle.torso.lead_fields import resolve_lead_fields
 
 FORMAT = 6  # of the files; another number makes them anew
 ONCE = "once per heart"
+READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 KEPT = 4  # files in a heart's cache; the oldest go
 
 
@@ -77,13 +78,12 @@ def prepare(
     progress : Progress, optional
         Progress callback for what takes a while.
     """
-    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+    path = cache_file(heart, conduction, FORMAT, "npz")
+    if path is None:
         return build(heart, conduction, action_potential, progress)
-    content = f"{version('fascicle')} {FORMAT} {heart.digest} {conduction}"
-    path = heart.folder / DISPOSABLE / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.npz"
     try:
         return load(path, action_potential, heart)[1]
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
+    except READ_ERRORS:
         prepared = build(heart, conduction, action_potential, progress)  # not there, or damaged
     # somebody else's cache, a full disk, or another process tidying up: only this cache is lost
     with suppress(OSError, InputError):
@@ -92,6 +92,25 @@ def prepare(
         for old in kept[:-KEPT]:
             old.unlink(missing_ok=True)
     return prepared
+
+
+def cache_file(heart: Heart, conduction: Conduction, form: int, ending: str) -> Path | None:
+    """Where what depends on heart and conduction is kept; None if the folder cannot be written to.
+
+    Parameters
+    ----------
+    heart, conduction : Heart, Conduction
+        Their content is the key, with the version of this package.
+    form : int
+        Of the file's format; another number makes it anew.
+    ending : str
+        Of its name.
+    """
+    if heart.folder is None or not os.access(heart.folder, os.W_OK):
+        return None
+    content = f"{version('fascicle')} {form} {heart.digest} {conduction}"
+    key = hashlib.sha256(content.encode()).hexdigest()[:32]
+    return heart.folder / DISPOSABLE / f"{key}.{ending}"
 
 
 def build(

@@ -22,7 +22,7 @@ from fascicle.heart.validate import (
     check_units,
 )
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.measures import unit
+from fascicle.mesh.measures import principal_axes, unit
 from fascicle.mesh.topology import without_unused_vertices
 
 REGION = "region"  # cell array of labels
@@ -160,9 +160,7 @@ def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
 
     Fibres have no sign, so the mean is the principal axis of Σ f⊗f.
     """
-    corner = unit(fibres[tetrahedra])
-    _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", corner, corner))
-    return np.asarray(axes[:, :, -1])
+    return principal_axes(unit(fibres[tetrahedra]))
 
 
 def region_labels(mesh: MeshFile, array: str = REGION) -> Integers | None:

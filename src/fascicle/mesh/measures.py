@@ -57,6 +57,21 @@ def signed_volumes(vertices: Floats, tetrahedra: Integers) -> Floats:
     )
 
 
+def solid_centroid(vertices: Floats, tetrahedra: Integers) -> Floats:
+    """Centroid of a body of tetrahedra; (3,)."""
+    centres, volumes = vertices[tetrahedra].mean(axis=1), signed_volumes(vertices, tetrahedra)
+    return np.asarray(np.average(centres, axis=0, weights=volumes))
+
+
+def principal_axes(vectors: Floats) -> Floats:
+    """Unit axes (m, 3) nearest to vectors (m, k, 3) whose signs do not count, but lengths do.
+
+    The principal axis of Σ v⊗v; its own sign is arbitrary.
+    """
+    _, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", vectors, vectors))
+    return np.asarray(axes[:, :, -1])
+
+
 def closed_volume(vertices: Floats, triangles: Integers) -> float:
     """Signed volume within a closed surface (mm³), positive where normals point outwards."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))

@@ -13,12 +13,13 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label
 from fascicle.heart.torso import TorsoTissue
-from fascicle.mesh.measures import triangle_normals, unit
+from fascicle.mesh.measures import triangle_normals
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.report import style
 from fascicle.report.figures import new_figure
 from fascicle.report.labels import COLOURS, ENDOCARDIA
 from fascicle.report.rendering import View, heart_views, paint
+from fascicle.torso.variation.body_axes import body_axes
 
 WIDTH, HEIGHT = 12.0, 7.6  # inch
 MOST_FIBRES = 1500  # lines in one picture
@@ -70,11 +71,7 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
 
 def body_views(electrodes: Floats) -> tuple[View, View]:
     """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
-    ra, la, ll = electrodes[:3]
-    left = unit(la - ra)
-    up = (ra + la) / 2 - ll
-    up = unit(up - (up @ left) * left)
-    back = np.cross(up, left)
+    left, back, up = body_axes(electrodes)
     centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
     return (
         View("from the front", np.array([left, up, back]), centre),

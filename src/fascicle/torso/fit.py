@@ -30,7 +30,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.torso.body_size import BodySize
-from fascicle.torso.electrode_sites import site_rays
+from fascicle.torso.electrode_sites import V1, site_rays
 from fascicle.torso.heart_pose import BodyFrame, usual_place
 from fascicle.torso.trunk import WIDEST, Outside, outside_trunk
 
@@ -53,7 +53,6 @@ SLOPE_STEP = 0.5  # mm, for the slope of a level set
 NEWTON_STEPS = 10  # from an electrode to the skin
 LEAST_SLOPE = 1e-3
 STANDARD = BodySize()
-FIRST_ON_CHEST = ELECTRODES.index("V1")
 
 
 @dataclass(frozen=True)
@@ -193,8 +192,8 @@ class _Problem:
         outside = outside_trunk(body)
         placed = frame.to_body(self.electrodes)
         off_site = placed - leaving(outside, body)
-        off_site[:FIRST_ON_CHEST] /= ALONG_LIMBS
-        off_site[FIRST_ON_CHEST:] /= ALONG
+        off_site[:V1] /= ALONG_LIMBS
+        off_site[V1:] /= ALONG
         gap = -outside(frame.to_body(self.hull)).max()
         near = min(gap - SKIN_TO_HEART, 0.0) / SKIN_TO_HEART_SD
         return np.concatenate([outside(placed) / ACROSS, off_site.ravel(), [near], x])

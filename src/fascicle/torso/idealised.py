@@ -23,7 +23,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.mesh.measures import signed_volumes
+from fascicle.mesh.measures import solid_centroid
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.electrode_sites import standard_electrodes
 from fascicle.torso.enclosure import check_within
@@ -116,7 +116,9 @@ def fitted_torso(
     else:
         rotation = frame_around(mesh, standard, pose).rotation
     heart = mesh.vertices[np.unique(mesh.triangles)]
-    fitted = fit_trunk(name, electrodes, heart, _centroid(mesh), rotation, known)
+    fitted = fit_trunk(
+        name, electrodes, heart, solid_centroid(mesh.vertices, mesh.tetrahedra), rotation, known
+    )
     placed = fitted.frame.to_body(heart)
     hull = convex_hull(placed)
     trunk_as_it_was = outside_trunk(fitted.body)
@@ -168,14 +170,9 @@ def frame_around(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") ->
     pose : {"standard", "ras", "lps"}
         Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
     """
-    return body_frame(*_endocardia(mesh), _centroid(mesh), usual_place(body), pose)
-
-
-def _centroid(mesh: LabelledMesh) -> Floats:
-    """Of the myocardium; (3,), mm."""
-    centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
-    volumes = signed_volumes(mesh.vertices, mesh.tetrahedra)
-    return np.asarray(np.average(centres, axis=0, weights=volumes))
+    return body_frame(
+        *_endocardia(mesh), solid_centroid(mesh.vertices, mesh.tetrahedra), usual_place(body), pose
+    )
 
 
 def _endocardia(mesh: LabelledMesh) -> tuple[Surface, Surface]:

@@ -20,7 +20,7 @@ import igl
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse.linalg import cg
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -181,9 +181,21 @@ def place_electrodes(vertices: Floats, tetrahedra: Integers, electrodes: Floats)
     electrodes : (e, 3) array
         Positions (mm).
     """
-    skin = outer_boundary(vertices, tetrahedra)
+    return contacts_on(vertices, outer_boundary(vertices, tetrahedra), electrodes)
+
+
+def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
+    """The points of a skin nearest to given ones.
+
+    Parameters
+    ----------
+    vertices, skin : (n, 3) and (t, 3) arrays
+        Positions (mm) and triangles.
+    points : (e, 3) array
+        Positions (mm).
+    """
     squared, nearest, points = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(electrodes, dtype=float), vertices, skin
+        np.ascontiguousarray(points, dtype=float), vertices, skin
     )
     triangles = skin[nearest]
     corners = (np.ascontiguousarray(vertices[triangles[:, k]]) for k in range(3))
@@ -293,13 +305,12 @@ def solve_neumann(
             f"the mesh of heart and torso falls into {pieces} pieces that share no vertex; mesh "
             "them together"
         )
-    earth = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
-    earthed = csr_matrix(stiffness + earth)
-    preconditioner = _multigrid(earthed)
+    conductor = earthed(stiffness)
+    preconditioner = multigrid_levels(conductor).aspreconditioner(cycle="V")
 
     def solve(current: Floats) -> Floats:
         potential, failed = cg(
-            earthed, current, rtol=TOLERANCE, maxiter=MOST_ITERATIONS, M=preconditioner
+            conductor, current, rtol=TOLERANCE, maxiter=MOST_ITERATIONS, M=preconditioner
         )
         if failed:
             raise InputError(
@@ -317,17 +328,22 @@ def solve_neumann(
     return potentials
 
 
-def _multigrid(stiffness: csr_matrix) -> LinearOperator:
-    """One V-cycle: symmetric, and the same in every run."""
+def earthed(stiffness: csr_matrix) -> csr_matrix:
+    """A stiffness matrix (n, n) with its first vertex earthed, which makes it regular."""
+    earth = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
+    return csr_matrix(stiffness + earth)
+
+
+def multigrid_levels(stiffness: csr_matrix):  # type: ignore[no-untyped-def]
+    """Smoothed aggregation (pyamg's `MultilevelSolver`): the same in every run."""
     from pyamg import smoothed_aggregation_solver
 
-    hierarchy = smoothed_aggregation_solver(
+    return smoothed_aggregation_solver(
         stiffness,
         symmetry="symmetric",
         # bounds the spectrum by row sums; the default estimates it from numpy's global random state
         smooth=("jacobi", {"weighting": "local"}),
     )
-    return hierarchy.aspreconditioner(cycle="V")
 
 
 def outer_boundary(vertices: Floats, tetrahedra: Integers) -> Integers:

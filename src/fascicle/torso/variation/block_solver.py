@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from fascicle.core.arrays import Floats
+from fascicle.torso.lead_fields import multigrid_levels
 
 Preconditioner = Callable[[Floats], Floats]
 SWEEPS = 2  # of the smoother, before and after each coarse correction
@@ -68,11 +69,7 @@ def multigrid(stiffness: csr_matrix) -> Preconditioner:
     That smoother converges for every symmetric positive definite matrix (Baker, Falgout, Kolev and
     Yang, SIAM J. Sci. Comput. 33, 2011, 2864-2887).
     """
-    from pyamg import smoothed_aggregation_solver
-
-    hierarchy = smoothed_aggregation_solver(
-        stiffness, symmetry="symmetric", smooth=("jacobi", {"weighting": "local"})
-    )
+    hierarchy = multigrid_levels(stiffness)
     levels = [(csr_matrix(a.A), csr_matrix(a.P), csr_matrix(a.R)) for a in hierarchy.levels[:-1]]
     inverse = [1 / np.asarray(abs(matrix).sum(axis=1)) for matrix, _, _ in levels]
     coarsest = np.linalg.inv(hierarchy.levels[-1].A.toarray())  # some tens of unknowns

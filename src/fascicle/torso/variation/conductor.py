@@ -14,6 +14,7 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.heart.torso import Torso, TorsoTissue
+from fascicle.mesh.measures import solid_centroid
 from fascicle.torso.lead_fields import assemble_stiffness, outer_boundary, total_conductivity
 from fascicle.torso.variation.body_axes import Motion, body_axes
 from fascicle.torso.variation.morph import Morph, build_morph, symmetric
@@ -107,8 +108,7 @@ class Conductor:
     @cached_property
     def centroid(self) -> Floats:
         """Of the myocardium (3,), mm."""
-        centres = self.heart.vertices[self.heart.tetrahedra].mean(axis=1)
-        return np.asarray(np.average(centres, axis=0, weights=self.heart.volumes))
+        return solid_centroid(self.heart.vertices, self.heart.tetrahedra)
 
     def motion(self, state: BodyState) -> Motion:
         """The skin's motion around the heart."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import ELECTRODES
 from fascicle.mesh.measures import triangle_normals, unit
-from fascicle.torso.lead_fields import Contacts
+from fascicle.torso.electrode_sites import V1
+from fascicle.torso.lead_fields import Contacts, contacts_on
 
-FIRST_CHEST = ELECTRODES.index("V1")
 SPACING = 6.0  # mm, of the places along each way; skins have edges of some 11 mm
 SUBSTEPS = 3  # between two places; each is put back onto the skin
 # Beyond the 25 mm of one electrode over a chest of 0.85; upwards also the 40 mm of all together
@@ -42,7 +40,7 @@ def electrode_places(
         3 + 6 · len(LEFT) · len(UP) of them: by electrode, then to the left, then up.
     """
     walk = _Walk(vertices, skin)
-    limbs, chest = np.split(np.ascontiguousarray(electrodes, dtype=float), [FIRST_CHEST])
+    limbs, chest = np.split(np.ascontiguousarray(electrodes, dtype=float), [V1])
     rows = walk.line(chest, axes[2], UP)  # (up, 6, 3)
     grid = walk.line(rows.reshape(-1, 3), axes[0], LEFT).reshape(len(LEFT), len(UP), len(chest), 3)
     places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3)])
@@ -60,13 +58,7 @@ class _Walk:
 
     def contacts(self, points: Floats) -> Contacts:
         """The nearest points of the skin."""
-        squared, nearest, found = igl.point_mesh_squared_distance(
-            np.ascontiguousarray(points), self.vertices, self.skin
-        )
-        triangles = self.skin[nearest]
-        corners = (np.ascontiguousarray(self.vertices[triangles[:, k]]) for k in range(3))
-        weights = igl.barycentric_coordinates(found, *corners)
-        return Contacts(triangles, weights, np.sqrt(squared))
+        return contacts_on(self.vertices, self.skin, points)
 
     def line(self, start: Floats, direction: Floats, places: Floats) -> Floats:
         """Points (places, n, 3) at such distances (mm) along the skin from the start (n, 3)."""

@@ -13,7 +13,9 @@ values in a few tetrahedra (Barrault, Maday, Nguyen and Patera, C. R. Acad. Sci.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,10 +24,14 @@ from scipy.linalg.lapack import dpftrs as pftrs
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import ELECTRODES
+from fascicle.core.quantities import body_values
+from fascicle.torso.electrode_sites import V1
 from fascicle.torso.variation.body_axes import Motion
 from fascicle.torso.variation.conductor import LEAST_COMPRESSION, BodyState, InvalidBody
-from fascicle.torso.variation.electrode_paths import FIRST_CHEST, LEFT, SPACING, UP
+from fascicle.torso.variation.electrode_paths import LEFT, SPACING, UP
 from fascicle.torso.variation.morph import Morph
+
+REMEMBERED = 8  # bodies whose coefficients are kept, the neutral one among them
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,14 @@ class BodyResponse:
         solved, _ = pftrs(len(self.loads), factor, at_skin.T)
         return np.asarray(solved.T @ self.loads)
 
+    def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidBody:
+        """The same from quantities of the body; those of the last few bodies are remembered."""
+        return self._remembered(tuple(sorted(body_values(values).items())))
+
+    @cached_property
+    def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidBody]:
+        return lru_cache(REMEMBERED)(lambda values: self(BodyState.of(dict(values))))
+
     def reduced(self, state: BodyState, motion: Motion) -> Floats:
         """VᵀAV in LAPACK's rectangular full packed format (p,)."""
         sampled = Morph(self.sampled_centres, self.sampled_share, self.sampled_slope)
@@ -111,11 +125,11 @@ class BodyResponse:
         # on a larger trunk the same distance is a smaller part of the skin
         moved = state.chest / state.geometry[6]
         rows = np.empty((len(ELECTRODES), len(self.loads)))
-        rows[:FIRST_CHEST] = self.limbs
+        rows[:V1] = self.limbs
         for k, (left, up) in enumerate(moved):
             (i, a), (j, b) = _between(left, LEFT), _between(up, UP)
             near = self.chest[k]
-            rows[FIRST_CHEST + k] = (1 - a) * ((1 - b) * near[i, j] + b * near[i, j + 1]) + a * (
+            rows[V1 + k] = (1 - a) * ((1 - b) * near[i, j] + b * near[i, j + 1]) + a * (
                 (1 - b) * near[i + 1, j] + b * near[i + 1, j + 1]
             )
         return np.asarray(rows - rows.mean(axis=0))

@@ -20,11 +20,12 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
-from fascicle.torso.lead_fields import MM_PER_CM, Contacts, assemble_stiffness
+from fascicle.torso.electrode_sites import V1
+from fascicle.torso.lead_fields import MM_PER_CM, Contacts, assemble_stiffness, earthed
 from fascicle.torso.variation.block_solver import block_cg, multigrid
 from fascicle.torso.variation.body_axes import Motion
 from fascicle.torso.variation.conductor import BodyState, Conductor
-from fascicle.torso.variation.electrode_paths import FIRST_CHEST, LEFT, UP, electrode_places
+from fascicle.torso.variation.electrode_paths import LEFT, UP, electrode_places
 from fascicle.torso.variation.morph import symmetric
 from fascicle.torso.variation.response import BodyResponse
 
@@ -118,10 +119,10 @@ def build_response(
 
 def currents(places: Contacts, body: BodyState, vertices: int) -> Floats:
     """Unit current into each electrode at the place nearest to a body's, (n, 9)."""
-    chosen = list(range(FIRST_CHEST))
+    chosen = list(range(V1))
     for k, (left, up) in enumerate(body.chest / body.geometry[6]):
         i, j = np.argmin(np.abs(LEFT - left)), np.argmin(np.abs(UP - up))
-        chosen.append(FIRST_CHEST + int((k * len(LEFT) + i) * len(UP) + j))
+        chosen.append(V1 + int((k * len(LEFT) + i) * len(UP) + j))
     contacts = Contacts(places.triangles[chosen], places.weights[chosen], places.moved[chosen])
     return np.ascontiguousarray(contacts.currents(vertices).T)
 
@@ -134,13 +135,11 @@ def solve_body(
     most: int = MOST_ITERATIONS,
 ) -> Floats:
     """Potentials (n, c) of currents (n, c) in one body, as many threads as there are cores."""
-    stiffness = conductor.stiffness(body)
-    earth = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
-    earthed = csr_matrix(stiffness + earth)
-    cycle = multigrid(earthed)
+    stiffness = earthed(conductor.stiffness(body))
+    cycle = multigrid(stiffness)
 
     def solve(part: Floats) -> Floats:
-        return block_cg(earthed, cycle, part, np.zeros_like(part), tolerance, most)
+        return block_cg(stiffness, cycle, part, np.zeros_like(part), tolerance, most)
 
     parts = np.array_split(loads, os.cpu_count() or 1, axis=1)
     with ThreadPoolExecutor(len(parts)) as pool:
@@ -237,8 +236,8 @@ def _assembled(
         modes, basis.T @ loads,
         np.array([_packed(f) for f in fixed], dtype=np.float32),
         np.array([_packed(m) for m in moving.reshape(-1, size, size)], dtype=np.float32),
-        rows[:FIRST_CHEST],
-        rows[FIRST_CHEST:].reshape(len(ELECTRODES) - FIRST_CHEST, len(LEFT), len(UP), size),
+        rows[:V1],
+        rows[V1:].reshape(len(ELECTRODES) - V1, len(LEFT), len(UP), size),
         weights, at.centres, at.share, at.slope,
         critical.centres, critical.share, critical.slope,
         conductor.centroid, conductor.axes,
