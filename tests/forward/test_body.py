@@ -27,10 +27,7 @@ def with_body(**values):
 @pytest.fixture(scope="module")
 def model(default_heart):
     """Of the default heart, with few bodies solved."""
-    sizes = {
-        "ELECTRODE_BODIES": 4, "MODE_BODIES": 3, "MODES": 20, "BASIS": 50,
-        "TENSOR_BODIES": 12, "TENSOR_MODES": 6,
-    }  # fmt: skip
+    sizes = {"MODE_BODIES": 4, "MODES": 20, "OUTER_BODIES": 14}
     # kept nowhere: other tests would take the crude response for the heart's
     model = fascicle.ForwardModel(replace(default_heart, folder=None))
     with pytest.MonkeyPatch.context() as patch:

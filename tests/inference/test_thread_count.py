@@ -3,10 +3,10 @@
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from fascicle.core.threads import blas_threads, in_chunks, one_thread
 from fascicle.inference.optimisation.step import State, step
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
 from fascicle.inference.surrogate.surrogates import Observations
-from fascicle.inference.surrogate.threads import blas_threads, in_chunks, one_thread
 
 
 def with_threads(answers):

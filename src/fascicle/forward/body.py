@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.ecg.electrocardiogram import (
-    ActionPotential,
-    Electrocardiograph,
-    channel_weights,
-    leads_from_independent,
-)
+from fascicle.core.threads import one_thread
+from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.preparation import READ_ERRORS, cache_file
 from fascicle.heart.boundary_labels import labelled_mesh
@@ -36,25 +33,25 @@ from fascicle.torso.variation.conductor import InvalidBody, build_conductor
 from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response
 
-FORMAT = 1  # of the files; another number makes them anew
+FORMAT = 2  # of the files; another number makes them anew
 STAGE, ONCE = "body", "once per heart"
 SEED = 0  # of the bodies that are solved: the same in every run
 
 
 @dataclass(frozen=True)
 class BodyModel:
-    """Lead fields as a function of the body, and the ECG of each of their modes.
+    """Lead fields as a function of the body, and what each of their modes adds to the ECG.
 
     Attributes
     ----------
     response : BodyResponse
         Coefficients of the modes.
-    electrocardiographs : tuple of Electrocardiograph
-        The ECG integrals of the modes, eight in each.
+    weights : (m, 3, k) array
+        Weights of the ECG integral (`Electrocardiograph`) for each mode.
     """
 
     response: BodyResponse
-    electrocardiographs: tuple[Electrocardiograph, ...]
+    weights: NDArray[np.float32]
 
     def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidBody:
         """Coefficients (8, k) of the modes for the independent leads.
@@ -74,62 +71,44 @@ class BodyModel:
             return found
         return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ found)
 
-    def modes(self, activation: Floats) -> Floats:
-        """ECG (k, n_time) of every mode (mV/kΩ½)."""
-        channels = np.concatenate([e.channels(activation) for e in self.electrocardiographs])
-        return channels[: len(self.response.modes)]
+    @one_thread
+    def electrocardiograph(
+        self, own: Electrocardiograph, coefficients: Floats
+    ) -> Electrocardiograph:
+        """The ECG integral in another body.
 
-    def leads(self, own: Floats, modes: Floats, coefficients: Floats) -> Floats:
-        """The twelve leads in another body.
-
-        What the modes leave of the ECG in the heart's own body is kept, as large against the rest
-        as it is there: in a body that hardly differs nothing is lost.
+        What the modes leave of the lead fields in the heart's own body is kept, as large against
+        the rest as it is there: in a body that hardly differs nothing is lost.
 
         Parameters
         ----------
-        own : (8, n_time) array
-            Independent leads in the heart's own body (mV).
-        modes : (k, n_time) array
-            See `modes`.
+        own : Electrocardiograph
+            Of the heart's own body.
         coefficients : (8, k) array
             See `lead_coefficients`.
-
-        Returns
-        -------
-        (12, n_time) array
-            In mV.
         """
-        size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(self._neutral, axis=1)
-        remainder = size[:, None] * (own - self._neutral @ modes)
-        return np.asarray(leads_from_independent() @ (coefficients @ modes + remainder))
-
-    def scaled(self, factors: Floats) -> BodyModel:
-        """See `Electrocardiograph.scaled`."""
-        scaled = tuple(e.scaled(factors) for e in self.electrocardiographs)
-        return BodyModel(self.response, scaled)
-
-    @property
-    def _neutral(self) -> Floats:
-        found = self.lead_coefficients({})
-        if isinstance(found, InvalidBody):
+        neutral = self.lead_coefficients({})
+        if isinstance(neutral, InvalidBody):
             raise InputError("the heart touches the skin of its own torso; build the heart again")
-        return found
+        size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(neutral, axis=1)
+        change = (coefficients - size[:, None] * neutral).astype(np.float32)
+        flat = self.weights.reshape(-1, change.shape[1])
+        weights = size.astype(np.float32) * own.weights
+        weights += (flat @ change.T).reshape(weights.shape)
+        return replace(own, weights=weights)
 
 
-def body_model(
-    heart: Heart, conduction: Conduction, response: BodyResponse, action_potential: ActionPotential
-) -> BodyModel:
-    """The ECG integrals of a response's modes."""
+def body_model(heart: Heart, conduction: Conduction, response: BodyResponse) -> BodyModel:
+    """The weights of a response's modes in the ECG."""
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     intracellular = conduction.intracellular(heart.fibres)
     gradients = nodal_gradients(response.modes, heart.tetrahedra, barycentric)
-    corners = heart.tetrahedra.astype(np.int32)
-    blocks = []
+    weights = np.empty((len(heart.tetrahedra), 3, len(gradients)), dtype=np.float32)
     for start in range(0, len(gradients), CHANNELS):
         part = gradients[start : start + CHANNELS]
-        weights = channel_weights(barycentric, heart.volumes, intracellular, part)
-        blocks.append(Electrocardiograph(corners, weights.astype(np.float32), action_potential))
-    return BodyModel(response, tuple(blocks))
+        found = channel_weights(barycentric, heart.volumes, intracellular, part)
+        weights[:, :, start : start + CHANNELS] = found[:, :, : len(part)]
+    return BodyModel(response, weights)
 
 
 def prepare_response(

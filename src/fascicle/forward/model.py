@@ -140,7 +140,7 @@ class ForwardModel:
 
     def use_body(self, response: BodyResponse) -> None:
         """Take a response that is at hand, of this heart and conduction, instead of building it."""
-        self._body = body_model(self.heart, self.conduction, response, self.action_potential)
+        self._body = body_model(self.heart, self.conduction, response)
 
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
@@ -240,7 +240,7 @@ class ForwardModel:
         body = body_values(values)
         if not body:
             return np.asarray(gain * tissue.electrocardiograph.leads(times))
-        found = self.in_bodies(times, [values])[0]
+        found = self._in_body(times, values)
         if isinstance(found, InvalidBody):
             raise InputError(f"{', '.join(body)}: {found.reason}; give smaller changes")
         return found
@@ -248,31 +248,30 @@ class ForwardModel:
     def in_bodies(
         self, activation: Floats, bodies: Sequence[Mapping[str, float]]
     ) -> list[Floats | InvalidBody]:
-        """The ECG of one activation in several bodies: each after the first takes microseconds.
+        """The ECG of one activation in several bodies.
 
         Parameters
         ----------
         activation : (n,) array
             Activation time of each vertex (ms).
         bodies : sequence of mappings of name to float
-            Quantities of the body, gain and regions; the regions must be those of the first.
+            Quantities of the body, gain and regions.
 
         Returns
         -------
         list of (12, n_time) arrays or InvalidBody
             Leads (mV), in their order.
         """
-        conduction = self.conduction.with_values(checked(bodies[0]))
-        tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
-        model = self.body([*bodies[0]]).scaled(conduction.scale(self.heart))
-        own, modes = tissue.electrocardiograph.channels(activation), model.modes(activation)
-        found: list[Floats | InvalidBody] = []
-        for body in map(checked, bodies):
-            coefficients = model.lead_coefficients(body)
-            if not isinstance(coefficients, InvalidBody):
-                coefficients = body.get("gain", 1.0) * model.leads(own, modes, coefficients)
-            found.append(coefficients)
-        return found
+        return [self._in_body(activation, checked(body)) for body in bodies]
+
+    def _in_body(self, activation: Floats, values: Mapping[str, float]) -> Floats | InvalidBody:
+        model = self.body([*values])
+        coefficients = model.lead_coefficients(values)
+        if isinstance(coefficients, InvalidBody):
+            return coefficients
+        found = model.electrocardiograph(self.prepared.electrocardiograph, coefficients)
+        scale = self.conduction.with_values(values).scale(self.heart)
+        return np.asarray(values.get("gain", 1.0) * found.scaled(scale).leads(activation))
 
     def simulate_many(
         self,

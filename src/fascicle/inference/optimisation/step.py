@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from fascicle.core.arrays import Floats
+from fascicle.core.threads import one_thread
 from fascicle.inference.optimisation.acquisition import (
     LOCAL_CENTRES,
     Box,
@@ -17,7 +18,6 @@ from fascicle.inference.optimisation.acquisition import (
 )
 from fascicle.inference.surrogate.exponential import Hyperparameters
 from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
-from fascicle.inference.surrogate.threads import one_thread
 
 LOCAL_SHARE = 0.6  # of the proposals
 LOCAL_RADIUS = (0.03, 0.3)  # of the unit cube, log-uniform

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats
-from fascicle.inference.surrogate.threads import in_chunks, one_thread
+from fascicle.core.threads import in_chunks, one_thread
 
 # Normal priors on the logarithms, for inputs in the unit cube and outputs of variance one. Length
 # scales: the dimension-scaled prior of Hvarfner, Hellsten & Nardi (ICML 2024), BoTorch's default.

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
@@ -99,6 +99,26 @@ class Conductor:
     def tetrahedra(self) -> Integers:
         """The heart's, then the torso's (m, 4)."""
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra])
+
+    @cached_property
+    def of_heart(self) -> Floats:
+        """σ of the heart's tetrahedra (h, 3, 3)."""
+        return self.conductivity[: len(self.heart.tetrahedra)]
+
+    @cached_property
+    def around(self) -> Floats:
+        """σ of the torso's tetrahedra (t, 3, 3)."""
+        return self.conductivity[len(self.heart.tetrahedra) :]
+
+    @cached_property
+    def inside(self) -> Booleans:
+        """Which of the torso's tetrahedra (t,) lie in the convex hull of heart and blood."""
+        return np.asarray(self.morph.share == 0)
+
+    @cached_property
+    def in_hull(self) -> Integers:
+        """All tetrahedra (i, 4) of that hull: the heart's and those."""
+        return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra[self.inside]])
 
     @cached_property
     def axes(self) -> Floats:

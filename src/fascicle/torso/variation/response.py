@@ -1,14 +1,14 @@
-"""The lead fields of a heart as a function of the body: a reduced basis, evaluated.
+"""The lead fields of a heart as a function of the body: a reduced basis within, a surface without.
 
-Lead fields in the heart are combinations Z_e = Σ_k C_ek Φ_k of modes. With Φ orthonormal in the
-energy of the heart and u_k the potential that the mode's currents K_heart Φ_k set up, reciprocity
-gives C_ek = u_k(electrode). The potentials are found in the span of a basis V by the Galerkin
-condition VᵀA(body)V; the error of C is then the product of what the basis leaves of the
-electrode's own potential and of u_k's (Prud'homme, Rovas, Veroy, Machiels, Maday, Patera and
-Turinici, J. Fluids Eng. 124, 2002, 70-80). VᵀAV depends on tissues linearly; for the pose and size,
-the tensors of the moved conductor are combinations of those of a few bodies, found from their
-values in a few tetrahedra (Barrault, Maday, Nguyen and Patera, C. R. Acad. Sci. Paris 339, 2004,
-667-672; here least squares over more of them than there are unknowns).
+Whatever moves of the body moves outside the convex hull of heart and blood. Within, lead fields are
+combinations of modes Φ of those of some bodies, and their energy K depends on the tissues' factors
+linearly. The outside adds the energy A of the modes' potentials around the hull, and drives the
+current f of an electrode into it (`fascicle.torso.variation.exterior`), so that the coefficients of
+an electrode's lead field are (K + A)⁻¹f, Galerkin's best in the energy of the whole body.
+
+A and f are smooth functions of eight numbers: pose, size, and what the lungs conduct. They are
+interpolated between bodies by radial functions with a linear trend; of f, only what differs from
+an electrode near the hull in plain tissue without end, which is what varies steeply.
 """
 
 from __future__ import annotations
@@ -19,19 +19,29 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg.lapack import dpftrf as pftrf
-from scipy.linalg.lapack import dpftrs as pftrs
+import scipy.linalg
+from scipy.interpolate import RBFInterpolator
 
-from fascicle.core.arrays import Floats
-from fascicle.core.leads import ELECTRODES
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.quantities import body_values
+from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import V1
 from fascicle.torso.variation.body_axes import Motion
 from fascicle.torso.variation.conductor import LEAST_COMPRESSION, BodyState, InvalidBody
 from fascicle.torso.variation.electrode_paths import LEFT, SPACING, UP
+from fascicle.torso.variation.exterior import NearField
 from fascicle.torso.variation.morph import Morph
 
 REMEMBERED = 8  # bodies whose coefficients are kept, the neutral one among them
+# What is interpolated over: ends of displacement (mm), rotation (rad), size, log of conductivities
+SHIFT, TURN, SIZE, LOG_FACTOR = 20.0, np.radians(20.0), 0.15, np.log(2.0)
+
+
+def place_of(state: BodyState) -> Floats:
+    """The eight numbers that the outside depends on, about 1 at the ends of their ranges."""
+    body, lung, _ = state.ratios
+    geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / ([SHIFT] * 3 + [TURN] * 3 + [SIZE])
+    return np.append(geometry, np.log(lung / body) / (2 * LOG_FACTOR))
 
 
 @dataclass(frozen=True)
@@ -42,20 +52,20 @@ class BodyResponse:
     ----------
     modes : (k, n) array
         Φ at the heart's vertices (kΩ½).
-    loads : (b, k) array
-        Currents of the modes on the basis.
-    fixed : (2, p) array
-        VᵀAV of myocardium and blood, in rectangular full packed format.
-    moving : (2·q, p) array
-        Those of body and lung for each of the q tensor modes.
-    limbs : (3, b) array
-        The basis at RA, LA and LL.
-    chest : (6, left, up, b) array
-        The basis at the places of V1 to V6 along the skin.
-    sampled : (q, s, 6) array
-        Weights that make the coefficients of the tensor modes of the tensors in s tetrahedra.
-    sampled_centres, sampled_share, sampled_slope : (s, 3), (s,) and (s, 3) arrays
-        `Morph` of these.
+    inner : (4, k, k) array
+        Their energies in the hull's myocardium, body, lung and blood.
+    bodies : (b, 8) array
+        `place_of` those solved.
+    outer : (b, k(k+1)/2) array
+        Upper triangles of A over the factor on the body's conductivity.
+    places : (3 + 6·left·up, 3) array
+        RA, LA and LL, then V1 to V6 at every place of a grid along the skin (mm).
+    patterns : (3 + 6·left·up, q) array
+        Orthonormal functions of the places.
+    remainders : (b, q, k) array
+        Their coefficients in what f has beyond `NearField`.
+    hull, projection, filled : (s, 3), (s, k) and (k, k) arrays
+        See `NearField`.
     critical_centres, critical_share, critical_slope : arrays
         `Morph` of the tetrahedra that are compressed most when the heart nears the skin.
     centroid, axes : (3,) and (3, 3) arrays
@@ -63,23 +73,24 @@ class BodyResponse:
     """
 
     modes: Floats
-    loads: Floats
-    fixed: Floats
-    moving: Floats
-    limbs: Floats
-    chest: Floats
-    sampled: Floats
-    sampled_centres: Floats
-    sampled_share: Floats
-    sampled_slope: Floats
+    inner: Floats
+    bodies: Floats
+    outer: Floats
+    places: Floats
+    patterns: Floats
+    remainders: Floats
+    hull: Floats
+    projection: Floats
+    filled: Floats
     critical_centres: Floats
     critical_share: Floats
     critical_slope: Floats
     centroid: Floats
     axes: Floats
 
+    @one_thread
     def __call__(self, state: BodyState) -> Floats | InvalidBody:
-        """Coefficients C of the modes for every electrode.
+        """Coefficients of the modes for every electrode.
 
         Parameters
         ----------
@@ -95,12 +106,17 @@ class BodyResponse:
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
         if critical.compression(motion) < LEAST_COMPRESSION:
             return InvalidBody("the heart would touch the skin")
-        at_skin = self.at_electrodes(state)
-        factor, failed = pftrf(len(self.loads), self.reduced(state, motion))
-        if failed:
+        weights = self._weights(place_of(state)[None])[0].astype(self.outer.dtype)
+        outer = np.empty(self.filled.shape)
+        outer[self._upper] = outer.T[self._upper] = weights @ self.outer
+        driven = self.driven(state, motion, weights, outer)
+        energy = np.tensordot(np.append(1.0, state.ratios), self.inner, axes=1)
+        energy += state.ratios[0] * outer
+        try:
+            factor = scipy.linalg.cho_factor(energy)
+        except scipy.linalg.LinAlgError:  # between bodies solved, A need not be positive
             return InvalidBody("the heart nearly touches the skin")
-        solved, _ = pftrs(len(self.loads), factor, at_skin.T)
-        return np.asarray(solved.T @ self.loads)
+        return np.asarray(scipy.linalg.cho_solve(factor, (driven - driven.mean(axis=0)).T).T)
 
     def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidBody:
         """The same from quantities of the body; those of the last few bodies are remembered."""
@@ -110,37 +126,42 @@ class BodyResponse:
     def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidBody]:
         return lru_cache(REMEMBERED)(lambda values: self(BodyState.of(dict(values))))
 
-    def reduced(self, state: BodyState, motion: Motion) -> Floats:
-        """VᵀAV in LAPACK's rectangular full packed format (p,)."""
-        sampled = Morph(self.sampled_centres, self.sampled_share, self.sampled_slope)
-        tensors = sampled.tensors(motion)
-        coefficients = self.sampled.reshape(len(self.sampled), -1) @ tensors.ravel()
-        body, lung, blood = state.ratios
-        packed = np.array([1.0, blood], dtype=self.fixed.dtype) @ self.fixed
-        weights = np.concatenate([body * coefficients, lung * coefficients])
-        return np.asarray(packed + weights.astype(self.moving.dtype) @ self.moving, dtype=float)
+    @cached_property
+    def _weights(self) -> RBFInterpolator:
+        """How much each of the bodies solved counts at a place (1, b)."""
+        return RBFInterpolator(self.bodies, np.eye(len(self.bodies)), kernel="cubic", degree=1)
 
-    def at_electrodes(self, state: BodyState) -> Floats:
-        """The basis at the electrodes, less its mean over them (9, b)."""
+    @cached_property
+    def _upper(self) -> tuple[Integers, Integers]:
+        return np.triu_indices(len(self.modes))
+
+    def driven(self, state: BodyState, motion: Motion, weights: Floats, outer: Floats) -> Floats:
+        """The current f of every electrode into the modes (9, k)."""
         # on a larger trunk the same distance is a smaller part of the skin
         moved = state.chest / state.geometry[6]
-        rows = np.empty((len(ELECTRODES), len(self.loads)))
-        rows[:V1] = self.limbs
-        for k, (left, up) in enumerate(moved):
-            (i, a), (j, b) = _between(left, LEFT), _between(up, UP)
-            near = self.chest[k]
-            rows[V1 + k] = (1 - a) * ((1 - b) * near[i, j] + b * near[i, j + 1]) + a * (
-                (1 - b) * near[i + 1, j] + b * near[i + 1, j + 1]
-            )
-        return np.asarray(rows - rows.mean(axis=0))
+        near = NearField(self.hull, self.projection, self.filled)
+        remainders = np.tensordot(weights, self.remainders, axes=1)
+        at = at_electrodes(self.places, moved)
+        return near(motion.of_skin(at), outer) + at_electrodes(self.patterns, moved) @ remainders
 
     def arrays(self) -> dict[str, Any]:
         """Every array, by its name, for files."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def _between(value: float, places: Floats) -> tuple[int, float]:
-    """The interval of evenly spaced places that holds a value, and how far along it."""
-    position = np.clip((value - places[0]) / SPACING, 0, len(places) - 1)
-    index = min(int(position), len(places) - 2)
-    return index, float(position - index)
+def at_electrodes(values: Floats, moved: Floats) -> Floats:
+    """Values (9, c) at the electrodes, of those at all places, where V1 to V6 are moved (6, 2)."""
+    (i, a), (j, b) = _between(moved[:, 0], LEFT), _between(moved[:, 1], UP)
+    corner = V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UP) + j
+    a, b = a[:, None], b[:, None]
+    chest = (1 - a) * ((1 - b) * values[corner] + b * values[corner + 1])
+    corner += len(UP)
+    chest += a * ((1 - b) * values[corner] + b * values[corner + 1])
+    return np.concatenate([values[:V1], chest])
+
+
+def _between(values: Floats, places: Floats) -> tuple[Integers, Floats]:
+    """The intervals of evenly spaced places that hold values, and how far along them these are."""
+    position = np.clip((values - places[0]) / SPACING, 0, len(places) - 1)
+    index = np.minimum(position.astype(np.int64), len(places) - 2)
+    return index, position - index

@@ -1,4 +1,4 @@
-"""Building the response of a heart's lead fields to the body: solves, bases, reduced matrices.
+"""Building the response of a heart's lead fields to the body: solves, modes, what is interpolated.
 
 See `fascicle.torso.variation.response` for what comes out, and why.
 """
@@ -6,41 +6,32 @@ See `fascicle.torso.variation.response` for what comes out, and why.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
-from scipy.linalg import qr
-from scipy.linalg.lapack import dtrttf
-from scipy.sparse import csr_matrix
+import scipy.linalg
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.torso import TorsoTissue
-from fascicle.mesh.measures import barycentric_gradients, signed_volumes
+from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import V1
-from fascicle.torso.lead_fields import MM_PER_CM, Contacts, assemble_stiffness, earthed
+from fascicle.torso.lead_fields import Contacts, assemble_stiffness, earthed
 from fascicle.torso.variation.block_solver import block_cg, multigrid
-from fascicle.torso.variation.body_axes import Motion
-from fascicle.torso.variation.conductor import BodyState, Conductor
+from fascicle.torso.variation.conductor import TISSUES, BodyState, Conductor
 from fascicle.torso.variation.electrode_paths import LEFT, UP, electrode_places
-from fascicle.torso.variation.morph import symmetric
-from fascicle.torso.variation.response import BodyResponse
+from fascicle.torso.variation.exterior import Exterior, NearField, Part, near_field
+from fascicle.torso.variation.response import LOG_FACTOR, SHIFT, SIZE, TURN, BodyResponse, place_of
 
-# Ends of what is trained: displacement (mm), rotation (rad), size, log of conductivities' factors
-SHIFT, TURN, SIZE, LOG_FACTOR = 20.0, np.radians(20.0), 0.15, np.log(2.0)
-LEFT_REACH, UP_REACH, TOGETHER_REACH = 25.0, 25.0, 40.0  # mm
-
-ELECTRODE_BODIES, MODE_BODIES = 28, 44  # solved for electrodes and for modes
-LOADS = 12  # random combinations of modes solved in a body
-MODES, BASIS = 64, 320
-ELECTRODE_WEIGHT = 0.1  # of fields of electrodes in the choice of the basis
-TENSOR_BODIES, TENSOR_MODES, SAMPLED = 160, 32, 120
-TENSOR_SUBSET = 6000  # tetrahedra that decide on the tensor modes
-CRITICAL = 20  # tetrahedra of each body that are watched for the heart nearing the skin
-TOLERANCE, MOST_ITERATIONS = 3e-3, 40  # of a snapshot: a direction of the basis, no result
+LEFT_REACH, UP_REACH, TOGETHER_REACH = 25.0, 25.0, 40.0  # mm, of what modes are taken from
+MODE_BODIES, MODES = 30, 64  # solved for all electrodes; kept of their fields
+OUTER_BODIES = 240  # between which the outside is interpolated
+PATTERNS = 50  # of places on the skin
+CRITICAL = 8  # tetrahedra of each body that are watched for the heart nearing the skin
+TOLERANCE, MOST_ITERATIONS = 3e-3, 40  # of a field that modes are taken from
 
 
 def neutral() -> BodyState:
@@ -92,29 +83,71 @@ def build_response(
     -------
     BodyResponse
     """
-    total = ELECTRODE_BODIES + MODE_BODIES + TENSOR_MODES
-    places = electrode_places(
-        conductor.torso.vertices, conductor.skin, conductor.heart.electrodes, conductor.axes
+    heart, torso = conductor.heart, conductor.torso
+    places = electrode_places(torso.vertices, conductor.skin, heart.electrodes, conductor.axes)
+    total = MODE_BODIES + OUTER_BODIES
+    fields = _fields(conductor, places, rng, lambda done: progress(done, total))
+    modes = hull_modes(conductor, fields)
+    surface = np.intersect1d(conductor.in_hull, torso.tetrahedra[~conductor.inside])
+    exterior = Exterior(conductor, surface, modes[surface], places)
+    near = near_field(conductor, surface, modes[surface])
+    points = np.einsum("ec,eci->ei", places.weights, torso.vertices[places.triangles])
+    bodies = random_bodies(conductor, OUTER_BODIES, rng)
+    outer, remainders = _outside(
+        exterior, near, bodies, points, lambda done: progress(MODE_BODIES + done, total)
     )
-    bodies = random_bodies(conductor, ELECTRODE_BODIES + MODE_BODIES, rng)
-    energy = conductor.stiffness(neutral())
-    snapshots: list[Floats] = []
-    for body in bodies[:ELECTRODE_BODIES]:
-        snapshots.append(
-            solve_body(conductor, body, currents(places, body, len(energy.indptr) - 1))
-        )
-        progress(len(snapshots), total)
-    modes, loads, weight = heart_modes(conductor, np.concatenate(snapshots, axis=1))
-    for body in bodies[ELECTRODE_BODIES:]:
-        mixture = rng.normal(size=(len(weight), LOADS)) * weight[:, None]
-        snapshots.append(solve_body(conductor, body, loads @ mixture))
-        progress(len(snapshots), total)
-    of_electrodes = np.concatenate(snapshots[:ELECTRODE_BODIES], axis=1)
-    of_modes = np.concatenate(snapshots[ELECTRODE_BODIES:], axis=1)
-    basis = reduced_basis(of_electrodes, of_modes, energy)
-    return _assembled(
-        conductor, places, basis, modes, loads, rng, lambda k: progress(len(snapshots) + k, total)
-    )
+    patterns = place_patterns(remainders)
+    critical = conductor.morph.of(_critical(conductor, bodies))
+    return BodyResponse(
+        modes[: len(heart.vertices)].T.copy(), inner_energies(conductor, modes),
+        np.array([place_of(body) for body in bodies]), outer,
+        points, patterns, (patterns.T @ remainders).astype(np.float32),
+        near.points, near.projection, near.filled,
+        critical.centres, critical.share, critical.slope,
+        conductor.centroid, conductor.axes,
+    )  # fmt: skip
+
+
+@one_thread  # a body on each core: threads of threads wait for each other
+def _fields(
+    conductor: Conductor,
+    places: Contacts,
+    rng: np.random.Generator,
+    progress: Callable[[int], None],
+) -> Floats:
+    """Lead fields (n, 9·b) of random bodies."""
+    vertices = len(conductor.torso.vertices)
+
+    def solve(body: BodyState) -> Floats:
+        return solve_body(conductor, body, currents(places, body, vertices))
+
+    found = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for field in pool.map(solve, random_bodies(conductor, MODE_BODIES, rng)):
+            found.append(field)
+            progress(len(found))
+    return np.concatenate(found, axis=1)
+
+
+@one_thread
+def _outside(
+    exterior: Exterior,
+    near: NearField,
+    bodies: Sequence[BodyState],
+    points: Floats,
+    progress: Callable[[int], None],
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Upper triangles of A (b, k(k+1)/2), and what f at points (p, 3) has beyond the near field."""
+    size = exterior.values.shape[1]
+    upper = np.triu_indices(size)
+    outer = np.empty((len(bodies), len(upper[0])), dtype=np.float32)
+    remainders = np.empty((len(bodies), len(points), size), dtype=np.float32)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for k, (energy, driven) in enumerate(pool.map(exterior, bodies)):
+            at = exterior.conductor.motion(bodies[k]).of_skin(points)
+            outer[k], remainders[k] = energy[upper], driven - near(at, energy)
+            progress(k + 1)
+    return outer, remainders
 
 
 def currents(places: Contacts, body: BodyState, vertices: int) -> Floats:
@@ -134,214 +167,60 @@ def solve_body(
     tolerance: float = TOLERANCE,
     most: int = MOST_ITERATIONS,
 ) -> Floats:
-    """Potentials (n, c) of currents (n, c) in one body, as many threads as there are cores."""
+    """Potentials (n, c) of currents (n, c) in one body."""
     stiffness = earthed(conductor.stiffness(body))
-    cycle = multigrid(stiffness)
-
-    def solve(part: Floats) -> Floats:
-        return block_cg(stiffness, cycle, part, np.zeros_like(part), tolerance, most)
-
-    parts = np.array_split(loads, os.cpu_count() or 1, axis=1)
-    with ThreadPoolExecutor(len(parts)) as pool:
-        found = np.concatenate(list(pool.map(solve, map(np.ascontiguousarray, parts))), axis=1)
+    found = block_cg(stiffness, multigrid(stiffness), loads, np.zeros_like(loads), tolerance, most)
     return np.asarray(found - found.mean(axis=0))
 
 
-def heart_modes(conductor: Conductor, fields: Floats) -> tuple[Floats, Floats, Floats]:
-    """Modes that span lead fields in the heart, by proper orthogonal decomposition.
+def hull_modes(conductor: Conductor, fields: Floats) -> Floats:
+    """Modes (n, k) that hold most of fields (n, f) in the hull, orthonormal in its energy.
 
-    Parameters
-    ----------
-    conductor : Conductor
-        The conductor.
-    fields : (n, f) array
-        Lead fields at all vertices.
-
-    Returns
-    -------
-    modes : (k, h) array
-        Φ at the heart's vertices.
-    loads : (n, k) array
-        K_heart Φ, the currents that measure them.
-    weights : (k,) array
-        Their share in the fields, the first one's 1.
+    By proper orthogonal decomposition; 0 outside the hull.
     """
-    heart = conductor.heart
-    stiffness = assemble_stiffness(
-        heart.vertices, heart.tetrahedra, conductor.conductivity[: len(heart.tetrahedra)]
-    )
-    inside = fields[: len(heart.vertices)]
-    inside = inside / np.sqrt(np.einsum("nf,nf->f", inside, stiffness @ inside))
-    values, vectors = np.linalg.eigh(inside.T @ (stiffness @ inside))
+    inside, hull = np.unique(conductor.in_hull), conductor.in_hull
+    part = Part.of(conductor.torso.vertices, hull, np.array([], dtype=np.int64))
+    sigma = np.concatenate([conductor.of_heart, conductor.around[conductor.inside]])
+    energy = assemble_stiffness(part.points, part.corners, sigma)
+    within = fields[inside]
+    within = within / np.sqrt(np.einsum("nf,nf->f", within, energy @ within))
+    values, vectors = np.linalg.eigh(within.T @ (energy @ within))
     kept = np.argsort(values)[::-1][: min(MODES, len(values))]
-    values, vectors = values[kept], vectors[:, kept]
-    modes = inside @ (vectors / np.sqrt(values))
-    loads = np.zeros((len(fields), len(kept)))
-    loads[: len(heart.vertices)] = stiffness @ modes
-    return modes.T.copy(), loads, np.sqrt(values / values[0])
+    modes = np.zeros((len(fields), len(kept)))
+    modes[inside] = within @ (vectors[:, kept] / np.sqrt(values[kept]))
+    return modes
 
 
-def reduced_basis(of_electrodes: Floats, of_modes: Floats, energy: csr_matrix) -> Floats:
-    """The directions (n, b), orthonormal in an energy, that hold most of the snapshots (n, s)."""
-
-    def alike(fields: Floats) -> Floats:
-        return np.asarray(fields / np.sqrt(np.einsum("ns,ns->s", fields, energy @ fields)))
-
-    # most of an electrode's energy lies at the electrode, where no mode's potential needs it
-    scaled = np.concatenate([ELECTRODE_WEIGHT * alike(of_electrodes), alike(of_modes)], axis=1)
-    values, vectors = np.linalg.eigh(scaled.T @ (energy @ scaled))
-    kept = np.argsort(values)[::-1][: min(BASIS, len(values))]
-    return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(values[kept])))
-
-
-def _assembled(
-    conductor: Conductor,
-    places: Contacts,
-    basis: Floats,
-    modes: Floats,
-    loads: Floats,
-    rng: np.random.Generator,
-    progress: Callable[[int], None],
-) -> BodyResponse:
-    """Everything that the response needs of a basis."""
-    heart, torso = conductor.heart, conductor.torso
-    tissues, count = torso.tissues, len(heart.tetrahedra)
-    sampled, weights, mixing, bodies = tensor_modes(conductor, rng)
-    size = basis.shape[1]
-    isotropic = conductor.conductivity[count:, 0, 0]
-    own = assemble_stiffness(heart.vertices, heart.tetrahedra, conductor.conductivity[:count])
-    in_heart = basis[: len(heart.vertices)]
-    gradients = _Gradients(torso.vertices, torso.tetrahedra, basis)
-    blood = tissues == TorsoTissue.BLOOD
-    unit = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    fixed = [
-        in_heart.T @ (own @ in_heart),
-        gradients.product(np.flatnonzero(blood), isotropic[blood, None] * unit),
-    ]
-    moving = np.zeros((2, len(mixing), size, size))
-    motions = [conductor.motion(body) for body in bodies]
-    for row, tissue in enumerate((TorsoTissue.BODY, TorsoTissue.LUNG)):
-        for part in _blocks(np.flatnonzero(tissues == tissue)):
-            morph = conductor.morph.of(part)
-            tensors = np.stack([morph.tensors(motion) for motion in motions]).astype(np.float32)
-            gradient = gradients.of(part)
-            for k, mix in enumerate(mixing):
-                entries = isotropic[part, None] * np.tensordot(mix, tensors, axes=1)
-                moving[row, k] += gradients.weighted(gradient, part, entries)
-    progress(len(mixing))
-    critical = conductor.morph.of(_critical(conductor, motions))
-    at = conductor.morph.of(sampled)
-    rows = np.einsum("ec,ecb->eb", places.weights, basis[places.triangles])
-    return BodyResponse(
-        modes, basis.T @ loads,
-        np.array([_packed(f) for f in fixed], dtype=np.float32),
-        np.array([_packed(m) for m in moving.reshape(-1, size, size)], dtype=np.float32),
-        rows[:V1],
-        rows[V1:].reshape(len(ELECTRODES) - V1, len(LEFT), len(UP), size),
-        weights, at.centres, at.share, at.slope,
-        critical.centres, critical.share, critical.slope,
-        conductor.centroid, conductor.axes,
-    )  # fmt: skip
+def inner_energies(conductor: Conductor, modes: Floats) -> Floats:
+    """Energies (4, k, k) of modes in the hull's myocardium, body, lung and blood."""
+    torso = conductor.torso
+    found = np.zeros((1 + len(TISSUES), modes.shape[1], modes.shape[1]))
+    parts = [(conductor.heart.tetrahedra, conductor.of_heart)]
+    for tissue in TISSUES:
+        chosen = conductor.inside & (torso.tissues == tissue)
+        parts.append((torso.tetrahedra[chosen], conductor.around[chosen]))
+    for k, (tetrahedra, sigma) in enumerate(parts):
+        if len(tetrahedra):
+            used, corners = np.unique(tetrahedra, return_inverse=True)
+            stiffness = assemble_stiffness(torso.vertices[used], corners.reshape(-1, 4), sigma)
+            found[k] = modes[used].T @ (stiffness @ modes[used])
+    return found
 
 
-def tensor_modes(
-    conductor: Conductor, rng: np.random.Generator
-) -> tuple[Integers, Floats, Floats, list[BodyState]]:
-    """Which bodies' tensors, mixed how, span those of all, and where they are told from.
+def place_patterns(remainders: NDArray[np.float32]) -> Floats:
+    """Functions (p, q) of places that hold most of fields (b, p, k): principal components.
 
-    Parameters
-    ----------
-    conductor : Conductor
-        Heart, torso and electrodes.
-    rng : numpy.random.Generator
-        Which bodies and tetrahedra are looked at.
-
-    Returns
-    -------
-    sampled : (s,) array
-        Tetrahedra of the torso from whose tensors the coefficients of the modes are told.
-    weights : (k, s, 6) array
-        Coefficients of the modes for these tensors' entries.
-    mixing : (k, b) array
-        The modes as combinations of the bodies' tensors.
-    bodies : list of BodyState
-        b of them.
+    Each limb electrode has one of its own: there are many more places of the chest's.
     """
-    moves = np.flatnonzero(
-        (conductor.morph.share > 0) & (conductor.torso.tissues != TorsoTissue.BLOOD)
-    )
-    bodies = random_bodies(conductor, TENSOR_BODIES, rng)
-    volumes = signed_volumes(conductor.torso.vertices, conductor.torso.tetrahedra)
-    # near the heart, where its currents are, conductivity counts most
-    distance = np.linalg.norm(conductor.morph.centres - conductor.centroid, axis=1)
-    importance = volumes / (1 + (distance / 60.0) ** 4)
-    share = importance[moves] / importance[moves].sum()
-    subset = rng.choice(moves, min(TENSOR_SUBSET, len(moves)), replace=False, p=share)
-    morph = conductor.morph.of(subset)
-    tensors = np.stack([morph.tensors(conductor.motion(body)) for body in bodies])
-    flat = tensors.reshape(len(bodies), -1)
-    left, values, right = np.linalg.svd(flat, full_matrices=False)
-    count = min(TENSOR_MODES, len(values))
-    mixing = (left[:, :count] / values[:count]).T
-    modes = right[:count]
-    _, _, order = qr(modes, mode="economic", pivoting=True)
-    chosen = list(dict.fromkeys((order // 6).tolist()))[:SAMPLED]
-    at = modes.reshape(count, len(subset), 6)[:, chosen].reshape(count, -1)
-    weights = np.linalg.pinv(at.T).reshape(count, len(chosen), 6)
-    return subset[chosen], weights, mixing, bodies
+    chest = np.concatenate(list(remainders[:, V1:]), axis=1)
+    _, vectors = np.linalg.eigh(chest @ chest.T)
+    return np.asarray(scipy.linalg.block_diag(np.eye(V1), vectors[:, ::-1][:, :PATTERNS]))
 
 
-class _Gradients:
-    """∇V of a basis in tetrahedra, and energies of it."""
-
-    def __init__(self, vertices: Floats, tetrahedra: Integers, basis: Floats) -> None:
-        self.tetrahedra, self.basis = tetrahedra, basis
-        self.barycentric = barycentric_gradients(vertices, tetrahedra)
-        self.volumes = signed_volumes(vertices, tetrahedra) / MM_PER_CM
-
-    def of(self, part: Integers) -> Floats:
-        """∇V (3, m, b) (per mm) in some tetrahedra, in single precision."""
-        values = self.basis[self.tetrahedra[part]]
-        gradient = np.einsum("mki,mkb->imb", self.barycentric[part], values, optimize=True)
-        return np.ascontiguousarray(gradient, dtype=np.float32)
-
-    def weighted(self, gradient: Floats, part: Integers, entries: Floats) -> Floats:
-        """∫ ∇V·σ∇V over them for σ of these entries (m, 6), in mS/cm; (b, b)."""
-        sigma = symmetric(self.volumes[part, None] * entries).astype(np.float32)
-        total = np.zeros((gradient.shape[2], gradient.shape[2]))
-        for i in range(3):
-            flux = sum(sigma[:, i, j, None] * gradient[j] for j in range(3))
-            total += gradient[i].T @ flux
-        return np.asarray(total)
-
-    def product(self, chosen: Integers, entries: Floats) -> Floats:
-        """The same over any number of tetrahedra."""
-        size = self.basis.shape[1]
-        total = np.zeros((size, size))
-        position = 0
-        for part in _blocks(chosen):
-            total += self.weighted(self.of(part), part, entries[position : position + len(part)])
-            position += len(part)
-        return total
-
-
-def _packed(matrix: Floats) -> Floats:
-    """A symmetric matrix in rectangular full packed format."""
-    packed, failed = dtrttf(matrix)
-    assert not failed
-    return np.asarray(packed)
-
-
-def _blocks(chosen: Integers, size: int = 10_000) -> Iterator[Integers]:
-    for start in range(0, len(chosen), size):
-        yield chosen[start : start + size]
-
-
-def _critical(conductor: Conductor, motions: Sequence[Motion]) -> Integers:
+def _critical(conductor: Conductor, bodies: Sequence[BodyState]) -> Integers:
     """Tetrahedra that are compressed most in some body."""
     found: set[int] = set()
-    for motion in motions:
-        found.update(
-            np.argsort(np.linalg.det(conductor.morph.jacobians(motion)))[:CRITICAL].tolist()
-        )
+    for body in bodies:
+        determinants = conductor.morph.determinants(conductor.motion(body))
+        found.update(np.argsort(determinants)[:CRITICAL].tolist())
     return np.array(sorted(found))

@@ -12,8 +12,8 @@ from threadpoolctl import ThreadpoolController
 _BLAS = ThreadpoolController().select(user_api="blas")
 
 # Decorator: keep BLAS and LAPACK to one thread within a function. The matrices of a fit are small,
-# so that more threads mostly wait; and sums are then always taken in the same order, so the result
-# has the same bits whatever the number of cores.
+# so that more threads mostly wait, the more the busier the machine; and sums are then always taken
+# in the same order, so the result has the same bits whatever the number of cores.
 one_thread = _BLAS.wrap(limits=1)
 
 
