@@ -19,7 +19,7 @@ import fascicle
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
-from fascicle.core.quantities import BODY, GROUPS
+from fascicle.core.quantities import BODY, GROUPS, QUANTITIES
 from fascicle.inference.evaluation import best_of
 from fascicle.inference.optimisation.refine import refine, spread
 
@@ -39,9 +39,10 @@ def main() -> None:
     body = ParameterSpace(tuple(free(name) for name in names))
     space = ParameterSpace((*learnt.parameters, *body.parameters))
     problem = replace(fitted.problem, space=space)
-    bodies = rng.random((len(spread(known)), len(body)))
-    bodies[0] = body.to_unit({name: 1.0 if name == "chest_size" else 0.0 for name in body.names})
-    starts = problem(list(np.hstack([spread(known), bodies])))
+    networks = spread(known)
+    bodies = rng.random((len(networks), len(body)))
+    bodies[0] = body.to_unit({name: QUANTITIES[name].default for name in body.names})
+    starts = problem(list(np.hstack([networks, bodies])))
     found = list(starts)
 
     def objective(points):  # type: ignore[no-untyped-def]

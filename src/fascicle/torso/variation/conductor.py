@@ -140,11 +140,13 @@ class Conductor:
 
     def stiffness(self, state: BodyState) -> csr_matrix:
         """Conductances (n, n) over the factor on the myocardium's conductivity (1/kΩ)."""
-        sigma = self.conductivity.copy()
-        around = sigma[len(self.heart.tetrahedra) :]
-        around *= self.factors(state)[:, None, None]
-        around[:] = around @ symmetric(self.morph.tensors(self.motion(state)))
+        sigma = np.concatenate([self.of_heart, self.moved(state)])
         return assemble_stiffness(self.torso.vertices, self.tetrahedra, sigma)
+
+    def moved(self, state: BodyState, chosen: Booleans | slice = slice(None)) -> Floats:
+        """σT of the torso's tetrahedra, or of those chosen (c, 3, 3), as the body moves (mS/cm)."""
+        sigma = self.around[chosen] * self.factors(state)[chosen, None, None]
+        return np.asarray(sigma @ symmetric(self.morph.of(chosen).tensors(self.motion(state))))
 
     def factors(self, state: BodyState) -> Floats:
         """Factor on the conductivity of each of the torso's tetrahedra (m,)."""

@@ -18,10 +18,10 @@ from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.torso import TorsoTissue
+from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.lead_fields import MM_PER_CM, Contacts, assemble_stiffness
 from fascicle.torso.variation.block_solver import block_cg, multigrid
 from fascicle.torso.variation.conductor import BodyState, Conductor
-from fascicle.torso.variation.morph import symmetric
 
 TOLERANCE, MOST_ITERATIONS = 3e-4, 60  # of the potentials outside
 EXACTLY, MANY_ITERATIONS = 1e-6, 500
@@ -33,6 +33,8 @@ class Part:
 
     Attributes
     ----------
+    used : (n,) array
+        Their numbers in the whole mesh.
     points : (n, 3) array
         Vertices (mm).
     corners : (m, 4) array
@@ -41,19 +43,19 @@ class Part:
         Vertices on the hull's surface, and the others.
     """
 
+    used: Integers
     points: Floats
     corners: Integers
     surface: Integers
     free: Integers
 
     @classmethod
-    def of(cls, vertices: Floats, tetrahedra: Integers, surface: Integers) -> Part:
+    def of(cls, vertices: Floats, tetrahedra: Integers, surface: Integers | tuple[()] = ()) -> Part:
         """Of tetrahedra and vertices of the surface, numbered in the whole mesh."""
-        used, corners = np.unique(tetrahedra, return_inverse=True)
+        used = np.unique(tetrahedra)
         on = np.isin(used, surface)
-        return cls(
-            vertices[used], corners.reshape(-1, 4), np.flatnonzero(on), np.flatnonzero(~on)
-        )  # fmt: skip
+        points, corners = without_unused_vertices(vertices, tetrahedra)
+        return cls(used, points, corners, np.flatnonzero(on), np.flatnonzero(~on))
 
     def extended(
         self, conductivity: Floats, values: Floats, tolerance: float, most: int
@@ -101,7 +103,7 @@ class Exterior:
     @cached_property
     def at_contacts(self) -> csr_matrix:
         """Values at the contacts of values at the part's vertices (p, n)."""
-        used = np.unique(self.conductor.torso.tetrahedra[~self.conductor.inside])
+        used = self.part.used
         columns = np.searchsorted(used, self.contacts.triangles)
         rows = np.repeat(np.arange(len(columns)), 3)
         shape = len(columns), len(used)
@@ -113,13 +115,8 @@ class Exterior:
         The factor on the lungs' conductivity counts through its ratio to the body's.
         """
         conductor, outside = self.conductor, ~self.conductor.inside
-        body, lung, _ = state.ratios
-        factor = np.where(conductor.torso.tissues[outside] == TorsoTissue.LUNG, lung / body, 1.0)
-        sigma = conductor.around[outside] * factor[:, None, None]
-        tensors = conductor.morph.of(outside).tensors(conductor.motion(state))
-        stiffness, found = self.part.extended(
-            sigma @ symmetric(tensors), self.values, TOLERANCE, MOST_ITERATIONS
-        )
+        sigma = conductor.moved(state, outside) / state.ratios[0]
+        stiffness, found = self.part.extended(sigma, self.values, TOLERANCE, MOST_ITERATIONS)
         return found.T @ (stiffness @ found), self.at_contacts @ found
 
 

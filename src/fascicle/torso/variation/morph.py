@@ -67,14 +67,14 @@ class Morph:
         return np.asarray(own + np.einsum("mi,mi->m", self.slope, moved))
 
     def compression(self, motion: Motion) -> float:
-        """The least of them."""
+        """Least determinant of J: 0 where heart and skin touch."""
         return float(self.determinants(motion).min())
 
     def tensors(self, motion: Motion) -> Floats:
         """T, the factor on an isotropic conductivity, as its six entries `UPPER`; (m, 6)."""
         return pulled_back(self.jacobians(motion))
 
-    def of(self, chosen: Integers | Booleans) -> Morph:
+    def of(self, chosen: Integers | Booleans | slice) -> Morph:
         """The same for some of the points."""
         return Morph(self.centres[chosen], self.share[chosen], self.slope[chosen])
 

@@ -37,7 +37,7 @@ REMEMBERED = 8  # bodies whose coefficients are kept, the neutral one among them
 SHIFT, TURN, SIZE, LOG_FACTOR = 20.0, np.radians(20.0), 0.15, np.log(2.0)
 
 
-def place_of(state: BodyState) -> Floats:
+def exterior_inputs(state: BodyState) -> Floats:
     """The eight numbers that the outside depends on, about 1 at the ends of their ranges."""
     body, lung, _ = state.ratios
     geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / ([SHIFT] * 3 + [TURN] * 3 + [SIZE])
@@ -55,7 +55,7 @@ class BodyResponse:
     inner : (4, k, k) array
         Their energies in the hull's myocardium, body, lung and blood.
     bodies : (b, 8) array
-        `place_of` those solved.
+        `exterior_inputs` of those solved.
     outer : (b, k(k+1)/2) array
         Upper triangles of A over the factor on the body's conductivity.
     places : (3 + 6·left·up, 3) array
@@ -106,7 +106,7 @@ class BodyResponse:
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
         if critical.compression(motion) < LEAST_COMPRESSION:
             return InvalidBody("the heart would touch the skin")
-        weights = self._weights(place_of(state)[None])[0].astype(self.outer.dtype)
+        weights = self._weights(exterior_inputs(state)[None])[0].astype(self.outer.dtype)
         outer = np.empty(self.filled.shape)
         outer[self._upper] = outer.T[self._upper] = weights @ self.outer
         driven = self.driven(state, motion, weights, outer)

@@ -24,7 +24,14 @@ from fascicle.torso.variation.block_solver import block_cg, multigrid
 from fascicle.torso.variation.conductor import TISSUES, BodyState, Conductor
 from fascicle.torso.variation.electrode_paths import LEFT, UP, electrode_places
 from fascicle.torso.variation.exterior import Exterior, NearField, Part, near_field
-from fascicle.torso.variation.response import LOG_FACTOR, SHIFT, SIZE, TURN, BodyResponse, place_of
+from fascicle.torso.variation.response import (
+    LOG_FACTOR,
+    SHIFT,
+    SIZE,
+    TURN,
+    BodyResponse,
+    exterior_inputs,
+)
 
 LEFT_REACH, UP_REACH, TOGETHER_REACH = 25.0, 25.0, 40.0  # mm, of what modes are taken from
 MODE_BODIES, MODES = 30, 64  # solved for all electrodes; kept of their fields
@@ -100,7 +107,7 @@ def build_response(
     critical = conductor.morph.of(_critical(conductor, bodies))
     return BodyResponse(
         modes[: len(heart.vertices)].T.copy(), inner_energies(conductor, modes),
-        np.array([place_of(body) for body in bodies]), outer,
+        np.array([exterior_inputs(body) for body in bodies]), outer,
         points, patterns, (patterns.T @ remainders).astype(np.float32),
         near.points, near.projection, near.filled,
         critical.centres, critical.share, critical.slope,
@@ -178,16 +185,15 @@ def hull_modes(conductor: Conductor, fields: Floats) -> Floats:
 
     By proper orthogonal decomposition; 0 outside the hull.
     """
-    inside, hull = np.unique(conductor.in_hull), conductor.in_hull
-    part = Part.of(conductor.torso.vertices, hull, np.array([], dtype=np.int64))
+    part = Part.of(conductor.torso.vertices, conductor.in_hull)
     sigma = np.concatenate([conductor.of_heart, conductor.around[conductor.inside]])
     energy = assemble_stiffness(part.points, part.corners, sigma)
-    within = fields[inside]
+    within = fields[part.used]
     within = within / np.sqrt(np.einsum("nf,nf->f", within, energy @ within))
     values, vectors = np.linalg.eigh(within.T @ (energy @ within))
     kept = np.argsort(values)[::-1][: min(MODES, len(values))]
     modes = np.zeros((len(fields), len(kept)))
-    modes[inside] = within @ (vectors[:, kept] / np.sqrt(values[kept]))
+    modes[part.used] = within @ (vectors[:, kept] / np.sqrt(values[kept]))
     return modes
 
 
@@ -201,9 +207,10 @@ def inner_energies(conductor: Conductor, modes: Floats) -> Floats:
         parts.append((torso.tetrahedra[chosen], conductor.around[chosen]))
     for k, (tetrahedra, sigma) in enumerate(parts):
         if len(tetrahedra):
-            used, corners = np.unique(tetrahedra, return_inverse=True)
-            stiffness = assemble_stiffness(torso.vertices[used], corners.reshape(-1, 4), sigma)
-            found[k] = modes[used].T @ (stiffness @ modes[used])
+            part = Part.of(torso.vertices, tetrahedra)
+            within = modes[part.used]
+            stiffness = assemble_stiffness(part.points, part.corners, sigma)
+            found[k] = within.T @ (stiffness @ within)
     return found
 
 
