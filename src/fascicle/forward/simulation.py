@@ -60,6 +60,11 @@ class Simulation:
         return ecg
 
     @property
+    def first_activation(self) -> float:
+        """Sample of `leads` at which the first vertex activates; may lie between samples."""
+        return float((self.activation.min() - self.onset) / STEP)
+
+    @property
     def total_activation_time(self) -> float:
         """From the first to the last activation in the myocardium that is reached (ms)."""
         reached = self.activation[np.isfinite(self.activation)]

@@ -1,0 +1,217 @@
+"""The likelihood of a recorded QRS, given a simulated one.
+
+What is compared are coefficients: the first cosines (DCT-II) over the QRS window and `MARGIN` on
+either side of it, of each independent lead. The recording is silent outside its QRS window, as it
+is in the loss. With V(s) the coefficients of the simulation that is shifted by s, and V̂ those of
+the mean recorded beat::
+
+    V̂ = g V(s) + ε,    ε ~ N(0, C + σ² D)
+
+    C     covariance of what is known: noise of the mean beat, roughness of the forward model
+    D     covariance of the discrepancy, what no network of this model explains, of unit size
+    σ     its size (mV), unknown: log-uniform over `Discrepancy.scales`
+    g     gain, unknown: normal about 1
+    s     shift, unknown: the first activation is the onset of the recorded QRS, give or take its
+          uncertainty
+
+g is integrated exactly (it adds the rank-one term sd² V Vᵀ to the covariance), σ and s by sums. In
+the basis that makes C the identity and D diagonal, every σ costs one sum over the coefficients.
+The separation into noise, discrepancy and model follows M. C. Kennedy and A. O'Hagan, "Bayesian
+calibration of computer models", J. R. Statist. Soc. B 63 (2001).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import idct
+from scipy.linalg import eigh
+from scipy.special import logsumexp
+
+from fascicle.core.arrays import Floats
+from fascicle.forward.loss import Response, placed
+
+MARGIN = 40  # samples (ms) of silence on either side of the QRS
+RESOLUTION = 12.0  # ms; half a period of the fastest cosine
+CORRELATION = 12.0  # ms; of the discrepancy in time
+FINE = (np.arange(30) - 14.5) / 10  # ms; steps of the sum over shifts about the best one
+NEAR = 4  # samples on either side of it that give the values between samples
+REACH = 3.0  # standard deviations of the shift that are summed over
+FIRST_ACTIVATION_SD = 3.0  # ms; of the recorded onset after the first activation, beside its own
+SCALES = np.geomspace(0.02, 0.64, 36)  # mV; sizes of the discrepancy, 11 % apart
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a simulation explains the recording, and where it lies.
+
+    Attributes
+    ----------
+    log_likelihood : float
+        Of V̂, in coefficients (1/mV each).
+    shifts : (n_shifts,) array
+        Samples of the simulation at which the window of the cosines may begin.
+    weights : (n_scales, n_shifts) array
+        Posterior probability of each pair of discrepancy and shift; they add up to 1.
+    gains, gain_sds : (n_scales, n_shifts) arrays
+        Mean and standard deviation of the gain, given the pair.
+    """
+
+    log_likelihood: float
+    shifts: Floats
+    weights: Floats
+    gains: Floats
+    gain_sds: Floats
+
+
+@dataclass(frozen=True)
+class QrsLikelihood:
+    """The likelihood of one recorded mean QRS.
+
+    Attributes
+    ----------
+    recorded : (n_leads, n_qrs) array
+        Mean QRS in independent leads (mV).
+    known : (n, n) array
+        C (mV²), with n = n_leads · n_modes; leads outside, cosines inside.
+    discrepancy : (n, n) array
+        D, of unit mean over the samples of a lead.
+    onset_sd : float
+        Standard deviation of the recorded onset (ms).
+    gain_sd : float
+        Of the gain about 1; 0 fixes it.
+    response : callable, optional
+        Gain of the filters that the recording has passed.
+    """
+
+    recorded: Floats
+    known: Floats
+    discrepancy: Floats
+    onset_sd: float
+    gain_sd: float
+    response: Response | None = None
+
+    def fit(self, simulated: Floats, onset: float) -> Fit:
+        """Compare a simulation with the recording.
+
+        Parameters
+        ----------
+        simulated : (n_leads, n) array
+            V (mV); zero before its first and after its last sample.
+        onset : float
+            Sample of the first activation.
+        """
+        sd = float(np.hypot(self.onset_sd, FIRST_ACTIVATION_SD))
+        reach = math.ceil(REACH * sd) + NEAR
+        steps = np.arange(-reach, reach + 1.0)
+        first = onset - MARGIN
+        model = self._whitened(simulated, first + steps)
+        coarse = slice(NEAR, -NEAR)
+        log_prior = -0.5 * (steps / sd) ** 2
+        logs = logsumexp(self._joint(model[:, coarse])[0], axis=0) + log_prior[coarse]
+        best = NEAR + int(np.argmax(logs))
+        far = np.setdiff1d(np.arange(len(steps))[coarse], np.arange(best - 1, best + 2))
+        near = _lagrange(FINE)
+        offsets = np.concatenate([steps[far], steps[best] + FINE])
+        widths = np.concatenate([np.ones(len(far)), np.full(len(FINE), 3 / len(FINE))])
+        model = np.hstack([model[:, far], model[:, best - NEAR : best + NEAR + 1] @ near])
+        joint, gains, gain_sds = self._joint(model)
+        joint += -0.5 * (offsets / sd) ** 2 + np.log(widths / (sd * math.sqrt(2 * math.pi)))
+        total = float(logsumexp(joint))
+        weights = np.exp(joint - total)
+        return Fit(total - math.log(len(SCALES)), first + offsets, weights, gains, gain_sds)
+
+    def _whitened(self, simulated: Floats, shifts: Floats) -> Floats:
+        """Coefficients in the diagonal basis, (n, n_shifts), at shifts that are 1 apart."""
+        length = self.length
+        samples = placed(simulated, float(shifts[0]), length + len(shifts) - 1, self.response)
+        windows = sliding_window_view(samples, length, axis=1)  # (n_leads, n_shifts, length)
+        basis = self._diagonal[0]
+        found = np.ascontiguousarray(windows) @ self.modes
+        return np.asarray(basis.T @ found.transpose(0, 2, 1).reshape(len(basis), -1))
+
+    def _joint(self, model: Floats) -> tuple[Floats, Floats, Floats]:
+        """Log-likelihood, mean gain and its standard deviation, (n_scales, n_shifts) each."""
+        _, weights, log_determinants, data = self._diagonal
+        size = weights @ model**2
+        overlap = weights @ (model * data)
+        variance = self.gain_sd**2
+        along = overlap - size
+        precision = 1 + variance * size
+        square = weights @ data**2 - 2 * overlap + size - variance * along**2 / precision
+        logs = -0.5 * (square + np.log(precision) + log_determinants[:, None])
+        return logs, 1 + variance * along / precision, self.gain_sd / np.sqrt(precision)
+
+    @property
+    def length(self) -> int:
+        """Samples of the window of the cosines."""
+        return int(self.recorded.shape[1] + 2 * MARGIN)
+
+    @cached_property
+    def modes(self) -> Floats:
+        """The cosines, orthonormal, shape (length, n_modes)."""
+        return cosines(self.recorded.shape[1])
+
+    @cached_property
+    def _diagonal(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Basis (n, n); in it weights (n_scales, n), log-determinants and the recording (n, 1)."""
+        values, basis = eigh(self.discrepancy, self.known)
+        spread = 1 + SCALES[:, None] ** 2 * np.maximum(values, 0)
+        constant = np.linalg.slogdet(2 * np.pi * self.known)[1]
+        padded = np.pad(self.recorded, ((0, 0), (MARGIN, MARGIN)))
+        data = basis.T @ (padded @ self.modes).reshape(-1, 1)
+        return basis, 1 / spread, constant + np.log(spread).sum(axis=1), data
+
+
+def _lagrange(wanted: Floats) -> Floats:
+    """Weights (2 NEAR + 1, m) of samples at -NEAR, ..., NEAR for values between them."""
+    nodes = np.arange(-NEAR, NEAR + 1)
+    return np.array(
+        [
+            np.prod([(wanted - other) / (node - other) for other in nodes if other != node], axis=0)
+            for node in nodes
+        ]
+    )
+
+
+def cosines(qrs: int) -> Floats:
+    """Orthonormal cosines over a QRS of so many samples and its margins, (length, n_modes)."""
+    length = qrs + 2 * MARGIN
+    return np.asarray(idct(np.eye(length)[:, : round(length / RESOLUTION)], axis=0, norm="ortho"))
+
+
+def matern(length: int, correlation: float = CORRELATION) -> Floats:
+    """Matérn correlation (order 3/2) of so many samples 1 ms apart, (length, length).
+
+    The residuals of fits to recordings fall as it does over the first 10 ms (0.94 at 3 ms, 0.78 at
+    6 ms), and it leaves more to fast changes than a Gaussian that does, too.
+    """
+    lag = np.sqrt(3.0) * np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+    scaled = lag / correlation
+    return np.asarray((1 + scaled) * np.exp(-scaled))
+
+
+def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
+    """Covariance (n, n) of coefficients: of leads (n_leads, n_leads), and of samples."""
+    return np.asarray(np.kron(leads, modes.T @ time @ modes))
+
+
+def lead_pattern(signals: Sequence[Floats], own: float = 0.1) -> Floats:
+    """Correlation of leads of the differences between simulations, scaled to unit mean.
+
+    Parameters
+    ----------
+    signals : sequence of (n_leads, n) arrays
+        Differences (mV).
+    own : float
+        Share of the variance that is each lead's own: its electrode's place.
+    """
+    products = [signal @ signal.T for signal in signals]
+    total = np.asarray(np.sum(products, axis=0) / np.sum(np.trace(products, axis1=1, axis2=2)))
+    total *= len(total)
+    return (1 - own) * total + own * np.eye(len(total))

@@ -1,0 +1,113 @@
+"""The likelihood of a recorded QRS: against brute force, and what it must not depend on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+
+from fascicle.forward import likelihood as tested
+from fascicle.forward.likelihood import MARGIN, SCALES, QrsLikelihood, cosines, matern, separable
+from fascicle.forward.loss import placed
+
+QRS = 60  # samples
+ONSET = 15.3  # sample of the simulation's first activation
+
+
+def signal(width: float = 8.0) -> np.ndarray:
+    """Two smooth leads of 100 samples that begin at `ONSET`."""
+    t = np.arange(100) - ONSET
+    rise = np.where(t > 0, t, 0) / 20
+    return np.array(
+        [
+            rise * np.exp(-0.5 * ((t - 25) / width) ** 2),
+            -0.7 * rise * np.exp(-0.5 * ((t - 35) / 9) ** 2),
+        ]
+    )
+
+
+def example(gain_sd: float = 0.3, noise: float = 0.02) -> QrsLikelihood:
+    """The same signal, louder, later by 1.6 samples and with an error, as a recording."""
+    modes = cosines(QRS)
+    rng = np.random.default_rng(0)
+    recorded = 1.2 * placed(signal(), ONSET + 1.6, QRS) + 0.05 * np.sin(
+        np.arange(QRS) / 9
+    ) * rng.standard_normal((2, 1))
+    known = noise**2 * np.eye(2 * modes.shape[1])
+    leads = np.array([[1.0, -0.3], [-0.3, 1.0]])
+    return QrsLikelihood(
+        recorded, known, separable(leads, matern(len(modes)), modes), 4.0, gain_sd
+    )
+
+
+def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) -> float:
+    """The same integral over shift and gain for one discrepancy, by plain sums."""
+    covariance = likelihood.known + scale**2 * likelihood.discrepancy
+    data = (np.pad(likelihood.recorded, ((0, 0), (MARGIN, MARGIN))) @ likelihood.modes).ravel()
+    sd = np.hypot(likelihood.onset_sd, tested.FIRST_ACTIVATION_SD)
+    gains = np.linspace(-5, 5, 601) * likelihood.gain_sd + 1
+    log_gain = norm.logpdf(gains, 1, likelihood.gain_sd) + np.log(gains[1] - gains[0])
+    logs = []
+    for offset in np.arange(-3 * sd, 3 * sd, 0.05):
+        shifted = placed(simulated, ONSET - MARGIN + offset, likelihood.length)
+        model = (shifted @ likelihood.modes).ravel()
+        each = multivariate_normal.logpdf(data - gains[:, None] * model, cov=covariance)
+        logs.append(logsumexp(each + log_gain) + norm.logpdf(offset, 0, sd) + np.log(0.05))
+    return float(logsumexp(logs))
+
+
+@pytest.mark.parametrize(("noise", "scale"), [(0.02, 0.03), (0.003, 0.02), (0.02, 0.3)])
+def test_against_brute_force(noise, scale, monkeypatch):
+    monkeypatch.setattr(tested, "SCALES", np.array([scale]))
+    likelihood = example(noise=noise)
+    expected = brute_force(likelihood, signal(), scale)
+    assert likelihood.fit(signal(), ONSET).log_likelihood == pytest.approx(expected, abs=0.02)
+
+
+def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
+    monkeypatch.setattr(tested, "SCALES", SCALES[[0, 12, 20]])
+    likelihood = example()
+    each = [brute_force(likelihood, signal(), scale) for scale in tested.SCALES]
+    fit = likelihood.fit(signal(), ONSET)
+    assert fit.log_likelihood == pytest.approx(logsumexp(each) - np.log(3), abs=0.02)
+    assert fit.weights.sum(axis=1) == pytest.approx(np.exp(each - logsumexp(each)), abs=0.02)
+
+
+def test_gain_and_shift_are_found():
+    fit = example(gain_sd=1.0).fit(signal(), ONSET)
+    by_shift = fit.weights.sum(axis=0)
+    assert by_shift @ fit.shifts == pytest.approx(ONSET - MARGIN + 1.6, abs=1.0)
+    assert (fit.weights * fit.gains).sum() == pytest.approx(1.2, abs=0.1)
+
+
+def test_a_fixed_gain_is_the_limit_of_a_certain_one():
+    fixed = example(gain_sd=0.0).fit(signal(), ONSET)
+    almost = example(gain_sd=1e-5).fit(signal(), ONSET)
+    assert fixed.log_likelihood == pytest.approx(almost.log_likelihood, abs=1e-6)
+    assert (fixed.gains == 1).all()
+
+
+def test_moved_in_time_by_parts_of_a_sample():
+    likelihood = example()
+    later = placed(signal(), -0.37, 110)
+    assert likelihood.fit(later, ONSET + 0.37).log_likelihood == pytest.approx(
+        likelihood.fit(signal(), ONSET).log_likelihood, abs=1e-3
+    )
+
+
+def test_what_it_was_made_from_is_likeliest():
+    modes = cosines(QRS)
+    exact = replace(example(gain_sd=0.1), recorded=placed(signal(), ONSET, QRS))
+    own = exact.fit(signal(), ONSET).log_likelihood
+    other = exact.fit(signal(width=6.0), ONSET).log_likelihood
+    assert own > other + 5
+    assert modes.T @ modes == pytest.approx(np.eye(modes.shape[1]), abs=1e-12)
+
+
+def test_covariances_are_of_rank():
+    modes = cosines(QRS)
+    assert np.linalg.eigvalsh(matern(len(modes))).min() > 0
+    pattern = tested.lead_pattern([signal(), signal(5.0)])
+    assert np.trace(pattern) == pytest.approx(2)
+    assert np.linalg.eigvalsh(pattern).min() > 0.09
