@@ -24,6 +24,8 @@ def fitted(
     junctions=(200, 300),
     under=0.99,
     lead_fields=True,
+    gain=1.0,
+    upside_down=None,
 ):
     """A study of which only what decides the warnings is there."""
     heart = SimpleNamespace(
@@ -36,13 +38,26 @@ def fitted(
         SimpleNamespace(side=side, junctions=np.arange(count))
         for side, count in zip(("lv", "rv"), junctions, strict=True)
     ]
+    recorded = np.sin(np.linspace(0, 6, 40)) * np.arange(1, 13)[:, None]
+    predicted = np.pad(recorded, ((0, 0), (2, 8)))
+    if upside_down is not None:
+        predicted[upside_down] *= -1
     study = FittedStudy(
         SimpleNamespace(),
-        SimpleNamespace(flat=2.0, model=model, space=NETWORK_SPACE, fixed=fixed or {}),
+        SimpleNamespace(
+            flat=2.0,
+            model=model,
+            space=NETWORK_SPACE,
+            fixed=fixed or {},
+            target=SimpleNamespace(qrs=recorded, qrs_samples=slice(2, 42)),
+            compared=np.arange(12) != 11,  # all but V6
+        ),
         SimpleNamespace(best_loss=loss, best=MIDDLE | (best or {})),
     )
     simulation = SimpleNamespace(trees=trees)
-    study.__dict__["best_network"] = SimpleNamespace(simulation=simulation, under_qrs=under)
+    study.__dict__["best_network"] = SimpleNamespace(
+        simulation=simulation, under_qrs=under, gain=gain, predicted=predicted, parameters={}
+    )
     return study
 
 
@@ -55,6 +70,18 @@ def test_a_good_fit_has_none():
 def test_what_the_model_does_not_explain(loss, share):
     (warning,) = fitted(loss=loss).warnings
     assert f"explains {share} of the recorded QRS" in warning
+
+
+def test_leads_of_another_shape():
+    (warning,) = fitted(upside_down=[7, 11]).warnings  # V2, and V6, which is not compared
+    assert "does not explain V2 (-1.00):" in warning
+
+
+@pytest.mark.parametrize("gain", [0.4, 2.5])
+def test_a_gain_far_from_one(gain):
+    (warning,) = fitted(gain=gain).warnings
+    assert f"had to be scaled by {gain}" in warning
+    assert fitted(gain=1.9).warnings == []
 
 
 def test_regions_that_count_as_healthy():

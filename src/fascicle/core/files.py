@@ -27,23 +27,42 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
     The temporary file lies in the same folder, so the rename is atomic; on any error, and on
     Ctrl-C, it is removed and what stood at `path` stays.
+
+    Raises
+    ------
+    InputError
+        If nothing can be written there, or the disk is full.
     """
     _make_parent(path)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = None
     try:
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent
+        )
+        temporary = Path(name)
+        os.close(handle)
         yield temporary
         temporary.chmod(0o644)
         os.replace(temporary, path)
+    except OSError as error:
+        raise _if_disk_full(error, path) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a file whole or not at all.
+
+    For netCDF, too: on a full disk HDF5 crashes where it writes the file itself.
+    """
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(content)
 
 
 @contextmanager
@@ -71,14 +90,19 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
             shutil.rmtree(folder)
         os.replace(temporary, folder)
     except OSError as error:
-        if error.errno not in DISK_FULL:
-            raise
-        raise InputError(
-            f"{folder}: could not be written ({error.strerror}); free some space or choose another "
-            "place (--out)"
-        ) from None
+        raise _if_disk_full(error, folder) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _if_disk_full(error: OSError, path: Path) -> OSError | InputError:
+    """What to raise for an error while `path` was written: a full disk is no bug."""
+    if error.errno not in DISK_FULL:
+        return error
+    return InputError(
+        f"{path}: could not be written ({error.strerror}); free some space or choose another place "
+        "(--out)"
+    )
 
 
 def check_folder(folder: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path
+from fascicle.core.files import write_bytes
 from fascicle.core.leads import LEADS
 from fascicle.recording.covariance import residual_covariance
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
@@ -52,8 +52,7 @@ def write_target(target: Target, path: str | Path) -> None:
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file, such as target.nc")
-    with atomic_path(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf")
+    write_bytes(path, dataset.to_netcdf(engine="h5netcdf"))
 
 
 def read_target(path: str | Path) -> Target:

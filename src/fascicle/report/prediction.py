@@ -11,7 +11,7 @@ import xarray as xr
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_folder, atomic_path, write_text
+from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
 from fascicle.forward.simulation_files import write_activation
@@ -101,8 +101,7 @@ def _write_ecgs(path: Path, pacing: Pacing) -> None:
             attrs={"units": "mV"},
         )
         arrays[name][f"time_{name}"].attrs.update(units="ms", long_name="time from QRS onset")
-    with atomic_path(path) as temporary:
-        xr.Dataset(arrays).to_netcdf(temporary, engine="h5netcdf")
+    write_bytes(path, xr.Dataset(arrays).to_netcdf(engine="h5netcdf"))
 
 
 def _write_figures(folder: Path, fitted: FittedStudy, pacing: Pacing, root_time: float) -> None:

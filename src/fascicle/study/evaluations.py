@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import time
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_path
 from fascicle.inference.evaluation import Evaluation, Objective
+from fascicle.study.interruption import interrupted_afterwards
 
 # Points of a step (m, d), and the surrogates' hyper-parameters behind them, from a random generator
 # and the hyper-parameters of the step before.
@@ -40,76 +45,62 @@ class Record:
     seconds: float
 
 
+MENDED = "run 'fascicle fit' on the study again, which keeps what can be read"
+SMALLEST_ROW = 32  # bytes in the file, less than any row takes
+TABLES = {
+    "evaluations": "stage TEXT NOT NULL, point BLOB NOT NULL, loss REAL, "
+    "beat_errors BLOB NOT NULL, reason TEXT NOT NULL, seconds REAL NOT NULL, "
+    "checksum INTEGER NOT NULL",
+    "proposals": "stage TEXT NOT NULL, step INTEGER NOT NULL, hyperparameters TEXT, "
+    "points BLOB NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (stage, step)",
+}
+Row = tuple[Any, ...]  # of one of the tables, in the order of its columns
+
+
+class DamagedStoreError(InputError):
+    """A database cannot be read, or a row in it is not as it was written."""
+
+
 class Database:
-    """The SQLite file: evaluations in order, and what was proposed at each step."""
+    """The SQLite file: evaluations as they were made, and what was proposed at each step.
+
+    Every row has a checksum of its own, since SQLite does not notice a changed number.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with self._transaction() as connection:
-            connection.execute(
-                "CREATE TABLE IF NOT EXISTS evaluations (idx INTEGER PRIMARY KEY, stage TEXT "
-                "NOT NULL, point BLOB NOT NULL, loss REAL, beat_errors BLOB NOT NULL, "
-                "reason TEXT NOT NULL, seconds REAL NOT NULL)"
-            )
-            connection.execute(
-                "CREATE TABLE IF NOT EXISTS proposals (stage TEXT NOT NULL, step INTEGER NOT NULL, "
-                "hyperparameters TEXT, points BLOB NOT NULL, PRIMARY KEY (stage, step))"
-            )
 
-    @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Open a connection whose changes are on the disk when the block ends, all or none."""
-        try:
-            with closing(sqlite3.connect(self.path)) as connection:
-                connection.execute("PRAGMA synchronous = FULL")
-                with connection:
-                    yield connection
-        except sqlite3.IntegrityError as error:
-            raise InputError(
-                f"{self.path}: another process is writing to this study; wait for it or stop it"
-            ) from error
-        except sqlite3.OperationalError as error:
-            raise InputError(
-                f"{self.path}: {error}; check the disk, and that nothing else uses the study"
-            ) from error
-        except sqlite3.DatabaseError as error:
-            raise InputError(
-                f"{self.path}: {error}; the study cannot be read, start again in another folder "
-                "(--out)"
-            ) from error
+    def prepare(self) -> None:
+        """Make the tables where they are missing."""
+        with self._transaction() as connection:
+            for name, columns in TABLES.items():
+                connection.execute(f"CREATE TABLE IF NOT EXISTS {name} ({columns})")
+
+    def check(self) -> None:
+        """Read everything.
+
+        Raises
+        ------
+        DamagedStoreError
+            If something of it cannot be read.
+        """
+        with self._transaction() as connection:
+            (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
+            if verdict != "ok":
+                raise DamagedStoreError(f"{self.path}: {verdict}")
+            for name in TABLES:
+                for row in connection.execute(f"SELECT * FROM {name}"):
+                    self._checked(row)
 
     def records(self) -> list[Record]:
         """All evaluations, in the order in which they were made."""
-        query = "SELECT stage, point, loss, beat_errors, reason, seconds FROM evaluations"
         with self._transaction() as connection:
-            rows = connection.execute(f"{query} ORDER BY idx").fetchall()
-        return [
-            Record(
-                Stage(stage),
-                Evaluation.infeasible(_floats(point), reason)
-                if loss is None
-                else Evaluation(_floats(point), loss, _floats(errors)),
-                seconds,
-            )
-            for stage, point, loss, errors, reason, seconds in rows
-        ]
+            rows = connection.execute("SELECT * FROM evaluations ORDER BY rowid").fetchall()
+        return [_record(self._checked(row)) for row in rows]
 
-    def append(self, first: int, records: Sequence[Record]) -> None:
-        """Store evaluations under the numbers `first`, and so on."""
-        rows = [
-            (
-                first + k,
-                record.stage,
-                _bytes(record.evaluation.point),
-                record.evaluation.loss if record.evaluation.feasible else None,
-                _bytes(record.evaluation.beat_errors),
-                record.evaluation.reason or "",
-                record.seconds,
-            )
-            for k, record in enumerate(records)
-        ]
-        with self._transaction() as connection:
-            connection.executemany("INSERT INTO evaluations VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+    def append(self, records: Sequence[Record]) -> None:
+        """Store evaluations, which are on the disk when this returns."""
+        self._insert("evaluations", [_evaluation_row(record) for record in records])
 
     def steps(self, stage: Stage) -> int:
         """Count the proposals of a stage."""
@@ -119,10 +110,13 @@ class Database:
 
     def proposal(self, stage: Stage, step: int) -> tuple[str | None, Floats] | None:
         """Hyper-parameters and flat points of a step; None if it has not been taken."""
-        query = "SELECT hyperparameters, points FROM proposals WHERE stage = ? AND step = ?"
+        query = "SELECT * FROM proposals WHERE stage = ? AND step = ?"
         with self._transaction() as connection:
             row = connection.execute(query, (stage, step)).fetchone()
-        return (row[0], _floats(row[1])) if row is not None else None
+        if row is None:
+            return None
+        _, _, hyperparameters, points, _ = self._checked(row)
+        return hyperparameters, _floats(points)
 
     def propose(self, stage: Stage, step: int, hyperparameters: str | None, points: Floats) -> None:
         """Store what a step proposes.
@@ -136,9 +130,105 @@ class Database:
         points : (m, d) array
             In the unit cube.
         """
-        row = (stage, step, hyperparameters, _bytes(points))
+        self._insert("proposals", [(str(stage), step, hyperparameters, _bytes(points))])
+
+    def forget_proposals(self, kept: Sequence[Stage]) -> None:
+        """Drop what was proposed in other stages than these; evaluations stay."""
+        marks = ", ".join("?" for _ in kept)
         with self._transaction() as connection:
-            connection.execute("INSERT INTO proposals VALUES (?, ?, ?, ?)", row)
+            connection.execute(f"DELETE FROM proposals WHERE stage NOT IN ({marks})", tuple(kept))
+
+    def mend(self) -> int:
+        """Keep the rows that can be read, and say how many evaluations are among them.
+
+        The damaged file stays beside the new one.
+        """
+        aside = self.path.with_suffix(f".damaged{self.path.suffix}")
+        shutil.copyfile(self.path, aside)
+        journal = self.path.with_name(f"{self.path.name}-journal")  # of a transaction cut short
+        if journal.exists():
+            shutil.copyfile(journal, aside.with_name(f"{aside.name}-journal"))
+        readable = {name: list(_readable(aside, name)) for name in TABLES}
+        with atomic_path(self.path) as temporary:
+            new = Database(temporary)
+            new.prepare()
+            for name, rows in readable.items():
+                new._insert(name, rows)
+            journal.unlink(missing_ok=True)  # it is not the new file's
+        return len(readable["evaluations"])
+
+    def _insert(self, table: str, rows: Sequence[Row]) -> None:
+        """Add rows (without their checksums) to a table, all or none."""
+        with self._transaction() as connection:
+            for row in rows:
+                whole = (*row, _checksum(row))
+                marks = ", ".join("?" for _ in whole)
+                connection.execute(f"INSERT INTO {table} VALUES ({marks})", whole)
+
+    def _checked(self, row: Row) -> Row:
+        """A row that was read, if it is as it was written."""
+        if not _sound(row):
+            raise DamagedStoreError(f"{self.path}: a row is not as it was written; {MENDED}")
+        return row
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        """Open a connection whose changes are on the disk when the block ends, all or none."""
+        try:
+            with closing(sqlite3.connect(self.path)) as connection:
+                connection.execute("PRAGMA synchronous = FULL")
+                with connection:
+                    yield connection
+        except sqlite3.OperationalError as error:
+            raise InputError(
+                f"{self.path}: {error}; see that the disk has space, that the file can be written, "
+                "and that nothing else uses it; the same command then goes on"
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise DamagedStoreError(f"{self.path}: {error}; {MENDED}") from error
+
+
+def _readable(path: Path, table: str) -> Iterator[Row]:
+    """Rows of a damaged file that are as they were written, without their checksums."""
+    most = path.stat().st_size // SMALLEST_ROW
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off, too
+        for number in range(most):
+            try:
+                query = f"SELECT * FROM {table} WHERE rowid = ?"
+                row = connection.execute(query, (number,)).fetchone()
+            except sqlite3.DatabaseError:
+                continue
+            if row is not None and _sound(row):
+                yield row[:-1]
+
+
+def _evaluation_row(record: Record) -> Row:
+    evaluation = record.evaluation
+    return (
+        str(record.stage),
+        _bytes(evaluation.point),
+        float(evaluation.loss) if evaluation.feasible else None,
+        _bytes(evaluation.beat_errors),
+        evaluation.reason or "",
+        float(record.seconds),
+    )
+
+
+def _record(row: Row) -> Record:
+    stage, point, loss, errors, reason, seconds, _ = row
+    if loss is None:
+        return Record(Stage(stage), Evaluation.infeasible(_floats(point), reason), seconds)
+    return Record(Stage(stage), Evaluation(_floats(point), loss, _floats(errors)), seconds)
+
+
+def _checksum(row: Row) -> int:
+    """Of what a row holds; numbers and blobs come back from SQLite with the same bits."""
+    return zlib.crc32(repr(row).encode())
+
+
+def _sound(row: Row) -> bool:
+    return bool(_checksum(row[:-1]) == row[-1])
 
 
 @dataclass
@@ -157,8 +247,10 @@ class Journal:
         Of every random number.
     workers : int
         Evaluations at a time.
+    known : dict of bytes to Record
+        Every stored evaluation, of this pass or an earlier one, by the bytes of its point.
     records : list of Record
-        What this pass has evaluated or read so far.
+        What this pass has asked for so far, in order.
     """
 
     database: Database
@@ -166,10 +258,11 @@ class Journal:
     dimension: int
     seed: int
     workers: int
+    known: dict[bytes, Record] = field(init=False)
     records: list[Record] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        self._stored = self.database.records()
+        self.known = {_bytes(r.evaluation.point): r for r in self.database.records()}
 
     @property
     def evaluations(self) -> list[Evaluation]:
@@ -198,19 +291,21 @@ class Journal:
         return stored[1].reshape(-1, self.dimension)
 
     def evaluate(self, stage: Stage, points: Sequence[Floats]) -> list[Evaluation]:
-        """Give the outcomes at `points`, each of shape (d,)."""
-        first = len(self.records)
-        known = self._stored[first : first + len(points)]
-        for number, (record, point) in enumerate(zip(known, points, strict=False), first):
-            if not np.array_equal(record.evaluation.point, point):
-                raise InputError(
-                    f"{self.database.path}: evaluation {number} is not of the point that the "
-                    "study proposes; the file was changed, start again in another folder (--out)"
-                )
-        self.records += known
-        for start in range(len(known), len(points), self.workers):
-            self._compute(stage, points[start : start + self.workers])
-        return [record.evaluation for record in self.records[first:]]
+        """Give the outcomes at `points`, each of shape (d,).
+
+        Those that are not known are evaluated `workers` at a time, and each such batch is on the
+        disk before the next begins. Ctrl-C waits for the batch.
+        """
+        keys = [_bytes(point) for point in points]
+        missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.known}
+        left = list(missing.values())
+        for start in range(0, len(left), self.workers):
+            with interrupted_afterwards():
+                self._compute(stage, left[start : start + self.workers])
+        # a point may have been evaluated in another stage, when there were fewer steps
+        found = [replace(self.known[key], stage=stage) for key in keys]
+        self.records += found
+        return [record.evaluation for record in found]
 
     def _compute(self, stage: Stage, points: Sequence[Floats]) -> None:
         begin = time.perf_counter()
@@ -222,8 +317,8 @@ class Journal:
         ]
         for record in new:
             _check(record.evaluation)
-        self.database.append(len(self.records), new)
-        self.records += new
+        self.database.append(new)
+        self.known |= {_bytes(record.evaluation.point): record for record in new}
 
 
 def _check(evaluation: Evaluation) -> None:

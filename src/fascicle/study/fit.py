@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,19 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
+from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target, write_target
-from fascicle.study.population import read_population
+from fascicle.study.lock import refuse_held, study_lock
+from fascicle.study.population import POSTERIOR, read_population
 from fascicle.study.problem import Problem
-from fascicle.study.results import POSTERIOR, FittedStudy, write_results
+from fascicle.study.results import FittedStudy, write_results
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import study_space
-from fascicle.study.study import Study, StudyConfig
+from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 
 HEART, TARGET = "heart", "target.nc"  # in the study's folder
 
@@ -38,8 +42,10 @@ def fit(
 ) -> FittedStudy:
     """Fit a population of Purkinje networks to a target.
 
-    Started again on the same folder it resumes, and with one worker gives exactly the result of a
-    run that was never interrupted.
+    Started again on the same folder it resumes, and gives exactly the result of a run that was
+    never interrupted. The numbers of steps and samples may then be others: what is stored is used
+    again. So may that of workers, which decides how many points a step of the optimisation
+    proposes; steps that were taken stay as they are.
 
     Parameters
     ----------
@@ -69,7 +75,8 @@ def fit(
     Raises
     ------
     InputError
-        If an input or a setting cannot be used, or the folder holds another study.
+        If an input or a setting cannot be used, the folder holds another study, or another process
+        works on it.
 
     Examples
     --------
@@ -78,6 +85,9 @@ def fit(
     >>> fitted.population.values["cv"].mean()  # doctest: +SKIP
     """
     checked = checked_settings(settings)
+    folder = Path(out)
+    check_study_folder(folder)
+    refuse_held(folder)
     heart = load_heart(heart) if not isinstance(heart, Heart) else heart
     target = read_target(target) if not isinstance(target, Target) else target
     space, fixed = study_space(checked.method, parameters or {}, heart)
@@ -88,16 +98,18 @@ def fit(
         target=target_digest(target),
         space=space.parameters,
         fixed=fixed,
+        **_growth_and_conduction(heart),
         **checked.model_dump(),
     )
-    study = Study.create_or_resume(Path(out), config)
-    if not (study.folder / HEART).exists():
-        write_heart(heart, study.folder / HEART)
-    if not (study.folder / TARGET).exists():
-        write_target(target, study.folder / TARGET)
-    problem = _problem(config, heart, target, progress)
-    fitted = FittedStudy(study, problem, study.run(problem, progress))
-    write_results(fitted, progress)
+    with study_lock(folder):
+        study = Study.create_or_resume(folder, config, progress)
+        if not (folder / HEART).exists():
+            write_heart(heart, folder / HEART)
+        if not (folder / TARGET).exists():
+            write_target(target, folder / TARGET)
+        problem = _problem(config, heart, target, progress)
+        fitted = FittedStudy(study, problem, study.run(problem, progress))
+        write_results(fitted, progress)
     return fitted
 
 
@@ -114,7 +126,8 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
     Raises
     ------
     InputError
-        If the folder is not a study, or the study is not finished.
+        If the folder is not a study, the study is not finished, or its forward model is not the
+        present one.
     """
     folder = Path(folder)
     study = Study.open(folder)
@@ -134,7 +147,20 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
             f"{folder / POSTERIOR}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
         )
-    return FittedStudy(study, _problem(study.config, heart, target, progress), population)
+    now = study.config.model_copy(update=_growth_and_conduction(heart))
+    check_same(folder, study.config, now)
+    problem = _problem(study.config, heart, target, progress)
+    study.check_objective(problem)
+    return FittedStudy(study, problem, population)
+
+
+def _growth_and_conduction(heart: Heart) -> dict[str, Any]:
+    """What the forward model of a heart holds fixed, as a study's configuration names it."""
+    conduction = Conduction.of(heart)
+    numbers = asdict(conduction)
+    del numbers["regions"]
+    regions = {f"of {region.name}": region.conductivity for region in conduction.regions}
+    return {"growth": asdict(GrowthRules()), "conduction": numbers | regions}
 
 
 def _problem(

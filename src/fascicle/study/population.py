@@ -11,12 +11,14 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path
+from fascicle.core.files import write_bytes
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.inference.abc.rejection import Sampling
 from fascicle.inference.evaluation import Evaluation
 from fascicle.recording.target import Target
+
+POSTERIOR = "posterior.nc"  # in the study's folder; its presence says that it is finished
 
 
 @dataclass(frozen=True)
@@ -126,8 +128,7 @@ def write_population(
     for group in (data.posterior_predictive, data.observed_data):
         group["ecg"].attrs["units"] = "mV"
         group["time"].attrs.update(units="ms", long_name="time from the R peak")
-    with atomic_path(path) as temporary:
-        data.to_netcdf(str(temporary), engine="h5netcdf")
+    write_bytes(path, data.to_datatree().to_netcdf(engine="h5netcdf"))
 
 
 def read_population(path: Path) -> Population:

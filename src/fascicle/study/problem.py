@@ -40,12 +40,15 @@ class Network:
         Its ECG under the recorded mean beat (mV).
     under_qrs : float
         Share of the energy of its ECG that lies under the recorded QRS, 0 to 1.
+    gain : float
+        By which its simulated ECG was scaled to give `predicted`; 1 unless the gain is free.
     """
 
     parameters: Mapping[str, float]
     simulation: Simulation
     predicted: Floats
     under_qrs: float
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ class Problem:
             raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
         alignment = self.align(simulation)
         predicted = self.predicted(simulation, alignment)
-        return Network(parameters, simulation, predicted, alignment.under_qrs)
+        return Network(parameters, simulation, predicted, alignment.under_qrs, alignment.gain)
 
     @cached_property
     def _recorded_beats(self) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
+from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
 from fascicle.inference.evaluation import best_of
@@ -21,13 +22,14 @@ from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.purkinje.tree_files import write_tree
 from fascicle.study.evaluations import Stage
-from fascicle.study.population import Population, write_population
+from fascicle.study.population import POSTERIOR, Population, write_population
 from fascicle.study.problem import Network, Problem
 from fascicle.study.study import Study
 
-POSTERIOR = "posterior.nc"
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
 AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not found
+LEAST_CORRELATION = 0.7  # of a lead's QRS; below, less than half of it (0.7²) is explained
+USUAL_GAIN = (0.5, 2.0)  # hearts, bodies and contacts differ by less
 LEAST_UNDER_QRS = 0.9  # of the energy of a simulated ECG; more lies there in every good fit
 HEALTHY = 0  # label of ordinary tissue
 
@@ -73,6 +75,8 @@ class FittedStudy:
         """What a reader of the results must know first, a line each."""
         found = (
             _unexplained(self),
+            _unexplained_leads(self),
+            _unusual_gain(self),
             _unbounded(self),
             _regions_taken_as_healthy(self),
             _at_end_of_range(self),
@@ -107,6 +111,43 @@ def _unexplained(fitted: FittedStudy) -> str:
         f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
         "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
         "(--free alpha) before you believe anything below"
+    )
+
+
+def _unexplained_leads(fitted: FittedStudy) -> str:
+    """Warn of compared leads whose shape the best network does not have."""
+    problem = fitted.problem
+    recorded, window = problem.target.qrs, problem.target.qrs_samples
+    predicted = fitted.best_network.predicted[:, window]
+    found = {
+        name: _correlation(recorded[lead], predicted[lead])
+        for lead, name in enumerate(LEADS)
+        if problem.compared[lead]
+    }
+    poor = [f"{name} ({value:.2f})" for name, value in found.items() if value < LEAST_CORRELATION]
+    if not poor:
+        return ""
+    return (
+        f"the best network does not explain {', '.join(poor)}: the correlation of its QRS with the "
+        f"recorded one is below {LEAST_CORRELATION}; check these electrodes and the heart's pose"
+    )
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    """Pearson's; 0 where one of the two is flat."""
+    one, other = one - one.mean(), other - other.mean()
+    size = float(np.sqrt((one @ one) * (other @ other)))
+    return float(one @ other) / size if size > 0 else 0.0
+
+
+def _unusual_gain(fitted: FittedStudy) -> str:
+    """Warn of a gain, free or learnt, that the volume conductor does not explain."""
+    gain = fitted.best_network.gain * fitted.best_network.parameters.get("gain", 1.0)
+    if USUAL_GAIN[0] <= gain <= USUAL_GAIN[1]:
+        return ""
+    return (
+        f"the best network's ECG had to be scaled by {gain:.2g}, where {USUAL_GAIN[0]} to "
+        f"{USUAL_GAIN[1]} is usual; check the body, the conductivities and the units of the ECG"
     )
 
 

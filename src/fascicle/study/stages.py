@@ -71,9 +71,12 @@ class Run:
         total, done, step = self.settings.steps, 0, 0
         while done < total:
             size = min(self.settings.workers, total - done)
-            points = self.journal.propose(Stage.OPTIMISATION, step, partial(self._step, size=size))
+            proposed = self.journal.propose(
+                Stage.OPTIMISATION, step, partial(self._step, size=size)
+            )
+            points = proposed[: total - done]  # a stored step is as large as the workers then
             self.journal.evaluate(Stage.OPTIMISATION, list(points))
-            done, step = done + size, step + 1
+            done, step = done + len(points), step + 1
             self._report(Stage.OPTIMISATION, done, total)
 
     def _step(

@@ -6,31 +6,49 @@ hyper-parameters behind it, each round of posterior candidates, each evaluation.
 run again from the start and to read what is there instead of computing it, so an interrupted
 study and an uninterrupted one are the same program and give the same bits. Step k of a stage
 draws from ``default_rng([seed, stage, k])`` and from nothing else.
+
+One process at a time works on a study (`fascicle.study.lock`). What is stored was made by one
+forward model, which is seen by evaluating some of it again: those losses are its fingerprint.
 """
 
 from __future__ import annotations
 
+import json
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Literal
 
-from pydantic import Field, ValidationError
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
-from fascicle.inference.evaluation import Objective
-from fascicle.study.evaluations import Database, Journal, Record, Stage
-from fascicle.study.population import Population
+from fascicle.inference.evaluation import Evaluation, Objective
+from fascicle.study.evaluations import DamagedStoreError, Database, Journal, Record, Stage
+from fascicle.study.lock import HOLDER, LOCK, study_lock
+from fascicle.study.population import POSTERIOR, Population
 from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 3  # of the folder
+FORMAT: Final = 4  # of the folder
+MAY_CHANGE = ("workers", "steps", "samples")  # when a study is resumed
+LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not hang on these numbers
+CHECKED = 4  # stored evaluations that are made again
+SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
+HASHES = ("heart", "target")
+SHOWN = 12  # characters of them in a message
+LEFTOVERS = (".study.", ".evaluations.", ".posterior.", ".summary.", ".activation.", ".target.")
+LEFTOVER_FOLDERS = (".heart.", ".networks.")
 
 
 class StudyConfig(FitSettings):
     """All that decides the outcome of a study; two runs with equal ones give equal results.
+
+    To resume a study is to give the same, but for `MAY_CHANGE`.
 
     Attributes
     ----------
@@ -40,15 +58,24 @@ class StudyConfig(FitSettings):
         What is learnt, in which ranges and with which priors.
     fixed : dict of name to float
         Quantities that are held at other values than their defaults.
+    growth : dict of name to float
+        Rules by which trees grow, where `fixed` does not say otherwise.
+    conduction : dict of name to float
+        Conductivities and speeds of the tissues, likewise; None where others decide it.
     version : int
         Format of the study folder.
     """
+
+    # a delay may be infinite, which is no number in strict JSON
+    model_config = ConfigDict(ser_json_inf_nan="constants")
 
     heart: str
     target: str
     space: tuple[Parameter, ...] = Field(min_length=1)
     fixed: dict[str, float] = Field(default_factory=dict)
-    version: Literal[3] = FORMAT
+    growth: dict[str, float]
+    conduction: dict[str, float | None]
+    version: Literal[4] = FORMAT
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -71,30 +98,38 @@ class Study:
         self._database = Database(folder / DATABASE)
 
     @classmethod
-    def create_or_resume(cls, folder: Path, config: StudyConfig) -> Study:
+    def create_or_resume(
+        cls, folder: Path, config: StudyConfig, progress: Progress | None = None
+    ) -> Study:
         """Open the study in `folder`, a new one if the folder is empty or missing.
+
+        Of a damaged database what can be read is kept.
+
+        Parameters
+        ----------
+        folder : Path
+            Where it is, or is to be.
+        config : StudyConfig
+            What it is, or is to be.
+        progress : Progress, optional
+            Called if the database was damaged.
 
         Raises
         ------
         InputError
-            If the folder holds something else, or a study with other settings.
+            If the folder holds something else, a study with other settings, or one that another
+            process works on.
         """
-        if (folder / CONFIGURATION).exists():
-            _check_same(folder, _read(folder), config)
-            return cls(folder, config)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            # A run killed while it wrote study.json leaves only its temporary file.
-            foreign = [path for path in folder.iterdir() if not path.name.startswith(".study.")]
-        except OSError as error:
-            raise InputError(f"{folder}: {error.strerror}; give another folder (--out)") from error
-        if foreign:
-            raise InputError(
-                f"{folder}: not a study (it has no {CONFIGURATION}) and not empty; "
-                "give another folder (--out)"
-            )
-        write_text(folder / CONFIGURATION, config.model_dump_json(indent=2) + "\n")
-        return cls(folder, config)
+        check_study_folder(folder)
+        with study_lock(folder):
+            if (folder / CONFIGURATION).exists():
+                check_same(folder, _read(folder), config)
+            else:
+                write_text(folder / CONFIGURATION, config.model_dump_json(indent=2) + "\n")
+            _remove_leftovers(folder)
+            study = cls(folder, config)
+            study._mend(progress)
+        return study
 
     @classmethod
     def open(cls, folder: Path) -> Study:
@@ -118,7 +153,8 @@ class Study:
     def run(self, objective: Objective, progress: Progress | None = None) -> Population:
         """Do what is left of the study, and give its result.
 
-        A finished study gives its result again without evaluating anything.
+        A finished study gives its result again. Of what is stored a few points are evaluated again,
+        to see that the forward model is still the same.
 
         Parameters
         ----------
@@ -126,41 +162,185 @@ class Study:
             Must give the same result for the same point whenever it is asked.
         progress : Progress, optional
             Called after every batch of evaluations.
-        """
-        from fascicle.study.stages import Run  # the surrogate, which only a fit needs
 
-        config, space = self.config, self.config.parameter_space
-        journal = Journal(self._database, objective, len(space), config.seed, config.workers)
-        return Run(config, space, journal, progress).population()
+        Raises
+        ------
+        InputError
+            If the objective is not that of the stored evaluations, or another process works on the
+            study.
+        """
+        with study_lock(self.folder):
+            self.check_objective(objective)
+            self._take_over()
+            from fascicle.study.stages import Run  # the surrogate, which only a fit needs
+
+            config, space = self.config, self.config.parameter_space
+            journal = Journal(self._database, objective, len(space), config.seed, config.workers)
+            return Run(config, space, journal, progress).population()
+
+    def check_objective(self, objective: Objective) -> None:
+        """Refuse another forward model than that of the stored evaluations.
+
+        Raises
+        ------
+        InputError
+            If it gives other losses at the points that are tried again.
+        """
+        stored = [record.evaluation for record in self.records()]
+        again = stored[:: max(1, len(stored) // CHECKED)][:CHECKED]
+        if not again:
+            return
+        for then, now in zip(again, objective([e.point for e in again]), strict=True):
+            if not _same(then, now):
+                raise InputError(
+                    f"{self.folder}: holds a study with another forward model (at one point of it "
+                    f"{_outcome(then)} then, {_outcome(now)} now); give another folder (--out), or "
+                    "go on with the version of fascicle that began it"
+                )
+
+    def _take_over(self) -> None:
+        """Make the numbers that may change those of this run.
+
+        A kill within leaves the old numbers, with which more is only computed again: the result,
+        whose presence says that the study is finished, goes first.
+        """
+        there = _read(self.folder)
+        if there == self.config:
+            return
+        (self.folder / POSTERIOR).unlink(missing_ok=True)
+        self._database.forget_proposals(LASTING)
+        write_text(self.folder / CONFIGURATION, self.config.model_dump_json(indent=2) + "\n")
+
+    def _mend(self, progress: Progress | None) -> None:
+        """Make the database usable: a new one, or what can be read of a damaged one."""
+        try:
+            self._database.prepare()
+            self._database.check()
+        except DamagedStoreError:
+            kept = self._database.mend()
+            if progress is not None:
+                progress("repair", kept, kept, f"{DATABASE} was damaged; this could be read")
+
+
+def check_study_folder(folder: Path) -> None:
+    """Refuse a folder that is no study and cannot become one.
+
+    Raises
+    ------
+    InputError
+        If it holds something else, or is a file.
+    """
+    if not folder.exists():
+        return
+    try:
+        # A run killed while it wrote study.json leaves only its temporary file, and the lock.
+        foreign = [path for path in folder.iterdir() if not path.name.startswith(".study.")]
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}; give another folder (--out)") from error
+    if foreign and not (folder / CONFIGURATION).exists():
+        raise InputError(
+            f"{folder}: not a study (it has no {CONFIGURATION}) and not empty; "
+            "give another folder (--out)"
+        )
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove temporary files and folders of runs that were killed."""
+    for path in folder.glob(".*"):
+        if path.name.startswith(LEFTOVER_FOLDERS):
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name.startswith(LEFTOVERS) and path.name not in (LOCK, HOLDER):
+            path.unlink(missing_ok=True)
+
+
+def _same(then: Evaluation, now: Evaluation) -> bool:
+    """Whether two evaluations of one point are of one forward model."""
+    if not (then.feasible and now.feasible):
+        return then.feasible == now.feasible
+    return bool(np.isclose(now.loss, then.loss, rtol=SAME_LOSS, atol=0))
+
+
+def _outcome(evaluation: Evaluation) -> str:
+    return f"{evaluation.loss:.6g} mV²" if evaluation.feasible else "no network"
 
 
 def _read(folder: Path) -> StudyConfig:
-    path = folder / CONFIGURATION
+    path, remedy = folder / CONFIGURATION, "give another folder (--out)"
     try:
-        return StudyConfig.model_validate_json(path.read_text(encoding="utf-8"))
-    except (ValidationError, UnicodeDecodeError) as error:
-        where = "not text"
-        if isinstance(error, ValidationError):
-            name, _, message = first_problem(error)
-            where = f"{name or 'JSON'}: {message}"
-            if name == "version":
-                where = "made by another version of fascicle, with which losses cannot be compared"
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text)
+    except ValueError:  # of UTF-8, of JSON
+        raise InputError(f"{path}: not JSON, so no configuration of a study; {remedy}") from None
+    found = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
+    if found != FORMAT:
         raise InputError(
-            f"{path}: not a configuration that this version reads ({where}); "
-            "give another folder (--out)"
+            f"{path}: a study of format {found}, made by another version of fascicle, with which "
+            f"losses cannot be compared (this one has format {FORMAT}); fit it anew: {remedy}"
+        )
+    try:
+        return StudyConfig.model_validate_json(text)
+    except ValidationError as error:
+        name, _, message = first_problem(error)
+        raise InputError(
+            f"{path}: not a configuration that this version reads ({name or 'JSON'}: {message}); "
+            f"{remedy}"
         ) from error
 
 
-def _check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
-    """Refuse to mix two studies in one folder."""
-    different = [n for n in StudyConfig.model_fields if getattr(there, n) != getattr(now, n)]
+def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
+    """Refuse to mix two studies in one folder.
+
+    Parameters
+    ----------
+    folder : Path
+        For the message.
+    there, now : StudyConfig
+        The stored one, and the one that is asked for; `MAY_CHANGE` does not count.
+
+    Raises
+    ------
+    InputError
+        Naming all that differs.
+    """
+    before, after = _identity(there), _identity(now)
+    different = [name for name in before | after if before.get(name) != after.get(name)]
     if different:
-        listed = ", ".join(_difference(n, getattr(there, n), getattr(now, n)) for n in different)
+        listed = ", ".join(
+            f"{name} ({_shown(before, name)} there, {_shown(after, name)} now)"
+            for name in different
+        )
         raise InputError(
             f"{folder}: holds a study with another {listed}; give another folder (--out) "
             "or the original settings"
         )
 
 
-def _difference(name: str, there: object, now: object) -> str:
-    return name if isinstance(there, tuple) else f"{name} ({there} there, {now} now)"
+def _identity(config: StudyConfig) -> dict[str, str]:
+    """All that decides the outcome, by the names that a message gives it."""
+    found: dict[str, str] = {"order of the parameters": ", ".join(config.parameter_space.names)}
+    for name in StudyConfig.model_fields:
+        value = getattr(config, name)
+        if isinstance(value, dict):  # fixed, growth, conduction
+            found |= {f"{name} {key}": _number(number) for key, number in value.items()}
+        elif name == "space":
+            found |= {f"parameter {parameter.name}": _prior(parameter) for parameter in value}
+        elif name not in MAY_CHANGE:
+            found[name] = f"{value}"
+    return found
+
+
+def _prior(parameter: Parameter) -> str:
+    lower, upper, median, sd = (
+        _number(x) for x in (parameter.lower, parameter.upper, parameter.median, parameter.sd)
+    )
+    middle = f", median {median}, sd {sd}" if parameter.median is not None else ""
+    return f"{parameter.prior} {lower} to {upper}{middle}"
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.15g}"
+
+
+def _shown(identity: Mapping[str, str], name: str) -> str:
+    text = identity.get(name, "none")
+    return text[:SHOWN] if name in HASHES else text

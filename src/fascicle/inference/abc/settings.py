@@ -23,7 +23,7 @@ class AbcSettings(BaseModel):
     workers: int = Field(
         default=2,  # not the number of cores, so that the same settings give the same result
         ge=1,
-        description="Simulations at a time; proposals per step. Part of a study.",
+        description="Simulations at a time; proposals per step.",
     )
     tolerance: float = Field(
         default=0.9,
