@@ -15,7 +15,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
-from fascicle.inference.evaluation import best_of
+from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import FEW_JUNCTIONS
@@ -23,9 +23,12 @@ from fascicle.purkinje.tree_files import write_tree
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Population, write_population
 from fascicle.study.problem import Network, Problem
+from fascicle.study.settings import Method
 from fascicle.study.study import Study
 
-POSTERIOR = "posterior.nc"
+# The file that holds the networks, called what it is
+RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
+FEWEST_BEATS = 30  # below which a kernel density of their errors says little
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
 AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not found
 LEAST_UNDER_QRS = 0.9  # of the energy of a simulated ECG; more lies there in every good fit
@@ -56,6 +59,22 @@ class FittedStudy:
         return self.study.folder
 
     @property
+    def networks_called(self) -> str:
+        """How many networks there are, and what they are."""
+        count = f"{len(self.population)} networks"
+        return f"{count}, a population and not a posterior" if self.of_the_paper else count
+
+    @property
+    def of_the_paper(self) -> bool:
+        """Whether the networks were found by the paper's method."""
+        return self.study.config.method == "paper"
+
+    @property
+    def candidates(self) -> list[Evaluation]:
+        """What was tried for the population."""
+        return [r.evaluation for r in self.study.records() if r.stage is Stage.REJECTION]
+
+    @property
     def best_initial_loss(self) -> float:
         """Least mismatch among the points of the Latin hypercube (mV²)."""
         return best_of(r.evaluation for r in self.study.records() if r.stage is Stage.INITIAL).loss
@@ -73,6 +92,9 @@ class FittedStudy:
         """What a reader of the results must know first, a line each."""
         found = (
             _unexplained(self),
+            _short(self),
+            _few_beats(self),
+            _not_the_minimum(self),
             _unbounded(self),
             _regions_taken_as_healthy(self),
             _at_end_of_range(self),
@@ -107,6 +129,40 @@ def _unexplained(fitted: FittedStudy) -> str:
         f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
         "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
         "(--free alpha) before you believe anything below"
+    )
+
+
+def _short(fitted: FittedStudy) -> str:
+    """Warn of a population that is smaller than wanted."""
+    count, wanted = len(fitted.population), fitted.study.config.samples
+    if count >= wanted or not fitted.of_the_paper:
+        return ""
+    return (
+        f"{count} of {wanted} networks were accepted of {len(fitted.candidates)} candidates, and "
+        "the method ends there: too few to show how different they can be; the beats vary too "
+        "little for its rule (--tolerance), or the search was too short (--steps, --rounds)"
+    )
+
+
+def _few_beats(fitted: FittedStudy) -> str:
+    """Warn of a rule of acceptance that rests on too few beats."""
+    count = len(fitted.problem.target.beats)
+    if count >= FEWEST_BEATS or not fitted.of_the_paper:
+        return ""
+    return (
+        f"the recording has {count} beat{'s' * (count > 1)}: the rule of acceptance, total "
+        f"variation between densities of the beats' errors, rests on too few below {FEWEST_BEATS}"
+    )
+
+
+def _not_the_minimum(fitted: FittedStudy) -> str:
+    """Warn of a reference that is not the best network."""
+    better = sum(e.feasible and e.loss < fitted.population.best_loss for e in fitted.candidates)
+    if not better or not fitted.of_the_paper:
+        return ""
+    return (
+        f"{better} of {len(fitted.candidates)} candidates match better than the network that all "
+        "were compared with: the optimisation has not found the minimum (--steps)"
     )
 
 
@@ -179,10 +235,11 @@ def _outside_qrs(fitted: FittedStudy) -> str:
 
 
 def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None:
-    """Write posterior, trees, activation map and summary into the study's folder."""
+    """Write networks, trees, activation map and summary into the study's folder."""
     problem, population, folder = fitted.problem, fitted.population, fitted.folder
+    result = folder / RESULT[fitted.study.config.method]
     networks = fitted.networks(progress)
-    (folder / POSTERIOR).unlink(missing_ok=True)  # not finished while this is under way
+    result.unlink(missing_ok=True)  # not finished while this is under way
     _write_networks(
         folder / "networks",
         {"best": fitted.best_network} | {f"{k:02d}": n for k, n in enumerate(networks)},
@@ -202,7 +259,9 @@ def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None
     write_text(folder / "summary.json", json.dumps(_summary(fitted, networks), indent=2) + "\n")
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
     # last, since its presence says that the study is finished
-    write_population(folder / POSTERIOR, population, problem.space, problem.target, predicted)
+    write_population(
+        result, population, problem.space, problem.target, predicted, fitted.networks_called
+    )
 
 
 def spread(values: Floats) -> dict[str, float]:
@@ -234,6 +293,7 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
 def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, object]:
     records, population = fitted.study.records(), fitted.population
     return {
+        "networks_are": fitted.networks_called,
         "heart": fitted.problem.model.heart.name,
         "recording": fitted.problem.target.provenance.get("source", ""),
         "evaluations": len(records),
@@ -248,8 +308,7 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
         "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "networks_wanted": fitted.study.config.samples,
-        "candidates_evaluated": sum(r.stage in (Stage.POSTERIOR, Stage.WALK) for r in records),
-        "posterior_rounds": fitted.study.steps(Stage.POSTERIOR),
-        "posterior_walk_steps": fitted.study.steps(Stage.WALK),
+        "candidates_evaluated": len(fitted.candidates),
+        "rounds": fitted.study.steps(Stage.REJECTION),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
     }

@@ -2,7 +2,7 @@
 
 A study is a folder with `study.json` and `evaluations.sqlite`. Everything that takes time or
 chance is written down before it is used: each proposal of the optimisation with the
-hyper-parameters behind it, each round of posterior candidates, each evaluation. To resume is to
+hyper-parameters behind it, each round of candidates, each evaluation. To resume is to
 run again from the start and to read what is there instead of computing it, so an interrupted
 study and an uninterrupted one are the same program and give the same bits. Step k of a stage
 draws from ``default_rng([seed, stage, k])`` and from nothing else.
@@ -26,7 +26,7 @@ from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 3  # of the folder
+FORMAT: Final = 4  # of the folder
 
 
 class StudyConfig(FitSettings):
@@ -48,7 +48,7 @@ class StudyConfig(FitSettings):
     target: str
     space: tuple[Parameter, ...] = Field(min_length=1)
     fixed: dict[str, float] = Field(default_factory=dict)
-    version: Literal[3] = FORMAT
+    version: Literal[4] = FORMAT
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -127,11 +127,12 @@ class Study:
         progress : Progress, optional
             Called after every batch of evaluations.
         """
-        from fascicle.study.stages import Run  # the surrogate, which only a fit needs
+        from fascicle.study import paper, posterior  # the surrogate, which only a fit needs
 
         config, space = self.config, self.config.parameter_space
         journal = Journal(self._database, objective, len(space), config.seed, config.workers)
-        return Run(config, space, journal, progress).population()
+        method = {"paper": paper.Run, "posterior": posterior.Run}[config.method]
+        return method(config, space, journal, progress).population()
 
 
 def _read(folder: Path) -> StudyConfig:
