@@ -151,7 +151,7 @@ def main() -> None:
                 fitted = fascicle.fit(
                     heart, target, given.out / f"{name}-{alpha}-{seed}", parameters=parameters,
                     steps=given.steps, refine=given.refine, seed=seed, samples=1, draws=1000,
-                    rounds=1, walk_steps=0, **case.settings,
+                    rounds=1, **case.settings,
                 )  # fmt: skip
                 seconds = time.perf_counter() - begin
                 print(row(name, alpha, seed, fitted, seconds), flush=True)

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
-from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.resampling import resample

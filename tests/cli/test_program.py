@@ -63,8 +63,8 @@ def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
     run("fit", "default", "t.nc", "--out", "s")
     changed = {
         "initial": 7, "steps": 0, "refine": 1, "samples": 2, "seed": 3, "workers": 4, "draws": 50,
-        "tolerance": 0.5, "candidate_order": "density", "refit_after": 6, "rounds": 8,
-        "walk_steps": 9, "method": "paper", "leads": "8", "fewest_junctions": 10,
+        "tolerance": 0.5, "refit_every": 5, "refit_after": 6, "rounds": 8, "method": "paper",
+        "leads": "8", "fewest_junctions": 10,
     }  # fmt: skip
     options = [f"--{name.replace('_', '-')}={value}" for name, value in changed.items()]
     run("fit", "default", "t.nc", "--out", "s", "--gain", *options)

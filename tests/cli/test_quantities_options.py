@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
+import xarray as xr
 
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.core.quantities import QUANTITIES
+from fascicle.study.study import Study
 
 SMALL = ("--initial", 8, "--steps", 2, "--refine", 0, "--samples", 2, "--draws", 2000,
-         "--rounds", 1, "--walk-steps", 1)  # fmt: skip
+         "--rounds", 1)  # fmt: skip
+PAPER = ("--method", "paper", *SMALL[:4], *SMALL[6:])
 
 
 def test_every_quantity_is_listed(run):
@@ -86,7 +90,7 @@ class TestFit:
             'seed = 5\nmethod = "paper"\n[parameters]\ncv = 2.5\n'
             'alpha = {prior = "log-normal", median = 0.07, sd = 0.2}\n'
         )
-        arguments = ["--settings", settings, "--fix", "cv=2.7", *SMALL]
+        arguments = ["--settings", settings, "--fix", "cv=2.7", *PAPER]
         ended = run("fit", "default", target, "--out", outside / "a", *arguments)
         assert ended.status == 0, ended.err
         names, config = self.space(outside / "a")
@@ -95,13 +99,19 @@ class TestFit:
         assert (config["seed"], config["method"], config["initial"]) == (5, "paper", 8)
         assert config["space"][-1]["prior"] == "log-normal"
 
-    def test_the_paper_has_no_walks_and_no_refinement(self, run, outside, target):
-        small = [*SMALL[:4], "--draws", 2000, "--rounds", 1, "--method", "paper"]
-        assert run("fit", "default", target, "--out", outside / "a", *small).status == 0
-        names, config = self.space(outside / "a")
-        assert names == list(NETWORK_SPACE.names)
-        assert (config["refine"], config["walk_steps"]) == (0, 0)
-        assert config["candidate_order"] == "density"
+    def test_the_paper_gives_a_population_and_says_what_it_lacks(self, run, outside, target):
+        arguments = [*PAPER[:-3], 60, "--rounds", 1]
+        ended = run("fit", "default", target, "--out", outside / "a", *arguments)
+        assert ended.status == 0
+        assert self.space(outside / "a")[0] == list(NETWORK_SPACE.names)
+        assert "warning: the recording has 10 beats" in ended.out
+        assert re.search(r"warning: \d of 2 networks were accepted of \d+ candidates", ended.out)
+        assert re.search(r"result +\d networks, a population and not a posterior\n", ended.out)
+        assert not (outside / "a" / "posterior.nc").exists()
+        with xr.open_dataset(outside / "a" / "population.nc", engine="h5netcdf") as file:
+            assert file.attrs["networks_are"].endswith("a population and not a posterior")
+        stages = {r.stage for r in Study.open(outside / "a").records()}
+        assert "refinement" not in stages
 
     @pytest.mark.parametrize(
         ("options", "words"),
@@ -111,6 +121,7 @@ class TestFit:
             (["--free", "gain", "--free-gain"], "leave --free-gain out"),
             (["--fix", "region_1_conductivity=0"], "no labels"),
             (["--settings", "none.toml"], "none.toml"),
+            (["--method", "paper", "--refine", 5], "'refine' is 5: the paper's method has no such"),
         ],
     )
     def test_wrong_options(self, refused, outside, target, options, words):

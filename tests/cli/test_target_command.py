@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydicom.data import get_testdata_file
 
-from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.filters import FilterOrigin
 from fascicle.recording.target_files import read_target

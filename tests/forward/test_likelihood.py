@@ -36,9 +36,7 @@ def example(gain_sd: float = 0.3, noise: float = 0.02) -> QrsLikelihood:
     ) * rng.standard_normal((2, 1))
     known = noise**2 * np.eye(2 * modes.shape[1])
     leads = np.array([[1.0, -0.3], [-0.3, 1.0]])
-    return QrsLikelihood(
-        recorded, known, separable(leads, matern(len(modes)), modes), 4.0, gain_sd
-    )
+    return QrsLikelihood(recorded, known, separable(leads, matern(len(modes)), modes), 4.0, gain_sd)
 
 
 def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) -> float:

@@ -42,6 +42,26 @@ def test_prediction_equals_numpy(data):
     assert np.abs(variance - expected_variance).max() < 1e-8
 
 
+def test_extended_equals_conditioned_anew(data):
+    """Where outputs change, too, as they do when they are standardised anew."""
+    points, outputs, targets = data
+    grown = ExponentialGP.condition(points[:30], outputs[:30] - 1.0, HYPER)
+    grown = grown.extended(points[30:33], outputs[:33]).extended(points[33:], outputs)
+    mean, variance = grown.predict(targets)
+    expected_mean, expected_variance = numpy_prediction(points, outputs, targets, HYPER)
+    assert np.abs(mean - expected_mean).max() < 1e-8
+    assert np.abs(variance - expected_variance).max() < 1e-8
+
+
+def test_extended_by_known_points(data):
+    points, outputs, _ = data
+    gp = ExponentialGP.condition(points, outputs, Hyperparameters((1.0,) * 3, 1.0, 1e-6))
+    twice = gp.extended(points[:20], np.append(outputs, outputs[:20]))
+    mean, variance = twice.predict(points)
+    assert np.abs(mean - outputs).max() < 1e-4
+    assert (variance >= 0).all()
+
+
 def test_interpolates_without_noise(data):
     points, outputs, targets = data
     gp = ExponentialGP.condition(points, outputs, Hyperparameters((1.0,) * 3, 1.0, 1e-6))

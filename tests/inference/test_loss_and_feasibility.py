@@ -29,14 +29,13 @@ def test_predictions_are_in_the_units_of_the_loss():
     assert np.abs(small.predict(known.points[feasible])[0] - known.losses[feasible]).max() < 0.02
 
 
-def test_believer_keeps_the_mean_and_loses_the_variance():
-    known = observations()
-    gp, point = LossGP.condition(known, HYPER), np.array([0.21, 0.83])
-    believer, grown = gp.with_guess(known, point)
-    before, after = gp.predict(point[None]), believer.predict(point[None])
-    assert grown.losses[-1] == before[0][0]
-    assert after[0][0] == pytest.approx(before[0][0], rel=1e-6)
-    assert after[1][0] < 0.01 * before[1][0]
+def test_extended_by_observations_equals_conditioned_on_all():
+    known, targets = observations(), np.random.default_rng(1).random((9, 2))
+    for surrogate in (LossGP, FeasibilityGP):
+        grown = surrogate.condition(known.first(50), HYPER).extended(known)
+        anew = surrogate.condition(known, HYPER)
+        assert grown.gp.predict(targets)[0] == pytest.approx(anew.gp.predict(targets)[0], rel=1e-8)
+        assert grown.offset == anew.offset
 
 
 def test_equal_losses_are_no_trouble():

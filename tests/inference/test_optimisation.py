@@ -7,7 +7,7 @@ import pytest
 from differences import central_differences
 
 from fascicle.inference.optimisation.acquisition import FeasibleLogImprovement, perturbed
-from fascicle.inference.optimisation.step import State, latin_hypercube, refit, step
+from fascicle.inference.optimisation.step import Surrogates, latin_hypercube, step
 from fascicle.inference.surrogate.surrogates import Observations
 
 
@@ -20,18 +20,28 @@ def loss(points):
     return np.where(points[:, 0] + points[:, 1] > 1.1, np.nan, value)
 
 
-def optimise(dimension, initial, steps, batch=1):
-    points = latin_hypercube(np.random.default_rng(7), initial, dimension)
-    state = State(Observations(points, loss(points)))
+def design(dimension=3, count=30):
+    points = latin_hypercube(np.random.default_rng(7), count, dimension)
+    return Observations(points, loss(points))
+
+
+def optimise(dimension, initial, steps, refit_every):
+    known = design(dimension, initial)
+    surrogates = Surrogates.learn(known)
     for k in range(steps):
-        state, new = step(np.random.default_rng([7, k]), state, batch)
-        assert new.shape == (batch, dimension)
+        new = step(np.random.default_rng([7, k]), surrogates)
+        assert new.shape == (dimension,)
         assert (new >= 0).all()
         assert (new <= 1).all()
-        known = state.observations
-        grown = Observations(np.vstack([known.points, new]), np.append(known.losses, loss(new)))
-        state = State(grown, state.loss, state.feasibility)
-    return state.observations
+        assert np.abs(known.points - new).max(1).min() > 1e-4
+        known = with_loss(known, new)
+        surrogates = surrogates.updated(known, refit_every)
+    return known
+
+
+def with_loss(known, new):
+    losses = np.append(known.losses, loss(new[None]))
+    return Observations(np.vstack([known.points, new]), losses)
 
 
 def test_latin_hypercube_has_one_point_per_interval():
@@ -40,9 +50,10 @@ def test_latin_hypercube_has_one_point_per_interval():
         assert sorted(np.floor(column * 50).astype(int)) == list(range(50))
 
 
+@pytest.mark.parametrize("refit_every", [1, 10])
 @pytest.mark.parametrize(("dimension", "initial", "steps"), [(2, 15, 20), (6, 40, 30)])
-def test_beats_the_latin_hypercube(dimension, initial, steps):
-    found = optimise(dimension, initial, steps)
+def test_beats_the_latin_hypercube(dimension, initial, steps, refit_every):
+    found = optimise(dimension, initial, steps, refit_every)
     rivals = [
         np.nanmin(loss(latin_hypercube(np.random.default_rng(k), initial + steps, dimension)))
         for k in range(10)
@@ -52,39 +63,53 @@ def test_beats_the_latin_hypercube(dimension, initial, steps):
     assert np.isnan(found.losses[initial:]).mean() < 0.15
 
 
-def test_batch_spreads_out():
-    found = optimise(2, 15, 5, batch=4)
-    new = found.points[15:]
-    gaps = np.abs(new[:, None] - found.points[None]).max(2)
-    gaps[np.arange(20), 15 + np.arange(20)] = 1
-    assert gaps.min() > 1e-4
-    assert np.nanmin(found.losses) < 0.005
-
-
 def test_step_depends_on_nothing_but_its_arguments():
-    points = latin_hypercube(np.random.default_rng(7), 30, 3)
-    state = State(Observations(points, loss(points)))
-    first_state, first = step(np.random.default_rng(1), state, 2)
+    surrogates = Surrogates.learn(design())
+    first = step(np.random.default_rng(1), surrogates)
     np.random.random()  # noqa: NPY002 - the global generator must not matter
-    second_state, second = step(np.random.default_rng(1), state, 2)
-    assert first.tobytes() == second.tobytes()
-    assert first_state.hyperparameters_to_json() == second_state.hyperparameters_to_json()
-    assert not np.array_equal(first, step(np.random.default_rng(2), state, 2)[1])
+    assert step(np.random.default_rng(1), surrogates).tobytes() == first.tobytes()
+    assert not np.array_equal(first, step(np.random.default_rng(2), surrogates))
 
 
-def test_state_survives_text():
-    points = latin_hypercube(np.random.default_rng(7), 30, 3)
-    state, _, _ = refit(State(Observations(points, loss(points))))
-    again = State.from_json(state.observations, state.hyperparameters_to_json())
-    assert (again.loss, again.feasibility) == (state.loss, state.feasibility)
-    assert state.feasibility is not None
+def test_surrogates_learn_when_it_is_time():
+    known = design(count=40)
+    surrogates = Surrogates.learn(known.first(30))
+    kept = surrogates.updated(known.first(39), 10)
+    assert (kept.loss.gp.hyperparameters, kept.learnt_from) == (
+        surrogates.loss.gp.hyperparameters, 30,
+    )  # fmt: skip
+    assert len(kept.loss.gp.scaled) == known.first(39).feasible.sum()
+    learnt = kept.updated(known, 10)
+    assert learnt.learnt_from == 40
+    assert learnt.loss.gp.hyperparameters != surrogates.loss.gp.hyperparameters
+
+
+def test_the_first_failure_is_learnt_at_once():
+    points = np.linspace([0.1, 0.1, 0.1], [0.9, 0.9, 0.9], 12)
+    losses = np.append(points[:11].sum(1), np.nan)
+    known = Observations(points, losses)
+    surrogates = Surrogates.learn(known.first(11))
+    assert surrogates.feasibility.probability(points[-1:])[0] == 1.0
+    assert surrogates.updated(known, 100).feasibility.probability(points[-1:])[0] < 0.5
+
+
+def test_surrogates_survive_text_to_the_last_bit():
+    known = design(count=40)
+    uninterrupted = Surrogates.learn(known.first(30))
+    for count in (32, 33, 37):
+        uninterrupted = uninterrupted.updated(known.first(count), 10)
+    again = Surrogates.from_json(uninterrupted.to_json(), known)
+    for name in ("scaled", "whitener", "alpha"):
+        for surrogate in ("loss", "feasibility"):
+            one, two = (getattr(s, surrogate).gp for s in (uninterrupted, again))
+            assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
+    assert (again.learnt_from, len(again.observations)) == (30, 37)
 
 
 @pytest.fixture
 def acquisition():
-    points = latin_hypercube(np.random.default_rng(7), 30, 3)
-    _, gp, feasibility = refit(State(Observations(points, loss(points))))
-    return FeasibleLogImprovement(gp.gp, feasibility, best=0.1)
+    surrogates = Surrogates.learn(design())
+    return FeasibleLogImprovement(surrogates.loss.gp, surrogates.feasibility, best=0.1)
 
 
 TARGETS = np.random.default_rng(5).random((6, 3))

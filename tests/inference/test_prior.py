@@ -8,9 +8,8 @@ import pytest
 
 from fascicle.inference.abc import informed_prior as prior_module
 from fascicle.inference.abc.informed_prior import InformedPrior, draw_candidates
-from fascicle.inference.abc.settings import CandidateOrder
-from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
+from fascicle.inference.surrogate.exponential import Hyperparameters
+from fascicle.inference.surrogate.surrogates import LossGP, Observations
 
 DRAWS = 30_000
 
@@ -24,10 +23,7 @@ def prior():
     known = Observations(points, losses)
     hyper = Hyperparameters((3.0, 2.0), 1.5, 1e-3)
     best = points[np.nanargmin(losses)]
-    labels = np.where(known.feasible, 1.0, -1.0)
-    labelled = ExponentialGP.condition(points, labels - labels.mean(), hyper)
-    feasibility = FeasibilityGP(labelled, float(labels.mean()))
-    return InformedPrior.at(LossGP.condition(known, hyper), feasibility, best)
+    return InformedPrior.at(LossGP.condition(known, hyper), best)
 
 
 def brute_force(prior, chunk):
@@ -39,10 +35,11 @@ def brute_force(prior, chunk):
     mean, variance = prior.loss.predict(points)
     s2 = variance + prior.variance_min
     density = np.exp(-((mean - prior.y_min) ** 2) / (2 * s2)) / np.sqrt(2 * math.pi * s2)
-    density = density * prior.feasibility.probability(points)
     p_max = 1 / math.sqrt(2 * math.pi * (variance.min() + prior.variance_min))
     passed = density > r * p_max
-    return points[passed], density[passed]
+    points, density = points[passed], density[passed]
+    densest = np.argsort(-density, kind="stable")
+    return points[densest], density[densest]
 
 
 @pytest.mark.parametrize("chunk", [1000, 10_000])
@@ -68,7 +65,7 @@ def test_most_variances_are_never_computed(prior, monkeypatch):
 def test_bound_is_the_largest_density_up_to_the_variance_limit(prior, limit):
     mean = np.full(200_000, prior.y_min + 2.0)
     variance = np.linspace(1e-4, limit, len(mean))
-    density = prior.density(mean, variance, np.ones(len(mean)))
+    density = prior.density(mean, variance)
     bound = prior.bound(mean[:1], np.array([limit]))[0]
     assert density.max() == pytest.approx(bound, rel=1e-6)
     assert density.max() <= bound
@@ -85,10 +82,10 @@ def test_variance_limit_holds(prior):
 
 
 def test_draws_have_the_moments_of_the_density(prior):
-    """Against the integral of p(θ)·P(feasible) on a grid: rejection sampling is unbiased."""
+    """Against the integral of p(θ) on a grid: rejection sampling is unbiased."""
     axis = (np.arange(300) + 0.5) / 300
     grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-    weight = prior.density(*prior.loss.predict(grid), prior.feasibility.probability(grid))
+    weight = prior.density(*prior.loss.predict(grid))
     weight = weight / weight.sum()
     expected = weight @ grid
     spread = np.sqrt(weight @ (grid - expected) ** 2)
@@ -99,15 +96,14 @@ def test_draws_have_the_moments_of_the_density(prior):
     np.testing.assert_allclose(drawn.std(0), spread, rtol=0.04)
 
 
-def test_order_and_limit(prior):
-    drawn, drawn_density = draw_candidates(np.random.default_rng(11), prior, DRAWS)
-    ranked, ranked_density = draw_candidates(
-        np.random.default_rng(11), prior, DRAWS, CandidateOrder.DENSITY, limit=20
-    )
-    assert ranked.shape == (20, 2)
-    np.testing.assert_array_equal(ranked_density, np.sort(drawn_density)[::-1][:20])
-    # The paper's order keeps to the mode; draws in random order spread like the prior itself.
-    assert ranked.std(0).max() < 0.5 * drawn.std(0).max()
+def test_the_limit_keeps_the_densest(prior):
+    every, density = draw_candidates(np.random.default_rng(11), prior, DRAWS)
+    few, few_density = draw_candidates(np.random.default_rng(11), prior, DRAWS, limit=20)
+    assert (np.diff(density) <= 0).all()
+    np.testing.assert_array_equal(few, every[:20])
+    np.testing.assert_array_equal(few_density, density[:20])
+    # The first few keep to the mode; all of them spread like the prior itself.
+    assert few.std(0).max() < 0.5 * every.std(0).max()
 
 
 def test_progress_is_reported(prior, monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fascicle.core.threads import blas_threads, in_chunks, one_thread
-from fascicle.inference.optimisation.step import State, step
+from fascicle.inference.optimisation.step import Surrogates, step
 from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
 from fascicle.inference.surrogate.surrogates import Observations
 
@@ -33,8 +33,11 @@ def test_proposals_do_not_depend_on_the_threads():
     losses = np.where(points[:, 0] > 0.8, np.nan, ((points - 0.4) ** 2).sum(1))
 
     def proposed():
-        state, new = step(np.random.default_rng(1), State(Observations(points, losses)), 2)
-        return new, state.loss.to_logarithms(), state.feasibility.to_logarithms()
+        known = Observations(points, losses)
+        surrogates = Surrogates.learn(known.first(290)).updated(known, 100)
+        new = step(np.random.default_rng(1), surrogates)
+        hyperparameters = surrogates.loss.gp.hyperparameters, surrogates.feasibility.hyperparameters
+        return new, surrogates.loss.gp.alpha, *(h.to_logarithms() for h in hyperparameters)
 
     one, two, three = with_threads(proposed)
     assert one == two == three

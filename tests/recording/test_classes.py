@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import independent_rows
 from fascicle.recording.choices import Choices
 from fascicle.recording.classes import noise_energy, sort_by_shape

@@ -7,7 +7,7 @@ import pytest
 from quality_recordings import real
 from scipy.signal import bessel, butter, ellip, filtfilt, firwin, sosfilt, sosfiltfilt
 
-from benchmarks.synthetic.rhythms import RHYTHMS, Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filter_estimate import estimated_lowpass

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.synthetic.rhythms import Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.choices import Choices

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.synthetic.rhythms import NOISES, RHYTHMS, Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import NOISES, RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
 
 ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.synthetic.rhythms import RHYTHMS, Synthesis, synthetic_recording
+from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.pipeline import analyse

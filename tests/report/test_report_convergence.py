@@ -3,7 +3,7 @@ import numpy as np
 from fascicle.report.convergence import convergence_figure, running_best, stage_runs
 
 LOSSES = np.array([np.nan, 0.8, 0.3, 0.5, np.nan, 0.1, 0.2])
-STAGES = ["initial"] * 3 + ["optimisation"] * 3 + ["posterior"]
+STAGES = ["initial"] * 3 + ["optimisation"] * 3 + ["rejection"]
 
 
 def lines(figure):
@@ -34,16 +34,16 @@ def test_axes_have_units_a_log_scale_and_room_for_all():
 
 def test_stages_are_named_over_their_evaluations():
     assert list(stage_runs(STAGES)) == [
-        ("initial", 1, 3), ("optimisation", 4, 6), ("posterior", 7, 7),
+        ("initial", 1, 3), ("optimisation", 4, 6), ("rejection", 7, 7),
     ]  # fmt: skip
     figure = convergence_figure(LOSSES, STAGES)
-    assert [t.get_text() for t in figure.axes[0].texts] == ["initial", "optimisation", "posterior"]
+    assert [t.get_text() for t in figure.axes[0].texts] == ["initial", "optimisation", "rejection"]
     spans = [(p.get_x(), p.get_x() + p.get_width()) for p in figure.axes[0].patches]
     assert spans == [(0.5, 3.5), (3.5, 6.5), (6.5, 7.5)]
 
 
 def test_a_narrow_last_stage_is_named_inside_the_figure():
-    stages = ["initial"] * 97 + ["posterior"] * 3
+    stages = ["initial"] * 97 + ["rejection"] * 3
     figure = convergence_figure(np.linspace(2, 1, 100), stages)
     name = figure.axes[0].texts[1]
     assert name.get_window_extent().x1 <= figure.bbox.width

@@ -9,6 +9,9 @@ import pytest
 
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.heart.conduction import Conduction
+from fascicle.inference.evaluation import Evaluation
+from fascicle.study.evaluations import Stage
+from fascicle.study.population import Population
 from fascicle.study.results import FittedStudy
 
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
@@ -26,6 +29,10 @@ def fitted(
     lead_fields=True,
     gain=1.0,
     upside_down=None,
+    method="paper",
+    networks=30,
+    beats=300,
+    candidates=(),
 ):
     """A study of which only what decides the warnings is there."""
     heart = SimpleNamespace(
@@ -42,17 +49,18 @@ def fitted(
     predicted = np.pad(recorded, ((0, 0), (2, 8)))
     if upside_down is not None:
         predicted[upside_down] *= -1
+    tried = [SimpleNamespace(evaluation=e, stage=Stage.REJECTION) for e in candidates]
     study = FittedStudy(
-        SimpleNamespace(),
+        SimpleNamespace(config=SimpleNamespace(method=method, samples=30), records=lambda: tried),
         SimpleNamespace(
             flat=2.0,
             model=model,
             space=NETWORK_SPACE,
             fixed=fixed or {},
-            target=SimpleNamespace(qrs=recorded, qrs_samples=slice(2, 42)),
+            target=SimpleNamespace(qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)),
             compared=np.arange(12) != 11,  # all but V6
         ),
-        SimpleNamespace(best_loss=loss, best=MIDDLE | (best or {})),
+        Population({}, np.ones(networks), np.ones(networks), MIDDLE | (best or {}), loss),
     )
     simulation = SimpleNamespace(trees=trees)
     study.__dict__["best_network"] = SimpleNamespace(
@@ -82,6 +90,33 @@ def test_a_gain_far_from_one(gain):
     (warning,) = fitted(gain=gain).warnings
     assert f"had to be scaled by {gain}" in warning
     assert fitted(gain=1.9).warnings == []
+
+
+def test_fewer_networks_than_wanted():
+    (warning,) = fitted(networks=12).warnings
+    assert warning.startswith("12 of 30 networks were accepted of 0 candidates")
+    assert fitted(networks=12, method="posterior").warnings == []
+
+
+@pytest.mark.parametrize(("beats", "words"), [(1, "1 beat:"), (29, "29 beats:")])
+def test_few_beats(beats, words):
+    (warning,) = fitted(beats=beats).warnings
+    assert words in warning
+    assert "rests on too few below 30" in warning
+    assert fitted(beats=30).warnings == []
+    assert fitted(beats=beats, method="posterior").warnings == []
+
+
+def test_candidates_that_are_better_than_the_best():
+    tried = [Evaluation(np.zeros(2), loss, np.ones(3)) for loss in (0.4, 0.5, 0.6)]
+    tried.append(Evaluation.infeasible(np.zeros(2), "left the endocardium"))
+    (warning,) = fitted(candidates=tried).warnings
+    assert warning.startswith("1 of 4 candidates match better")
+
+
+def test_networks_are_called_what_they_are():
+    assert fitted().networks_called == "30 networks, a population and not a posterior"
+    assert fitted(method="posterior").networks_called == "30 networks"
 
 
 def test_regions_that_count_as_healthy():

@@ -18,15 +18,15 @@ def test_the_paper_learns_twelve(default_heart):
     assert fixed == {}
 
 
-def test_the_default_learns_alpha_too_unless_it_is_known(default_heart):
-    space, _ = study_space("default", {}, default_heart)
+def test_a_posterior_has_alpha_too_unless_it_is_known(default_heart):
+    space, _ = study_space("posterior", {}, default_heart)
     assert space.names == (*NETWORK_SPACE.names, "alpha")
     for wanted, heart in (
         ({"alpha": 0.08}, default_heart),
         ({"fibre_speed": 0.6}, default_heart),
         ({}, replace(default_heart, values={"alpha": 0.07})),
     ):
-        space, fixed = study_space("default", wanted, heart)
+        space, fixed = study_space("posterior", wanted, heart)
         assert space.names == NETWORK_SPACE.names
         assert fixed == wanted
 

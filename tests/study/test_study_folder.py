@@ -1,6 +1,5 @@
 """A study survives interruption and refuses to be mixed with another."""
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -26,8 +25,8 @@ NOISE = np.linspace(-1, 1, 6) ** 3
 def make_config(**changes):
     settings = {
         "heart": "aa", "target": "bb", "space": SPACE.parameters, "initial": 12, "steps": 5,
-        "samples": 4, "draws": 3000, "refit_after": 6, "rounds": 4, "seed": 3, "refine": 0,
-        "workers": 1, "growth": {"branch_length": 8.0},
+        "samples": 4, "draws": 3000, "refit_after": 6, "rounds": 4, "seed": 3, "workers": 1,
+        "refit_every": 3, "method": "paper", "growth": {"branch_length": 8.0},
         "conduction": {"alpha": 0.05, "anisotropy_ratio": None},
     }  # fmt: skip
     return StudyConfig(**(settings | changes))
@@ -54,7 +53,7 @@ def summary(study, population):
         population.distances.tobytes(),
         population.losses.tobytes(),
         {name: values.tobytes() for name, values in population.values.items()},
-        (population.best, population.best_loss, study.steps(Stage.POSTERIOR)),
+        (population.best, population.best_loss, study.steps(Stage.REJECTION)),
     )
 
 
@@ -71,14 +70,15 @@ def test_stages_and_result(tmp_path):
     records = study.records()
     stages = [record.stage for record in records]
     assert stages[:17] == ["initial"] * 12 + ["optimisation"] * 5
-    assert set(stages[17:]) == {"posterior"}
+    assert set(stages[17:]) == {"rejection"}
     assert len(population) == 4
-    best = min((r.evaluation for r in records if r.evaluation.feasible), key=lambda e: e.loss)
+    found = [r.evaluation for r in records[:17] if r.evaluation.feasible]
+    best = min(found, key=lambda e: e.loss)  # of design and optimisation, as in the paper
     assert population.best_loss == best.loss
     assert population.best == SPACE.from_unit(best.point)
     known = {r.evaluation.loss: SPACE.from_unit(r.evaluation.point) for r in records[17:]}
     assert [population.parameters(k) for k in range(4)] == [known[y] for y in population.losses]
-    assert {stage for stage, *_ in seen} == {"initial", "optimisation", "prior", "posterior"}
+    assert {stage for stage, *_ in seen} == {"initial", "optimisation", "prior", "rejection"}
     assert all(0 <= done <= total for _, done, total, _ in seen)
     assert [news[1] for news in seen if news[0] == "optimisation"] == [1, 2, 3, 4, 5]
 
@@ -112,24 +112,24 @@ def test_interrupted_study_resumes_to_the_same_bits(tmp_path, uninterrupted, cal
 
 def test_every_fit_but_the_first_starts_warm(tmp_path, monkeypatch):
     starts = []
-    step = bo_step.step
+    learn = bo_step.Surrogates.learn.__func__
 
-    def spy(rng, state, batch):
-        fitted, points = step(rng, state, batch)
-        starts.append((state.loss, fitted.loss))
-        return fitted, points
+    def spy(cls, observations, before=None):
+        learnt = learn(cls, observations, before)
+        starts.append((before and before.loss.gp.hyperparameters, learnt.loss.gp.hyperparameters))
+        return learnt
 
     def stop_after_15(points):
         if len(Study.open(tmp_path).records()) == 15:
             raise KeyboardInterrupt
         return objective(points)
 
-    monkeypatch.setattr(bo_step, "step", spy)
-    study = Study.create_or_resume(tmp_path, make_config())
+    monkeypatch.setattr(bo_step.Surrogates, "learn", classmethod(spy))
+    study = Study.create_or_resume(tmp_path, make_config(refit_every=2))
     with pytest.raises(KeyboardInterrupt):
         study.run(stop_after_15)
     study.run(objective)
-    assert len(starts) == 5
+    assert len(starts) == 3
     assert starts[0][0] is None
     assert [start for start, _ in starts[1:]] == [end for _, end in starts[:-1]]
 
@@ -186,7 +186,7 @@ def test_batches_are_repeatable(tmp_path):
         return objective(points)
 
     assert summary(one, one.run(watched)) == summary(two, two.run(objective))
-    assert sizes[:6] == [3, 3, 3, 3, 3, 2]
+    assert sizes[:11] == [3, 3, 3, 3, 1, 1, 1, 1, 1, 3, 3]  # the optimisation's steps are single
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,8 @@ def test_batches_are_repeatable(tmp_path):
         ({"heart": "c" * 64}, r"another heart \(aa there, c{12} now\)"),
         ({"target": "cc"}, r"another target \(bb there, cc now\)"),
         ({"free_gain": True, "seed": 9}, "seed .* free_gain"),
-        ({"refine": 7}, r"another refine \(0 there, 7 now\)"),
+        ({"method": "posterior"}, r"another method \(paper there, posterior now\)"),
+        ({"refit_every": 7}, r"another refit_every \(3 there, 7 now\)"),
         ({"fixed": {"cv": 2.5}}, r"another fixed cv \(none there, 2.5 now\)"),
         ({"growth": {"branch_length": 10.0}}, r"another growth branch_length \(8 there, 10 now\)"),
         (
@@ -332,7 +333,7 @@ def test_one_beat_is_refused(tmp_path):
         study.run(lambda points: [Evaluation(p, 1.0, np.ones(1)) for p in points])
 
 
-def test_posterior_covers_the_acceptance_region(tmp_path):
+def test_accepted_lie_in_the_acceptance_region(tmp_path):
     """Accepted samples of a quadratic loss lie in the disc that the distance defines."""
     config = make_config(steps=10, samples=25, draws=20_000, refit_after=50)
     population = Study.create_or_resume(tmp_path, config).run(objective)
@@ -343,8 +344,6 @@ def test_posterior_covers_the_acceptance_region(tmp_path):
     largest = population.best_loss + shifts[np.argmax(np.array(distances) >= 0.9)]
     assert 2.2 < largest < 6
     assert population.losses.max() <= largest
-    # The samples fill the region instead of huddling at the best point.
-    assert population.losses.mean() > 2 + 0.25 * (largest - 2)
 
 
 def narrow(points):
@@ -355,24 +354,28 @@ def narrow(points):
     ]
 
 
-def test_refinement_and_walk_find_what_rejection_cannot(tmp_path):
-    config = make_config(refine=30, rounds=1, draws=500, walk_steps=40)
+def test_the_paper_comes_short_where_beats_hardly_vary(tmp_path):
+    study = Study.create_or_resume(tmp_path / "s", make_config(rounds=2, draws=500))
+    population = study.run(narrow)
+    assert len(population) < 4
+    assert study.steps(Stage.REJECTION) == 2
+    assert {r.stage for r in study.records()} == {"initial", "optimisation", "rejection"}
+
+
+def test_refinement_finds_a_better_network(tmp_path):
+    config = make_config(method="posterior", refine=30, rounds=1, draws=500)
     study = Study.create_or_resume(tmp_path / "s", config)
     population = study.run(narrow)
     stages = [record.stage for record in study.records()]
     assert stages.count("refinement") > 30
-    assert study.steps(Stage.WALK) >= 40
-    assert len(population) == config.samples
     assert population.best_loss < 2.01
-    assert (population.distances < config.tolerance).all()
-    assert np.abs(population.losses - population.best_loss).max() < 0.01
 
 
-def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
-    config = make_config(refine=3, rounds=1, draws=500, walk_steps=10)
+def test_interrupted_refinement_resumes_to_the_same_bits(tmp_path):
+    config = make_config(method="posterior", refine=6, rounds=1, draws=500)
     whole = Study.create_or_resume(tmp_path / "whole", config)
     expected = summary(whole, whole.run(narrow))
-    left = [100]  # evaluations until Ctrl-C, in the middle of refinement and walk
+    left = [60]  # evaluations until Ctrl-C, in the middle of the refinement
 
     def interrupted(points):
         left[0] -= len(points)
@@ -381,10 +384,8 @@ def test_interrupted_walk_resumes_to_the_same_bits(tmp_path):
         return narrow(points)
 
     study = Study.create_or_resume(tmp_path / "cut", config)
-    for _ in range(3):
-        left[0] = 100
-        with contextlib.suppress(KeyboardInterrupt):
-            study.run(interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        study.run(interrupted)
     again = Study.create_or_resume(tmp_path / "cut", config)
     assert summary(again, again.run(narrow)) == expected
 

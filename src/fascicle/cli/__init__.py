@@ -159,7 +159,7 @@ app.command(name="parameters")(parameters_command)
         "free_gain",
         "fewest_junctions",
     ),
-    panel="Which networks are accepted",
+    panel="The paper's method",
     also={"free_gain": "--gain"},
 )
 def fit(

@@ -45,7 +45,7 @@ def print_fit(fitted: FittedStudy) -> None:
     print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print(f"best                   {best}")
-    print(f"networks accepted      {len(population)} of {fitted.study.config.samples}")
+    print(f"result                 {fitted.networks_called}")
     if len(population):
         shown = {"root_time": ("ms", 1), "cv": ("m/s", 1), "alpha": ("", 3)}
         for name in (name for name in shown if name in population.values):

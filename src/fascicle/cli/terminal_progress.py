@@ -26,8 +26,7 @@ NAMES = {
     "optimisation": "Bayesian optimisation",
     "refinement": "refinement",
     "prior": "drawing from the prior",
-    "posterior": "networks accepted",
-    "walk": "random walks",
+    "rejection": "networks accepted",
     "networks": "simulating the networks",
 }
 

@@ -11,9 +11,9 @@ StageProgress = Callable[[int, int], None]  # progress callback of one stage: do
 class Progress(Protocol):
     """Progress callback of a run with several stages.
 
-    The stages of a study are "initial", "optimisation", "refinement", "posterior" (accepted
-    samples), within it "prior" (uniform draws of a round), and, where that falls short, "walk"
-    (steps of the random walks); before them come "compilation" and "preparation" of a large heart.
+    The stages of a study are "initial", "optimisation", "refinement", "rejection" (networks
+    accepted), and within it "prior" (uniform draws of a round); before them come "compilation" and
+    "preparation" of a large heart.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

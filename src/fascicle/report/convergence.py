@@ -30,7 +30,7 @@ def convergence_figure(losses: Floats, stages: Sequence[str]) -> Figure:
     losses : (n,) array
         Loss (mV²) in the order of evaluation; NaN where the parameters were infeasible.
     stages : sequence of n str
-        Stage of each evaluation, such as ``"initial"``, ``"optimisation"``, ``"posterior"``.
+        Stage of each evaluation, such as ``"initial"``, ``"optimisation"``, ``"rejection"``.
 
     Returns
     -------

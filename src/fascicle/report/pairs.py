@@ -1,4 +1,4 @@
-"""What a posterior says about each parameter and each pair of them."""
+"""What networks say about each parameter and each pair of them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def pair_figure(
     space : ParameterSpace
         The d free parameters; its ranges are the axes' limits.
     samples : mapping of name to (n,) array
-        Posterior samples, each parameter in its own unit.
+        The networks, each parameter in its own unit.
     best : mapping of name to float
         The best-fitting parameters, marked in every panel.
     truth : mapping of name to float, optional
@@ -164,7 +164,7 @@ def _legend(figure: Figure, count: int, marks: Marks) -> None:
     handles: list[Line2D | Patch] = [
         Line2D([], [], linestyle="", marker="o", color=style.BLUE, alpha=0.6, markersize=4,
                label=f"network ({count})"),
-        Patch(color=style.BLUE, alpha=0.45, label="posterior density"),
+        Patch(color=style.BLUE, alpha=0.45, label="density of networks"),
         Line2D([], [], color=style.GREY, linewidth=1.0, linestyle="--", label="prior density"),
     ]  # fmt: skip
     handles += [Line2D([], [], linewidth=1.2, **mark) for _, mark in marks]

@@ -48,7 +48,7 @@ def write_pacing(
     Raises
     ------
     InputError
-        If the study accepted no network, or the root time is not finite.
+        If the study has no network, or the root time is not finite.
     """
     check_population(fitted)
     if not np.isfinite(root_time):

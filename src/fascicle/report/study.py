@@ -26,10 +26,10 @@ def activation_row(label: str, simulation: Simulation) -> ActivationRow:
 
 
 def check_population(fitted: FittedStudy) -> None:
-    """Refuse a study that accepted no network."""
+    """Refuse a study without networks."""
     if not len(fitted.population):
         raise InputError(
-            f"{fitted.folder}: no network was accepted, so there is nothing to draw or to predict "
+            f"{fitted.folder}: no network was found, so there is nothing to draw or to predict "
             "with; fit with more steps or more initial points"
         )
 
@@ -57,10 +57,11 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
     groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION)]
     best = activation_row("best network", fitted.best_network.simulation)
-    count = f"{len(population)} networks"
     figures = {
-        "ecg": ecg_figure(groups, f"Recorded QRS and {count}"),
-        "pairs": pair_figure(problem.space, population.values, population.best, title=count),
+        "ecg": ecg_figure(groups, f"Recorded QRS and {len(population)} networks"),
+        "pairs": pair_figure(
+            problem.space, population.values, population.best, title=fitted.networks_called
+        ),
         "activation": activation_figure(problem.model.heart, [best]),
         "convergence": convergence_figure(
             np.array([record.evaluation.loss for record in records]),

@@ -31,8 +31,7 @@ class Stage(StrEnum):
 
     INITIAL = "initial"
     OPTIMISATION = "optimisation"
-    POSTERIOR = "posterior"
-    WALK = "walk"
+    REJECTION = "rejection"
     REFINEMENT = "refinement"
 
 

@@ -21,7 +21,7 @@ from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target, write_target
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.population import POSTERIOR, read_population
+from fascicle.study.population import RESULT, read_population
 from fascicle.study.problem import Problem
 from fascicle.study.results import FittedStudy, write_results
 from fascicle.study.settings import checked_settings
@@ -63,10 +63,10 @@ def fit(
     progress : Progress, optional
         Called with the stage, and how far it is.
     **settings
-        The fields of `fascicle.FitSettings`, where they are described. Size of the stages:
-        `initial`, `steps`, `refine`, `samples`; what is compared: `method`, `leads`, `free_gain`,
-        `fewest_junctions`; `seed`, `workers`; acceptance: `tolerance`, `draws`,
-        `candidate_order`, `refit_after`, `rounds`, `walk_steps`.
+        The fields of `fascicle.FitSettings`, where they are described. `method`; size of the
+        stages: `initial`, `steps`, `refit_every`, `refine`, `samples`; what is compared: `leads`,
+        `free_gain`, `fewest_junctions`; `seed`, `workers`; acceptance: `tolerance`, `draws`,
+        `refit_after`, `rounds`.
 
     Returns
     -------
@@ -131,7 +131,8 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
     """
     folder = Path(folder)
     study = Study.open(folder)
-    population = read_population(folder / POSTERIOR)
+    result = folder / RESULT[study.config.method]
+    population = read_population(result)
     heart = load_heart(folder / HEART)
     target = read_target(folder / TARGET)
     for name, found, wanted in (
@@ -144,7 +145,7 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
             )
     if set(population.best) != set(study.config.parameter_space.names):
         raise InputError(
-            f"{folder / POSTERIOR}: its parameters are not those of the study; run 'fascicle fit' "
+            f"{result}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
         )
     now = study.config.model_copy(update=_growth_and_conduction(heart))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,13 +19,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.likelihood import (
-    QrsLikelihood,
-    cosines,
-    lead_pattern,
-    matern,
-    separable,
-)
+from fascicle.forward.likelihood import QrsLikelihood, cosines, lead_pattern, matern, separable
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.covariance import residual_covariance
@@ -152,7 +147,7 @@ def prior_knowledge(
             f"only {len(found)} of {NETWORKS} networks of the prior fit this heart; check the "
             "heart, or narrow the ranges of the lengths"
         )
-    differences = [first - second for (first, _), (second, _) in zip(found, found[1:])]
+    differences = [first - second for (first, _), (second, _) in pairwise(found)]
     rough = [(one - other) / np.sqrt(2) for one, other in found]
     # The median: a few networks lose a whole branch, which the discrepancy's size must cover.
     energy = float(np.median([(each**2).sum() for each in rough]))

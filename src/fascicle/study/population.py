@@ -15,10 +15,11 @@ from fascicle.core.files import write_bytes
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.inference.abc.rejection import Sampling
-from fascicle.inference.evaluation import Evaluation
 from fascicle.recording.target import Target
+from fascicle.study.settings import Method
 
-POSTERIOR = "posterior.nc"  # in the study's folder; its presence says that it is finished
+# The file that holds the networks, called what it is
+RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Population:
     losses, distances : (n,) arrays
         Mismatch (mV²), and total-variation distance of the per-beat errors from the best's.
     best : mapping of name to float
-        The parameters with the least mismatch.
+        θ_min: the parameters with the least mismatch that the search has found.
     best_loss : float
         That mismatch (mV²).
     """
@@ -44,10 +45,8 @@ class Population:
     best_loss: float
 
     @classmethod
-    def of(cls, space: ParameterSpace, sampling: Sampling, best: Evaluation) -> Population:
+    def of(cls, space: ParameterSpace, sampling: Sampling) -> Population:
         """Name the parameters of accepted evaluations.
-
-        Walks that never moved stand where they started: one network, not several.
 
         Parameters
         ----------
@@ -55,17 +54,13 @@ class Population:
             The d parameters.
         sampling : Sampling
             What was accepted.
-        best : Evaluation
-            The one with the least mismatch of all.
         """
-        first = {e.point.tobytes(): k for k, e in reversed(list(enumerate(sampling.accepted)))}
-        kept = sorted(first.values())
-        accepted = [sampling.accepted[k] for k in kept]
+        accepted, best = sampling.accepted, sampling.reference
         named = [space.from_unit(evaluation.point) for evaluation in accepted]
         return cls(
             {name: np.array([values[name] for values in named]) for name in space.names},
             np.array([evaluation.loss for evaluation in accepted]),
-            sampling.distances[kept],
+            sampling.distances,
             space.from_unit(best.point),
             best.loss,
         )
@@ -79,7 +74,12 @@ class Population:
 
 
 def write_population(
-    path: Path, population: Population, space: ParameterSpace, target: Target, predicted: Floats
+    path: Path,
+    population: Population,
+    space: ParameterSpace,
+    target: Target,
+    predicted: Floats,
+    called: str,
 ) -> None:
     """Write a population as ArviZ InferenceData, whole or not at all.
 
@@ -94,7 +94,9 @@ def write_population(
     target : Target
         The recorded beats, as observed data.
     predicted : (n, 12, n_time) array
-        The networks' ECGs aligned with the target's time (mV), as posterior predictive.
+        The networks' ECGs aligned with the target's time (mV).
+    called : str
+        What the networks are, for readers of the file: its groups have ArviZ's names.
     """
     with warnings.catch_warnings():  # announces its next major version at every import
         warnings.simplefilter("ignore", FutureWarning)
@@ -110,6 +112,7 @@ def write_population(
             coords={"lead": list(LEADS), "time": target.time},
             dims={"ecg": ["lead", "time"]},
         )
+    data.attrs["networks_are"] = called
     for parameter in space.parameters:
         data.posterior[parameter.name].attrs = {
             "units": parameter.unit,
@@ -142,7 +145,7 @@ def read_population(path: Path) -> Population:
     import xarray as xr
 
     if not path.is_file():
-        raise InputError(f"{path}: no such posterior; finish the study with 'fascicle fit'")
+        raise InputError(f"{path}: no such file; finish the study with 'fascicle fit'")
     try:
         with (
             xr.open_dataset(path, group="posterior", engine="h5netcdf") as posterior,
@@ -159,5 +162,5 @@ def read_population(path: Path) -> Population:
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(
-            f"{path}: not a readable posterior ({first}); run 'fascicle fit' again to rewrite it"
+            f"{path}: not a readable result ({first}); run 'fascicle fit' again to rewrite it"
         ) from None

@@ -16,16 +16,17 @@ from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
-from fascicle.inference.evaluation import best_of
+from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.purkinje.tree_files import write_tree
 from fascicle.study.evaluations import Stage
-from fascicle.study.population import POSTERIOR, Population, write_population
+from fascicle.study.population import RESULT, Population, write_population
 from fascicle.study.problem import Network, Problem
 from fascicle.study.study import Study
 
+FEWEST_BEATS = 30  # below which a kernel density of their errors says little
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
 AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not found
 LEAST_CORRELATION = 0.7  # of a lead's QRS; below, less than half of it (0.7²) is explained
@@ -58,6 +59,22 @@ class FittedStudy:
         return self.study.folder
 
     @property
+    def networks_called(self) -> str:
+        """How many networks there are, and what they are."""
+        count = f"{len(self.population)} networks"
+        return f"{count}, a population and not a posterior" if self.of_the_paper else count
+
+    @property
+    def of_the_paper(self) -> bool:
+        """Whether the networks were found by the paper's method."""
+        return self.study.config.method == "paper"
+
+    @property
+    def candidates(self) -> list[Evaluation]:
+        """What was tried for the population."""
+        return [r.evaluation for r in self.study.records() if r.stage is Stage.REJECTION]
+
+    @property
     def best_initial_loss(self) -> float:
         """Least mismatch among the points of the Latin hypercube (mV²)."""
         return best_of(r.evaluation for r in self.study.records() if r.stage is Stage.INITIAL).loss
@@ -77,6 +94,9 @@ class FittedStudy:
             _unexplained(self),
             _unexplained_leads(self),
             _unusual_gain(self),
+            _short(self),
+            _few_beats(self),
+            _not_the_minimum(self),
             _unbounded(self),
             _regions_taken_as_healthy(self),
             _at_end_of_range(self),
@@ -151,6 +171,40 @@ def _unusual_gain(fitted: FittedStudy) -> str:
     )
 
 
+def _short(fitted: FittedStudy) -> str:
+    """Warn of a population that is smaller than wanted."""
+    count, wanted = len(fitted.population), fitted.study.config.samples
+    if count >= wanted or not fitted.of_the_paper:
+        return ""
+    return (
+        f"{count} of {wanted} networks were accepted of {len(fitted.candidates)} candidates, and "
+        "the method ends there: too few to show how different they can be; the beats vary too "
+        "little for its rule (--tolerance), or the search was too short (--steps, --rounds)"
+    )
+
+
+def _few_beats(fitted: FittedStudy) -> str:
+    """Warn of a rule of acceptance that rests on too few beats."""
+    count = len(fitted.problem.target.beats)
+    if count >= FEWEST_BEATS or not fitted.of_the_paper:
+        return ""
+    return (
+        f"the recording has {count} beat{'s' * (count > 1)}: the rule of acceptance, total "
+        f"variation between densities of the beats' errors, rests on too few below {FEWEST_BEATS}"
+    )
+
+
+def _not_the_minimum(fitted: FittedStudy) -> str:
+    """Warn of a reference that is not the best network."""
+    better = sum(e.feasible and e.loss < fitted.population.best_loss for e in fitted.candidates)
+    if not better or not fitted.of_the_paper:
+        return ""
+    return (
+        f"{better} of {len(fitted.candidates)} candidates match better than the network that all "
+        "were compared with: the optimisation has not found the minimum (--steps)"
+    )
+
+
 def _unbounded(fitted: FittedStudy) -> str:
     """Warn of a heart without a body."""
     heart = fitted.problem.model.heart
@@ -220,10 +274,11 @@ def _outside_qrs(fitted: FittedStudy) -> str:
 
 
 def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None:
-    """Write posterior, trees, activation map and summary into the study's folder."""
+    """Write networks, trees, activation map and summary into the study's folder."""
     problem, population, folder = fitted.problem, fitted.population, fitted.folder
+    result = folder / RESULT[fitted.study.config.method]
     networks = fitted.networks(progress)
-    (folder / POSTERIOR).unlink(missing_ok=True)  # not finished while this is under way
+    result.unlink(missing_ok=True)  # not finished while this is under way
     _write_networks(
         folder / "networks",
         {"best": fitted.best_network} | {f"{k:02d}": n for k, n in enumerate(networks)},
@@ -243,7 +298,9 @@ def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None
     write_text(folder / "summary.json", json.dumps(_summary(fitted, networks), indent=2) + "\n")
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
     # last, since its presence says that the study is finished
-    write_population(folder / POSTERIOR, population, problem.space, problem.target, predicted)
+    write_population(
+        result, population, problem.space, problem.target, predicted, fitted.networks_called
+    )
 
 
 def spread(values: Floats) -> dict[str, float]:
@@ -275,6 +332,7 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
 def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, object]:
     records, population = fitted.study.records(), fitted.population
     return {
+        "networks_are": fitted.networks_called,
         "heart": fitted.problem.model.heart.name,
         "recording": fitted.problem.target.provenance.get("source", ""),
         "evaluations": len(records),
@@ -289,8 +347,7 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
         "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "networks_wanted": fitted.study.config.samples,
-        "candidates_evaluated": sum(r.stage in (Stage.POSTERIOR, Stage.WALK) for r in records),
-        "posterior_rounds": fitted.study.steps(Stage.POSTERIOR),
-        "posterior_walk_steps": fitted.study.steps(Stage.WALK),
+        "candidates_evaluated": len(fitted.candidates),
+        "rounds": fitted.study.steps(Stage.REJECTION),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
     }

@@ -8,11 +8,10 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.inference.abc.settings import AbcSettings, CandidateOrder
+from fascicle.inference.abc.settings import AbcSettings
 
-Method = Literal["default", "paper"]
-# What the paper's method does not have, and its order of candidates
-PAPER: dict[str, Any] = {"refine": 0, "walk_steps": 0, "candidate_order": CandidateOrder.DENSITY}
+Method = Literal["posterior", "paper"]
+NOT_OF_THE_PAPER = ("refine",)  # settings that its method does not have
 
 
 class FitSettings(AbcSettings):
@@ -20,15 +19,21 @@ class FitSettings(AbcSettings):
 
     initial: int = Field(default=250, ge=2, description="Latin hypercube points.")
     steps: int = Field(default=300, ge=0, description="Bayesian-optimisation steps.")
+    refit_every: int = Field(
+        default=10,
+        ge=1,
+        description="Steps between fits of the surrogate's hyper-parameters, which is conditioned "
+        "on every evaluation at once; the paper fits them at every step (1).",
+    )
     refine: int = Field(
         default=200,
         ge=0,
-        description="Generations of refinement, up to 20 simulations each; 0 as in the paper.",
+        description="Generations of refinement, up to 20 simulations each; the paper has none.",
     )
     method: Method = Field(
-        default="default",
-        description="'paper': the paper's parameters, with the speed constant alpha fixed, and "
-        "neither refinement nor random walks; 'default' learns alpha, too.",
+        default="posterior",
+        description="'paper': what the paper does and nothing else, with the speed constant alpha "
+        "fixed; it gives a population of networks, not a posterior. 'posterior' learns alpha, too.",
     )
     leads: Literal["12", "8"] = Field(
         default="12",
@@ -59,12 +64,18 @@ FitSettings.__doc__ = "\n".join(
 
 def checked_settings(given: Mapping[str, Any]) -> FitSettings:
     """Settings as they are used; impossible and unknown ones are refused in one line."""
-    preset = PAPER if given.get("method") == "paper" else {}
     try:
-        return FitSettings(**{**preset, **given})
+        settings = FitSettings(**given)
     except ValidationError as error:
         name, value, message = first_problem(error)
         raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
+    foreign = [name for name in NOT_OF_THE_PAPER if name in given]
+    if settings.method == "paper" and foreign:
+        raise InputError(
+            f"'{foreign[0]}' is {given[foreign[0]]!r}: the paper's method has no such setting; "
+            "leave it out"
+        )
+    return settings
 
 
 def first_problem(error: ValidationError) -> tuple[str, Any, str]:

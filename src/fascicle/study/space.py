@@ -36,8 +36,8 @@ def study_space(
     ----------
     method : str
         ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and speed in
-        the trees; ``"default"`` also the speed constant of the myocardium, where the heart does not
-        say it.
+        the trees; ``"posterior"`` also the speed constant of the myocardium, where the heart does
+        not say it.
     wanted : mapping of name to value
         What differs; a group of `GROUPS` stands for all of its quantities, where it is ``"free"``,
         and what is said of one of them alone counts. A number is a fixed value, ``"free"`` the
@@ -62,7 +62,7 @@ def study_space(
     numbers = {side: chosen.pop(f"{side}_fascicles", USUAL_FASCICLES) for side in SIDES}
     counts = {side: int(n) for side, n in numbers.items() if not isinstance(n, Parameter)}
     usual = list(network_space(**counts).parameters)
-    if method == "default" and not any(n in chosen or n in heart.values for n in SPEED):
+    if method == "posterior" and not any(n in chosen or n in heart.values for n in SPEED):
         usual.append(free("alpha"))
     check_one_speed(chosen)
     for label, name in region_labels(chosen).items():

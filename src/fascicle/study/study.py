@@ -2,7 +2,7 @@
 
 A study is a folder with `study.json` and `evaluations.sqlite`. Everything that takes time or
 chance is written down before it is used: each proposal of the optimisation with the
-hyper-parameters behind it, each round of posterior candidates, each evaluation. To resume is to
+hyper-parameters behind it, each round of candidates, each evaluation. To resume is to
 run again from the start and to read what is there instead of computing it, so an interrupted
 study and an uninterrupted one are the same program and give the same bits. Step k of a stage
 draws from ``default_rng([seed, stage, k])`` and from nothing else.
@@ -29,7 +29,7 @@ from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
 from fascicle.study.evaluations import DamagedStoreError, Database, Journal, Record, Stage
 from fascicle.study.lock import HOLDER, LOCK, study_lock
-from fascicle.study.population import POSTERIOR, Population
+from fascicle.study.population import RESULT, Population
 from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
@@ -41,7 +41,15 @@ CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
 HASHES = ("heart", "target")
 SHOWN = 12  # characters of them in a message
-LEFTOVERS = (".study.", ".evaluations.", ".posterior.", ".summary.", ".activation.", ".target.")
+LEFTOVERS = (
+    ".study.",
+    ".evaluations.",
+    ".posterior.",
+    ".population.",
+    ".summary.",
+    ".activation.",
+    ".target.",
+)
 LEFTOVER_FOLDERS = (".heart.", ".networks.")
 
 
@@ -172,11 +180,12 @@ class Study:
         with study_lock(self.folder):
             self.check_objective(objective)
             self._take_over()
-            from fascicle.study.stages import Run  # the surrogate, which only a fit needs
+            from fascicle.study import paper, posterior  # the surrogate, which only a fit needs
 
             config, space = self.config, self.config.parameter_space
             journal = Journal(self._database, objective, len(space), config.seed, config.workers)
-            return Run(config, space, journal, progress).population()
+            method = {"paper": paper.Run, "posterior": posterior.Run}[config.method]
+            return method(config, space, journal, progress).population()
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse another forward model than that of the stored evaluations.
@@ -207,7 +216,7 @@ class Study:
         there = _read(self.folder)
         if there == self.config:
             return
-        (self.folder / POSTERIOR).unlink(missing_ok=True)
+        (self.folder / RESULT[self.config.method]).unlink(missing_ok=True)
         self._database.forget_proposals(LASTING)
         write_text(self.folder / CONFIGURATION, self.config.model_dump_json(indent=2) + "\n")
 

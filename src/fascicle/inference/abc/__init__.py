@@ -1,1 +1,1 @@
-"""Approximate Bayesian computation: prior, distance, rejection, random walks."""
+"""Approximate Bayesian computation: prior, distance, rejection."""

@@ -9,8 +9,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.inference.abc.settings import CandidateOrder
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP
+from fascicle.inference.surrogate.surrogates import LossGP
 
 DRAW_CHUNK = 100_000
 ROUNDING = 1 + 1e-9  # the bound and the density are computed by different sums
@@ -21,55 +20,43 @@ NEAR_PER_CHUNK = 1000  # draws nearest to the data whose variance is always comp
 class InformedPrior:
     """Prior density that favours a low and certain predicted loss.
 
-    The units below are those of the output that the surrogate learns. In a study that is the
-    logarithm of the loss, where the paper has the loss itself: the density is then of relative
-    rather than of absolute differences.
-
     With s² = σ²(θ) + σ²_min (eq. "prior" of the paper)::
 
-        p(θ) = exp(−(μ(θ) − y_min)² / 2s²) / √(2πs²) · P(θ is feasible)
+        p(θ) = exp(−(μ(θ) − y_min)² / 2s²) / √(2πs²)
 
     Attributes
     ----------
     loss : LossGP
         Gives μ (mV²) and σ² (mV⁴).
-    feasibility : FeasibilityGP
-        Gives the probability that the parameters give a tree; not in the paper, whose trees are
-        taken to be always possible.
     y_min, variance_min : float
         Mean (mV²) and variance (mV⁴) predicted at the best point.
     """
 
     loss: LossGP
-    feasibility: FeasibilityGP
     y_min: float
     variance_min: float
 
     @classmethod
-    def at(cls, loss: LossGP, feasibility: FeasibilityGP, best: Floats) -> InformedPrior:
+    def at(cls, loss: LossGP, best: Floats) -> InformedPrior:
         """Make the prior whose reference is a known point.
 
         Parameters
         ----------
         loss : LossGP
             Surrogate of the loss.
-        feasibility : FeasibilityGP
-            Probability that parameters give a tree.
         best : (d,) array
-            θ_min, the best point known, in the unit cube.
+            θ_min, the best point of the optimisation, in the unit cube.
         """
         mean, variance = loss.predict(best[None, :])
-        return cls(loss, feasibility, float(mean[0]), float(variance[0]))
+        return cls(loss, float(mean[0]), float(variance[0]))
 
-    def density(self, mean: Floats, variance: Floats, probability: Floats) -> Floats:
+    def density(self, mean: Floats, variance: Floats) -> Floats:
         """Density p(θ) of points whose predictions are known.
 
         Parameters
         ----------
         mean, variance : (m,) arrays
             μ (mV²) and σ² (mV⁴) of the surrogate.
-        probability : (m,) array
-            That the parameters give a tree.
 
         Returns
         -------
@@ -77,8 +64,8 @@ class InformedPrior:
             p(θ) (1/mV²).
         """
         s2 = variance + self.variance_min
-        gaussian = np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2)
-        return np.asarray(probability * gaussian)
+        density = np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2)
+        return np.asarray(density)
 
     def bound(self, mean: Floats, variance_limit: Floats) -> Floats:
         """Bound p(θ) (1/mV²) for all variances up to `variance_limit` (m,), shape (m,).
@@ -101,11 +88,10 @@ def draw_candidates(
     rng: np.random.Generator,
     prior: InformedPrior,
     draws: int,
-    order: CandidateOrder = CandidateOrder.RANDOM,
     limit: int | None = None,
     progress: StageProgress = no_progress,
 ) -> tuple[Floats, Floats]:
-    """Rejection sampling from the informed prior.
+    """Rejection sampling from the informed prior, the densest points first, as in the paper.
 
     Of `draws` uniform points those with p(θ) > r·p_max pass, r ~ U(0, 1). A variance, the costly
     part, is computed only where r·p_max is below `InformedPrior.bound`; elsewhere the point is
@@ -127,9 +113,6 @@ def draw_candidates(
         The density.
     draws : int
         Number of uniform draws.
-    order : CandidateOrder
-        RANDOM leaves the accepted draws as they come: independent draws from the prior. DENSITY
-        sorts them by falling p(θ), as the paper does; the first few are modes.
     limit : int, optional
         Return at most so many.
     progress : callable
@@ -138,9 +121,9 @@ def draw_candidates(
     Returns
     -------
     points : (m, d) array
-        In the unit cube, in the order in which to try them.
+        In the unit cube, by falling p(θ). The first few are modes, not draws from the prior.
     density : (m,) array
-        p(θ) times the probability of feasibility (1/mV²).
+        p(θ) (1/mV²).
     """
     least = math.inf
     kept: list[tuple[Floats, ...]] = []
@@ -154,10 +137,8 @@ def draw_candidates(
     points, density, r = map(np.concatenate, zip(*kept, strict=True))
     passed = density > r * prior.maximum(least)
     points, density = points[passed], density[passed]
-    if order is CandidateOrder.DENSITY:
-        rank = np.argsort(-density, kind="stable")
-        points, density = points[rank], density[rank]
-    return points[:limit], density[:limit]
+    rank = np.argsort(-density, kind="stable")[:limit]
+    return points[rank], density[rank]
 
 
 def _screen(
@@ -175,11 +156,7 @@ def _screen(
     if alive.size:
         exact_mean, variance = prior.loss.predict(points[alive])
         least = min(least, float(variance.min()))
-        density = prior.density(exact_mean, variance, np.ones(len(alive)))
-        # The probability of feasibility costs as much as a variance: only where it can matter.
-        hopeful = density > r[alive] * prior.maximum(least)
-        alive, density = alive[hopeful], density[hopeful]
-        density = density * prior.feasibility.probability(points[alive])
+        density = prior.density(exact_mean, variance)
         passed = density > r[alive] * prior.maximum(least)
         alive, density = alive[passed], density[passed]
     else:

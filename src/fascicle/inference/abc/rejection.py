@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.inference.abc.distance import ErrorDensity, from_reference
 from fascicle.inference.abc.settings import AbcSettings
-from fascicle.inference.evaluation import Evaluation, Objective, best_of
+from fascicle.inference.evaluation import Evaluation, Objective
 
 # Candidates (m, d) to try in a round, from its number.
 Propose = Callable[[int], Floats]
@@ -25,7 +25,7 @@ class Sampling:
     Attributes
     ----------
     reference : Evaluation
-        θ_min: the best point of the optimisation, or the one that took its place.
+        θ_min.
     accepted : tuple of Evaluation
     distances : (len(accepted),) array
         Total variation from the reference, each.
@@ -38,25 +38,13 @@ class Sampling:
 
 @dataclass(frozen=True)
 class _Tally:
-    """Verdicts so far against one reference."""
+    """Verdicts so far."""
 
-    reference: Evaluation
     density: ErrorDensity
     settings: AbcSettings
     accepted: tuple[Evaluation, ...] = ()
     distances: tuple[float, ...] = ()
     rejections: int = 0
-    surpassed: bool = False
-
-    @classmethod
-    def against(
-        cls, reference: Evaluation, settings: AbcSettings, tried: Iterable[Evaluation] = ()
-    ) -> _Tally:
-        """Start from what was tried before, judged against a new reference."""
-        tally = cls(reference, ErrorDensity.fit(reference.beat_errors), settings)
-        for evaluation in tried:
-            tally = tally.judge(evaluation)
-        return tally
 
     @property
     def complete(self) -> bool:
@@ -65,26 +53,25 @@ class _Tally:
     @property
     def over(self) -> bool:
         """Whether the round ends here."""
-        return self.complete or self.surpassed or self.rejections >= self.settings.refit_after
+        return self.complete or self.rejections >= self.settings.refit_after
 
     def judge(self, evaluation: Evaluation) -> _Tally:
         """Add one more verdict; no more are accepted than are wanted."""
+        if self.complete:
+            return self
         distance = from_reference(evaluation, self.density)
-        if distance < self.settings.tolerance:
-            if self.complete:
-                return self
-            return replace(
-                self,
-                accepted=(*self.accepted, evaluation),
-                distances=(*self.distances, distance),
-                rejections=0,
-            )
-        better = evaluation.feasible and evaluation.loss < self.reference.loss
-        return replace(self, rejections=self.rejections + 1, surpassed=self.surpassed or better)
+        if distance >= self.settings.tolerance:
+            return replace(self, rejections=self.rejections + 1)
+        return replace(
+            self,
+            accepted=(*self.accepted, evaluation),
+            distances=(*self.distances, distance),
+            rejections=0,
+        )
 
 
 def sample(
-    known: Sequence[Evaluation],
+    reference: Evaluation,
     propose: Propose,
     objective: Objective,
     settings: AbcSettings,
@@ -93,15 +80,14 @@ def sample(
     """Try candidates in turn until enough are accepted.
 
     A candidate is accepted if the total variation between the densities of its per-beat errors
-    and of those of θ_min, the best point known, is below the tolerance. One point differs from
-    the paper: a candidate that is *better* than θ_min, and too far from it to be accepted, shows
-    that θ_min was not the minimum. It ends the round, and becomes θ_min of the next; the
-    candidates evaluated before are judged again, from their stored errors.
+    and of those of θ_min is below the tolerance. `settings.refit_after` rejections in a row, or
+    want of candidates, end a round. A candidate that is better than θ_min, and too far from it,
+    is rejected like any other.
 
     Parameters
     ----------
-    known : sequence of Evaluation
-        From the optimisation; at least one feasible.
+    reference : Evaluation
+        θ_min, the best point of the optimisation.
     propose : callable
         Gives the candidates of a round, shape (m, d), in the order in which to try them.
     objective : Objective
@@ -111,20 +97,18 @@ def sample(
     progress : callable
         Called with the numbers accepted, evaluated, and of the round.
     """
-    tried: list[Evaluation] = []
-    tally = _Tally.against(best_of(known), settings)
+    evaluated = 0
+    tally = _Tally(ErrorDensity.fit(reference.beat_errors), settings)
     for number in range(settings.rounds):
         tally = replace(tally, rejections=0)
         candidates = propose(number)
         for start in range(0, len(candidates), settings.workers):
             for evaluation in objective(list(candidates[start : start + settings.workers])):
-                tried.append(evaluation)
+                evaluated += 1
                 tally = tally.judge(evaluation)
-            progress(len(tally.accepted), len(tried), number + 1)
+            progress(len(tally.accepted), evaluated, number + 1)
             if tally.over:
                 break
-        if tally.surpassed and not tally.complete:
-            tally = _Tally.against(best_of([*known, *tried]), settings, tried)
         if tally.complete:
             break
-    return Sampling(tally.reference, tally.accepted, np.array(tally.distances))
+    return Sampling(reference, tally.accepted, np.array(tally.distances))

@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 from pydantic import BaseModel, ConfigDict, Field
-
-
-class CandidateOrder(StrEnum):
-    """The order in which candidates from the informed prior are tried."""
-
-    RANDOM = "random"  # as they are drawn: independent draws from the prior
-    DENSITY = "density"  # by falling density, as in the paper: the first ones are modes
 
 
 class AbcSettings(BaseModel):
@@ -23,7 +14,7 @@ class AbcSettings(BaseModel):
     workers: int = Field(
         default=2,  # not the number of cores, so that the same settings give the same result
         ge=1,
-        description="Simulations at a time; proposals per step.",
+        description="Simulations at a time.",
     )
     tolerance: float = Field(
         default=0.9,
@@ -35,20 +26,13 @@ class AbcSettings(BaseModel):
     draws: int = Field(
         default=5_000_000, ge=1, description="Uniform draws for the informed prior in each round."
     )
-    candidate_order: CandidateOrder = Field(
-        default=CandidateOrder.RANDOM,
-        description="Order of the candidates; by density, as in the paper, prefers modes.",
-    )
     refit_after: int = Field(
         default=50,
         ge=1,
         description="Rejections in a row after which the surrogate is fitted again.",
     )
     rounds: int = Field(
-        default=4, ge=1, description="Fits at most; random walks then complete the population."
-    )
-    walk_steps: int = Field(
-        default=100,
-        ge=0,
-        description="Steps of each walk after the best network last changed; 0: no walks.",
+        default=20,
+        ge=1,
+        description="Fits of the surrogate at most, where the paper says of no end.",
     )

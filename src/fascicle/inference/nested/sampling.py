@@ -70,7 +70,9 @@ class NestedRun:
     state: State
     complete: bool
 
-    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    def draw(
+        self, rng: np.random.Generator, count: int
+    ) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
         """Numbers (count,) of points, equally weighted draws in random order (systematic)."""
         ends = np.cumsum(self.weights)
         positions = (np.arange(count) + rng.random()) / count * ends[-1]

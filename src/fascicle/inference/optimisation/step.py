@@ -45,95 +45,104 @@ def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> Flo
 
 
 @dataclass(frozen=True)
-class State:
-    """All that a step depends on besides its random numbers.
+class Surrogates:
+    """What the optimisation knows: observations, and Gaussian processes conditioned on them.
 
     Attributes
     ----------
     observations : Observations
         At least one of them feasible.
-    loss, feasibility : Hyperparameters or None
-        Of the last fits; None before the first one (and while every point is feasible).
+    learnt_from : int
+        How many of them, the first ones, the hyper-parameters were learnt from.
+    loss : LossGP
+    feasibility : FeasibilityGP
+        Not in the paper, whose trees always grow; used to propose points, and for nothing else.
     """
 
     observations: Observations
-    loss: Hyperparameters | None = None
-    feasibility: Hyperparameters | None = None
+    learnt_from: int
+    loss: LossGP
+    feasibility: FeasibilityGP
 
-    def hyperparameters_to_json(self) -> str:
-        """Give the hyper-parameters as text; every float comes back exactly."""
-        both = {"loss": self.loss, "feasibility": self.feasibility}
+    @classmethod
+    def learn(cls, observations: Observations, before: Surrogates | None = None) -> Surrogates:
+        """Learn the hyper-parameters, starting from earlier ones where there are any."""
+        start = before.loss.gp.hyperparameters if before is not None else None
+        loss = LossGP.fit(observations, start, iterations(start))
+        start = before.feasibility.hyperparameters if before is not None else None
+        feasibility = FeasibilityGP.fit(observations, start, iterations(start))
+        return cls(observations, len(observations), loss, feasibility)
+
+    def extended(self, observations: Observations) -> Surrogates:
+        """Condition on more observations, the new ones last, with the same hyper-parameters."""
+        return replace(
+            self,
+            observations=observations,
+            loss=self.loss.extended(observations),
+            feasibility=self.feasibility.extended(observations),
+        )
+
+    def updated(self, observations: Observations, refit_every: int) -> Surrogates:
+        """Condition on more observations; learn anew where it is time, or a first tree failed."""
+        first_failure = self.feasibility.gp is None and not observations.feasible.all()
+        if first_failure or len(observations) - self.learnt_from >= refit_every:
+            return Surrogates.learn(observations, self)
+        return self.extended(observations)
+
+    def to_json(self) -> str:
+        """Give what the observations do not tell, as text; every float comes back exactly."""
+        feasibility = self.feasibility.hyperparameters
         return json.dumps(
-            {name: h.to_json() if h is not None else None for name, h in both.items()}
+            {
+                "loss": self.loss.gp.hyperparameters.to_json(),
+                "feasibility": feasibility.to_json() if feasibility is not None else None,
+                "learnt_from": self.learnt_from,
+                "observations": len(self.observations),
+            }
         )
 
     @classmethod
-    def from_json(cls, observations: Observations, text: str | None) -> State:
-        """Make the state with hyper-parameters from text; None for a cold start."""
-        both = json.loads(text) if text is not None else {"loss": None, "feasibility": None}
-        known = {
-            k: Hyperparameters.from_json(v) if v is not None else None for k, v in both.items()
-        }
-        return cls(observations, **known)
-
-
-def refit(state: State) -> tuple[State, LossGP, FeasibilityGP]:
-    """Learn the hyper-parameters anew, from those of the state, and condition on its data."""
-    loss = LossGP.fit(state.observations, state.loss, _iterations(state.loss))
-    feasibility = FeasibilityGP.fit(
-        state.observations, state.feasibility, _iterations(state.feasibility)
-    )
-    fitted = replace(state, loss=loss.gp.hyperparameters, feasibility=feasibility.hyperparameters)
-    return fitted, loss, feasibility
+    def from_json(cls, text: str, observations: Observations) -> Surrogates:
+        """The same again, bit for bit, from the text of `to_json` and the observations since."""
+        known = json.loads(text)
+        loss = Hyperparameters.from_json(known["loss"])
+        labels = known["feasibility"]
+        first = observations.first(known["learnt_from"])
+        learnt = cls(
+            first,
+            known["learnt_from"],
+            LossGP.condition(first, loss),
+            FeasibilityGP.condition(first, Hyperparameters.from_json(labels) if labels else None),
+        )
+        return learnt.extended(observations.first(known["observations"]))
 
 
 @one_thread
-def step(rng: np.random.Generator, state: State, batch: int = 1) -> tuple[State, Floats]:
-    """Propose the next points to evaluate.
+def step(rng: np.random.Generator, surrogates: Surrogates) -> Floats:
+    """Propose the next point to evaluate, shape (d,).
 
-    Refits the surrogates, then maximises expected improvement times the probability of
-    feasibility. The points of a batch are chosen one after another, each believing the surrogate's
-    mean at those before it (kriging believer; Ginsbourger, Le Riche & Carraro 2010).
+    It maximises expected improvement times the probability of feasibility.
 
     Parameters
     ----------
     rng : Generator
         The only source of randomness.
-    state : State
-        Observations so far and the hyper-parameters of the last step.
-    batch : int
-        How many points to propose.
-
-    Returns
-    -------
-    state : State
-        The same observations with the new hyper-parameters.
-    points : (batch, d) array
-        In the unit cube.
+    surrogates : Surrogates
+        All that is known.
     """
-    fitted, loss, feasibility = refit(state)
-    known = state.observations
-    proposals: list[Floats] = []
-    for _ in range(batch):
-        if proposals:
-            loss, known = loss.with_guess(known, proposals[-1])
-        proposals.append(_propose(rng, known, loss, feasibility))
-    return fitted, np.array(proposals)
-
-
-def _iterations(start: Hyperparameters | None) -> int:
-    return COLD_ITERATIONS if start is None else WARM_ITERATIONS
-
-
-def _propose(
-    rng: np.random.Generator, observations: Observations, loss: LossGP, feasibility: FeasibilityGP
-) -> Floats:
+    observations, loss = surrogates.observations, surrogates.loss
     points = observations.points[observations.feasible]
     mean, _ = loss.gp.predict(points)
     order = np.argsort(mean, kind="stable")
-    acquisition = FeasibleLogImprovement(loss.gp, feasibility, float(mean[order[0]]))
+    best = float(mean[order[0]])
+    acquisition = FeasibleLogImprovement(loss.gp, surrogates.feasibility, best)
     centres = points[order[:LOCAL_CENTRES]]
     return maximise(rng, acquisition, centres, observations.points, _box(rng, centres[0]))
+
+
+def iterations(start: Hyperparameters | None) -> int:
+    """How many L-BFGS-B iterations a fit may take from there."""
+    return COLD_ITERATIONS if start is None else WARM_ITERATIONS
 
 
 def _box(rng: np.random.Generator, best: Floats) -> Box:

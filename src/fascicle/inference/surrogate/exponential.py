@@ -95,6 +95,23 @@ def _cholesky(covariance: Floats) -> Floats:
             jitter *= 10
 
 
+def _bordered(whitener: Floats, covariance: Floats, variance: float) -> Floats:
+    """L⁻¹ of a covariance matrix with one more row: `covariance` (n,), `variance` on the diagonal.
+
+    With w = L⁻¹k, k the covariances, the new row of L is (wᵀ, s), s² = variance − |w|², and that
+    of L⁻¹ is (−wᵀL⁻¹, 1) / s.
+    """
+    count = len(covariance)
+    w = whitener @ covariance
+    # rounding may leave nothing of the variance where points coincide
+    s = math.sqrt(max(variance - float(w @ w), FIRST_JITTER * variance))
+    larger = np.zeros((count + 1, count + 1), order="F")
+    larger[:count, :count] = whitener
+    larger[count, :count] = -(w @ whitener) / s
+    larger[count, count] = 1 / s
+    return larger
+
+
 def _inverse(factor: Floats) -> Floats:
     """(LLᵀ)⁻¹ of the lower Cholesky factor L, whose upper triangle holds zeros."""
     lower, _ = lapack.dpotri(factor, lower=True)  # leaves the upper triangle as it is
@@ -225,6 +242,25 @@ class ExponentialGP:
         whitener, _ = lapack.dtrtri(factor, lower=True)
         alpha = cho_solve((factor, True), outputs)
         return cls(hyperparameters, centre, scaled, whitener, alpha)
+
+    @one_thread
+    def extended(self, points: Floats, outputs: Floats) -> ExponentialGP:
+        """Condition on more data: a row of L⁻¹ for each new point, instead of all rows anew.
+
+        Parameters
+        ----------
+        points : (m, d) array
+            The new ones.
+        outputs : (n + m,) array
+            Of all points, the new ones last; those before may have changed.
+        """
+        variance, noise = self.hyperparameters.variance, self.hyperparameters.noise
+        scaled, whitener = np.vstack([self.scaled, self.scale(points)]), self.whitener
+        for k in range(len(self.scaled), len(scaled)):
+            kernel = variance * np.exp(-cdist(scaled[:k], scaled[k : k + 1])[:, 0])
+            whitener = _bordered(whitener, kernel, variance + noise)
+        alpha = whitener.T @ (whitener @ outputs)
+        return ExponentialGP(self.hyperparameters, self.centre, scaled, whitener, alpha)
 
     def scale(self, points: Floats) -> Floats:
         """Input (..., d) in the coordinates in which the kernel is exp(−distance)."""

@@ -25,7 +25,7 @@ class Observations:
     points : (n, d) array
         In the unit cube.
     losses : (n,) array
-        Mismatch (mV², or its logarithm); NaN where the parameters give no tree.
+        Mismatch (mV²); NaN where the parameters give no tree.
     """
 
     points: Floats
@@ -45,17 +45,12 @@ class Observations:
         """Where there is a loss, shape (n,)."""
         return np.isfinite(self.losses)
 
-    def logarithmic(self) -> Observations:
-        """The same points with the logarithm of each loss.
+    def __len__(self) -> int:
+        return len(self.losses)
 
-        Losses spread over two decades; on their logarithm a stationary process can tell small ones
-        apart, which is where the optimisation and the posterior happen.
-        """
-        return Observations(self.points, np.log(np.maximum(self.losses, np.finfo(float).tiny)))
-
-    def with_guess(self, point: Floats, loss: float) -> Observations:
-        """Add one more, at `point` of shape (d,)."""
-        return Observations(np.vstack([self.points, point]), np.append(self.losses, loss))
+    def first(self, count: int) -> Observations:
+        """Those that were made first."""
+        return Observations(self.points[:count], self.losses[:count])
 
 
 @dataclass(frozen=True)
@@ -97,16 +92,10 @@ class LossGP:
         points, z, offset, scale = _standardised(observations)
         return cls(ExponentialGP.condition(points, z, hyperparameters), offset, scale)
 
-    def with_guess(self, observations: Observations, point: Floats) -> tuple[LossGP, Observations]:
-        """Believe the mean at a pending `point` (d,) (kriging believer), and count it as known.
-
-        Hyper-parameters, offset and scale stay.
-        """
-        grown = observations.with_guess(point, float(self.predict(point[None, :])[0][0]))
-        feasible = grown.feasible
-        z = (grown.losses[feasible] - self.offset) / self.scale
-        gp = ExponentialGP.condition(grown.points[feasible], z, self.gp.hyperparameters)
-        return LossGP(gp, self.offset, self.scale), grown
+    def extended(self, observations: Observations) -> LossGP:
+        """Condition on more observations, the new ones last, with the same hyper-parameters."""
+        points, z, offset, scale = _standardised(observations)
+        return LossGP(self.gp.extended(points[len(self.gp.scaled) :], z), offset, scale)
 
     def predict(self, points: Floats) -> tuple[Floats, Floats]:
         """Mean (mV²) and variance (mV⁴) of the noise-free loss at `points` (m, d), (m,) each."""
@@ -155,11 +144,26 @@ class FeasibilityGP:
         """
         if observations.feasible.all():
             return cls(None, 1.0)
-        labels = np.where(observations.feasible, 1.0, -1.0)
-        offset = float(labels.mean())
-        hyperparameters = fit(observations.points, labels - offset, start, iterations)
-        gp = ExponentialGP.condition(observations.points, labels - offset, hyperparameters)
-        return cls(gp, offset)
+        centred, _ = _labels(observations)
+        return cls.condition(observations, fit(observations.points, centred, start, iterations))
+
+    @classmethod
+    def condition(
+        cls, observations: Observations, hyperparameters: Hyperparameters | None
+    ) -> FeasibilityGP:
+        """Condition on the labels with known hyper-parameters; None if all points are feasible."""
+        if hyperparameters is None:
+            return cls(None, 1.0)
+        centred, offset = _labels(observations)
+        return cls(ExponentialGP.condition(observations.points, centred, hyperparameters), offset)
+
+    def extended(self, observations: Observations) -> FeasibilityGP:
+        """Condition on more observations, the new ones last, with the same hyper-parameters."""
+        if self.gp is None:
+            return self
+        centred, offset = _labels(observations)
+        new = observations.points[len(self.gp.scaled) :]
+        return FeasibilityGP(self.gp.extended(new, centred), offset)
 
     @property
     def hyperparameters(self) -> Hyperparameters | None:
@@ -191,6 +195,13 @@ class FeasibilityGP:
     def probability(self, points: Floats) -> Floats:
         """Probability that each of `points` (m, d) gives a tree, shape (m,)."""
         return np.exp(self.log_probability(points))
+
+
+def _labels(observations: Observations) -> tuple[Floats, float]:
+    """Labels less their mean, and that mean."""
+    labels = np.where(observations.feasible, 1.0, -1.0)
+    offset = float(labels.mean())
+    return labels - offset, offset
 
 
 def _standardised(observations: Observations) -> tuple[Floats, Floats, float, float]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.synthetic.artefacts import NOISES, SIGHT, f_waves, pulses, samples
-from benchmarks.synthetic.schedules import MARGIN, RHYTHMS
+from benchmarks.synthetic_recordings.artefacts import NOISES, SIGHT, f_waves, pulses, samples
+from benchmarks.synthetic_recordings.schedules import MARGIN, RHYTHMS
 from fascicle.core.leads import ELECTRODES, INDEPENDENT_ROWS, lead_matrix
 from fascicle.recording.recording import Recording
 
