@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fascicle.forward.simulation import Simulation
     from fascicle.predict.pacing import Pacing
+    from fascicle.study.population import Population, Posterior
     from fascicle.study.results import FittedStudy
 
 
@@ -34,26 +35,49 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
 
 
 def print_fit(fitted: FittedStudy) -> None:
-    """Print how well a study's networks match, and the parameters that an ECG shows best."""
-    import numpy as np
+    """Print whether to trust a study, how well its networks match, and what the ECG determines."""
+    from fascicle.study.population import Posterior
 
     population = fitted.population
+    print(f"result                 {fitted.verdict}")
     for warning in fitted.warnings:
         print(f"warning: {warning}")
     print(f"evaluations            {len(fitted.study.records())}")
-    first = fitted.best_initial_loss
-    print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
+    if fitted.of_the_paper:
+        first = fitted.best_initial_loss
+        print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print(f"best                   {best}")
-    print(f"result                 {fitted.networks_called}")
-    if len(population):
-        shown = {"root_time": ("ms", 1), "cv": ("m/s", 1), "alpha": ("", 3)}
-        for name in (name for name in shown if name in population.values):
-            values, (unit, digits) = population.values[name], shown[name]
-            middle, low, high = (
-                f"{value:.{digits}f}" for value in (np.median(values), values.min(), values.max())
-            )
-            print(f"{name:<22} {middle} {unit}{' ' * bool(unit)}({low} to {high})")
+    if isinstance(population, Posterior):
+        _print_posterior(population, fitted)
+    else:
+        _print_population(population)
+
+
+def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
+    from fascicle.study.verdict import statements, trade_offs
+
+    one, other = posterior.log_evidences
+    print(f"log evidence           {one:.1f} and {other:.1f} in two runs")
+    print(f"effective sample       {posterior.effective.sum():.0f}")
+    for statement in statements(posterior, fitted.problem.space):
+        print(f"{statement.name:<22} {statement}")
+    for first, second, correlation in trade_offs(posterior):
+        print(f"{first} and {second} stand for one another (rank correlation {correlation:.2f})")
+
+
+def _print_population(population: Population) -> None:
+    import numpy as np
+
+    if not len(population):
+        return
+    shown = {"root_time": ("ms", 1), "cv": ("m/s", 1), "alpha": ("", 3)}
+    for name in (name for name in shown if name in population.values):
+        values, (unit, digits) = population.values[name], shown[name]
+        middle, low, high = (
+            f"{value:.{digits}f}" for value in (np.median(values), values.min(), values.max())
+        )
+        print(f"{name:<22} {middle} {unit}{' ' * bool(unit)}({low} to {high})")
 
 
 def print_pacing(pacing: Pacing) -> None:

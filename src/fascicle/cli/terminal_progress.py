@@ -24,8 +24,9 @@ NAMES = {
     "preparation": "preparing the heart",
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",
-    "refinement": "refinement",
-    "prior": "drawing from the prior",
+    "prior": "networks of the prior",
+    "draws": "drawing from the prior",
+    "sampling": "nested sampling",
     "rejection": "networks accepted",
     "networks": "simulating the networks",
 }

@@ -11,9 +11,10 @@ StageProgress = Callable[[int, int], None]  # progress callback of one stage: do
 class Progress(Protocol):
     """Progress callback of a run with several stages.
 
-    The stages of a study are "initial", "optimisation", "refinement", "rejection" (networks
-    accepted), and within it "prior" (uniform draws of a round); before them come "compilation" and
-    "preparation" of a large heart.
+    The stages of a posterior are "prior" (networks of the prior) and "sampling"; those of the
+    paper's method "initial", "optimisation", "rejection" (networks accepted), and within it
+    "draws" (uniform draws of a round). Before them come "compilation" and "preparation" of a large
+    heart, after them "networks".
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

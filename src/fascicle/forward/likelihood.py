@@ -147,6 +147,18 @@ class QrsLikelihood:
         logs = -0.5 * (square + np.log(precision) + log_determinants[:, None])
         return logs, 1 + variance * along / precision, self.gain_sd / np.sqrt(precision)
 
+    def residual(self, simulated: Floats, shift: float, gain: float) -> Floats:
+        """What a simulation at a shift and gain leaves, in coefficients (n_leads, n_modes)."""
+        model = placed(simulated, shift, self.length, self.response)
+        padded = np.pad(self.recorded, ((0, 0), (MARGIN, MARGIN)))
+        return np.asarray((padded - gain * model) @ self.modes)
+
+    def noise(self, rng: np.random.Generator, scale: int) -> Floats:
+        """Draw ε for the discrepancy SCALES[scale], in coefficients (n_leads, n_modes)."""
+        basis, weights, _, _ = self._diagonal
+        drawn = rng.standard_normal(len(basis)) / np.sqrt(weights[scale])
+        return np.asarray((self.known @ basis @ drawn).reshape(len(self.recorded), -1))
+
     @property
     def length(self) -> int:
         """Samples of the window of the cosines."""

@@ -24,12 +24,15 @@ class Evaluation:
         Mismatch with each recorded beat (mV²); empty where the parameters give no tree.
     reason : str, optional
         Why the parameters give no tree, for people; None where they give one.
+    log_likelihood : float
+        Of the mean beat; NaN where it was not asked for.
     """
 
     point: Floats
     loss: float
     beat_errors: Floats
     reason: str | None = None
+    log_likelihood: float = np.nan
 
     @classmethod
     def infeasible(cls, point: Floats, reason: str) -> Evaluation:

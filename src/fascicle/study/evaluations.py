@@ -32,7 +32,7 @@ class Stage(StrEnum):
     INITIAL = "initial"
     OPTIMISATION = "optimisation"
     REJECTION = "rejection"
-    REFINEMENT = "refinement"
+    SAMPLING = "sampling"
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ MENDED = "run 'fascicle fit' on the study again, which keeps what can be read"
 SMALLEST_ROW = 32  # bytes in the file, less than any row takes
 TABLES = {
     "evaluations": "stage TEXT NOT NULL, point BLOB NOT NULL, loss REAL, "
-    "beat_errors BLOB NOT NULL, reason TEXT NOT NULL, seconds REAL NOT NULL, "
+    "beat_errors BLOB NOT NULL, log_likelihood REAL, reason TEXT NOT NULL, seconds REAL NOT NULL, "
     "checksum INTEGER NOT NULL",
     "proposals": "stage TEXT NOT NULL, step INTEGER NOT NULL, hyperparameters TEXT, "
     "points BLOB NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (stage, step)",
@@ -209,16 +209,19 @@ def _evaluation_row(record: Record) -> Row:
         _bytes(evaluation.point),
         float(evaluation.loss) if evaluation.feasible else None,
         _bytes(evaluation.beat_errors),
+        None if np.isnan(evaluation.log_likelihood) else float(evaluation.log_likelihood),
         evaluation.reason or "",
         float(record.seconds),
     )
 
 
 def _record(row: Row) -> Record:
-    stage, point, loss, errors, reason, seconds, _ = row
+    stage, point, loss, errors, log_likelihood, reason, seconds, _ = row
     if loss is None:
         return Record(Stage(stage), Evaluation.infeasible(_floats(point), reason), seconds)
-    return Record(Stage(stage), Evaluation(_floats(point), loss, _floats(errors)), seconds)
+    likelihood = np.nan if log_likelihood is None else log_likelihood
+    found = Evaluation(_floats(point), loss, _floats(errors), log_likelihood=likelihood)
+    return Record(Stage(stage), found, seconds)
 
 
 def _checksum(row: Row) -> int:
@@ -289,18 +292,21 @@ class Journal:
             self.database.propose(stage, step, *stored)
         return stored[1].reshape(-1, self.dimension)
 
-    def evaluate(self, stage: Stage, points: Sequence[Floats]) -> list[Evaluation]:
+    def evaluate(
+        self, stage: Stage, points: Sequence[Floats], batch: int | None = None
+    ) -> list[Evaluation]:
         """Give the outcomes at `points`, each of shape (d,).
 
-        Those that are not known are evaluated `workers` at a time, and each such batch is on the
-        disk before the next begins. Ctrl-C waits for the batch.
+        Those that are not known are evaluated `batch` at a time, or else `workers`, and each such
+        batch is on the disk before the next begins. Ctrl-C waits for the batch.
         """
         keys = [_bytes(point) for point in points]
         missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.known}
         left = list(missing.values())
-        for start in range(0, len(left), self.workers):
+        size = batch or self.workers
+        for start in range(0, len(left), size):
             with interrupted_afterwards():
-                self._compute(stage, left[start : start + self.workers])
+                self._compute(stage, left[start : start + size])
         # a point may have been evaluated in another stage, when there were fewer steps
         found = [replace(self.known[key], stage=stage) for key in keys]
         self.records += found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,11 @@ from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target, write_target
+from fascicle.study.likelihood import qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.population import RESULT, read_population
+from fascicle.study.population import RESULT
+from fascicle.study.population_files import read_checks, read_population
+from fascicle.study.predictive import predict_recording
 from fascicle.study.problem import Problem
 from fascicle.study.results import FittedStudy, write_results
 from fascicle.study.settings import checked_settings
@@ -29,6 +32,7 @@ from fascicle.study.space import study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 
 HEART, TARGET = "heart", "target.nc"  # in the study's folder
+PRIOR, PREDICTION = 1, 2  # number the random generators of a posterior
 
 
 def fit(
@@ -63,10 +67,10 @@ def fit(
     progress : Progress, optional
         Called with the stage, and how far it is.
     **settings
-        The fields of `fascicle.FitSettings`, where they are described. `method`; size of the
-        stages: `initial`, `steps`, `refit_every`, `refine`, `samples`; what is compared: `leads`,
-        `free_gain`, `fewest_junctions`; `seed`, `workers`; acceptance: `tolerance`, `draws`,
-        `refit_after`, `rounds`.
+        The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
+        `fewest_junctions`; of the posterior `effective`, `evaluations`, `live`, `gain_sd`; of the
+        paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`, `free_gain`,
+        `tolerance`, `draws`, `refit_after`, `rounds`.
 
     Returns
     -------
@@ -81,7 +85,7 @@ def fit(
     Examples
     --------
     >>> import fascicle
-    >>> fitted = fascicle.fit("HEART", "target.nc", "STUDY", steps=100)  # doctest: +SKIP
+    >>> fitted = fascicle.fit("HEART", "target.nc", "STUDY", effective=100)  # doctest: +SKIP
     >>> fitted.population.values["cv"].mean()  # doctest: +SKIP
     """
     checked = checked_settings(settings)
@@ -108,9 +112,30 @@ def fit(
         if not (folder / TARGET).exists():
             write_target(target, folder / TARGET)
         problem = _problem(config, heart, target, progress)
+        if config.method == "posterior":
+            rng = np.random.default_rng([config.seed, PRIOR])
+            found = qrs_likelihood(problem, rng, _gain_sd(config), progress)
+            problem = replace(problem, likelihood=found)
         fitted = FittedStudy(study, problem, study.run(problem, progress))
-        write_results(fitted, progress)
+        return _completed(fitted, progress)
+
+
+def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
+    """Simulate what was found, compare a posterior with the recording, and write it all."""
+    networks, prediction = fitted.networks(progress), None
+    problem = fitted.problem
+    if problem.likelihood is not None:
+        rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
+        prediction = predict_recording(problem, problem.likelihood, networks, rng)
+        fitted = replace(fitted, checks=prediction.checks)
+    write_results(fitted, networks, prediction)
     return fitted
+
+
+def _gain_sd(config: StudyConfig) -> float:
+    """Of the gain about 1; 0 where the gain is a parameter of its own."""
+    own = "gain" in config.fixed or "gain" in config.parameter_space.names
+    return 0.0 if own else config.gain_sd
 
 
 def load_study(folder: Path | str, progress: Progress | None = None) -> FittedStudy:
@@ -152,7 +177,7 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
     check_same(folder, study.config, now)
     problem = _problem(study.config, heart, target, progress)
     study.check_objective(problem)
-    return FittedStudy(study, problem, population)
+    return FittedStudy(study, problem, population, read_checks(result))
 
 
 def _growth_and_conduction(heart: Heart) -> dict[str, Any]:
@@ -175,7 +200,7 @@ def _problem(
         model,
         target,
         config.parameter_space,
-        config.free_gain,
+        config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
         config.workers,
         fixed=config.fixed,
         independent_leads=config.leads == "8",
@@ -186,7 +211,7 @@ def _problem(
 def target_digest(target: Target) -> str:
     """SHA-256 of what the fit sees of a target."""
     digest = hashlib.sha256()
-    numbers = [target.qrs_onset, target.qrs_offset]
+    numbers = [target.qrs_onset, target.qrs_offset, target.onset_sd, target.offset_sd]
     if target.noise is not None:
         numbers.append(target.noise)
     for array in (target.beats, target.time, np.array(numbers)):

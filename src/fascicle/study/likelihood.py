@@ -9,15 +9,14 @@ collide or just do not, the ECG jumps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.leads import INDEPENDENT_ROWS, LEADS
+from fascicle.core.leads import independent_rows
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.likelihood import QrsLikelihood, cosines, lead_pattern, matern, separable
 from fascicle.forward.loss import placed
@@ -64,7 +63,8 @@ def qrs_likelihood(
     progress : Progress, optional
         Called as networks are simulated.
     """
-    target, rows = problem.target, independent_rows(problem.target)
+    target = problem.target
+    rows = independent_rows(target.used)
     known = prior_knowledge(problem, rows, rng, progress)
     modes = cosines(target.qrs.shape[1])
     time = matern(len(modes))
@@ -78,21 +78,7 @@ def qrs_likelihood(
     )
 
 
-def independent_rows(target: Target) -> list[int]:
-    """Rows of the independent leads that a target has: of the limb leads two, which say the rest.
-
-    Raises
-    ------
-    InputError
-        If it has none.
-    """
-    rows = [row for row in INDEPENDENT_ROWS if target.used[row]]
-    if not rows:
-        raise InputError(f"the target has none of the leads {', '.join(LEADS)}")
-    return rows
-
-
-def beat_noise(target: Target, rows: Sequence[int]) -> Floats:
+def beat_noise(target: Target, rows: Integers) -> Floats:
     """Covariance (n, n) of the coefficients of the mean beat (mV²): of one beat, over their number.
 
     A single beat has its stated noise.
@@ -111,10 +97,7 @@ def beat_noise(target: Target, rows: Sequence[int]) -> Floats:
 
 
 def prior_knowledge(
-    problem: Problem,
-    rows: Sequence[int],
-    rng: np.random.Generator,
-    progress: Progress | None = None,
+    problem: Problem, rows: Integers, rng: np.random.Generator, progress: Progress | None = None
 ) -> PriorKnowledge:
     """Simulate networks of the prior, and each once more with next to nothing changed.
 
@@ -122,7 +105,7 @@ def prior_knowledge(
     ----------
     problem, rng, progress
         As for `qrs_likelihood`.
-    rows : sequence of int
+    rows : (n_leads,) array
         The leads that are compared.
 
     Raises
@@ -155,9 +138,7 @@ def prior_knowledge(
     return PriorKnowledge(lead_pattern(differences), variance * lead_pattern(rough))
 
 
-def _from_activation(
-    one: Simulation, other: Simulation, rows: Sequence[int]
-) -> tuple[Floats, Floats]:
+def _from_activation(one: Simulation, other: Simulation, rows: Integers) -> tuple[Floats, Floats]:
     """Both ECGs (mV) from a little before their first activation on, as long as all ECGs here."""
     cut = (
         placed(each.leads[rows], each.first_activation - BEFORE, LENGTH) for each in (one, other)

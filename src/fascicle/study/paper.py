@@ -23,7 +23,7 @@ from fascicle.inference.optimisation.step import Surrogates, iterations, latin_h
 from fascicle.inference.surrogate.exponential import Hyperparameters
 from fascicle.inference.surrogate.surrogates import LossGP, Observations
 from fascicle.study.evaluations import Journal, Stage
-from fascicle.study.population import Population
+from fascicle.study.population import PaperPopulation
 from fascicle.study.settings import FitSettings
 
 
@@ -48,11 +48,11 @@ class Run:
     journal: Journal
     progress: Progress | None = None
 
-    def population(self) -> Population:
+    def population(self) -> PaperPopulation:
         """Do all that is left, and give the result."""
         self.explore()
         self.optimise()
-        return Population.of(self.space, self.sample(best_of(self.journal.evaluations)))
+        return PaperPopulation.of(self.space, self.sample(best_of(self.journal.evaluations)))
 
     def explore(self) -> None:
         """Evaluate the points of the Latin hypercube."""
@@ -131,7 +131,7 @@ class Run:
             InformedPrior.at(loss, best.point),
             self.settings.draws,
             limit=self.settings.samples * self.settings.refit_after,
-            progress=stage_progress(self.progress, "prior", f"round {number + 1}"),
+            progress=stage_progress(self.progress, "draws", f"round {number + 1}"),
         )
         return loss.gp.hyperparameters.to_json(), points
 

@@ -1,25 +1,27 @@
-"""The population of networks that a study finds, and its file."""
+"""The networks that a study finds, and their file."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
-from fascicle.core.files import write_bytes
-from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.inference.abc.rejection import Sampling
-from fascicle.recording.target import Target
+from fascicle.inference.evaluation import Evaluation
+from fascicle.inference.nested.agreement import Agreement
+from fascicle.inference.nested.sampling import State
 from fascicle.study.settings import Method
+
+if TYPE_CHECKING:
+    pass
 
 # The file that holds the networks, called what it is
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
+PRIOR_DRAWS = 1000  # of each parameter, for comparison with the posterior
 
 
 @dataclass(frozen=True)
@@ -30,40 +32,18 @@ class Population:
     ----------
     values : mapping of name to (n,) array
         Parameters of the networks, in their units.
-    losses, distances : (n,) arrays
-        Mismatch (mV²), and total-variation distance of the per-beat errors from the best's.
+    losses : (n,) array
+        Mismatch (mV²).
     best : mapping of name to float
-        θ_min: the parameters with the least mismatch that the search has found.
+        The parameters with the least mismatch that the search has found.
     best_loss : float
         That mismatch (mV²).
     """
 
     values: Mapping[str, Floats]
     losses: Floats
-    distances: Floats
     best: Mapping[str, float]
     best_loss: float
-
-    @classmethod
-    def of(cls, space: ParameterSpace, sampling: Sampling) -> Population:
-        """Name the parameters of accepted evaluations.
-
-        Parameters
-        ----------
-        space : ParameterSpace
-            The d parameters.
-        sampling : Sampling
-            What was accepted.
-        """
-        accepted, best = sampling.accepted, sampling.reference
-        named = [space.from_unit(evaluation.point) for evaluation in accepted]
-        return cls(
-            {name: np.array([values[name] for values in named]) for name in space.names},
-            np.array([evaluation.loss for evaluation in accepted]),
-            sampling.distances,
-            space.from_unit(best.point),
-            best.loss,
-        )
 
     def __len__(self) -> int:
         return len(self.losses)
@@ -73,94 +53,94 @@ class Population:
         return {name: float(values[k]) for name, values in self.values.items()}
 
 
-def write_population(
-    path: Path,
-    population: Population,
-    space: ParameterSpace,
-    target: Target,
-    predicted: Floats,
-    called: str,
-) -> None:
-    """Write a population as ArviZ InferenceData, whole or not at all.
+@dataclass(frozen=True)
+class PaperPopulation(Population):
+    """What the paper's rule of acceptance keeps.
 
-    Parameters
+    Attributes
     ----------
-    path : Path
-        The netCDF file.
-    population : Population
-        The n networks.
-    space : ParameterSpace
-        Units and ranges of the parameters.
-    target : Target
-        The recorded beats, as observed data.
-    predicted : (n, 12, n_time) array
-        The networks' ECGs aligned with the target's time (mV).
-    called : str
-        What the networks are, for readers of the file: its groups have ArviZ's names.
+    distances : (n,) array
+        Total-variation distance of the per-beat errors from the best network's.
     """
-    with warnings.catch_warnings():  # announces its next major version at every import
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz as az
 
-    with warnings.catch_warnings():  # nothing accepted is no mistake in the shape of the arrays
-        warnings.filterwarnings("ignore", "More chains")
-        data = az.from_dict(
-            posterior={name: values[None] for name, values in population.values.items()},
-            sample_stats={"loss": population.losses[None], "distance": population.distances[None]},
-            posterior_predictive={"ecg": predicted[None]},
-            observed_data={"ecg": target.mean},
-            coords={"lead": list(LEADS), "time": target.time},
-            dims={"ecg": ["lead", "time"]},
+    distances: Floats
+
+    @classmethod
+    def of(cls, space: ParameterSpace, sampling: Sampling) -> PaperPopulation:
+        """Name the parameters of accepted evaluations.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+            The d parameters.
+        sampling : Sampling
+            What was accepted.
+        """
+        best, losses = sampling.reference, np.array([e.loss for e in sampling.accepted])
+        values = _named(space, sampling.accepted)
+        return cls(values, losses, space.from_unit(best.point), best.loss, sampling.distances)
+
+
+@dataclass(frozen=True)
+class Posterior(Population):
+    """Equally weighted draws from a posterior, those of one run after those of the other.
+
+    Attributes
+    ----------
+    log_likelihoods : (n,) array
+    log_evidences, effective, evaluations : (2,) arrays
+        Of each run: log-evidence, effective sample size, evaluations.
+    means_apart : mapping of name to float
+        Between the runs, in standard deviations.
+    converged : bool
+        Whether both runs ended by themselves, and agree.
+    """
+
+    log_likelihoods: Floats
+    log_evidences: Floats
+    effective: Floats
+    evaluations: Floats
+    means_apart: Mapping[str, float]
+    converged: bool
+
+    @classmethod
+    def of(
+        cls,
+        space: ParameterSpace,
+        draws: Sequence[Evaluation],
+        best: Evaluation,
+        ends: Sequence[State],
+        agreed: Agreement,
+    ) -> Posterior:
+        """Name the parameters of draws.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+            The d parameters.
+        draws : sequence of Evaluation
+            As many of each run.
+        best : Evaluation
+            The one with the least mismatch of all.
+        ends : sequence of State
+            Of each run.
+        agreed : Agreement
+            Between them.
+        """
+        return cls(
+            _named(space, draws),
+            np.array([draw.loss for draw in draws]),
+            space.from_unit(best.point),
+            best.loss,
+            np.array([draw.log_likelihood for draw in draws]),
+            np.array([end.log_evidence for end in ends]),
+            np.array([end.effective for end in ends]),
+            np.array([float(end.evaluations) for end in ends]),
+            dict(zip(space.names, map(float, agreed.means), strict=True)),
+            agreed.converged,
         )
-    data.attrs["networks_are"] = called
-    for parameter in space.parameters:
-        data.posterior[parameter.name].attrs = {
-            "units": parameter.unit,
-            "prior_lower": parameter.lower,
-            "prior_upper": parameter.upper,
-            "prior": parameter.prior,
-            **{
-                f"prior_{name}": value
-                for name in ("median", "sd")
-                if (value := getattr(parameter, name)) is not None
-            },
-            "best": population.best[parameter.name],
-        }
-    data.sample_stats["loss"].attrs["units"] = "mV2"
-    data.sample_stats.attrs["best_loss"] = population.best_loss
-    for group in (data.posterior_predictive, data.observed_data):
-        group["ecg"].attrs["units"] = "mV"
-        group["time"].attrs.update(units="ms", long_name="time from the R peak")
-    write_bytes(path, data.to_datatree().to_netcdf(engine="h5netcdf"))
 
 
-def read_population(path: Path) -> Population:
-    """Read a population written by `write_population`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or holds something else.
-    """
-    import xarray as xr
-
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; finish the study with 'fascicle fit'")
-    try:
-        with (
-            xr.open_dataset(path, group="posterior", engine="h5netcdf") as posterior,
-            xr.open_dataset(path, group="sample_stats", engine="h5netcdf") as stats,
-        ):
-            names = [str(name) for name in posterior.data_vars]
-            return Population(
-                {name: posterior[name].to_numpy()[0] for name in names},
-                stats["loss"].to_numpy()[0],
-                stats["distance"].to_numpy()[0],
-                {name: float(posterior[name].attrs["best"]) for name in names},
-                float(stats.attrs["best_loss"]),
-            )
-    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(
-            f"{path}: not a readable result ({first}); run 'fascicle fit' again to rewrite it"
-        ) from None
+def _named(space: ParameterSpace, evaluations: Sequence[Evaluation]) -> dict[str, Floats]:
+    named = [space.from_unit(evaluation.point) for evaluation in evaluations]
+    return {name: np.array([values[name] for values in named]) for name in space.names}

@@ -1,39 +1,89 @@
-"""To be replaced: the stages of the paper with a refinement, in the place of a posterior."""
+"""A posterior: two independent runs of nested sampling on the likelihood of the recording."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.parameters import ParameterSpace
+from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import best_of
-from fascicle.inference.optimisation.refine import refine
-from fascicle.inference.surrogate.surrogates import Observations
-from fascicle.study import paper
-from fascicle.study.evaluations import Stage
-from fascicle.study.population import Population
+from fascicle.inference.nested.agreement import agreement
+from fascicle.inference.nested.sampling import BATCH, NestedRun, State, nested_sample
+from fascicle.study.evaluations import Journal, Stage
+from fascicle.study.population import Posterior
+from fascicle.study.settings import FitSettings
+
+RUNS = 2
 
 
-class Run(paper.Run):
-    """One pass through the stages."""
+@dataclass(frozen=True)
+class Run:
+    """One pass through the runs of the sampler.
 
-    def population(self) -> Population:
+    Attributes
+    ----------
+    settings : FitSettings
+        Sizes of the runs.
+    space : ParameterSpace
+        The d parameters that are learnt.
+    journal : Journal
+        Gives evaluations with their likelihoods, stored ones where there are any.
+    progress : Progress, optional
+        Called after every batch of evaluations.
+    """
+
+    settings: FitSettings
+    space: ParameterSpace
+    journal: Journal
+    progress: Progress | None = None
+
+    def population(self) -> Posterior:
         """Do all that is left, and give the result."""
-        self.explore()
-        self.optimise()
-        self._refine()
-        return Population.of(self.space, self.sample(best_of(self.journal.evaluations)))
-
-    def known(self) -> Observations:
-        """What the surrogates learn from: of the refinement, which crowds, the best point alone."""
-        records = self.journal.records
-        refined = [r for r in records if r.stage is Stage.REFINEMENT and r.evaluation.feasible]
-        best = min(refined, key=lambda record: record.evaluation.loss, default=None)
-        return Observations.of(
-            r.evaluation for r in records if r.stage is not Stage.REFINEMENT or r is best
+        runs = [self._sample(number) for number in range(RUNS)]
+        count = -(-self.settings.effective // RUNS)
+        chosen = [
+            run.draw(self.journal.rng(Stage.SAMPLING, number), count)
+            for number, run in enumerate(runs)
+        ]
+        points = np.concatenate([run.points[k] for run, k in zip(runs, chosen, strict=True)])
+        return Posterior.of(
+            self.space,
+            self.journal.evaluate(Stage.SAMPLING, list(points)),
+            best_of(self.journal.evaluations),
+            [run.state for run in runs],
+            agreement(*runs),
         )
 
-    def _refine(self) -> None:
-        refine(
-            self.journal.rng(Stage.REFINEMENT, 0),
-            self.journal.evaluations,
-            lambda points: self.journal.evaluate(Stage.REFINEMENT, points),
-            self.settings.refine,
-            lambda done, total: self.report(Stage.REFINEMENT, done, total),
+    def _sample(self, number: int) -> NestedRun:
+        """Make one run; how it goes depends on its number and on the seed alone."""
+        each = self.settings.evaluations // RUNS
+
+        def report(state: State) -> None:
+            if self.progress is not None:
+                losses = [e.loss for e in self.journal.evaluations if e.feasible]
+                best = f"best loss {min(losses):.4g} mV², " if losses else ""
+                self.progress(
+                    Stage.SAMPLING,
+                    number * each + state.evaluations,
+                    RUNS * each,
+                    f"run {number + 1} of {RUNS}: {best}log evidence {state.log_evidence:.1f}, "
+                    f"effective sample {state.effective:.0f}",
+                )
+
+        run: NestedRun = nested_sample(
+            int(self.journal.rng(Stage.SAMPLING, number).integers(2**32)),
+            len(self.space),
+            self._log_likelihoods,
+            live=self.settings.live,
+            effective=-(-self.settings.effective // RUNS),
+            most=each,
+            progress=report,
         )
+        return run
+
+    def _log_likelihoods(self, points: Floats) -> Floats:
+        found = self.journal.evaluate(Stage.SAMPLING, list(points), BATCH)
+        return np.array([e.log_likelihood if e.feasible else -np.inf for e in found])

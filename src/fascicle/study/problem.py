@@ -11,8 +11,9 @@ from typing import TypeVar
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
-from fascicle.core.leads import LIMB_LEADS
+from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
+from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
@@ -76,6 +77,8 @@ class Problem:
         Whether at most eight leads are compared: of the limb leads two, which say the rest.
     fewest_junctions : int
         A network with a tree of fewer is infeasible.
+    likelihood : QrsLikelihood, optional
+        Of the target (`fascicle.study.likelihood`), if evaluations are to have one.
     """
 
     model: ForwardModel
@@ -86,14 +89,22 @@ class Problem:
     fixed: Mapping[str, float] = field(default_factory=dict)
     independent_leads: bool = False
     fewest_junctions: int = 0
+    likelihood: QrsLikelihood | None = None
 
     def __call__(self, points: Sequence[Floats]) -> list[Evaluation]:
         """Evaluate points of the unit cube, in order."""
         return list(self._in_threads(self.evaluate, points))
 
+    def simulate(self, points: Sequence[Floats]) -> list[Simulation | InvalidTree | InvalidBody]:
+        """Run the forward model at points of the unit cube, and compare with nothing."""
+        return list(self._in_threads(self._simulate, points))
+
+    def _simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
+        return self.model.simulate({**self.fixed, **self.space.from_unit(point)})
+
     def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
-        outcome = self.model.simulate({**self.fixed, **self.space.from_unit(point)})
+        outcome = self._simulate(point)
         if isinstance(outcome, (InvalidTree, InvalidBody)):
             return Evaluation.infeasible(point, outcome.reason)
         for tree in outcome.trees:
@@ -102,7 +113,13 @@ class Problem:
                 return Evaluation.infeasible(point, reason)
         alignment = self.align(outcome)
         # the beats are aligned with one another, so one alignment with their mean serves all
-        return Evaluation(point, alignment.loss, mismatch(self._recorded_beats, alignment))
+        errors = mismatch(self._recorded_beats, alignment)
+        if self.likelihood is None:
+            return Evaluation(point, alignment.loss, errors)
+        likelihood = self.likelihood.fit(
+            outcome.leads[independent_rows(self.target.used)], outcome.first_activation
+        ).log_likelihood
+        return Evaluation(point, alignment.loss, errors, log_likelihood=likelihood)
 
     def networks(self, parameters: Iterable[Mapping[str, float]]) -> Iterator[Network]:
         """Simulate parameters that are known to give trees, as those of a population are."""
@@ -112,11 +129,9 @@ class Problem:
     def compared(self) -> Booleans:
         """Which of the twelve leads are compared, shape (12,)."""
         used = self.target.used
-        limb = np.flatnonzero(used[: len(LIMB_LEADS)])
-        if self.independent_leads:
-            used = used.copy()
-            used[limb[2:]] = False
-        return used
+        if not self.independent_leads:
+            return used
+        return np.isin(np.arange(len(used)), independent_rows(used))
 
     @property
     def flat(self) -> float:

@@ -22,9 +22,12 @@ from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.purkinje.tree_files import write_tree
 from fascicle.study.evaluations import Stage
-from fascicle.study.population import RESULT, Population, write_population
+from fascicle.study.population import RESULT, Population, Posterior
+from fascicle.study.population_files import write_population
+from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.problem import Network, Problem
 from fascicle.study.study import Study
+from fascicle.study.verdict import statements, trade_offs, verdict
 
 FEWEST_BEATS = 30  # below which a kernel density of their errors says little
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
@@ -32,6 +35,7 @@ AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not fo
 LEAST_CORRELATION = 0.7  # of a lead's QRS; below, less than half of it (0.7²) is explained
 USUAL_GAIN = (0.5, 2.0)  # hearts, bodies and contacts differ by less
 LEAST_UNDER_QRS = 0.9  # of the energy of a simulated ECG; more lies there in every good fit
+TREES_WRITTEN = 30  # networks whose trees are written; the parameters of all are
 HEALTHY = 0  # label of ordinary tissue
 
 
@@ -47,16 +51,26 @@ class FittedStudy:
         Forward model and target.
     population : Population
         The networks that explain the target, and the best one.
+    checks : Checks, optional
+        Of a posterior against its recording.
     """
 
     study: Study
     problem: Problem
     population: Population
+    checks: Checks | None = None
 
     @property
     def folder(self) -> Path:
         """Where it is."""
         return self.study.folder
+
+    @property
+    def verdict(self) -> str:
+        """What the networks are, and whether to trust them, in one line."""
+        if isinstance(self.population, Posterior) and self.checks is not None:
+            return verdict(self.population, self.checks)
+        return self.networks_called
 
     @property
     def networks_called(self) -> str:
@@ -273,15 +287,27 @@ def _outside_qrs(fitted: FittedStudy) -> str:
     )
 
 
-def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None:
-    """Write networks, trees, activation map and summary into the study's folder."""
+def write_results(
+    fitted: FittedStudy, networks: Sequence[Network], prediction: Prediction | None = None
+) -> None:
+    """Write networks, trees, activation map and summary into the study's folder.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    networks : sequence of Network
+        Its population, simulated.
+    prediction : Prediction, optional
+        Of a posterior.
+    """
     problem, population, folder = fitted.problem, fitted.population, fitted.folder
     result = folder / RESULT[fitted.study.config.method]
-    networks = fitted.networks(progress)
     result.unlink(missing_ok=True)  # not finished while this is under way
+    shown = networks[:: max(1, len(networks) // TREES_WRITTEN)][:TREES_WRITTEN]
     _write_networks(
         folder / "networks",
-        {"best": fitted.best_network} | {f"{k:02d}": n for k, n in enumerate(networks)},
+        {"best": fitted.best_network} | {f"{k:02d}": n for k, n in enumerate(shown)},
     )
     activations = np.stack([network.simulation.activation for network in networks])
     write_grid(
@@ -299,8 +325,27 @@ def write_results(fitted: FittedStudy, progress: Progress | None = None) -> None
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
     # last, since its presence says that the study is finished
     write_population(
-        result, population, problem.space, problem.target, predicted, fitted.networks_called
+        result,
+        population,
+        problem.space,
+        problem.target,
+        prediction if prediction is not None else predicted,
+        {"networks_are": fitted.networks_called, "verdict": fitted.verdict} | _provenance(fitted),
     )
+
+
+def _provenance(fitted: FittedStudy) -> dict[str, str]:
+    """Where a result comes from, for the attributes of its file."""
+    from fascicle import __version__
+
+    config = fitted.study.config
+    return {
+        "created_by": f"fascicle {__version__}",
+        "heart": config.heart,
+        "target": config.target,
+        "recording": fitted.problem.target.provenance.get("source", ""),
+        "configuration": config.model_dump_json(),
+    }
 
 
 def spread(values: Floats) -> dict[str, float]:
@@ -332,12 +377,12 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
 def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, object]:
     records, population = fitted.study.records(), fitted.population
     return {
+        "verdict": fitted.verdict,
         "networks_are": fitted.networks_called,
         "heart": fitted.problem.model.heart.name,
         "recording": fitted.problem.target.provenance.get("source", ""),
         "evaluations": len(records),
         "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
-        "best_initial_loss_mV2": fitted.best_initial_loss,
         "best_loss_mV2": population.best_loss,
         "flat_line_mV2": fitted.problem.flat,
         "warnings": fitted.warnings,
@@ -346,8 +391,31 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
         "networks_accepted": len(population),
         "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
-        "networks_wanted": fitted.study.config.samples,
-        "candidates_evaluated": len(fitted.candidates),
-        "rounds": fitted.study.steps(Stage.REJECTION),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
+        **(
+            _posterior_summary(fitted)
+            if isinstance(population, Posterior)
+            else {
+                "networks_wanted": fitted.study.config.samples,
+                "candidates_evaluated": len(fitted.candidates),
+                "rounds": fitted.study.steps(Stage.REJECTION),
+                "best_initial_loss_mV2": fitted.best_initial_loss,
+            }
+        ),
+    }
+
+
+def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
+    """What only a posterior has."""
+    posterior, space = fitted.population, fitted.problem.space
+    assert isinstance(posterior, Posterior)
+    return {
+        "converged": posterior.converged,
+        "log_evidences": posterior.log_evidences.tolist(),
+        "effective_sample_sizes": posterior.effective.tolist(),
+        "standard_deviations_between_runs": dict(posterior.means_apart),
+        "discrepancy_over_signal": fitted.checks.share if fitted.checks else None,
+        "probabilities_under_the_model": dict(fitted.checks.probabilities) if fitted.checks else {},
+        "what_the_ecg_says": {s.name: str(s) for s in statements(posterior, space)},
+        "trade_offs": [[a, b, round(value, 2)] for a, b, value in trade_offs(posterior)],
     }

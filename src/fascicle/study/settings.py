@@ -11,7 +11,16 @@ from fascicle.core.errors import InputError
 from fascicle.inference.abc.settings import AbcSettings
 
 Method = Literal["posterior", "paper"]
-NOT_OF_THE_PAPER = ("refine",)  # settings that its method does not have
+# Settings that only one of the methods has
+OF_THE_POSTERIOR = ("effective", "evaluations", "live", "gain_sd")
+OF_THE_PAPER = (
+    *(name for name in AbcSettings.model_fields if name != "workers"),
+    "initial",
+    "steps",
+    "refit_every",
+    "leads",
+    "free_gain",
+)
 
 
 class FitSettings(AbcSettings):
@@ -25,10 +34,23 @@ class FitSettings(AbcSettings):
         description="Steps between fits of the surrogate's hyper-parameters, which is conditioned "
         "on every evaluation at once; the paper fits them at every step (1).",
     )
-    refine: int = Field(
-        default=200,
+    effective: int = Field(
+        default=300, ge=20, description="Effective sample size, and networks to draw."
+    )
+    evaluations: int = Field(
+        default=60_000,
+        ge=200,
+        description="Simulations at most; with fewer than it takes, the result says so.",
+    )
+    live: int = Field(
+        default=400,
+        ge=50,
+        description="Live points of the nested sampling: more find more modes, and cost more.",
+    )
+    gain_sd: float = Field(
+        default=0.3,
         ge=0,
-        description="Generations of refinement, up to 20 simulations each; the paper has none.",
+        description="Standard deviation of the gain of the simulated ECG about 1; 0 fixes it.",
     )
     method: Method = Field(
         default="posterior",
@@ -69,11 +91,12 @@ def checked_settings(given: Mapping[str, Any]) -> FitSettings:
     except ValidationError as error:
         name, value, message = first_problem(error)
         raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
-    foreign = [name for name in NOT_OF_THE_PAPER if name in given]
-    if settings.method == "paper" and foreign:
+    other = OF_THE_POSTERIOR if settings.method == "paper" else OF_THE_PAPER
+    foreign = [name for name in other if name in given]
+    if foreign:
         raise InputError(
-            f"'{foreign[0]}' is {given[foreign[0]]!r}: the paper's method has no such setting; "
-            "leave it out"
+            f"'{foreign[0]}' is {given[foreign[0]]!r}: the method '{settings.method}' has no such "
+            "setting; leave it out, or choose the other method"
         )
     return settings
 

@@ -35,7 +35,7 @@ from fascicle.study.settings import FitSettings, first_problem
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
 FORMAT: Final = 4  # of the folder
-MAY_CHANGE = ("workers", "steps", "samples")  # when a study is resumed
+MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when a study is resumed
 LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not hang on these numbers
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
@@ -184,8 +184,9 @@ class Study:
 
             config, space = self.config, self.config.parameter_space
             journal = Journal(self._database, objective, len(space), config.seed, config.workers)
-            method = {"paper": paper.Run, "posterior": posterior.Run}[config.method]
-            return method(config, space, journal, progress).population()
+            if config.method == "paper":
+                return paper.Run(config, space, journal, progress).population()
+            return posterior.Run(config, space, journal, progress).population()
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse another forward model than that of the stored evaluations.

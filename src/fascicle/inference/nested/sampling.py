@@ -11,10 +11,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.threads import one_thread
 
 BATCH = 100  # points at a time, whatever the number of workers, so that it changes no result
@@ -76,7 +77,7 @@ class NestedRun:
         """Numbers (count,) of points, equally weighted draws in random order (systematic)."""
         ends = np.cumsum(self.weights)
         positions = (np.arange(count) + rng.random()) / count * ends[-1]
-        return rng.permutation(np.searchsorted(ends, positions))
+        return np.asarray(rng.permutation(np.searchsorted(ends, positions)))
 
 
 @one_thread
@@ -113,7 +114,7 @@ def nested_sample(
 
     def evaluate(points: Floats) -> Floats:
         values = np.maximum(log_likelihoods(points), IMPOSSIBLE)
-        if len(sampler.bounds):
+        if sampler.n_like:
             progress(_state(sampler))
         return values
 
@@ -136,7 +137,7 @@ def nested_sample(
     return NestedRun(points, weights / weights.sum(), found, _state(sampler), bool(complete))
 
 
-def _state(sampler: object) -> State:
+def _state(sampler: Any) -> State:
     return State(
         float(sampler.log_z), float(sampler.n_eff), int(sampler.n_like), bool(sampler.explored)
     )

@@ -1,0 +1,200 @@
+"""The file of the networks of a study: ArviZ InferenceData."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_path
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import ParameterSpace
+from fascicle.recording.target import Target
+from fascicle.study.population import PaperPopulation, Population, Posterior
+from fascicle.study.predictive import Checks, Prediction
+
+PRIOR_DRAWS = 1000  # of each parameter, for comparison with the posterior
+SHARE, PROBABILITIES = "discrepancy_over_signal", "probabilities_under_the_model"
+RUN_STATISTICS = ("log_evidences", "effective", "evaluations")
+
+
+def write_population(
+    path: Path,
+    population: Population,
+    space: ParameterSpace,
+    target: Target,
+    predicted: Floats | Prediction,
+    attributes: Mapping[str, Any],
+) -> None:
+    """Write the networks as ArviZ InferenceData, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The netCDF file.
+    population : Population
+        The n networks. Of a posterior, each run of the sampler is a chain.
+    space : ParameterSpace
+        Units and priors of the parameters.
+    target : Target
+        The recorded beats, as observed data.
+    predicted : (n, 12, n_time) array or Prediction
+        The networks' ECGs aligned with the target's time (mV); of a posterior with the noise, too.
+    attributes : mapping
+        Of the file: what the networks are, and where they come from.
+    """
+    with warnings.catch_warnings():  # announces its next major version at every import
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz as az
+
+    groups = _groups(population, predicted)
+    chains = 2 if isinstance(population, Posterior) else 1
+    split = {
+        group: {name: v.reshape(chains, -1, *v.shape[1:]) for name, v in variables.items()}
+        for group, variables in groups.items()
+    }
+    if isinstance(population, Posterior):
+        shares = np.random.default_rng(0).random((PRIOR_DRAWS, len(space)))
+        split["prior"] = {
+            p.name: p.from_unit(share)[None]
+            for p, share in zip(space.parameters, shares.T, strict=True)
+        }
+    with warnings.catch_warnings():  # nothing accepted is no mistake in the shape of the arrays
+        warnings.filterwarnings("ignore", "More chains")
+        data = az.from_dict(
+            **split,
+            observed_data={"ecg": target.mean, "beats": target.beats},
+            coords={"lead": list(LEADS), "time": target.time},
+            dims={
+                "ecg": ["lead", "time"],
+                "ecg_model": ["lead", "time"],
+                "beats": ["beat", "lead", "time"],
+            },
+        )
+    data.attrs.update(attributes)
+    for parameter in space.parameters:
+        data.posterior[parameter.name].attrs = {
+            "units": parameter.unit,
+            "prior_lower": parameter.lower,
+            "prior_upper": parameter.upper,
+            "prior": parameter.prior,
+            **{
+                f"prior_{name}": value
+                for name in ("median", "sd")
+                if (value := getattr(parameter, name)) is not None
+            },
+            "best": population.best[parameter.name],
+        }
+        if isinstance(population, Posterior):
+            apart = population.means_apart[parameter.name]
+            data.posterior[parameter.name].attrs["means_apart"] = apart
+    _describe(data, population)
+    if isinstance(predicted, Prediction):
+        data.sample_stats.attrs[SHARE] = predicted.checks.share
+        data.sample_stats.attrs[PROBABILITIES] = json.dumps(dict(predicted.checks.probabilities))
+    with atomic_path(path) as temporary:
+        data.to_netcdf(str(temporary), engine="h5netcdf")
+
+
+def _groups(population: Population, predicted: Floats | Prediction) -> dict[str, dict[str, Floats]]:
+    """Arrays (n, ...) by group and name."""
+    groups = {
+        "posterior": dict(population.values),
+        "sample_stats": {"loss": population.losses},
+        "posterior_predictive": {},
+    }
+    if isinstance(predicted, Prediction):
+        groups["posterior_predictive"] = {
+            "ecg": predicted.noisy.astype(np.float32),
+            "ecg_model": predicted.ecg.astype(np.float32),
+        }
+        groups["sample_stats"] |= {
+            "gain": predicted.gains,
+            "onset_shift": predicted.shifts,
+            "discrepancy": predicted.discrepancies,
+        }
+    else:
+        groups["posterior_predictive"] = {"ecg": predicted}
+    if isinstance(population, PaperPopulation):
+        groups["sample_stats"]["distance"] = population.distances
+    if isinstance(population, Posterior):
+        groups["log_likelihood"] = {"ecg": population.log_likelihoods}
+    return groups
+
+
+def _describe(data: Any, population: Population) -> None:
+    """Units, and what holds for the whole sample."""
+    units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1"}
+    stats = data.sample_stats
+    for name in units.keys() & set(stats.data_vars):
+        stats[name].attrs["units"] = units[name]
+    stats.attrs["best_loss"] = population.best_loss
+    if isinstance(population, Posterior):
+        stats.attrs["converged"] = int(population.converged)
+        for name in RUN_STATISTICS:
+            stats.attrs[name] = getattr(population, name)
+    for group in (data.posterior_predictive, data.observed_data):
+        for name in group.data_vars:
+            group[name].attrs["units"] = "mV"
+        group["time"].attrs.update(units="ms", long_name="time from the R peak")
+
+
+def read_population(path: Path) -> Population:
+    """Read networks written by `write_population`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds something else.
+    """
+    import xarray as xr
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; finish the study with 'fascicle fit'")
+
+    def group(name: str) -> xr.Dataset:
+        return xr.load_dataset(path, group=name, engine="h5netcdf")
+
+    try:
+        posterior, stats = group("posterior"), group("sample_stats")
+        names = [str(name) for name in posterior.data_vars]
+        values = {name: posterior[name].to_numpy().ravel() for name in names}
+        losses = stats["loss"].to_numpy().ravel()
+        best = {name: float(posterior[name].attrs["best"]) for name in names}
+        best_loss = float(stats.attrs["best_loss"])
+        if "distance" in stats:
+            distances = stats["distance"].to_numpy().ravel()
+            return PaperPopulation(values, losses, best, best_loss, distances)
+        return Posterior(
+            values,
+            losses,
+            best,
+            best_loss,
+            group("log_likelihood")["ecg"].to_numpy().ravel(),
+            log_evidences=np.asarray(stats.attrs["log_evidences"]),
+            effective=np.asarray(stats.attrs["effective"]),
+            evaluations=np.asarray(stats.attrs["evaluations"]),
+            means_apart={name: float(posterior[name].attrs["means_apart"]) for name in names},
+            converged=bool(stats.attrs["converged"]),
+        )
+    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(
+            f"{path}: not a readable result ({first}); run 'fascicle fit' again to rewrite it"
+        ) from None
+
+
+def read_checks(path: Path) -> Checks | None:
+    """How a posterior written by `write_population` compares with its recording; None of others."""
+    import xarray as xr
+
+    stats = xr.load_dataset(path, group="sample_stats", engine="h5netcdf")
+    if SHARE not in stats.attrs:
+        return None
+    return Checks(float(stats.attrs[SHARE]), json.loads(stats.attrs[PROBABILITIES]))
