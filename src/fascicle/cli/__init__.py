@@ -198,7 +198,7 @@ def fit(
     given = read_settings(settings_file) if settings_file is not None else {}
     learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
     given |= explicit(context, settings)
-    with _resumable(), TerminalProgress() as progress:
+    with _resumable(out), TerminalProgress() as progress:
         fitted = run_fit(heart, target, out, parameters=learnt, progress=progress, **given)
     print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")
@@ -273,7 +273,7 @@ def demo(
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
-    with _resumable(), TerminalProgress() as progress:
+    with _resumable(out), TerminalProgress() as progress:
         analysis, fitted, pacing = run_demo(out, progress, free_gain=free_gain)
     print_analysis(analysis)
     print_fit(fitted)
@@ -282,12 +282,15 @@ def demo(
 
 
 @contextmanager
-def _resumable() -> Iterator[None]:
+def _resumable(out: Path) -> Iterator[None]:
     """Say on Ctrl-C that nothing is lost; 130 is what shells expect then."""
     try:
         yield
     except KeyboardInterrupt:
-        print("interrupted; the same command goes on where this one stopped", file=sys.stderr)
+        print(
+            f"interrupted; what was evaluated is kept in {out}, and the same command goes on",
+            file=sys.stderr,
+        )
         raise typer.Exit(130) from None
 
 

@@ -22,6 +22,7 @@ NAMES = {
     "compilation": "compiling (first run)",
     "template": "cables",
     "preparation": "preparing the heart",
+    "repair": "evaluations kept",
     "initial": "Latin hypercube",
     "optimisation": "Bayesian optimisation",
     "prior": "networks of the prior",

@@ -37,7 +37,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     temporary = None
     try:
         handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent
+            prefix=f".{path.stem.lstrip('.')}.", suffix=path.suffix, dir=path.parent
         )
         temporary = Path(name)
         os.close(handle)

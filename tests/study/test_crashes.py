@@ -1,0 +1,263 @@
+"""A study comes to the same result whatever happens to its process, its disk and its files."""
+
+import multiprocessing
+import os
+import resource
+import signal
+import sqlite3
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fascicle import cli
+from fascicle.core.errors import InputError
+from fascicle.study.evaluations import DamagedStoreError
+from fascicle.study.interruption import interrupted_afterwards
+from fascicle.study.lock import HOLDER, LOCK
+from fascicle.study.study import CHECKED, Study
+from tests.study.crashing import killed_at_random
+from tests.study.test_study_folder import make_config, objective, outcome, summary
+
+FORK = multiprocessing.get_context("fork")
+STORE = "evaluations.sqlite"
+CONFIG = make_config(initial=80)  # so that the store has a few pages
+
+
+def run(folder, evaluate=objective):
+    study = Study.create_or_resume(folder, CONFIG)
+    return study.run(evaluate)
+
+
+def everything(folder):
+    study = Study.open(folder)
+    return summary(study, study.run(objective))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A study that nothing happened to."""
+    folder = tmp_path_factory.mktemp("whole") / "study"
+    run(folder)
+    return folder
+
+
+def test_kill_at_50_random_moments(tmp_path, whole):
+    finished = killed_at_random(run, tmp_path, kills=50, longest=0.9, seed=0)
+    assert len(finished) >= 3
+    for folder in finished:
+        assert everything(folder) == everything(whole)
+        assert {path.name for path in folder.iterdir()} == {"study.json", STORE, LOCK}
+
+
+# --- Ctrl-C
+
+
+def test_ctrl_c_finishes_what_runs(tmp_path, whole):
+    folder = tmp_path / "s"
+    begun = FORK.Value("i", 0)
+
+    def slow(points):
+        begun.value += len(points)
+        time.sleep(0.2)
+        return objective(points)
+
+    process = FORK.Process(target=run, args=(folder, slow))
+    process.start()
+    while begun.value < 3:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGINT)
+    process.join(5)
+    assert process.exitcode == 1  # of a Python that was interrupted
+    assert len(Study.open(folder).records()) == begun.value == 3
+    assert not (folder / HOLDER).exists()
+    run(folder)
+    assert everything(folder) == everything(whole)
+
+
+def interrupt(times, then):
+    """Press Ctrl-C so many times while a block runs that ends with `then`."""
+    with interrupted_afterwards():
+        for _ in range(times):
+            signal.raise_signal(signal.SIGINT)
+        then()
+
+
+def test_a_second_ctrl_c_does_not_wait():
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        interrupt(1, lambda: done.append("after one"))
+    with pytest.raises(KeyboardInterrupt):
+        interrupt(2, lambda: done.append("after two"))
+    assert done == ["after one"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_error_is_not_hidden_by_ctrl_c():
+    with pytest.raises(ZeroDivisionError):
+        interrupt(1, lambda: 1 / 0)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fascicle.study.fit.fit", interrupted)
+    out = str(tmp_path / "s")
+    monkeypatch.setattr(sys, "argv", ["fascicle", "fit", "default", "target.nc", "--out", out])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 130
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"kept in {out}" in error
+    assert "the same command goes on" in error
+
+
+# --- disks
+
+
+def refusal(folder, before):
+    """What a run says that is refused, in a process in which `before` was called."""
+    ours, theirs = FORK.Pipe()
+
+    def attempt():
+        before()
+        try:
+            run(folder)
+            theirs.send("nothing was refused")
+        except InputError as error:
+            theirs.send(str(error))
+
+    process = FORK.Process(target=attempt)
+    process.start()
+    process.join(20)
+    assert process.exitcode == 0
+    return ours.recv()
+
+
+@pytest.mark.parametrize("size", [100, 5_000, 17_000, 25_000])
+def test_a_full_disk(tmp_path, whole, size):
+    """No file may grow beyond `size` bytes: the configuration, the empty tables, some rows."""
+    folder = tmp_path / "s"
+    said = refusal(folder, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)))
+    assert "\n" not in said
+    assert "space" in said
+    assert str(folder) in said
+    run(folder)
+    assert everything(folder) == everything(whole)
+
+
+def test_a_read_only_folder():
+    with tempfile.TemporaryDirectory() as parent:  # pytest's folders are closed to other users
+        folder = Path(parent) / "s"
+        run(folder)
+        before = {path.name: path.read_bytes() for path in folder.iterdir()}
+        for path in (parent, folder):
+            os.chmod(path, 0o555)
+        # root may write everywhere, so in its place nobody does it
+        become = (lambda: os.setuid(65534)) if os.geteuid() == 0 else (lambda: None)
+        try:
+            for place in (folder, Path(parent) / "new"):
+                said = refusal(place, become)
+                assert "\n" not in said
+                assert f"{place}: cannot be written (Permission denied)" in said
+                assert "--out" in said
+            assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+        finally:
+            for path in (parent, folder):
+                os.chmod(path, 0o755)
+
+
+# --- a damaged store
+
+
+@pytest.fixture
+def study(tmp_path, whole):
+    """A copy of the study that nothing has happened to yet."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    for name in ("study.json", STORE):
+        (folder / name).write_bytes((whole / name).read_bytes())
+    return folder
+
+
+def repaired(folder, whole):
+    """Evaluations that were kept, after a run that must come to the same result."""
+    kept, asked = [], []
+
+    def counting(points):
+        asked.extend(points)
+        return objective(points)
+
+    again = Study.create_or_resume(
+        folder, CONFIG, lambda stage, done, *_: kept.append((stage, done))
+    )
+    stored = len(again.records())
+    found = again.run(counting)
+    original = Study.open(whole)
+    assert outcome(found) == outcome(original.run(objective))
+    total = len(original.records())
+    assert len(again.records()) == total
+    assert len(asked) == total - stored + min(CHECKED, stored)
+    assert kept in ([], [("repair", stored)])
+    return stored, total
+
+
+def test_a_number_that_changed_is_noticed(study, whole):
+    with sqlite3.connect(study / STORE) as connection:
+        first = "SELECT min(rowid) FROM evaluations WHERE loss"
+        connection.execute(f"UPDATE evaluations SET loss = loss + 1e-9 WHERE rowid = ({first})")
+    with pytest.raises(DamagedStoreError, match=r"not as it was written; run 'fascicle fit'"):
+        Study.open(study).records()
+    damaged = (study / STORE).read_bytes()
+    stored, total = repaired(study, whole)
+    assert stored == total - 1
+    assert (study / "evaluations.damaged.sqlite").read_bytes() == damaged
+
+
+def test_lost_proposals_are_made_again(study, whole):
+    with sqlite3.connect(study / STORE) as connection:
+        connection.execute("UPDATE proposals SET points = x'00' WHERE step = 2")
+    stored, total = repaired(study, whole)
+    assert stored == total
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_page_of_rubbish(study, whole, seed):
+    rng = np.random.default_rng(seed)
+    content = bytearray((study / STORE).read_bytes())
+    begin = int(rng.integers(4096, len(content) - 500))  # the first page holds the tables' names
+    content[begin : begin + 500] = rng.bytes(500)
+    (study / STORE).write_bytes(content)
+    repaired(study, whole)
+
+
+def test_most_of_the_file(study, whole):
+    content = (study / STORE).read_bytes()
+    (study / STORE).write_bytes(content[: int(0.7 * len(content))])
+    stored, total = repaired(study, whole)
+    assert 0 < stored < total
+
+
+@pytest.mark.parametrize("content", [b"not a database" * 100, b""])
+def test_nothing_can_be_read(study, whole, content):
+    (study / STORE).write_bytes(content)
+    assert repaired(study, whole)[0] == 0
+
+
+def test_a_result_is_not_read_from_a_damaged_store(study):
+    (study / STORE).write_bytes(b"not a database" * 100)
+    with pytest.raises(InputError, match=r"not a database; run 'fascicle fit' on the study again"):
+        Study.open(study).records()
+
+
+def test_what_killed_runs_left_is_removed(study):
+    for name in (".study.a.json", ".posterior.b.nc", ".mine"):
+        (study / name).write_text("half")
+    (study / ".networks.c").mkdir()
+    Study.create_or_resume(study, CONFIG)
+    assert {path.name for path in study.iterdir()} == {"study.json", STORE, LOCK, ".mine"}

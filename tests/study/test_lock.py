@@ -1,0 +1,95 @@
+"""One process at a time works on a study."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.study.lock import HOLDER, LOCK, study_lock
+
+HOLD = (
+    "import sys, time; from pathlib import Path; from fascicle.study.lock import study_lock\n"
+    "with study_lock(Path(sys.argv[1])):\n    print('held', flush=True); time.sleep(60)\n"
+)
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """A process that holds the study."""
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+def test_the_holder_is_named_and_a_killed_one_is_replaced(tmp_path, holder):
+    wanted = f"process {holder.pid} on {socket.gethostname()} is working on this study"
+    with pytest.raises(InputError, match=wanted) as caught, study_lock(tmp_path):
+        pass
+    assert "\n" not in str(caught.value)
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.wait()
+    assert (tmp_path / HOLDER).exists()
+    with study_lock(tmp_path):
+        named = (tmp_path / HOLDER).read_text()
+        assert named == f"process {os.getpid()} on {socket.gethostname()}\n"
+    assert not (tmp_path / HOLDER).exists()
+
+
+def test_a_second_fit_is_refused_before_it_reads_anything(tmp_path, holder):
+    """The heart and the target, which it would read first, are not there."""
+    (tmp_path / "study.json").write_text("{}")
+    with pytest.raises(InputError, match=f"process {holder.pid} .* is working on this study"):
+        fascicle.fit(tmp_path / "no heart", tmp_path / "no target", tmp_path)
+
+
+def test_an_impossible_fit_leaves_nothing_behind(tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(InputError, match="not a study"):
+        fascicle.fit(tmp_path / "no heart", tmp_path / "no target", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    with pytest.raises(InputError, match="no such heart"):
+        fascicle.fit(tmp_path / "no heart", tmp_path / "no target", tmp_path / "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_the_lock_of_another_host_says_how_to_remove_it(tmp_path):
+    (tmp_path / HOLDER).write_text("process 17 on elsewhere\n")
+    with (
+        pytest.raises(InputError, match=rf"process 17 on elsewhere .* delete .*{HOLDER}"),
+        study_lock(tmp_path),
+    ):
+        pass
+    assert (tmp_path / HOLDER).read_text() == "process 17 on elsewhere\n"
+    (tmp_path / HOLDER).unlink()
+    with study_lock(tmp_path):
+        pass
+
+
+def test_a_block_within_a_block_holds_it_and_another_thread_does_not(tmp_path):
+    def take():
+        with study_lock(tmp_path):
+            return True
+
+    with ThreadPoolExecutor(1) as pool:
+        with study_lock(tmp_path):
+            with study_lock(tmp_path):
+                pass
+            assert (tmp_path / HOLDER).exists()
+            with pytest.raises(InputError, match="is working on this study"):
+                pool.submit(take).result()
+        assert pool.submit(take).result()
+
+
+def test_an_error_releases_it(tmp_path):
+    with pytest.raises(KeyboardInterrupt), study_lock(tmp_path):
+        raise KeyboardInterrupt
+    with study_lock(tmp_path):
+        assert (tmp_path / LOCK).exists()
