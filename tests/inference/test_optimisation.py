@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from differences import central_differences
 
-from fascicle.inference.optimisation.acquisition import FeasibleLogImprovement, perturbed
+from fascicle.inference.optimisation.acquisition import (
+    FeasibleLogImprovement,
+    first_apart,
+    perturbed,
+)
 from fascicle.inference.optimisation.step import Surrogates, latin_hypercube, step
 from fascicle.inference.surrogate.surrogates import Observations
 
@@ -132,6 +136,13 @@ def test_gradient_of_the_acquisition(acquisition, best):
         assert -value == pytest.approx(acquisition(target[None])[0], rel=1e-9)
         slopes = central_differences(acquisition, target)
         np.testing.assert_allclose(-gradient, slopes, rtol=1e-6, atol=1e-6)
+
+
+def test_the_first_candidate_apart_from_what_is_known():
+    known = np.array([[0.2, 0.2], [0.7, 0.7]])
+    near, far = known[1] + [9e-5, 0.0], known[1] + [0.0, -1.1e-4]
+    candidates = np.array([near, known[0], far, [0.5, 0.5]])
+    np.testing.assert_array_equal(first_apart(candidates, known), far)
 
 
 def test_perturbations_stay_in_the_cube_and_move():

@@ -31,8 +31,8 @@ class FitSettings(AbcSettings):
     refit_every: int = Field(
         default=10,
         ge=1,
-        description="Steps between fits of the surrogate's hyper-parameters, which is conditioned "
-        "on every evaluation at once; the paper fits them at every step (1).",
+        description="Steps after which the surrogate's hyper-parameters are fitted again; in the "
+        "paper at every step (1). It knows every evaluation at once.",
     )
     effective: int = Field(
         default=300, ge=20, description="Effective sample size, and networks to draw."

@@ -10,7 +10,7 @@ class AbcSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    samples: int = Field(default=30, ge=1, description="Networks to accept.")
+    samples: int = Field(default=30, ge=1, description="Networks wanted.")
     workers: int = Field(
         default=2,  # not the number of cores, so that the same settings give the same result
         ge=1,
@@ -34,5 +34,6 @@ class AbcSettings(BaseModel):
     rounds: int = Field(
         default=20,
         ge=1,
-        description="Fits of the surrogate at most, where the paper says of no end.",
+        description="Rounds of candidates at most, each after a fit of the surrogate; the paper "
+        "has no such limit.",
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats
 from fascicle.inference.optimisation.log_improvement import (
@@ -58,42 +59,13 @@ class FeasibleLogImprovement:
         return -(improvement + feasible), -gradient
 
 
-@dataclass(frozen=True)
-class Box:
-    """An axis-parallel box inside the unit cube.
-
-    Attributes
-    ----------
-    lower, upper : (d,) arrays
-        Its corners.
-    """
-
-    lower: Floats
-    upper: Floats
-
-    @classmethod
-    def around(cls, centre: Floats, radius: float) -> Box:
-        """Take what of the cube is within `radius` of `centre` in every coordinate."""
-        return cls(np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0))
-
-    def draw(self, rng: np.random.Generator, count: int) -> Floats:
-        """Draw `count` uniform points, shape (count, d)."""
-        width = self.upper - self.lower
-        return np.asarray(self.lower + width * rng.random((count, len(self.lower))))
-
-    def clip(self, points: Floats) -> Floats:
-        """Move points outside to its surface."""
-        return np.asarray(np.clip(points, self.lower, self.upper))
-
-
 def maximise(
     rng: np.random.Generator,
     acquisition: FeasibleLogImprovement,
     best_points: Floats,
     known: Floats,
-    box: Box,
 ) -> Floats:
-    """Find the best point of a box for an acquisition function, shape (d,).
+    """Find the best point of the unit cube for an acquisition function, shape (d,).
 
     Uniform raw points and perturbations of the best points, the best few of each polished by
     L-BFGS-B.
@@ -107,30 +79,35 @@ def maximise(
         What is perturbed.
     known : (n, d) array
         The result keeps `NEAREST` away from these.
-    box : Box
     """
-    uniform = box.draw(rng, RAW_UNIFORM)
-    local = box.clip(perturbed(rng, best_points, RAW_LOCAL))
+    uniform = rng.random((RAW_UNIFORM, best_points.shape[1]))
+    local = perturbed(rng, best_points, RAW_LOCAL)
     raw, values = [uniform, local], [acquisition(uniform), acquisition(local)]
     starts = np.vstack([x[_descending(v)[:RESTARTS]] for x, v in zip(raw, values, strict=True)])
-    polished = np.array([_polished(acquisition, start, box) for start in starts])
+    polished = np.array([_polished(acquisition, start) for start in starts])
     candidates = np.vstack([polished, *raw])
     order = _descending(np.concatenate([acquisition(polished), *values]))
-    return next(x for x in candidates[order] if np.abs(known - x).max(1).min() > NEAREST)
+    return first_apart(candidates[order], known)
+
+
+def first_apart(candidates: Floats, known: Floats) -> Floats:
+    """Find the first candidate, of (m, d), that is `NEAREST` away from all known points (n, d)."""
+    distance, _ = cKDTree(known).query(candidates, p=np.inf, distance_upper_bound=NEAREST)
+    return np.asarray(candidates[np.isinf(distance).argmax()])  # none is found: infinite
 
 
 def _descending(values: Floats) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
-def _polished(acquisition: FeasibleLogImprovement, start: Floats, box: Box) -> Floats:
+def _polished(acquisition: FeasibleLogImprovement, start: Floats) -> Floats:
     """End of a search from `start`; one that stops early is judged by its value like the others."""
-    bounds = np.column_stack([box.lower, box.upper])
+    bounds = [(0.0, 1.0)] * len(start)
     options = {"maxiter": ITERATIONS}
     result = minimize(
         acquisition.negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
     )
-    return box.clip(result.x)
+    return np.asarray(np.clip(result.x, 0.0, 1.0))
 
 
 def perturbed(rng: np.random.Generator, centres: Floats, count: int) -> Floats:

@@ -12,15 +12,12 @@ from fascicle.core.arrays import Floats
 from fascicle.core.threads import one_thread
 from fascicle.inference.optimisation.acquisition import (
     LOCAL_CENTRES,
-    Box,
     FeasibleLogImprovement,
     maximise,
 )
 from fascicle.inference.surrogate.exponential import Hyperparameters
 from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
 
-LOCAL_SHARE = 0.6  # of the proposals
-LOCAL_RADIUS = (0.03, 0.3)  # of the unit cube, log-uniform
 COLD_ITERATIONS = 100
 WARM_ITERATIONS = 10
 
@@ -136,23 +133,9 @@ def step(rng: np.random.Generator, surrogates: Surrogates) -> Floats:
     order = np.argsort(mean, kind="stable")
     best = float(mean[order[0]])
     acquisition = FeasibleLogImprovement(loss.gp, surrogates.feasibility, best)
-    centres = points[order[:LOCAL_CENTRES]]
-    return maximise(rng, acquisition, centres, observations.points, _box(rng, centres[0]))
+    return maximise(rng, acquisition, points[order[:LOCAL_CENTRES]], observations.points)
 
 
 def iterations(start: Hyperparameters | None) -> int:
     """How many L-BFGS-B iterations a fit may take from there."""
     return COLD_ITERATIONS if start is None else WARM_ITERATIONS
-
-
-def _box(rng: np.random.Generator, best: Floats) -> Box:
-    """Where to look for the next point: near the best one, or everywhere.
-
-    In twelve dimensions expected improvement everywhere is mostly that of corners far from all
-    data; looking more often than not in a box about the best point, as trust-region methods do
-    (Eriksson et al., NeurIPS 2019), is what finds improvements.
-    """
-    if rng.random() >= LOCAL_SHARE:
-        return Box(np.zeros(len(best)), np.ones(len(best)))
-    low, high = np.log(LOCAL_RADIUS)
-    return Box.around(best, float(np.exp(rng.uniform(low, high))))
