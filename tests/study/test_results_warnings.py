@@ -60,7 +60,7 @@ def fitted(
             target=SimpleNamespace(qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)),
             compared=np.arange(12) != 11,  # all but V6
         ),
-        Population({}, np.ones(networks), np.ones(networks), MIDDLE | (best or {}), loss),
+        Population({}, np.ones(networks), MIDDLE | (best or {}), loss),
     )
     simulation = SimpleNamespace(trees=trees)
     study.__dict__["best_network"] = SimpleNamespace(

@@ -78,7 +78,7 @@ def test_stages_and_result(tmp_path):
     assert population.best == SPACE.from_unit(best.point)
     known = {r.evaluation.loss: SPACE.from_unit(r.evaluation.point) for r in records[17:]}
     assert [population.parameters(k) for k in range(4)] == [known[y] for y in population.losses]
-    assert {stage for stage, *_ in seen} == {"initial", "optimisation", "prior", "rejection"}
+    assert {stage for stage, *_ in seen} == {"initial", "optimisation", "draws", "rejection"}
     assert all(0 <= done <= total for _, done, total, _ in seen)
     assert [news[1] for news in seen if news[0] == "optimisation"] == [1, 2, 3, 4, 5]
 
@@ -360,34 +360,6 @@ def test_the_paper_comes_short_where_beats_hardly_vary(tmp_path):
     assert len(population) < 4
     assert study.steps(Stage.REJECTION) == 2
     assert {r.stage for r in study.records()} == {"initial", "optimisation", "rejection"}
-
-
-def test_refinement_finds_a_better_network(tmp_path):
-    config = make_config(method="posterior", refine=30, rounds=1, draws=500)
-    study = Study.create_or_resume(tmp_path / "s", config)
-    population = study.run(narrow)
-    stages = [record.stage for record in study.records()]
-    assert stages.count("refinement") > 30
-    assert population.best_loss < 2.01
-
-
-def test_interrupted_refinement_resumes_to_the_same_bits(tmp_path):
-    config = make_config(method="posterior", refine=6, rounds=1, draws=500)
-    whole = Study.create_or_resume(tmp_path / "whole", config)
-    expected = summary(whole, whole.run(narrow))
-    left = [60]  # evaluations until Ctrl-C, in the middle of the refinement
-
-    def interrupted(points):
-        left[0] -= len(points)
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        return narrow(points)
-
-    study = Study.create_or_resume(tmp_path / "cut", config)
-    with pytest.raises(KeyboardInterrupt):
-        study.run(interrupted)
-    again = Study.create_or_resume(tmp_path / "cut", config)
-    assert summary(again, again.run(narrow)) == expected
 
 
 def test_importing_the_study_loads_no_surrogate():

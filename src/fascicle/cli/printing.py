@@ -60,6 +60,9 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     one, other = posterior.log_evidences
     print(f"log evidence           {one:.1f} and {other:.1f} in two runs")
     print(f"effective sample       {posterior.effective.sum():.0f}")
+    if not posterior.converged:
+        print("parameters             nothing is said of them: the runs do not agree")
+        return
     for statement in statements(posterior, fitted.problem.space):
         print(f"{statement.name:<22} {statement}")
     for first, second, correlation in trade_offs(posterior):

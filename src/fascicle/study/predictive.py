@@ -164,6 +164,6 @@ def _two_sided(predicted: Floats, recorded: float, sd: float) -> float:
     """Twice the smaller tail of predictions (n,), each blurred by `sd`, beyond a value."""
     from scipy.special import ndtr
 
-    sd = max(sd, float(np.finfo(float).tiny))
+    sd = max(sd, 1e-6)  # of values in ms or degrees
     below = float(ndtr((recorded - predicted) / sd).mean())
     return min(1.0, 2 * min(below, 1 - below))

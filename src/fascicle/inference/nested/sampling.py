@@ -134,6 +134,7 @@ def nested_sample(
         complete = sampler.run(f_live=LIVE_SHARE, n_eff=effective, n_like_max=most)
     points, log_weights, found = sampler.posterior()
     weights = np.exp(log_weights - log_weights.max())
+    found = np.where(found > IMPOSSIBLE, found, -np.inf)
     return NestedRun(points, weights / weights.sum(), found, _state(sampler), bool(complete))
 
 

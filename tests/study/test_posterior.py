@@ -1,0 +1,164 @@
+"""A posterior study: its draws, its file, resuming, and what it says in words."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.inference.evaluation import Evaluation
+from fascicle.study.evaluations import Stage
+from fascicle.study.population import Posterior
+from fascicle.study.population_files import read_checks, read_population, write_population
+from fascicle.study.predictive import Checks, Prediction
+from fascicle.study.study import Study
+from fascicle.study.verdict import explained, statements, trade_offs, verdict
+from tests.study.test_study_folder import make_config
+
+SPACE = ParameterSpace(
+    (Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75.0, 50.0))
+)
+SMALL = {"method": "posterior", "live": 60, "effective": 60, "evaluations": 8000}
+
+
+def objective(points):
+    return [evaluate(point) for point in points]
+
+
+def evaluate(point):
+    """The speed is hardly determined; the root time is, to a 50th of its range."""
+    if point.sum() > 1.9:
+        return Evaluation.infeasible(point, "left the endocardium")
+    log_likelihood = -0.5 * ((point[1] - 0.3) / 0.02) ** 2 - 0.5 * ((point[0] - 0.5) / 0.5) ** 2
+    return Evaluation(point, 1 - log_likelihood, np.ones(3), log_likelihood=log_likelihood)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    study = Study.create_or_resume(tmp_path_factory.mktemp("s") / "study", make_config(**SMALL))
+    seen = []
+    posterior = study.run(objective, lambda *news: seen.append(news))
+    return study, posterior, seen
+
+
+def test_draws_of_two_runs(done):
+    study, posterior, seen = done
+    assert isinstance(posterior, Posterior)
+    assert posterior.converged
+    assert len(posterior) == 60
+    assert (posterior.effective >= 30).all()
+    first, second = np.split(posterior.values["root_time"], 2)
+    for values in (first, second):
+        assert values.mean() == pytest.approx(-37.5, abs=2)
+        assert values.std() == pytest.approx(2.5, rel=0.4)
+    assert {record.stage for record in study.records()} == {Stage.SAMPLING}
+    assert posterior.best_loss == min(
+        r.evaluation.loss for r in study.records() if r.evaluation.feasible
+    )
+    stage, number, total, message = seen[-1]
+    assert (stage, total) == ("sampling", 8000)
+    assert 4000 < number <= 8000
+    assert "run 2 of 2: best loss 1" in message
+    assert "log evidence" in message
+
+
+def test_interrupted_it_resumes_to_the_same_bits(done, tmp_path):
+    left = [1500]
+
+    def interrupted(points):
+        left[0] -= len(points)
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return objective(points)
+
+    study = Study.create_or_resume(tmp_path / "s", make_config(**SMALL))
+    with pytest.raises(KeyboardInterrupt):
+        study.run(interrupted)
+    again = Study.create_or_resume(tmp_path / "s", make_config(**SMALL)).run(objective)
+    for name, values in done[1].values.items():
+        assert again.values[name].tobytes() == values.tobytes()
+    assert again.log_evidences.tobytes() == done[1].log_evidences.tobytes()
+
+
+def test_more_draws_go_on_from_what_is_there(tmp_path):
+    Study.create_or_resume(tmp_path, make_config(**SMALL)).run(objective)
+    asked = []
+
+    def counting(points):
+        asked.extend(points)
+        return objective(points)
+
+    study = Study.create_or_resume(tmp_path, make_config(**SMALL | {"effective": 200}))
+    before = len(study.records())
+    posterior = study.run(counting)
+    assert len(posterior) == 200
+    assert len(asked) < before / 2
+
+
+def test_too_few_evaluations_have_not_converged(tmp_path):
+    config = make_config(**SMALL | {"evaluations": 400})
+    posterior = Study.create_or_resume(tmp_path, config).run(objective)
+    said = verdict(posterior, Checks(0.1, {}))
+    assert said.startswith("NOT CONVERGED (log evidence ")
+    assert "raise --evaluations" in said
+    assert said.endswith("; explained: what no network explains is 10% of the signal")
+
+
+def test_what_disagrees_is_named(done):
+    checks = Checks(0.1, {"V1": 0.002, "V2": 0.3, "axis": 0.001})
+    assert not explained(checks)
+    assert verdict(done[1], checks) == (
+        "converged; NOT EXPLAINED: what no network explains is 10% of the signal, and V1, axis "
+        "disagree"
+    )
+    assert not explained(Checks(0.5, {}))
+    assert explained(Checks(0.2, {"V1": 0.5}))
+
+
+def test_what_the_ecg_determines(done):
+    cv, root_time = statements(done[1], SPACE)
+    assert not cv.determined
+    assert str(cv).startswith("the ECG does not determine this (")
+    assert root_time.determined
+    assert root_time.contraction > 0.98
+    assert (root_time.upper - root_time.lower) / 2 == pytest.approx(1.645 * 2.5, rel=0.35)
+    assert "the ECG determines this to ±" in str(root_time)
+    assert trade_offs(done[1]) == []
+
+
+def test_parameters_that_trade_off():
+    values = np.random.default_rng(0).random(100)
+    pair = SimpleNamespace(values={"a": values, "b": -values, "c": np.roll(values, 50)})
+    assert trade_offs(pair) == [("a", "b", pytest.approx(-1))]
+
+
+def test_the_file_is_whole_inference_data(done, tmp_path):
+    import arviz as az
+
+    posterior = done[1]
+    time = np.arange(-50.0, 60.0)
+    rng = np.random.default_rng(0)
+    ecg = rng.standard_normal((60, 12, len(time)))
+    drawn = rng.random((3, 60))
+    checks = Checks(0.12, {"V1": 0.4, "axis": 0.03})
+    target = SimpleNamespace(time=time, mean=ecg[0], beats=ecg[:5])
+    path = tmp_path / "posterior.nc"
+    prediction = Prediction(ecg, ecg + 1, *drawn, checks)
+    write_population(path, posterior, SPACE, target, prediction, {"verdict": "converged"})
+    data = az.from_netcdf(path)
+    assert set(data.groups()) == {
+        "posterior", "prior", "sample_stats", "log_likelihood", "posterior_predictive",
+        "observed_data",
+    }  # fmt: skip
+    assert data.posterior.sizes["chain"] == 2
+    assert data.posterior["cv"].attrs["units"] == "mm/ms"
+    assert data.posterior_predictive["ecg"].shape == (2, 30, 12, len(time))
+    assert data.prior["root_time"].to_numpy().std() == pytest.approx(125 / np.sqrt(12), rel=0.1)
+    assert float(az.rhat(data.posterior)["root_time"]) < 1.1
+    again = read_population(path)
+    assert isinstance(again, Posterior)
+    assert again.converged == posterior.converged
+    assert again.means_apart == pytest.approx(posterior.means_apart)
+    for name in ("losses", "log_likelihoods", "log_evidences", "effective", "evaluations"):
+        assert getattr(again, name) == pytest.approx(getattr(posterior, name))
+    assert read_checks(path) == checks
