@@ -4,6 +4,8 @@ import json
 import shutil
 import sqlite3
 import sys
+from dataclasses import replace
+from functools import partial
 
 import arviz as az
 import numpy as np
@@ -14,6 +16,8 @@ import xarray as xr
 import fascicle
 from fascicle import cli
 from fascicle.cli.demo import demo_recording
+from fascicle.forward.loss import align
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.fit import load_study
 
 BUDGET = {"initial": 12, "steps": 4, "refine": 1, "samples": 3, "draws": 20_000, "workers": 2}
@@ -76,6 +80,38 @@ def test_a_study_of_another_target_is_refused(study, target):
     other = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
     with pytest.raises(fascicle.InputError, match=r"holds a study with another target"):
         fascicle.fit("default", other, study.folder, **BUDGET)
+
+
+def test_another_heart_says_what_differs(study, target, default_heart):
+    other = replace(default_heart, values={"alpha": 0.07})
+    with pytest.raises(
+        fascicle.InputError, match=r"another heart .*conduction alpha \(0.05 there,"
+    ):
+        fascicle.fit(other, target, study.folder, **BUDGET)
+
+
+def test_other_rules_of_growth_are_refused(study, target, monkeypatch):
+    monkeypatch.setattr("fascicle.study.fit.GrowthRules", partial(GrowthRules, branch_length=10.0))
+    wanted = r"holds a study with another growth branch_length \(8 there, 10 now\)"
+    with pytest.raises(fascicle.InputError, match=wanted):
+        fascicle.fit("default", target, study.folder, **BUDGET)
+    with pytest.raises(fascicle.InputError, match=wanted):
+        load_study(study.folder)
+
+
+def test_another_forward_model_is_refused(study, target, monkeypatch):
+    def louder(*arguments, **options):
+        alignment = align(*arguments, **options)
+        return replace(alignment, loss=1.001 * alignment.loss)
+
+    monkeypatch.setattr("fascicle.study.problem.align", louder)
+    names = ("study.json", "evaluations.sqlite", "posterior.nc")
+    before = [(study.folder / name).read_bytes() for name in names]
+    with pytest.raises(fascicle.InputError, match="another forward model"):
+        fascicle.fit("default", target, study.folder, **(BUDGET | {"steps": 5}))
+    with pytest.raises(fascicle.InputError, match="another forward model"):
+        load_study(study.folder)
+    assert [(study.folder / name).read_bytes() for name in names] == before
 
 
 def test_predict(study, tmp_path, monkeypatch, capsys):

@@ -45,6 +45,10 @@ class Record:
 
 
 MENDED = "run 'fascicle fit' on the study again, which keeps what can be read"
+NOT_ITS_CONTENT = (  # errors of SQLite that are not about what is in the file
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY,
+)  # fmt: skip
 SMALLEST_ROW = 32  # bytes in the file, less than any row takes
 TABLES = {
     "evaluations": "stage TEXT NOT NULL, point BLOB NOT NULL, loss REAL, "
@@ -178,13 +182,16 @@ class Database:
                 connection.execute("PRAGMA synchronous = FULL")
                 with connection:
                     yield connection
-        except sqlite3.OperationalError as error:
+        except sqlite3.DatabaseError as error:
+            code = (
+                getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+            )  # the primary one
+            if code not in NOT_ITS_CONTENT:
+                raise DamagedStoreError(f"{self.path}: {error}; {MENDED}") from error
             raise InputError(
                 f"{self.path}: {error}; see that the disk has space, that the file can be written, "
                 "and that nothing else uses it; the same command then goes on"
             ) from error
-        except sqlite3.DatabaseError as error:
-            raise DamagedStoreError(f"{self.path}: {error}; {MENDED}") from error
 
 
 def _readable(path: Path, table: str) -> Iterator[Row]:

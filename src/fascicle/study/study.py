@@ -327,7 +327,7 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
 
 def _identity(config: StudyConfig) -> dict[str, str]:
     """All that decides the outcome, by the names that a message gives it."""
-    found: dict[str, str] = {"order of the parameters": ", ".join(config.parameter_space.names)}
+    found: dict[str, str] = {}
     for name in StudyConfig.model_fields:
         value = getattr(config, name)
         if isinstance(value, dict):  # fixed, growth, conduction
@@ -336,7 +336,7 @@ def _identity(config: StudyConfig) -> dict[str, str]:
             found |= {f"parameter {parameter.name}": _prior(parameter) for parameter in value}
         elif name not in MAY_CHANGE:
             found[name] = f"{value}"
-    return found
+    return found | {"order of the parameters": ", ".join(config.parameter_space.names)}
 
 
 def _prior(parameter: Parameter) -> str:
