@@ -1,17 +1,18 @@
-"""How well networks explain real ECGs, with the speed constant α learnt and fixed.
+"""What fits to real ECGs give, by both methods.
 
     python -m benchmarks.fits --data DATA_FOLDER
-                              [--only demo|ludb24|dti004|dti004-body|dti004-standard|
-                                      dti004-unbounded]
-                              [--seeds 1] [--steps 300] [--refine 200] [--alpha free|fixed]
+                              [--only demo|ludb23|ludb24|ludb119|ptb|dti004|dti004-body|
+                                      dti004-standard|dti004-unbounded]
+                              [--method posterior|paper] [--seeds 1] [--out fits]
 
-Fits without a population. Printed for each heart and ECG are the lowest loss (mV²) after the 250
-points of the Latin hypercube, after the steps of the optimisation and after the refinement, the
-mismatch of a flat line, the share of the best network's ECG that lies under the recorded QRS, and
-what it has learnt of α.
+Printed for each heart and ECG are the mismatch of a flat line and the lowest loss (mV²), the mean
+correlation of the compared leads of that network with the recording, the QRS duration recorded and
+of that network (ms), evaluations, effective sample (of the paper's method the networks accepted),
+seconds, and the first line of the result. A fit that is there already is read, not made again.
 
+- ludb23, ludb24, ludb119, ptb: the packaged heart and three recordings of LUDB (a wide QRS, a left
+  bundle branch block, a normal QRS) and PTB's s0010;
 - demo: the packaged heart and the ECG that comes with pydicom;
-- ludb24: the packaged heart and LUDB's left bundle branch block;
 - dti004: one subject's heart in an idealised torso fitted to that subject's electrodes, and that
   subject's own ECG;
 - dti004-body: the same with the heart's pose and the electrodes' places learnt, too;
@@ -27,8 +28,11 @@ import argparse
 import time
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 import fascicle
 from fascicle.build.anatomy import Source
@@ -43,7 +47,7 @@ from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target import Target
-from fascicle.study.evaluations import Stage
+from fascicle.study.population import Posterior
 from fascicle.study.results import FittedStudy
 
 DTI_NOISE = 0.03  # mV, of its one averaged beat
@@ -83,8 +87,12 @@ def demo_target(data: Path) -> Target:
     return analyse(read_recording(demo_recording())).target
 
 
-def ludb24_target(data: Path) -> Target:
-    recording = read_recording(data / "ecg" / "ludb" / "24.hea")
+def ptb_target(data: Path) -> Target:
+    return analyse(read_recording(data / "ecg" / "ptb-s0010" / "s0010_re.hea")).target
+
+
+def ludb_target(data: Path, record: int) -> Target:
+    recording = read_recording(data / "ecg" / "ludb" / f"{record}.hea")
     return analyse(share_gain(recording, DIGITS_PER_MILLIVOLT)).target
 
 
@@ -95,7 +103,10 @@ def dti004_target(data: Path) -> Target:
 
 CASES = {
     "demo": Case(packaged, demo_target, {}),
-    "ludb24": Case(packaged, ludb24_target, {}),
+    "ludb23": Case(packaged, partial(ludb_target, record=23), {}),
+    "ludb24": Case(packaged, partial(ludb_target, record=24), {}),
+    "ludb119": Case(packaged, partial(ludb_target, record=119), {}),
+    "ptb": Case(packaged, ptb_target, {}),
     "dti004": Case(dti004, dti004_target, {}),
     "dti004-body": Case(dti004, dti004_target, {}, {"pose": "free", "electrodes": "free"}),
     "dti004-standard": Case(partial(dti004, name="dti004-standard"), dti004_target, {}),
@@ -105,22 +116,19 @@ CASES = {
 }
 
 
-def row(name: str, alpha: str, seed: int, fitted: FittedStudy, seconds: float) -> str:
+def row(name: str, fitted: FittedStudy, seconds: float) -> str:
     """One line of the table."""
-    records = fitted.study.records()
-
-    def lowest(*stages: Stage) -> float:
-        return min(
-            r.evaluation.loss for r in records if r.stage in stages and r.evaluation.feasible
-        )
-
-    first = lowest(Stage.INITIAL)
-    then = lowest(Stage.INITIAL, Stage.OPTIMISATION)
-    best = fitted.best_network
-    learnt = best.parameters.get("alpha", fitted.problem.model.conduction.alpha)
+    problem, best = fitted.problem, fitted.best_network
+    target, used = problem.target, problem.compared
+    leads = zip(target.qrs[used], best.predicted[used][:, target.qrs_samples], strict=True)
+    correlation = np.mean([np.corrcoef(one, other)[0, 1] for one, other in leads])
+    population = fitted.population
+    effective = population.effective.sum() if isinstance(population, Posterior) else len(population)
     return (
-        f"{name:<17} {alpha:<6} {seed:4d} {fitted.problem.flat:6.2f} {first:8.3f} {then:8.3f} "
-        f"{fitted.population.best_loss:8.3f} {best.under_qrs:9.2f} {learnt:7.3f} {seconds:6.0f}"
+        f"{name:<17} {fitted.study.config.method:<9} {problem.flat:6.2f} "
+        f"{population.best_loss:6.3f} {correlation:5.2f} {target.qrs_duration:4.0f} "
+        f"{best.simulation.qrs_duration:4.0f} {len(fitted.study.records()):6d} {effective:5.0f} "
+        f"{seconds:6.0f} {fitted.verdict}"
     )
 
 
@@ -129,32 +137,25 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("fits"))
     parser.add_argument("--only", choices=list(CASES), action="append")
+    parser.add_argument("--method", choices=["posterior", "paper"], action="append")
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--steps", type=int, default=300)
-    parser.add_argument("--refine", type=int, default=200)
-    parser.add_argument("--alpha", choices=["free", "fixed"], action="append")
     given = parser.parse_args()
     print(
-        f"{'':<17} {'alpha':<6} {'seed':>4} {'flat':>6} {'250':>8} {f'+{given.steps}':>8} "
-        f"{'refined':>8} {'under QRS':>9} {'alpha':>7} {'s':>6}"
+        f"{'':<17} {'method':<9} {'flat':>6} {'best':>6} {'corr':>5} {'QRS':>4} {'best':>4} "
+        f"{'evals':>6} {'eff':>5} {'s':>6}"
     )
     for name in given.only or CASES:
         case = CASES[name]
         heart, target = case.heart(given.data, given.out), case.target(given.data)
-        for alpha in given.alpha or ("fixed", "free"):
-            parameters = {
-                "alpha": "free" if alpha == "free" else fascicle.Conduction().alpha,
-                **case.parameters,
-            }
-            for seed in range(given.seeds):
-                begin = time.perf_counter()
+        for method, seed in product(given.method or ("posterior", "paper"), range(given.seeds)):
+            begin = time.perf_counter()
+            settings = case.settings if method == "paper" else {}
+            with TerminalProgress() as progress:
                 fitted = fascicle.fit(
-                    heart, target, given.out / f"{name}-{alpha}-{seed}", parameters=parameters,
-                    steps=given.steps, refine=given.refine, seed=seed, samples=1, draws=1000,
-                    rounds=1, **case.settings,
+                    heart, target, given.out / f"{name}-{method}-{seed}", method=method,
+                    parameters=case.parameters, seed=seed, progress=progress, **settings,
                 )  # fmt: skip
-                seconds = time.perf_counter() - begin
-                print(row(name, alpha, seed, fitted, seconds), flush=True)
+            print(row(name, fitted, time.perf_counter() - begin), flush=True)
 
 
 if __name__ == "__main__":

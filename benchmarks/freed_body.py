@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 import fascicle
+from benchmarks.refinement import refine, spread
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
 from fascicle.core.quantities import BODY, GROUPS, QUANTITIES
 from fascicle.inference.evaluation import best_of
-from fascicle.inference.optimisation.refine import refine, spread
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ def simulated_problem(model: ForwardModel) -> Problem:
     if isinstance(simulation, InvalidTree):
         raise RuntimeError(f"the example gives no tree: {simulation.reason}")
     target = synthetic_target(simulation.leads, np.random.default_rng(0), noise=0.0)
-    space, fixed = study_space("default", {}, model.heart)
+    space, fixed = study_space("posterior", {}, model.heart)
     return Problem(model, target, space, fixed=fixed)
 
 

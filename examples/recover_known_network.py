@@ -109,24 +109,24 @@ def main() -> None:
     parser.add_argument("--heart", default="default")
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--initial", type=int, default=250)
-    parser.add_argument("--steps", type=int, default=300)
-    parser.add_argument("--samples", type=int, default=30)
+    parser.add_argument("--effective", type=int, default=300)
+    parser.add_argument("--evaluations", type=int, default=60_000)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     truth = read_parameters(given.truth) if given.truth else TRUTH
     truth = {"alpha": fascicle.Conduction().alpha, **truth}
     fitted = recover(
         given.heart, truth, given.out, given.seed,
-        initial=given.initial, steps=given.steps, samples=given.samples,
+        effective=given.effective, evaluations=given.evaluations,
     )  # fmt: skip
     population = fitted.population
-    print(f"{'':<22} {'true':>8} {'median':>8} {'lowest':>8} {'highest':>8}")
+    print(fitted.verdict)
+    print(f"{'':<22} {'true':>8} {'median':>8} {'5 %':>8} {'95 %':>8}")
     for parameter in fitted.problem.space.parameters:
         values = population.values[parameter.name]
         print(
             f"{parameter.name:<22} {truth[parameter.name]:8.3g} {np.median(values):8.3g} "
-            f"{values.min():8.3g} {values.max():8.3g} {parameter.unit}"
+            f"{np.percentile(values, 5):8.3g} {np.percentile(values, 95):8.3g} {parameter.unit}"
         )
     write_figures(fitted, fitted.networks())
     pairs = pair_figure(fitted.problem.space, population.values, population.best, truth)

@@ -39,7 +39,7 @@ def test_installed_program():
     [
         ("heart", "import"), ("heart import", "--lv-endocardium"), ("heart check", "HEART"),
         ("heart refine", "--out"),
-        ("simulate", "--root-time"), ("target", "--out"), ("fit", "--initial"),
+        ("simulate", "--root-time"), ("target", "--out"), ("fit", "--effective"),
         ("predict", "--root-time"), ("report", "Finished study"), ("demo", "--out"),
     ],
 )  # fmt: skip
@@ -62,9 +62,10 @@ def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
     monkeypatch.setattr("fascicle.study.fit.fit", fit)
     run("fit", "default", "t.nc", "--out", "s")
     changed = {
-        "initial": 7, "steps": 0, "refine": 1, "samples": 2, "seed": 3, "workers": 4, "draws": 50,
+        "initial": 7, "steps": 0, "samples": 2, "seed": 3, "workers": 4, "draws": 50,
         "tolerance": 0.5, "refit_every": 5, "refit_after": 6, "rounds": 8, "method": "paper",
         "leads": "8", "fewest_junctions": 10,
+        "live": 60, "effective": 30, "evaluations": 500, "gain_sd": 0.1,
     }  # fmt: skip
     options = [f"--{name.replace('_', '-')}={value}" for name, value in changed.items()]
     run("fit", "default", "t.nc", "--out", "s", "--gain", *options)

@@ -12,9 +12,9 @@ from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.core.quantities import QUANTITIES
 from fascicle.study.study import Study
 
-SMALL = ("--initial", 8, "--steps", 2, "--refine", 0, "--samples", 2, "--draws", 2000,
+SMALL = ("--evaluations", 200, "--live", 50, "--effective", 20)
+PAPER = ("--method", "paper", "--initial", 8, "--steps", 2, "--samples", 2, "--draws", 2000,
          "--rounds", 1)  # fmt: skip
-PAPER = ("--method", "paper", *SMALL[:4], *SMALL[6:])
 
 
 def test_every_quantity_is_listed(run):
@@ -74,12 +74,11 @@ class TestFit:
         names, config = self.space(outside / "a")
         assert names == [*NETWORK_SPACE.names, "alpha"]
         assert config["fixed"] == {}
-        options = ["--fix", "alpha=0.06", "--free", "gain", "--leads", "8"]
+        options = ["--fix", "alpha=0.06", "--free", "gain"]
         assert run("fit", "default", target, "--out", outside / "b", *SMALL, *options).status == 0
         names, config = self.space(outside / "b")
         assert names == [*NETWORK_SPACE.names, "gain"]
         assert config["fixed"] == {"alpha": 0.06}
-        assert config["leads"] == "8"
         written = (outside / "b" / "networks" / "best" / "parameters.toml").read_text()
         assert "alpha = 0.06" in written
         assert run("predict", outside / "b", "--out", outside / "p").status == 0
@@ -100,10 +99,12 @@ class TestFit:
         assert config["space"][-1]["prior"] == "log-normal"
 
     def test_the_paper_gives_a_population_and_says_what_it_lacks(self, run, outside, target):
-        arguments = [*PAPER[:-3], 60, "--rounds", 1]
+        arguments = [*PAPER[:-3], 60, "--rounds", 1, "--leads", "8"]
         ended = run("fit", "default", target, "--out", outside / "a", *arguments)
         assert ended.status == 0
-        assert self.space(outside / "a")[0] == list(NETWORK_SPACE.names)
+        names, config = self.space(outside / "a")
+        assert names == list(NETWORK_SPACE.names)
+        assert config["leads"] == "8"
         assert "warning: the recording has 10 beats" in ended.out
         assert re.search(r"warning: \d of 2 networks were accepted of \d+ candidates", ended.out)
         assert re.search(r"result +\d networks, a population and not a posterior\n", ended.out)
@@ -111,17 +112,18 @@ class TestFit:
         with xr.open_dataset(outside / "a" / "population.nc", engine="h5netcdf") as file:
             assert file.attrs["networks_are"].endswith("a population and not a posterior")
         stages = {r.stage for r in Study.open(outside / "a").records()}
-        assert "refinement" not in stages
+        assert stages == {"initial", "optimisation", "rejection"}
 
     @pytest.mark.parametrize(
         ("options", "words"),
         [
             (["--free", "generations"], "fixed, not learnt"),
             (["--free", "alpha", "--fix", "alpha=0.1"], "--free alpha: it is fixed as well"),
-            (["--free", "gain", "--free-gain"], "leave --free-gain out"),
+            (["--method", "paper", "--free", "gain", "--free-gain"], "leave --free-gain out"),
             (["--fix", "region_1_conductivity=0"], "no labels"),
             (["--settings", "none.toml"], "none.toml"),
-            (["--method", "paper", "--refine", 5], "'refine' is 5: the paper's method has no such"),
+            (["--method", "paper", "--live", 90], "'live' is 90: the method 'paper' has no such"),
+            (["--steps", 5], "'steps' is 5: the method 'posterior' has no such setting"),
         ],
     )
     def test_wrong_options(self, refused, outside, target, options, words):

@@ -20,7 +20,7 @@ from fascicle.forward.loss import align
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.fit import load_study
 
-BUDGET = {"initial": 12, "steps": 4, "refine": 1, "samples": 3, "draws": 20_000, "workers": 2}
+BUDGET = {"evaluations": 200, "live": 50, "effective": 20, "workers": 2}
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,10 @@ def test_study_folder_holds_what_is_promised(study):
     posterior = az.from_netcdf(folder / "posterior.nc")
     assert set(posterior.posterior.data_vars) == {*fascicle.NETWORK_SPACE.names, "alpha"}
     assert posterior.posterior["cv"].attrs["units"] == "mm/ms"
-    assert posterior.posterior["cv"].shape == (1, len(study.population))
+    assert posterior.posterior["cv"].shape == (2, len(study.population) / 2)
+    assert set(posterior.prior.data_vars) == set(posterior.posterior.data_vars)
+    assert np.isfinite(posterior.log_likelihood["ecg"]).all()
+    assert posterior.attrs["verdict"].startswith("NOT CONVERGED")
     assert posterior.posterior_predictive["ecg"].dims == ("chain", "draw", "lead", "time")
     for name in ("best", "00", "01", "02"):
         for side in ("lv", "rv"):
@@ -57,7 +60,10 @@ def test_study_folder_holds_what_is_promised(study):
     activation = pv.read(folder / "activation.vtu")
     assert {"activation", "activation_mean", "activation_sd"} <= set(activation.point_data)
     summary = json.loads((folder / "summary.json").read_text())
-    assert summary["best_loss_mV2"] <= summary["best_initial_loss_mV2"]
+    assert summary["verdict"] == study.verdict
+    assert set(summary["what_the_ecg_says"]) == set(posterior.posterior.data_vars)
+    assert 0 < summary["discrepancy_over_signal"] < 3
+    assert {"V1", "QRS duration", "axis"} <= set(summary["probabilities_under_the_model"])
 
 
 def test_best_network_is_what_the_summary_says(study, target):
@@ -108,7 +114,7 @@ def test_another_forward_model_is_refused(study, target, monkeypatch):
     names = ("study.json", "evaluations.sqlite", "posterior.nc")
     before = [(study.folder / name).read_bytes() for name in names]
     with pytest.raises(fascicle.InputError, match="another forward model"):
-        fascicle.fit("default", target, study.folder, **(BUDGET | {"steps": 5}))
+        fascicle.fit("default", target, study.folder, **(BUDGET | {"effective": 22}))
     with pytest.raises(fascicle.InputError, match="another forward model"):
         load_study(study.folder)
     assert [(study.folder / name).read_bytes() for name in names] == before

@@ -69,7 +69,7 @@ def test_runs_of_one_density_agree(run):
 
 
 def test_runs_that_differ_do_not(run):
-    moved = replace(run, points=run.points + [0, 0.08, 0])
+    moved = replace(run, points=run.points + np.array([0, 0.08, 0]))
     assert agreement(run, moved).means == pytest.approx([0, 0.74, 0], abs=0.1)
     assert not agreement(run, moved).converged
     assert not agreement(run, replace(run, complete=False)).converged

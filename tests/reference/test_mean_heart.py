@@ -65,7 +65,7 @@ def test_fit_accepts_it(folder, model, tmp_path):
     leads = model.simulate(fascicle.EXAMPLE_PARAMETERS).leads
     fitted = fascicle.fit(
         folder, synthetic_target(leads, np.random.default_rng(0)), tmp_path / "study",
-        initial=6, steps=1, refine=0, samples=1, draws=1000,
+        method="paper", initial=6, steps=1, samples=1, draws=1000,
     )  # fmt: skip
     assert len(fitted.study.records()) >= 7
     kept = fascicle.load_heart(tmp_path / "study" / "heart")

@@ -181,7 +181,7 @@ def fit(
     lists what there is):
 
     ```toml
-    steps = 200
+    effective = 500
 
     [parameters]
     cv = 2.5                                                      # fixed

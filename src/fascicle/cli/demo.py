@@ -18,10 +18,10 @@ from fascicle.report.study import write_figures
 from fascicle.study.fit import fit
 from fascicle.study.results import FittedStudy
 
-# A fraction of the paper's budget and no refinement: enough to see every stage work, not to trust
-# the numbers.
+# The paper's method with a fraction of its budget: enough to see every stage work, not to trust the
+# numbers.
 SETTINGS: dict[str, Any] = {
-    "initial": 60, "steps": 60, "refine": 0, "samples": 10, "draws": 500_000,
+    "method": "paper", "initial": 60, "steps": 60, "samples": 10, "draws": 500_000,
 }  # fmt: skip
 
 

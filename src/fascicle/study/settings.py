@@ -43,7 +43,7 @@ class FitSettings(AbcSettings):
         description="Simulations at most; with fewer than it takes, the result says so.",
     )
     live: int = Field(
-        default=400,
+        default=300,
         ge=50,
         description="Live points of the nested sampling: more find more modes, and cost more.",
     )
@@ -85,12 +85,8 @@ FitSettings.__doc__ = "\n".join(
 
 
 def checked_settings(given: Mapping[str, Any]) -> FitSettings:
-    """Settings as they are used; impossible and unknown ones are refused in one line."""
-    try:
-        settings = FitSettings(**given)
-    except ValidationError as error:
-        name, value, message = first_problem(error)
-        raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
+    """Settings as they are used; impossible, unknown and pointless ones are refused in one line."""
+    settings = valid_settings(given)
     other = OF_THE_POSTERIOR if settings.method == "paper" else OF_THE_PAPER
     foreign = [name for name in other if name in given]
     if foreign:
@@ -99,6 +95,15 @@ def checked_settings(given: Mapping[str, Any]) -> FitSettings:
             "setting; leave it out, or choose the other method"
         )
     return settings
+
+
+def valid_settings(given: Mapping[str, Any]) -> FitSettings:
+    """Settings that are known and possible, whatever the method; others are refused in one line."""
+    try:
+        return FitSettings(**given)
+    except ValidationError as error:
+        name, value, message = first_problem(error)
+        raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
 
 
 def first_problem(error: ValidationError) -> tuple[str, Any, str]:

@@ -20,7 +20,7 @@ from fascicle.core.quantities import (
 )
 from fascicle.heart.conduction import Region
 from fascicle.heart.heart import Heart
-from fascicle.study.settings import Method, checked_settings
+from fascicle.study.settings import Method, valid_settings
 
 FREE = "free"
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
@@ -146,7 +146,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     if not isinstance(parameters, dict):
         raise InputError(f"{path}: 'parameters' is no table; write [parameters] above them")
     try:
-        checked_settings({name: value for name, value in values.items() if name != PARAMETERS})
+        valid_settings({name: value for name, value in values.items() if name != PARAMETERS})
         for name, value in without_groups(parameters).items():
             _chosen(name, value)
     except InputError as error:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Floats
 from fascicle.core.threads import one_thread
 
 BATCH = 100  # points at a time, whatever the number of workers, so that it changes no result
