@@ -36,7 +36,7 @@ CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
 FORMAT: Final = 4  # of the folder
 MAY_CHANGE = ("workers", "steps", "samples")  # when a study is resumed
-LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not hang on these numbers
+LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not depend on these numbers
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
 HASHES = ("heart", "target")
@@ -207,8 +207,9 @@ class Study:
         there = _read(self.folder)
         if there == self.config:
             return
-        (self.folder / POSTERIOR).unlink(missing_ok=True)
-        self._database.forget_proposals(LASTING)
+        if there != self.config.model_copy(update={"workers": there.workers}):
+            (self.folder / POSTERIOR).unlink(missing_ok=True)
+            self._database.forget_proposals(LASTING)
         write_text(self.folder / CONFIGURATION, self.config.model_dump_json(indent=2) + "\n")
 
     def _mend(self, progress: Progress | None) -> None:
