@@ -82,6 +82,15 @@ def test_same_seed_same_result_and_resuming_evaluates_nothing(study, target, tmp
         assert ledger.execute("SELECT count(*) FROM evaluations").fetchone() == before
 
 
+def test_a_moved_study_goes_on_with_what_it_holds(study, tmp_path):
+    moved = shutil.copytree(study.folder, tmp_path / "moved")
+    (moved / "posterior.nc").unlink()
+    again = fascicle.fit(moved / "heart", moved / "target.nc", moved, **BUDGET)
+    assert len(again.study.records()) == len(study.study.records())
+    for name, values in study.population.values.items():
+        np.testing.assert_array_equal(again.population.values[name], values)
+
+
 def test_a_study_of_another_target_is_refused(study, target):
     other = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
     with pytest.raises(fascicle.InputError, match=r"holds a study with another target"):

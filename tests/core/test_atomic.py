@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from pathlib import Path
 
 import pytest
 
@@ -75,3 +77,19 @@ def test_places_that_cannot_be(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"cannot be written \(Permission denied\); choose"):
         write_text(tmp_path / "new.txt", "new")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_full_disk_is_said_of_what_was_asked_for(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    wanted = r"a.txt: could not be written \(No space left on device\); free some space"
+    with pytest.raises(InputError, match=wanted):
+        write_text(tmp_path / "a.txt", "new")
+    with (
+        pytest.raises(InputError, match=r"/out: could not be written \(No space"),
+        atomic_folder(tmp_path / "out") as folder,
+    ):
+        write_text(folder / "a.txt", "new")
+    assert list(tmp_path.iterdir()) == []

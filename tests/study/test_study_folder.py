@@ -1,11 +1,7 @@
 """A study survives interruption and refuses to be mixed with another."""
 
-import os
-import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -148,32 +144,6 @@ def test_finished_study_evaluates_nothing_new(tmp_path, uninterrupted):
     stored = {record.evaluation.point.tobytes() for record in study.records()}
     assert len(asked) == CHECKED
     assert {point.tobytes() for point in asked} <= stored
-
-
-def test_killed_study_resumes_to_the_same_bits(tmp_path, uninterrupted):
-    folder = tmp_path / "s"
-    script = (
-        "import sys, time; from pathlib import Path; sys.path.insert(0, sys.argv[2])\n"
-        "import test_study_folder as t\n"
-        "def slow(points):\n    time.sleep(0.05); return t.objective(points)\n"
-        "t.Study.create_or_resume(Path(sys.argv[1]), t.make_config()).run(slow)\n"
-    )
-    here = str(Path(__file__).parent)
-    process = subprocess.Popen([sys.executable, "-c", script, str(folder), here])
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline and stored(folder) < 14 and process.poll() is None:
-        time.sleep(0.02)
-    os.kill(process.pid, signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
-    assert 14 <= stored(folder) < len(uninterrupted[0])
-    resumed = Study.create_or_resume(folder, make_config())
-    assert summary(resumed, resumed.run(objective)) == uninterrupted
-
-
-def stored(folder):
-    if not (folder / "evaluations.sqlite").exists():
-        return 0
-    return len(Study.open(folder).records())
 
 
 def test_batches_are_repeatable(tmp_path):

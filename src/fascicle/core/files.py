@@ -34,20 +34,16 @@ def atomic_path(path: Path) -> Iterator[Path]:
         If nothing can be written there, or the disk is full.
     """
     _make_parent(path)
-    temporary = None
-    try:
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem.lstrip('.')}.", suffix=path.suffix, dir=path.parent
-        )
-        temporary = Path(name)
+    prefix = f".{path.stem.lstrip('.')}."
+    with _full_disk_named(path):
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
         os.close(handle)
-        yield temporary
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise _if_disk_full(error, path) from None
-    finally:
-        if temporary is not None:
+        temporary = Path(name)
+        try:
+            yield temporary
+            temporary.chmod(0o644)
+            os.replace(temporary, path)
+        finally:
             temporary.unlink(missing_ok=True)
 
 
@@ -80,29 +76,42 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
     """
     check_folder(folder)
     folder = folder.resolve()  # a link stays a link
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    with _full_disk_named(folder):
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            yield temporary
+            temporary.chmod(0o755)
+            if folder.exists():
+                new = {str(path.relative_to(temporary)) for path in temporary.rglob("*")}
+                check_nothing_lost(folder, new | set(disposable))
+                shutil.rmtree(folder)
+            os.replace(temporary, folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+class _DiskFullError(InputError):
+    """A file or a folder could not be written for want of space."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(
+            f"{path}: could not be written ({reason}); free some space or choose another place "
+            "(--out)"
+        )
+        self.reason = reason
+
+
+@contextmanager
+def _full_disk_named(path: Path) -> Iterator[None]:
+    """Say that the disk is full while `path` is written, also of a file in its temporary folder."""
     try:
-        yield temporary
-        temporary.chmod(0o755)
-        if folder.exists():
-            new = {str(path.relative_to(temporary)) for path in temporary.rglob("*")}
-            check_nothing_lost(folder, new | set(disposable))
-            shutil.rmtree(folder)
-        os.replace(temporary, folder)
+        yield
+    except _DiskFullError as error:
+        raise _DiskFullError(path, error.reason) from None
     except OSError as error:
-        raise _if_disk_full(error, folder) from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _if_disk_full(error: OSError, path: Path) -> OSError | InputError:
-    """What to raise for an error while `path` was written: a full disk is no bug."""
-    if error.errno not in DISK_FULL:
-        return error
-    return InputError(
-        f"{path}: could not be written ({error.strerror}); free some space or choose another place "
-        "(--out)"
-    )
+        if error.errno not in DISK_FULL:
+            raise
+        raise _DiskFullError(path, os.strerror(error.errno)) from None
 
 
 def check_folder(folder: Path) -> None:

@@ -147,10 +147,12 @@ class Database:
         The damaged file stays beside the new one.
         """
         aside = self.path.with_suffix(f".damaged{self.path.suffix}")
+        # of a transaction cut short; SQLite finds it by its name
+        journal, journal_aside = (p.with_name(f"{p.name}-journal") for p in (self.path, aside))
+        journal_aside.unlink(missing_ok=True)
         shutil.copyfile(self.path, aside)
-        journal = self.path.with_name(f"{self.path.name}-journal")  # of a transaction cut short
         if journal.exists():
-            shutil.copyfile(journal, aside.with_name(f"{aside.name}-journal"))
+            shutil.copyfile(journal, journal_aside)
         readable = {name: list(_readable(aside, name)) for name in TABLES}
         with atomic_path(self.path) as temporary:
             new = Database(temporary)
@@ -183,10 +185,8 @@ class Database:
                 with connection:
                     yield connection
         except sqlite3.DatabaseError as error:
-            code = (
-                getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
-            )  # the primary one
-            if code not in NOT_ITS_CONTENT:
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)
+            if code & 0xFF not in NOT_ITS_CONTENT:  # the lowest byte is the primary code
                 raise DamagedStoreError(f"{self.path}: {error}; {MENDED}") from error
             raise InputError(
                 f"{self.path}: {error}; see that the disk has space, that the file can be written, "
