@@ -9,8 +9,8 @@ ECG of a known network on the crtdemo heart. Both sides begin with the same Lati
 same Gaussian processes (fascicle's) of the loss, and draw the same raw points;
 then they go their own ways:
 
-- ours: log expected improvement and its gradient in closed form, by NumPy, each restart polished by
-  SciPy's L-BFGS-B;
+- ours: log expected improvement and its gradient in closed form, by NumPy, all restarts polished
+  together by SciPy's L-BFGS-B;
 - the baseline: BoTorch's LogExpectedImprovement with PyTorch's gradients, polished by BoTorch's
   `gen_candidates_scipy`.
 

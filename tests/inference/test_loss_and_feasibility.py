@@ -67,8 +67,9 @@ def test_probability_of_feasibility_is_calibrated():
 
 def test_gradient_of_the_probability():
     gp = FeasibilityGP.fit(observations(), None, 20)
-    for point in np.array([[0.2, 0.4], [0.69, 0.5], [0.95, 0.1]]):
-        value, gradient = gp.log_probability_and_gradient(point)
-        assert np.exp(value) == pytest.approx(gp.probability(point[None])[0], rel=1e-9)
+    points = np.array([[0.2, 0.4], [0.69, 0.5], [0.95, 0.1]])
+    values, gradients = gp.log_probability_and_gradient(points)
+    np.testing.assert_allclose(np.exp(values), gp.probability(points), rtol=1e-9)
+    for point, gradient in zip(points, gradients, strict=True):
         slopes = central_differences(gp.log_probability, point)
         np.testing.assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-7)

@@ -22,7 +22,7 @@ RAW_LOCAL = 1000  # perturbations of the best points: the kernel has a cusp ther
 LOCAL_CENTRES = 5
 LOCAL_SPREAD = (1e-3, 0.3)  # of the unit cube, log-uniform
 RESTARTS = 4  # of each kind of raw point
-ITERATIONS = 40
+ITERATIONS = 60  # of all restarts together
 NEAREST = 1e-4  # a proposal nearer to a known point (any coordinate's range is 1) adds nothing
 
 
@@ -49,14 +49,14 @@ class FeasibleLogImprovement:
         improvement = log_expected_improvement(mean, variance, self.best)
         return improvement + self.feasibility.log_probability(points)
 
-    def negative(self, point: Floats) -> tuple[float, Floats]:
-        """Negative value at one `point` (d,), and its gradient (d,), for minimisers."""
-        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(point)
-        improvement = float(log_expected_improvement(mean, variance, self.best))
+    def with_gradients(self, points: Floats) -> tuple[Floats, Floats]:
+        """Value at a few `points` (k, d), shape (k,), and the gradients (k, d)."""
+        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(points)
+        improvement = log_expected_improvement(mean, variance, self.best)
         per_mean, per_variance = log_expected_improvement_slopes(mean, variance, self.best)
-        feasible, gradient = self.feasibility.log_probability_and_gradient(point)
-        gradient = gradient + per_mean * by_mean + per_variance * by_variance
-        return -(improvement + feasible), -gradient
+        feasible, gradients = self.feasibility.log_probability_and_gradient(points)
+        by_improvement = per_mean[:, None] * by_mean + per_variance[:, None] * by_variance
+        return improvement + feasible, gradients + by_improvement
 
 
 def maximise(
@@ -84,7 +84,7 @@ def maximise(
     local = perturbed(rng, best_points, RAW_LOCAL)
     raw, values = [uniform, local], [acquisition(uniform), acquisition(local)]
     starts = np.vstack([x[_descending(v)[:RESTARTS]] for x, v in zip(raw, values, strict=True)])
-    polished = np.array([_polished(acquisition, start) for start in starts])
+    polished = _polished(acquisition, starts)
     candidates = np.vstack([polished, *raw])
     order = _descending(np.concatenate([acquisition(polished), *values]))
     return first_apart(candidates[order], known)
@@ -100,14 +100,20 @@ def _descending(values: Floats) -> NDArray[np.intp]:
     return np.argsort(-values, kind="stable")
 
 
-def _polished(acquisition: FeasibleLogImprovement, start: Floats) -> Floats:
-    """End of a search from `start`; one that stops early is judged by its value like the others."""
-    bounds = [(0.0, 1.0)] * len(start)
-    options = {"maxiter": ITERATIONS}
-    result = minimize(
-        acquisition.negative, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
-    )
-    return np.asarray(np.clip(result.x, 0.0, 1.0))
+def _polished(acquisition: FeasibleLogImprovement, starts: Floats) -> Floats:
+    """Ends (k, d) of searches from `starts` (k, d), all in one, as sum: that costs half as much.
+
+    Where it stops early, its points are judged by their values like the others.
+    """
+
+    def negative(vector: Floats) -> tuple[float, Floats]:
+        values, gradients = acquisition.with_gradients(vector.reshape(starts.shape))
+        return -float(values.sum()), -gradients.ravel()
+
+    bounds, options = [(0.0, 1.0)] * starts.size, {"maxiter": ITERATIONS}
+    begin = starts.ravel()
+    result = minimize(negative, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return np.asarray(np.clip(result.x, 0.0, 1.0).reshape(starts.shape))
 
 
 def perturbed(rng: np.random.Generator, centres: Floats, count: int) -> Floats:

@@ -57,27 +57,25 @@ def log_expected_improvement(mean: Floats | float, variance: Floats | float, bes
 
 
 def log_expected_improvement_slopes(
-    mean: float, variance: float, best: float
-) -> tuple[float, float]:
-    """Derivatives of `log_expected_improvement` with respect to mean and variance.
+    mean: Floats | float, variance: Floats | float, best: float
+) -> tuple[Floats, Floats]:
+    """Derivatives of `log_expected_improvement` with respect to mean and variance, elementwise.
 
-    ∂/∂m = −Φ(u)/(s h) and ∂/∂s² = φ(u)/(2 s² h), for one prediction m, s². Of Φ/h and φ/h neither
+    ∂/∂m = −Φ(u)/(s h) and ∂/∂s² = φ(u)/(2 s² h), for predictions m, s². Of Φ/h and φ/h neither
     underflows.
 
     Parameters
     ----------
-    mean, variance, best : float
+    mean, variance, best
         As there.
     """
-    deviation = math.sqrt(variance)
+    deviation = np.sqrt(variance)
     u = (best - mean) / deviation
-    if u > CANCELLING:
-        h = math.exp(log_h(u))
-        probability_ratio, density_ratio = float(ndtr(u)) / h, float(_density(u)) / h
-    else:
-        density_ratio = 1 / float(_h_over_density(u))
-        probability_ratio = float(_mills(-u)) * density_ratio
-    return -probability_ratio / deviation, density_ratio / (2 * variance)
+    upper, lower = np.maximum(u, CANCELLING), np.minimum(u, CANCELLING)
+    h, safe_ratio = np.exp(log_h(upper)), 1 / _h_over_density(lower)
+    density_ratio = np.where(u > CANCELLING, _density(upper) / h, safe_ratio)
+    probability_ratio = np.where(u > CANCELLING, ndtr(upper) / h, _mills(-lower) * safe_ratio)
+    return np.asarray(-probability_ratio / deviation), np.asarray(density_ratio / (2 * variance))
 
 
 def _density(u: Floats | float) -> Floats:

@@ -271,26 +271,26 @@ class ExponentialGP:
         """What rounding cannot push a variance below."""
         return VARIANCE_FLOOR * self.hyperparameters.variance
 
-    def moments_and_gradients(self, point: Floats) -> tuple[float, float, Floats, Floats]:
-        """Posterior mean m, variance v, and their gradients ∇m and ∇v at one `point` (d,).
+    def moments_and_gradients(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Posterior mean m, variance v, (k,) each, and ∇m and ∇v, (k, d), at a few `points` (k, d).
 
         With z the scaled input, ∂k/∂z = −k (z − zⱼ)/|z − zⱼ| at the data points zⱼ, so that
         ∇m = ∇kᵀα and ∇v = −2 ∇kᵀ(K + σₙ²I)⁻¹k. At a data point, where the kernel has a cusp, that
         point contributes nothing.
         """
-        away = self.scale(point) - self.scaled
-        r = np.sqrt(np.einsum("ij,ij->i", away, away))
+        away = self.scale(points)[:, None, :] - self.scaled
+        r = np.sqrt(np.einsum("kij,kij->ki", away, away))
         kernel = self.hyperparameters.variance * np.exp(-r)
-        white = blas.dtrmv(self.whitener, kernel, lower=True)
-        variance = float(self.hyperparameters.variance - white @ white)
+        white = blas.dtrmm(1.0, self.whitener, kernel.T, lower=True)
+        variance = self.hyperparameters.variance - np.einsum("ij,ij->j", white, white)
         slope = np.divide(-kernel, r, out=np.zeros_like(r), where=r > 0)
-        weights = np.array([self.alpha, -2 * blas.dtrmv(self.whitener, white, lower=True, trans=1)])
-        by_mean, by_variance = (
-            (weights * slope) @ away / np.array(self.hyperparameters.length_scales)
-        )
-        if variance < self._least_variance:
-            variance, by_variance = self._least_variance, np.zeros_like(by_variance)
-        return float(kernel @ self.alpha), variance, by_mean, by_variance
+        by_kernel = blas.dtrmm(-2.0, self.whitener, white, lower=True, trans_a=1).T
+        weights = slope[:, None, :] * np.stack([np.broadcast_to(self.alpha, r.shape), by_kernel], 1)
+        gradients = weights @ away / np.array(self.hyperparameters.length_scales)
+        by_mean, by_variance = gradients[:, 0], gradients[:, 1]
+        by_variance[variance < self._least_variance] = 0.0
+        variance = np.maximum(variance, self._least_variance)
+        return kernel @ self.alpha, variance, by_mean, by_variance
 
     def predict(self, points: Floats) -> tuple[Floats, Floats]:
         """Posterior mean m and variance v of the latent function at `points` (m, d), (m,) each.

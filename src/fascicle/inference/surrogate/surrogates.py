@@ -178,19 +178,20 @@ class FeasibilityGP:
         z = (self.offset + mean) / np.sqrt(variance + self.gp.hyperparameters.noise)
         return np.asarray(log_ndtr(z))
 
-    def log_probability_and_gradient(self, point: Floats) -> tuple[float, Floats]:
-        """Logarithm of the probability at one `point` (d,), and its gradient (d,).
+    def log_probability_and_gradient(self, points: Floats) -> tuple[Floats, Floats]:
+        """Logarithm of the probability at a few `points` (k, d), (k,), and its gradients (k, d).
 
         With z = (b + m) / s and s² = v + σₙ²: ∇ log Φ(z) = φ(z)/Φ(z) · (∇m − z ∇v / 2s) / s.
         """
         if self.gp is None:
-            return 0.0, np.zeros_like(point)
-        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(point)
-        s = math.sqrt(variance + self.gp.hyperparameters.noise)
+            return np.zeros(len(points)), np.zeros_like(points)
+        mean, variance, by_mean, by_variance = self.gp.moments_and_gradients(points)
+        s = np.sqrt(variance + self.gp.hyperparameters.noise)
         z = (self.offset + mean) / s
-        logarithm = float(log_ndtr(z))
-        ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - logarithm)
-        return logarithm, ratio * (by_mean - z * by_variance / (2 * s)) / s
+        logarithm = log_ndtr(z)
+        ratio = np.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - logarithm)
+        gradient = by_mean - (z / (2 * s))[:, None] * by_variance
+        return logarithm, (ratio / s)[:, None] * gradient
 
     def probability(self, points: Floats) -> Floats:
         """Probability that each of `points` (m, d) gives a tree, shape (m,)."""
