@@ -35,13 +35,8 @@ from fascicle.study.settings import FitSettings, first_problem
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
 FORMAT: Final = 4  # of the folder
-<<<<<<< HEAD
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when a study is resumed
-LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not hang on these numbers
-=======
-MAY_CHANGE = ("workers", "steps", "samples")  # when a study is resumed
 LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not depend on these numbers
->>>>>>> crash-proof
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
 HASHES = ("heart", "target")
@@ -222,14 +217,9 @@ class Study:
         there = _read(self.folder)
         if there == self.config:
             return
-<<<<<<< HEAD
-        (self.folder / RESULT[self.config.method]).unlink(missing_ok=True)
-        self._database.forget_proposals(LASTING)
-=======
         if there != self.config.model_copy(update={"workers": there.workers}):
-            (self.folder / POSTERIOR).unlink(missing_ok=True)
+            (self.folder / RESULT[self.config.method]).unlink(missing_ok=True)
             self._database.forget_proposals(LASTING)
->>>>>>> crash-proof
         write_text(self.folder / CONFIGURATION, self.config.model_dump_json(indent=2) + "\n")
 
     def _mend(self, progress: Progress | None) -> None:
