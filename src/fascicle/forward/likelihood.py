@@ -39,6 +39,7 @@ from fascicle.forward.loss import Response, placed
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
 RESOLUTION = 12.0  # ms; half a period of the fastest cosine
 CORRELATION = 12.0  # ms; of the discrepancy in time
+OWN = 0.5  # share of its variance that is each lead's own
 FINE = (np.arange(30) - 14.5) / 10  # ms; steps of the sum over shifts about the best one
 NEAR = 4  # samples on either side of it that give the values between samples
 REACH = 3.0  # standard deviations of the shift that are summed over
@@ -213,7 +214,7 @@ def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
-def lead_pattern(signals: Sequence[Floats], own: float = 0.1) -> Floats:
+def lead_pattern(signals: Sequence[Floats], own: float = OWN) -> Floats:
     """Correlation of leads of the differences between simulations, scaled to unit mean.
 
     Parameters
@@ -221,7 +222,9 @@ def lead_pattern(signals: Sequence[Floats], own: float = 0.1) -> Floats:
     signals : sequence of (n_leads, n) arrays
         Differences (mV).
     own : float
-        Share of the variance that is each lead's own: its electrode's place.
+        Share of the variance that is each lead's own, such as by its electrode's place. With a
+        small share the likelihood would rather have twice the mismatch than one that differences
+        between networks do not look like.
     """
     products = [signal @ signal.T for signal in signals]
     total = np.asarray(np.sum(products, axis=0) / np.sum(np.trace(products, axis1=1, axis2=2)))
