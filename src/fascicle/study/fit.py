@@ -44,7 +44,7 @@ def fit(
     progress: Progress | None = None,
     **settings: Any,
 ) -> FittedStudy:
-    """Fit a population of Purkinje networks to a target.
+    """Learn the Purkinje networks that explain a target.
 
     Started again on the same folder it resumes, and gives exactly the result of a run that was
     never interrupted. The numbers of steps and samples may then be others: what is stored is used
