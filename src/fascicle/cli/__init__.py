@@ -221,6 +221,7 @@ def predict(
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
         pacing = write_pacing(fitted, root_time, out, progress)
+    print(f"result                 {fitted.verdict}")
     print_pacing(pacing)
     print(f"prediction in {out}")
 

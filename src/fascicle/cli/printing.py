@@ -84,14 +84,17 @@ def _print_population(population: Population) -> None:
 
 
 def print_pacing(pacing: Pacing) -> None:
-    """Print durations before and after pacing, means over the networks."""
+    """Print durations before and after pacing: medians, and 90 % of the networks."""
+    import numpy as np
+
     for name, before, after in (
         ("QRS duration", pacing.qrs_before, pacing.qrs_after),
         ("total activation time", pacing.tat_before, pacing.tat_after),
     ):
+        low, middle, high = np.percentile(after, [5, 50, 95])
         print(
-            f"{name:<22} {before.mean():.0f} ms -> {after.mean():.0f} ms paced "
-            f"({after.min():.0f} to {after.max():.0f})"
+            f"{name:<22} {np.median(before):.0f} ms -> {middle:.0f} ms paced "
+            f"(90 % of the networks: {low:.0f} to {high:.0f})"
         )
 
 

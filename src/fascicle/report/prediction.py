@@ -57,7 +57,7 @@ def write_pacing(
     pacing = pace(fitted.problem.model, networks, root_time)
     with atomic_folder(out) as folder:
         write_text(folder / "table.csv", _table(pacing))
-        summary = json.dumps(_summary(pacing, root_time), indent=2)
+        summary = json.dumps({"verdict": fitted.verdict, **_summary(pacing, root_time)}, indent=2)
         write_text(folder / "summary.json", f"{summary}\n")
         _write_ecgs(folder / "ecgs.nc", pacing)
         for name, k in pacing.extremes().items():

@@ -304,10 +304,10 @@ def write_results(
     problem, population, folder = fitted.problem, fitted.population, fitted.folder
     result = folder / RESULT[fitted.study.config.method]
     result.unlink(missing_ok=True)  # not finished while this is under way
-    shown = networks[:: max(1, len(networks) // TREES_WRITTEN)][:TREES_WRITTEN]
+    shown = range(0, len(networks), max(1, len(networks) // TREES_WRITTEN))[:TREES_WRITTEN]
     _write_networks(
         folder / "networks",
-        {"best": fitted.best_network} | {f"{k:02d}": n for k, n in enumerate(shown)},
+        {"best": fitted.best_network} | {f"{k:02d}": networks[k] for k in shown},
     )
     activations = np.stack([network.simulation.activation for network in networks])
     write_grid(
