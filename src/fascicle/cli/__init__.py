@@ -175,7 +175,9 @@ def fit(
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
 
     The posterior is sampled in two independent runs; the first line of the result says whether they
-    agree, and whether the model explains the recording. Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
+    agree, and whether the model explains the recording.
+
+    Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
     goes on where it stopped.
 
     What is learnt, and with which priors, may also stand in a settings file ('fascicle parameters'
