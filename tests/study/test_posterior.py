@@ -1,10 +1,12 @@
 """A posterior study: its draws, its file, resuming, and what it says in words."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fascicle.core.errors import InputError
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
@@ -93,6 +95,17 @@ def test_more_draws_go_on_from_what_is_there(tmp_path):
     posterior = study.run(counting)
     assert len(posterior) == 200
     assert len(asked) < before / 2
+
+
+def test_another_likelihood_is_refused(tmp_path):
+    config = make_config(**SMALL | {"evaluations": 200})
+    Study.create_or_resume(tmp_path, config).run(objective)
+
+    def surer(points):
+        return [replace(e, log_likelihood=1.1 * e.log_likelihood) for e in objective(points)]
+
+    with pytest.raises(InputError, match=r"another forward model .* and log likelihood -\d"):
+        Study.create_or_resume(tmp_path, config).run(surer)
 
 
 def test_too_few_evaluations_have_not_converged(tmp_path):

@@ -9,7 +9,7 @@ the mean recorded beat::
 
     C     covariance of what is known: noise of the mean beat, roughness of the forward model
     D     covariance of the discrepancy, what no network of this model explains, of unit size
-    σ     its size (mV), unknown: log-uniform over `Discrepancy.scales`
+    σ     its size (mV), unknown: log-uniform over `SCALES`
     g     gain, unknown: normal about 1
     s     shift, unknown: the first activation is the onset of the recorded QRS, give or take its
           uncertainty

@@ -39,6 +39,7 @@ MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when
 LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not depend on these numbers
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
+SAME_LOG = 1e-3  # of log-likelihoods
 HASHES = ("heart", "target")
 SHOWN = 12  # characters of them in a message
 LEFTOVERS = (
@@ -194,7 +195,7 @@ class Study:
         Raises
         ------
         InputError
-            If it gives other losses at the points that are tried again.
+            If it gives other losses or likelihoods at the points that are tried again.
         """
         stored = [record.evaluation for record in self.records()]
         again = stored[:: max(1, len(stored) // CHECKED)][:CHECKED]
@@ -268,11 +269,17 @@ def _same(then: Evaluation, now: Evaluation) -> bool:
     """Whether two evaluations of one point are of one forward model."""
     if not (then.feasible and now.feasible):
         return then.feasible == now.feasible
-    return bool(np.isclose(now.loss, then.loss, rtol=SAME_LOSS, atol=0))
+    if not np.isclose(now.loss, then.loss, rtol=SAME_LOSS, atol=0):
+        return False
+    likelihoods = now.log_likelihood, then.log_likelihood
+    return bool(np.isnan(likelihoods).any() or np.isclose(*likelihoods, rtol=0, atol=SAME_LOG))
 
 
 def _outcome(evaluation: Evaluation) -> str:
-    return f"{evaluation.loss:.6g} mV²" if evaluation.feasible else "no network"
+    if not evaluation.feasible:
+        return "no network"
+    loss, likelihood = f"{evaluation.loss:.6g} mV²", evaluation.log_likelihood
+    return loss if np.isnan(likelihood) else f"{loss} and log likelihood {likelihood:.4f}"
 
 
 def _read(folder: Path) -> StudyConfig:
