@@ -12,10 +12,10 @@ from fascicle.cli.demo import demo_recording
 from fascicle.study.fit import load_study
 from tests.study.crashing import killed_at_random
 
-BUDGET = {
-    "initial": 12, "steps": 4, "refine": 1, "samples": 5, "draws": 20_000, "workers": 2,
-    "tolerance": 1.0,
+PAPER = {
+    "method": "paper", "initial": 12, "steps": 4, "samples": 5, "draws": 20_000, "tolerance": 1.0,
 }  # fmt: skip
+POSTERIOR = {"evaluations": 200, "live": 50, "effective": 20}
 KILLS = 8
 
 
@@ -34,11 +34,14 @@ def rows(folder):
 
 
 @pytest.mark.slow
-def test_kill_at_random_moments(tmp_path):
+@pytest.mark.parametrize(
+    ("budget", "result"), [(PAPER, "population.nc"), (POSTERIOR, "posterior.nc")]
+)
+def test_kill_at_random_moments(tmp_path, budget, result):
     target = fascicle.make_target(fascicle.read_recording(demo_recording()))
 
     def work(folder):
-        fascicle.fit("default", target, folder, **BUDGET)
+        fascicle.fit("default", target, folder, **budget)
 
     whole = tmp_path / "whole"
     work(whole)
@@ -50,8 +53,8 @@ def test_kill_at_random_moments(tmp_path):
         assert rows(folder) == rows(whole)
         for group in ("posterior", "posterior_predictive", "sample_stats"):
             with (
-                xr.open_dataset(folder / "posterior.nc", group=group, engine="h5netcdf") as found,
-                xr.open_dataset(whole / "posterior.nc", group=group, engine="h5netcdf") as wanted,
+                xr.open_dataset(folder / result, group=group, engine="h5netcdf") as found,
+                xr.open_dataset(whole / result, group=group, engine="h5netcdf") as wanted,
             ):
                 assert found.equals(wanted)
         files = [p.relative_to(whole) for p in sorted(whole.rglob("*")) if p.is_file()]
