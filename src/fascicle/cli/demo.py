@@ -21,7 +21,7 @@ from fascicle.study.results import FittedStudy
 # The paper's method with a fraction of its budget: enough to see every stage work, not to trust the
 # numbers.
 SETTINGS: dict[str, Any] = {
-    "method": "paper", "initial": 60, "steps": 60, "samples": 10, "draws": 500_000,
+    "method": "paper", "initial": 60, "steps": 60, "samples": 10, "draws": 500_000, "rounds": 4,
 }  # fmt: skip
 
 
