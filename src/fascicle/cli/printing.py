@@ -115,7 +115,7 @@ def print_demo(out: Path) -> None:
     for name, what in (
         ("target.png", "the recording: beats by class, their overlay, the QRS window"),
         ("target.nc", "beats, mean, standard deviation, QRS window"),
-        ("study/posterior.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
+        ("study/population.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
         ("study/networks", "their trees, for ParaView"),
         ("study/activation.vtu", "activation of the best network, mean and spread over all"),
         ("study/figures", "ECG, pair plot, activation map, convergence"),
