@@ -20,6 +20,7 @@ from .recording.pipeline import analyse as analyse
 from .recording.pipeline import make_target as make_target
 from .recording.readers.read import read_recording as read_recording
 from .recording.target_files import read_target as read_target
+from .study.bank import make_bank as make_bank
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
 from .study.settings import FitSettings as FitSettings

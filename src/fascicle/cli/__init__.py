@@ -151,7 +151,7 @@ app.command(name="parameters")(parameters_command)
         "method",
         "effective",
         "evaluations",
-        "live",
+        "bank",
         "gain_sd",
         "seed",
         "workers",

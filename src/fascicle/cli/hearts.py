@@ -206,6 +206,33 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> None:
         print(f"{what:<18} {before:>9} {after:>9}")
 
 
+@heart_app.command("bank")
+def heart_bank(
+    heart: HeartArgument,
+    networks: Annotated[
+        int | None,
+        typer.Option(
+            "--networks", min=1, help="Networks of the prior; by default as a fit begins with."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Simulations at a time; one a core.")
+    ] = None,
+) -> None:
+    """Simulate networks of the prior once, so that fits of this heart are done sooner.
+
+    The bank is kept in the heart's folder and serves every recording, as long as the fit learns the
+    usual parameters with their usual ranges. Interrupt it whenever you like: the same command goes
+    on where it stopped, and a larger number adds to what is there.
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.study.bank import make_bank
+
+    with TerminalProgress() as progress:
+        folder = make_bank(heart, networks, workers=workers, progress=progress)
+    print(f"bank in {folder}")
+
+
 @heart_app.command("export")
 def heart_export(
     heart: HeartArgument,

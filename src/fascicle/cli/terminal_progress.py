@@ -27,7 +27,7 @@ NAMES = {
     "optimisation": "Bayesian optimisation",
     "prior": "networks of the prior",
     "draws": "drawing from the prior",
-    "sampling": "nested sampling",
+    "sampling": "sampling",
     "rejection": "networks accepted",
     "networks": "simulating the networks",
 }

@@ -1,15 +1,16 @@
 """The likelihood of a recorded QRS, given a simulated one.
 
-What is compared are coefficients: the first cosines (DCT-II) over the QRS window and `MARGIN` on
-either side of it, of each independent lead. The recording is silent outside its QRS window, as it
-is in the loss. With V(s) the coefficients of the simulation that is shifted by s, and V̂ those of
-the mean recorded beat::
+What is compared are a few coefficients: the first cosines (DCT-II) over the QRS window and `MARGIN`
+on either side of it, of each independent lead. Finer ones mostly tell how small branches happen to
+collide, which is no patient's: with them the likelihood is rough in the parameters of the tree. The
+recording is silent outside its QRS window, as it is in the loss. With V(s) the coefficients of the
+simulation that is shifted by s, and V̂ those of the mean recorded beat::
 
     V̂ = g V(s) + ε,    ε ~ N(0, C + σ² D)
 
     C     covariance of what is known: noise of the mean beat, roughness of the forward model
     D     covariance of the discrepancy, what no network of this model explains, of unit size
-    σ     its size (mV), unknown: log-uniform over `SCALES`
+    σ     its size (mV), unknown: log-uniform over `SHARES` of the recorded QRS
     g     gain, unknown: normal about 1
     s     shift, unknown: the first activation is the onset of the recorded QRS, give or take its
           uncertainty
@@ -37,14 +38,12 @@ from fascicle.core.arrays import Floats
 from fascicle.forward.loss import Response, placed
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
-RESOLUTION = 12.0  # ms; half a period of the fastest cosine
+RESOLUTION = 40.0  # ms; half a period of the fastest cosine
 CORRELATION = 12.0  # ms; of the discrepancy in time
 OWN = 0.5  # share of its variance that is each lead's own
-FINE = (np.arange(30) - 14.5) / 10  # ms; steps of the sum over shifts about the best one
-NEAR = 4  # samples on either side of it that give the values between samples
 REACH = 3.0  # standard deviations of the shift that are summed over
 FIRST_ACTIVATION_SD = 3.0  # ms; of the recorded onset after the first activation, beside its own
-SCALES = np.geomspace(0.02, 0.64, 36)  # mV; sizes of the discrepancy, 11 % apart
+SHARES = np.geomspace(0.25, 1.0, 15)  # of the recorded QRS (root mean square): the discrepancy's
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,8 @@ class Fit:
     log_likelihood : float
         Of V̂, in coefficients (1/mV each).
     shifts : (n_shifts,) array
-        Samples of the simulation at which the window of the cosines may begin.
+        Samples of the simulation at which the window of the cosines may begin, 1 ms apart: the
+        cosines are so slow that the sum over them is as good as the integral.
     weights : (n_scales, n_shifts) array
         Posterior probability of each pair of discrepancy and shift; they add up to 1.
     gains, gain_sds : (n_scales, n_shifts) arrays
@@ -108,24 +108,14 @@ class QrsLikelihood:
             Sample of the first activation.
         """
         sd = float(np.hypot(self.onset_sd, FIRST_ACTIVATION_SD))
-        reach = math.ceil(REACH * sd) + NEAR
+        reach = math.ceil(REACH * sd)
         steps = np.arange(-reach, reach + 1.0)
-        first = onset - MARGIN
-        model = self._whitened(simulated, first + steps)
-        coarse = slice(NEAR, -NEAR)
-        log_prior = -0.5 * (steps / sd) ** 2
-        logs = logsumexp(self._joint(model[:, coarse])[0], axis=0) + log_prior[coarse]
-        best = NEAR + int(np.argmax(logs))
-        far = np.setdiff1d(np.arange(len(steps))[coarse], np.arange(best - 1, best + 2))
-        near = _lagrange(FINE)
-        offsets = np.concatenate([steps[far], steps[best] + FINE])
-        widths = np.concatenate([np.ones(len(far)), np.full(len(FINE), 3 / len(FINE))])
-        model = np.hstack([model[:, far], model[:, best - NEAR : best + NEAR + 1] @ near])
-        joint, gains, gain_sds = self._joint(model)
-        joint += -0.5 * (offsets / sd) ** 2 + np.log(widths / (sd * math.sqrt(2 * math.pi)))
+        shifts = onset - MARGIN + steps
+        joint, gains, gain_sds = self._joint(self._whitened(simulated, shifts))
+        joint += -0.5 * (steps / sd) ** 2 - math.log(sd * math.sqrt(2 * math.pi))
         total = float(logsumexp(joint))
         weights = np.exp(joint - total)
-        return Fit(total - math.log(len(SCALES)), first + offsets, weights, gains, gain_sds)
+        return Fit(total - math.log(len(SHARES)), shifts, weights, gains, gain_sds)
 
     def _whitened(self, simulated: Floats, shifts: Floats) -> Floats:
         """Coefficients in the diagonal basis, (n, n_shifts), at shifts that are 1 apart."""
@@ -155,7 +145,7 @@ class QrsLikelihood:
         return np.asarray((padded - gain * model) @ self.modes)
 
     def noise(self, rng: np.random.Generator, scale: int) -> Floats:
-        """Draw ε for the discrepancy SCALES[scale], in coefficients (n_leads, n_modes)."""
+        """Draw ε for the discrepancy `scales[scale]`, in coefficients (n_leads, n_modes)."""
         basis, weights, _, _ = self._diagonal
         drawn = rng.standard_normal(len(basis)) / np.sqrt(weights[scale])
         return np.asarray((self.known @ basis @ drawn).reshape(len(self.recorded), -1))
@@ -166,6 +156,11 @@ class QrsLikelihood:
         return int(self.recorded.shape[1] + 2 * MARGIN)
 
     @cached_property
+    def scales(self) -> Floats:
+        """Sizes of the discrepancy that are summed over (mV), shape (n_scales,)."""
+        return np.asarray(SHARES * np.sqrt((self.recorded**2).mean()))
+
+    @cached_property
     def modes(self) -> Floats:
         """The cosines, orthonormal, shape (length, n_modes)."""
         return cosines(self.recorded.shape[1])
@@ -174,22 +169,11 @@ class QrsLikelihood:
     def _diagonal(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Basis (n, n); in it weights (n_scales, n), log-determinants and the recording (n, 1)."""
         values, basis = eigh(self.discrepancy, self.known)
-        spread = 1 + SCALES[:, None] ** 2 * np.maximum(values, 0)
+        spread = 1 + self.scales[:, None] ** 2 * np.maximum(values, 0)
         constant = np.linalg.slogdet(2 * np.pi * self.known)[1]
         padded = np.pad(self.recorded, ((0, 0), (MARGIN, MARGIN)))
         data = basis.T @ (padded @ self.modes).reshape(-1, 1)
         return basis, 1 / spread, constant + np.log(spread).sum(axis=1), data
-
-
-def _lagrange(wanted: Floats) -> Floats:
-    """Weights (2 NEAR + 1, m) of samples at -NEAR, ..., NEAR for values between them."""
-    nodes = np.arange(-NEAR, NEAR + 1)
-    return np.array(
-        [
-            np.prod([(wanted - other) / (node - other) for other in nodes if other != node], axis=0)
-            for node in nodes
-        ]
-    )
 
 
 def cosines(qrs: int) -> Floats:

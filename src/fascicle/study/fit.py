@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,11 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
-from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
-from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target, write_target
+from fascicle.study.bank import Bank
 from fascicle.study.likelihood import qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.population import RESULT
@@ -28,7 +27,7 @@ from fascicle.study.predictive import predict_recording
 from fascicle.study.problem import Problem
 from fascicle.study.results import FittedStudy, write_results
 from fascicle.study.settings import checked_settings
-from fascicle.study.space import study_space
+from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 
 HEART, TARGET = "heart", "target.nc"  # in the study's folder
@@ -68,7 +67,7 @@ def fit(
         Called with the stage, and how far it is.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
-        `fewest_junctions`; of the posterior `effective`, `evaluations`, `live`, `gain_sd`; of the
+        `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
         paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`, `free_gain`,
         `tolerance`, `draws`, `refit_after`, `rounds`.
 
@@ -102,7 +101,7 @@ def fit(
         target=target_digest(target),
         space=space.parameters,
         fixed=fixed,
-        **_growth_and_conduction(heart),
+        **growth_and_conduction(heart),
         **checked.model_dump(),
     )
     with study_lock(folder):
@@ -115,7 +114,7 @@ def fit(
         if config.method == "posterior":
             rng = np.random.default_rng([config.seed, PRIOR])
             found = qrs_likelihood(problem, rng, _gain_sd(config), progress)
-            problem = replace(problem, likelihood=found)
+            problem = replace(problem, likelihood=found, bank=_bank(heart, problem))
         fitted = FittedStudy(study, problem, study.run(problem, progress))
         return _completed(fitted, progress)
 
@@ -130,6 +129,15 @@ def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
         fitted = replace(fitted, checks=prediction.checks)
     write_results(fitted, networks, prediction)
     return fitted
+
+
+def _bank(heart: Heart, problem: Problem) -> Bank | None:
+    """The bank of a problem's networks, if there is one and it is of this forward model."""
+    bank = Bank.beside(heart, problem.space, problem.fixed)
+    if bank is None or not len(bank):
+        return None
+    bank.check(problem.model, problem.space, problem.fixed)
+    return bank
 
 
 def _gain_sd(config: StudyConfig) -> float:
@@ -173,20 +181,11 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
             f"{result}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
         )
-    now = study.config.model_copy(update=_growth_and_conduction(heart))
+    now = study.config.model_copy(update=growth_and_conduction(heart))
     check_same(folder, study.config, now)
     problem = _problem(study.config, heart, target, progress)
     study.check_objective(problem)
     return FittedStudy(study, problem, population, read_checks(result))
-
-
-def _growth_and_conduction(heart: Heart) -> dict[str, Any]:
-    """What the forward model of a heart holds fixed, as a study's configuration names it."""
-    conduction = Conduction.of(heart)
-    numbers = asdict(conduction)
-    del numbers["regions"]
-    regions = {f"of {region.name}": region.conductivity for region in conduction.regions}
-    return {"growth": asdict(GrowthRules()), "conduction": numbers | regions}
 
 
 def _problem(

@@ -63,9 +63,23 @@ def qrs_likelihood(
     progress : Progress, optional
         Called as networks are simulated.
     """
-    target = problem.target
+    rows = independent_rows(problem.target.used)
+    return likelihood_of(problem.target, prior_knowledge(problem, rows, rng, progress), gain_sd)
+
+
+def likelihood_of(target: Target, known: PriorKnowledge, gain_sd: float) -> QrsLikelihood:
+    """Make the likelihood of a target, with what is known beforehand.
+
+    Parameters
+    ----------
+    target : Target
+        What was recorded.
+    known : PriorKnowledge
+        Of the leads that it has.
+    gain_sd : float
+        Standard deviation of the gain about 1.
+    """
     rows = independent_rows(target.used)
-    known = prior_knowledge(problem, rows, rng, progress)
     modes = cosines(target.qrs.shape[1])
     time = matern(len(modes))
     return QrsLikelihood(

@@ -12,8 +12,8 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.inference.abc.rejection import Sampling
 from fascicle.inference.evaluation import Evaluation
-from fascicle.inference.nested.agreement import Agreement
-from fascicle.inference.nested.sampling import State
+from fascicle.inference.importance.agreement import Agreement
+from fascicle.inference.importance.sampling import State
 from fascicle.study.settings import Method
 
 if TYPE_CHECKING:

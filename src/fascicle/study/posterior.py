@@ -1,4 +1,4 @@
-"""A posterior: two independent runs of nested sampling on the likelihood of the recording."""
+"""A posterior: two independent runs of importance sampling on the likelihood of the recording."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import best_of
-from fascicle.inference.nested.agreement import agreement
-from fascicle.inference.nested.sampling import BATCH, NestedRun, State, nested_sample
+from fascicle.inference.importance.agreement import agreement
+from fascicle.inference.importance.sampling import Run as SamplingRun
+from fascicle.inference.importance.sampling import State, importance_sample
+from fascicle.study.bank import prior_points
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
 from fascicle.study.settings import FitSettings
 
 RUNS = 2
+BATCH = 100  # evaluations that are stored at a time
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Run:
         runs = [self._sample(number) for number in range(RUNS)]
         count = -(-self.settings.effective // RUNS)
         chosen = [
-            run.draw(self.journal.rng(Stage.SAMPLING, number), count)
+            run.draw(self.journal.rng(Stage.SAMPLING, RUNS + number), count)
             for number, run in enumerate(runs)
         ]
         points = np.concatenate([run.points[k] for run, k in zip(runs, chosen, strict=True)])
@@ -57,33 +60,46 @@ class Run:
             agreement(*runs),
         )
 
-    def _sample(self, number: int) -> NestedRun:
+    def _sample(self, number: int) -> SamplingRun:
         """Make one run; how it goes depends on its number and on the seed alone."""
+        # Every second network of the prior: the runs have nothing in common.
+        prior = prior_points(len(self.space), self.settings.bank)[number::RUNS]
         each = self.settings.evaluations // RUNS
+        said = [f"run {number + 1} of {RUNS}"]
+        first = number * (self.settings.bank + self.settings.evaluations) // RUNS
+        done = [first]
+
+        def log_likelihoods(points: Floats) -> Floats:
+            values = []
+            for start in range(0, len(points), BATCH):
+                part = list(points[start : start + BATCH])
+                found = self.journal.evaluate(Stage.SAMPLING, part, BATCH)
+                values += [e.log_likelihood if e.feasible else -np.inf for e in found]
+                done[0] += len(part)
+                self._report(done[0], ", ".join(said))
+            return np.array(values)
 
         def report(state: State) -> None:
-            if self.progress is not None:
-                losses = [e.loss for e in self.journal.evaluations if e.feasible]
-                best = f"best loss {min(losses):.4g} mV², " if losses else ""
-                self.progress(
-                    Stage.SAMPLING,
-                    number * each + state.evaluations,
-                    RUNS * each,
-                    f"run {number + 1} of {RUNS}: {best}log evidence {state.log_evidence:.1f}, "
-                    f"effective sample {state.effective:.0f}",
-                )
+            said[1:] = [
+                f"log evidence {state.log_evidence:.1f}",
+                f"effective sample {state.effective:.0f}",
+            ]
+            self._report(done[0], ", ".join(said))
 
-        run: NestedRun = nested_sample(
-            int(self.journal.rng(Stage.SAMPLING, number).integers(2**32)),
-            len(self.space),
-            self._log_likelihoods,
-            live=self.settings.live,
+        run: SamplingRun = importance_sample(
+            self.journal.rng(Stage.SAMPLING, number),
+            log_likelihoods,
+            prior,
             effective=-(-self.settings.effective // RUNS),
             most=each,
             progress=report,
         )
         return run
 
-    def _log_likelihoods(self, points: Floats) -> Floats:
-        found = self.journal.evaluate(Stage.SAMPLING, list(points), BATCH)
-        return np.array([e.log_likelihood if e.feasible else -np.inf for e in found])
+    def _report(self, done: int, said: str) -> None:
+        if self.progress is None:
+            return
+        losses = [e.loss for e in self.journal.evaluations if e.feasible]
+        best = f", best loss {min(losses):.4g} mV²" if losses else ""
+        total = self.settings.bank + self.settings.evaluations
+        self.progress(Stage.SAMPLING, done, total, said + best)

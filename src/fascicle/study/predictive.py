@@ -15,7 +15,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
-from fascicle.forward.likelihood import MARGIN, SCALES, QrsLikelihood
+from fascicle.forward.likelihood import MARGIN, QrsLikelihood
 from fascicle.forward.loss import placed
 from fascicle.recording.target import Target
 from fascicle.study.problem import Network, Problem
@@ -107,7 +107,7 @@ def predict_recording(
         noisy[k] = ecg[k] + _in_twelve_leads(error @ likelihood.modes.T, target)
         left = likelihood.residual(simulation.leads[rows], shift, gain)
         rarer[k] = (error**2).sum(axis=1) >= (left**2).sum(axis=1)
-        drawn[:, k] = gain, simulation.first_activation - shift - MARGIN, SCALES[scale]
+        drawn[:, k] = gain, simulation.first_activation - shift - MARGIN, likelihood.scales[scale]
     probabilities = {LEADS[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)}
     probabilities["QRS duration"] = _duration(target, networks)
     probabilities["axis"] = _axis(target, noisy)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
+from fascicle.core.quantities import SIDES
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
@@ -21,10 +20,9 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
+from fascicle.study.bank import Bank, Signals
+from fascicle.study.in_threads import in_threads
 from fascicle.torso.variation.conductor import InvalidBody
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -79,6 +77,8 @@ class Problem:
         A network with a tree of fewer is infeasible.
     likelihood : QrsLikelihood, optional
         Of the target (`fascicle.study.likelihood`), if evaluations are to have one.
+    bank : Bank, optional
+        Networks that need not be simulated again.
     """
 
     model: ForwardModel
@@ -90,40 +90,51 @@ class Problem:
     independent_leads: bool = False
     fewest_junctions: int = 0
     likelihood: QrsLikelihood | None = None
+    bank: Bank | None = None
 
     def __call__(self, points: Sequence[Floats]) -> list[Evaluation]:
         """Evaluate points of the unit cube, in order."""
-        return list(self._in_threads(self.evaluate, points))
+        return list(in_threads(self.evaluate, points, self.workers))
 
     def simulate(self, points: Sequence[Floats]) -> list[Simulation | InvalidTree | InvalidBody]:
         """Run the forward model at points of the unit cube, and compare with nothing."""
-        return list(self._in_threads(self._simulate, points))
+        return list(in_threads(self._simulate, points, self.workers))
 
     def _simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
         return self.model.simulate({**self.fixed, **self.space.from_unit(point)})
 
     def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
-        outcome = self._simulate(point)
-        if isinstance(outcome, (InvalidTree, InvalidBody)):
-            return Evaluation.infeasible(point, outcome.reason)
-        for tree in outcome.trees:
-            if len(tree.junctions) < self.fewest_junctions:
-                reason = f"{tree.side.upper()} tree has {len(tree.junctions)} junctions only"
+        signals = self._signals(point)
+        if isinstance(signals, str):
+            return Evaluation.infeasible(point, signals)
+        for side, junctions in zip(SIDES, signals.junctions, strict=True):
+            if junctions < self.fewest_junctions:
+                reason = f"{side.upper()} tree has {junctions} junctions only"
                 return Evaluation.infeasible(point, reason)
-        alignment = self.align(outcome)
+        alignment = self._align(signals.leads)
         # the beats are aligned with one another, so one alignment with their mean serves all
         errors = mismatch(self._recorded_beats, alignment)
         if self.likelihood is None:
             return Evaluation(point, alignment.loss, errors)
         likelihood = self.likelihood.fit(
-            outcome.leads[independent_rows(self.target.used)], outcome.first_activation
+            signals.leads[independent_rows(self.target.used)], signals.first_activation
         ).log_likelihood
         return Evaluation(point, alignment.loss, errors, log_likelihood=likelihood)
 
+    def _signals(self, point: Floats) -> Signals | str:
+        """What a network gives, from the bank if it is there, or why it is none."""
+        stored = self.bank.get(point) if self.bank is not None else None
+        if stored is not None:
+            return stored
+        outcome = self._simulate(point)
+        if isinstance(outcome, (InvalidTree, InvalidBody)):
+            return outcome.reason
+        return Signals.of(outcome)
+
     def networks(self, parameters: Iterable[Mapping[str, float]]) -> Iterator[Network]:
         """Simulate parameters that are known to give trees, as those of a population are."""
-        return self._in_threads(self._network, list(parameters))
+        return in_threads(self._network, list(parameters), self.workers)
 
     @cached_property
     def compared(self) -> Booleans:
@@ -141,9 +152,12 @@ class Problem:
 
     def align(self, simulation: Simulation) -> Alignment:
         """Best alignment of a simulation with the mean recorded QRS, over the compared leads."""
+        return self._align(simulation.leads)
+
+    def _align(self, leads: Floats) -> Alignment:
         used = self.compared
         return align(
-            simulation.leads[used],
+            leads[used],
             self.target.qrs[used],
             free_gain=self.free_gain,
             response=self.target.response,
@@ -172,13 +186,3 @@ class Problem:
             # one seed for all time: every evaluation, and a resumed study, sees the same beats
             target = repeated(target, np.random.default_rng(0))
         return np.asarray(target.qrs_beats[:, self.compared])
-
-    def _in_threads(
-        self, function: Callable[[Item], Result], items: Sequence[Item]
-    ) -> Iterator[Result]:
-        """Results in the order of the items."""
-        if self.workers == 1 or len(items) == 1:
-            yield from map(function, items)
-            return
-        with ThreadPoolExecutor(self.workers) as pool:
-            yield from pool.map(function, items)

@@ -12,7 +12,7 @@ from fascicle.inference.abc.settings import AbcSettings
 
 Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
-OF_THE_POSTERIOR = ("effective", "evaluations", "live", "gain_sd")
+OF_THE_POSTERIOR = ("effective", "evaluations", "bank", "gain_sd")
 OF_THE_PAPER = (
     *(name for name in AbcSettings.model_fields if name != "workers"),
     "initial",
@@ -38,14 +38,16 @@ class FitSettings(AbcSettings):
         default=300, ge=20, description="Effective sample size, and networks to draw."
     )
     evaluations: int = Field(
-        default=60_000,
-        ge=200,
-        description="Simulations at most; with fewer than it takes, the result says so.",
+        default=16_000,
+        ge=1000,
+        description="Simulations at most, beside those of the bank; where they are too few, the "
+        "result says so.",
     )
-    live: int = Field(
-        default=300,
-        ge=50,
-        description="Live points of the nested sampling: more find more modes, and cost more.",
+    bank: int = Field(
+        default=8000,
+        ge=100,
+        description="Networks of the prior to begin with. 'fascicle heart bank' simulates them "
+        "once for all recordings of a heart.",
     )
     gain_sd: float = Field(
         default=0.3,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,8 +19,9 @@ from fascicle.core.quantities import (
     checked,
     region_labels,
 )
-from fascicle.heart.conduction import Region
+from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.settings import Method, valid_settings
 
 FREE = "free"
@@ -152,3 +154,12 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return values
+
+
+def growth_and_conduction(heart: Heart) -> dict[str, Any]:
+    """What the forward model of a heart holds fixed, as a study's configuration names it."""
+    conduction = Conduction.of(heart)
+    numbers = asdict(conduction)
+    del numbers["regions"]
+    regions = {f"of {region.name}": region.conductivity for region in conduction.regions}
+    return {"growth": asdict(GrowthRules()), "conduction": numbers | regions}

@@ -34,7 +34,7 @@ from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 4  # of the folder
+FORMAT: Final = 5  # of the folder
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when a study is resumed
 LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not depend on these numbers
 CHECKED = 4  # stored evaluations that are made again
@@ -84,7 +84,7 @@ class StudyConfig(FitSettings):
     fixed: dict[str, float] = Field(default_factory=dict)
     growth: dict[str, float]
     conduction: dict[str, float | None]
-    version: Literal[4] = FORMAT
+    version: Literal[5] = FORMAT
 
     @property
     def parameter_space(self) -> ParameterSpace:

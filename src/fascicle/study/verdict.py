@@ -74,7 +74,7 @@ def _convergence(posterior: Posterior) -> str:
     return (
         f"NOT CONVERGED (log evidence {one:.1f} and {other:.1f} of two runs, means of {name} "
         f"{apart:.1f} standard deviations apart, {posterior.effective.sum():.0f} effective "
-        "draws): raise --evaluations or --live"
+        "draws): raise --evaluations or --bank"
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.inference.nested.sampling import NestedRun
+from fascicle.inference.importance.sampling import Run
 
 EVIDENCE_APART = 1.0  # of the log-evidences; more, and one run has missed a mode
 MEANS_APART = 0.5  # standard deviations between the means of a parameter
@@ -24,7 +24,7 @@ class Agreement:
     means : (d,) array
         Difference of the means of each parameter, in standard deviations of both together.
     complete : bool
-        Whether both ended by themselves.
+        Whether both reached their effective sample.
     """
 
     log_evidence: float
@@ -33,7 +33,7 @@ class Agreement:
 
     @property
     def converged(self) -> bool:
-        """Whether both runs ended, and agree."""
+        """Whether both runs are complete, and agree."""
         return (
             self.complete
             and self.log_evidence <= EVIDENCE_APART
@@ -41,7 +41,7 @@ class Agreement:
         )
 
 
-def agreement(first: NestedRun, second: NestedRun) -> Agreement:
+def agreement(first: Run, second: Run) -> Agreement:
     """Compare two runs of different seeds on the same likelihood."""
     means = [run.weights @ run.points for run in (first, second)]
     variances = [

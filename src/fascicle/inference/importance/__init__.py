@@ -1,0 +1,1 @@
+"""Sampling a posterior from its likelihood, by adaptive importance sampling."""
