@@ -20,7 +20,7 @@ from fascicle.forward.loss import align
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.fit import load_study
 
-BUDGET = {"evaluations": 200, "live": 50, "effective": 20, "workers": 2}
+BUDGET = {"evaluations": 200, "bank": 100, "effective": 20, "workers": 2}
 
 
 @pytest.fixture(scope="module")

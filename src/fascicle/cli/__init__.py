@@ -217,14 +217,18 @@ def predict(
 ) -> None:
     """Predict conduction-system pacing with every network of the population."""
     from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.predict.pacing import paced_prior
     from fascicle.report.prediction import write_pacing
     from fascicle.study.fit import load_study
+    from fascicle.study.population import Posterior
 
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
         pacing = write_pacing(fitted, root_time, out, progress)
+        said = isinstance(fitted.population, Posterior) and fitted.population.converged
+        prior = paced_prior(fitted.problem, root_time, progress) if said else None
     print(f"result                 {fitted.verdict}")
-    print_pacing(pacing)
+    print_pacing(pacing, prior)
     print(f"prediction in {out}")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fascicle.core.arrays import Floats
     from fascicle.forward.simulation import Simulation
     from fascicle.predict.pacing import Pacing
     from fascicle.study.population import Population, Posterior
@@ -42,7 +43,7 @@ def print_fit(fitted: FittedStudy) -> None:
     print(f"result                 {fitted.verdict}")
     for warning in fitted.warnings:
         print(f"warning: {warning}")
-    print(f"evaluations            {len(fitted.study.records())}")
+    print(f"evaluations            {_evaluations(fitted)}")
     if fitted.of_the_paper:
         first = fitted.best_initial_loss
         print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
@@ -52,6 +53,11 @@ def print_fit(fitted: FittedStudy) -> None:
         _print_posterior(population, fitted)
     else:
         _print_population(population)
+
+
+def _evaluations(fitted: FittedStudy) -> str:
+    count, config = len(fitted.study.records()), fitted.study.config
+    return f"{count}" if fitted.of_the_paper else f"{count}, {config.bank} of them of the prior"
 
 
 def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
@@ -83,19 +89,26 @@ def _print_population(population: Population) -> None:
         print(f"{name:<22} {middle} {unit}{' ' * bool(unit)}({low} to {high})")
 
 
-def print_pacing(pacing: Pacing) -> None:
-    """Print durations before and after pacing: medians, and 90 % of the networks."""
+def print_pacing(pacing: Pacing, prior: Mapping[str, Floats] | None = None) -> None:
+    """Print durations before and after pacing: medians, and 90 % of the networks.
+
+    With those of the prior, say whether the ECG determines them, too.
+    """
     import numpy as np
 
-    for name, before, after in (
-        ("QRS duration", pacing.qrs_before, pacing.qrs_after),
-        ("total activation time", pacing.tat_before, pacing.tat_after),
+    from fascicle.study.verdict import prediction_statement
+
+    for key, name, before, after in (
+        ("qrs_after", "QRS duration", pacing.qrs_before, pacing.qrs_after),
+        ("tat_after", "total activation time", pacing.tat_before, pacing.tat_after),
     ):
         low, middle, high = np.percentile(after, [5, 50, 95])
         print(
             f"{name:<22} {np.median(before):.0f} ms -> {middle:.0f} ms paced "
             f"(90 % of the networks: {low:.0f} to {high:.0f})"
         )
+        if prior is not None:
+            print(f"{'':<22} {prediction_statement(after, prior[key])}")
 
 
 def print_template(measures: Mapping[str, Mapping[str, float]]) -> None:

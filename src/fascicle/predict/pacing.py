@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.window import qrs_window
-from fascicle.study.problem import Network
+from fascicle.study.bank import prior_points
+from fascicle.study.problem import Network, Problem
 
 LEAD_IN = 10  # samples before the QRS onset
+PRIOR_NETWORKS, PART = 60, 10  # networks, and how many at a time
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,41 @@ def pace(model: ForwardModel, networks: Sequence[Network], root_time: float) -> 
         np.array([simulation.total_activation_time for simulation in before]),
         np.array([simulation.total_activation_time for simulation in after]),
     )
+
+
+def paced_prior(
+    problem: Problem, root_time: float, progress: Progress | None = None
+) -> dict[str, Floats]:
+    """Pace networks of the prior: what could be predicted without a recording.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its space is the prior.
+    root_time : float
+        t_RV − t_LV of the paced roots (ms).
+    progress : Progress, optional
+        Called as networks are simulated.
+
+    Returns
+    -------
+    dict of str to (n,) array
+        ``qrs_after`` and ``tat_after`` (ms) of those that fit the heart.
+    """
+    points = prior_points(len(problem.space), PRIOR_NETWORKS)
+    report = stage_progress(progress, "prior")
+    paced = []
+    for start in range(0, len(points), PART):
+        part = list(points[start : start + PART])
+        for point, found in zip(part, problem.simulate(part), strict=True):
+            if isinstance(found, Simulation):
+                values = {**problem.fixed, **problem.space.from_unit(point), "root_time": root_time}
+                paced.append(problem.model.activate(found.trees, scenario=None, **values))
+        report(start + len(part), len(points))
+    return {
+        "qrs_after": np.array([simulation.qrs_duration for simulation in paced]),
+        "tat_after": np.array([simulation.total_activation_time for simulation in paced]),
+    }
 
 
 def qrs_aligned(simulations: Sequence[Simulation]) -> tuple[Floats, Floats]:

@@ -39,7 +39,7 @@ class FitSettings(AbcSettings):
     )
     evaluations: int = Field(
         default=16_000,
-        ge=1000,
+        ge=200,
         description="Simulations at most, beside those of the bank; where they are too few, the "
         "result says so.",
     )

@@ -110,6 +110,22 @@ def _statement(parameter: Parameter, values: Floats) -> Statement:
     )
 
 
+def prediction_statement(values: Floats, prior: Floats) -> str:
+    """Say in words whether the ECG determines something that is predicted (ms).
+
+    Parameters
+    ----------
+    values, prior : (n,) and (m,) arrays
+        Of the networks, and of networks of the prior.
+    """
+    half, before = (
+        float(np.diff(np.percentile(each, INTERVAL))[0]) / 2 for each in (values, prior)
+    )
+    if np.var(values) <= DETERMINED * np.var(prior):
+        return f"the ECG determines this to ±{half:.0f} ms (±{before:.0f} without it)"
+    return f"the ECG does not determine this (±{half:.0f} ms, ±{before:.0f} without it)"
+
+
 def trade_offs(posterior: Posterior) -> list[tuple[str, str, float]]:
     """Pairs of parameters that stand for one another, with their rank correlation."""
     from scipy.stats import spearmanr

@@ -1,15 +1,15 @@
-"""Nested sampling: evidence and moments that are known, and what two runs agree on."""
+"""Importance sampling: evidence and moments that are known, and what two runs agree on."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fascicle.inference.nested.agreement import agreement
-from fascicle.inference.nested.sampling import nested_sample
+from fascicle.inference.importance.agreement import agreement
+from fascicle.inference.importance.sampling import FEWEST, TRUSTED, importance_sample
 
 CENTRE, SD = np.array([0.4, 0.6, 0.5]), np.array([0.05, 0.1, 0.03])
-SIZES = {"live": 100, "effective": 300, "most": 20_000}
+SIZES = {"effective": 300, "most": 10_000}
 
 
 def log_likelihoods(points):
@@ -19,9 +19,15 @@ def log_likelihoods(points):
     return np.where(points.sum(axis=1) > 2.5, -np.inf, normal)
 
 
+def sample(seed, likelihoods=log_likelihoods, dimension=3, **sizes):
+    rng = np.random.default_rng(seed)
+    prior = rng.random((500, dimension))
+    return importance_sample(rng, likelihoods, prior, **SIZES | sizes)
+
+
 @pytest.fixture(scope="module")
 def run():
-    return nested_sample(1, 3, log_likelihoods, **SIZES)
+    return sample(1)
 
 
 def test_evidence_and_moments_of_a_normal_density(run):
@@ -42,26 +48,50 @@ def test_draws_follow_the_weights(run):
 
 
 def test_the_same_seed_gives_the_same_bits(run):
-    again = nested_sample(1, 3, log_likelihoods, **SIZES)
+    again = sample(1)
     assert again.points.tobytes() == run.points.tobytes()
     assert again.weights.tobytes() == run.weights.tobytes()
 
 
+def test_two_modes_keep_their_shares():
+    """One holds a quarter of the posterior, and lies where the first proposal does not."""
+
+    def likelihoods(points):
+        each = [np.exp(-0.5 * (((points - c) / 0.04) ** 2).sum(axis=1)) for c in (0.25, 0.75)]
+        return np.log(each[0] + 3 * each[1] + 1e-300)
+
+    run = sample(3, likelihoods, 2, effective=1000)
+    assert run.weights @ (run.points[:, 0] > 0.5) == pytest.approx(0.75, abs=0.06)
+
+
+def test_rough_likelihoods_are_distrusted():
+    """Every point has a likelihood that its neighbours say nothing of."""
+
+    def spikes(points):
+        noise = np.modf(np.abs(np.sin(points @ [12.9898e4, 78.233e4, 37.719e4])) * 43758.5453)[0]
+        return -2 * np.log(noise + 1e-12)
+
+    run = sample(4, spikes, most=2000)
+    assert run.state.tail > TRUSTED
+    assert not run.complete
+
+
 def test_progress_is_told(run):
     seen = []
-    nested_sample(1, 3, log_likelihoods, **SIZES, progress=seen.append)
+    sample(1, progress=seen.append)
     assert [state.evaluations for state in seen] == sorted(state.evaluations for state in seen)
     assert seen[-1].log_evidence == pytest.approx(run.state.log_evidence, abs=0.2)
 
 
 def test_too_few_evaluations_are_no_complete_run():
-    short = nested_sample(1, 3, log_likelihoods, **SIZES | {"most": 300})
+    short = sample(1, most=300)
     assert not short.complete
     assert short.state.evaluations == 300
+    assert sample(1, effective=10).state.evaluations == FEWEST  # the proposals are tested first
 
 
 def test_runs_of_one_density_agree(run):
-    other = nested_sample(2, 3, log_likelihoods, **SIZES)
+    other = sample(2)
     found = agreement(run, other)
     assert found.converged
     assert found.log_evidence < 0.3

@@ -1,0 +1,114 @@
+"""A bank of simulations: what it stores, how it goes on, and what it is refused for."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.cli.demo import demo_recording
+from fascicle.core.errors import InputError
+from fascicle.forward.model import ForwardModel
+from fascicle.heart.folder import write_heart
+from fascicle.inference.evaluation import Evaluation
+from fascicle.study import bank as tested
+from fascicle.study.bank import Bank, make_bank, prior_points
+from fascicle.study.fit import load_study
+from fascicle.study.problem import Problem
+from fascicle.study.space import study_space
+
+
+@pytest.fixture(scope="module")
+def heart(tmp_path_factory):
+    """A heart of its own, whose bank has two parts of six networks."""
+    folder = tmp_path_factory.mktemp("heart") / "heart"
+    write_heart(fascicle.load_heart("default"), folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tested, "PART", 6)
+        make_bank(folder, 7, workers=2)
+        yield fascicle.load_heart(folder)
+
+
+@pytest.fixture(scope="module")
+def target():
+    return fascicle.make_target(fascicle.read_recording(demo_recording()))
+
+
+def no_bank(folder, names):
+    return [name for name in names if name == "bank"]
+
+
+def bank_of(heart):
+    return Bank.beside(heart, *study_space("posterior", {}, heart))
+
+
+def same(first: Evaluation, second: Evaluation) -> bool:
+    if not first.feasible:
+        return first.reason == second.reason
+    return second.loss == pytest.approx(first.loss, rel=1e-6) and second.beat_errors == (
+        pytest.approx(first.beat_errors, rel=1e-5)
+    )
+
+
+def test_evaluations_are_those_of_simulations(heart, target):
+    space, fixed = study_space("posterior", {}, heart)
+    model = ForwardModel(heart)
+    plain = Problem(model, target, space, fixed=fixed)
+    banked = Problem(model, target, space, fixed=fixed, bank=bank_of(heart))
+    points = list(prior_points(len(space), 12))
+    expected = plain(points)
+    model.simulate = None  # nothing is simulated again
+    assert all(same(one, other) for one, other in zip(expected, banked(points), strict=True))
+    assert sum(e.feasible for e in expected) > 6
+
+
+def test_it_goes_on_and_grows(heart):
+    bank = bank_of(heart)
+    assert len(bank) == 12
+    first = bank.file(0).stat().st_mtime_ns
+    bank.file(1).unlink()
+    make_bank(heart, 13, workers=2)
+    assert len(bank_of(heart)) == 18
+    assert bank.file(0).stat().st_mtime_ns == first
+
+
+def test_another_prior_has_another_bank(heart):
+    space, fixed = study_space("posterior", {"cv": 2.5}, heart)
+    assert len(Bank.beside(heart, space, fixed)) == 0
+
+
+def test_a_point_that_is_not_there(heart):
+    assert bank_of(heart).get(np.full(13, 0.5)) is None
+
+
+def test_a_damaged_part_is_named(heart):
+    bank = bank_of(heart)
+    whole = bank.file(0).read_bytes()
+    bank.file(0).write_bytes(whole[:1000])
+    with pytest.raises(InputError, match=r"networks-0000.npz: not a part of a bank .* delete it"):
+        bank.get(np.full(13, 0.5))
+    bank.file(0).write_bytes(whole)
+
+
+def test_another_forward_model_is_refused(heart):
+    space, fixed = study_space("posterior", {}, heart)
+    bank = bank_of(heart)
+    bank.check(ForwardModel(heart), space, fixed)
+    with pytest.raises(InputError, match="a bank of another forward model; delete it"):
+        bank.check(ForwardModel(heart), space, {"gain": 1.2})
+
+
+def test_numbers_that_make_no_sense(heart):
+    with pytest.raises(InputError, match="networks is 0"):
+        make_bank(heart, 0)
+
+
+@pytest.mark.slow
+def test_a_fit_finds_the_same_with_and_without(heart, target, tmp_path):
+    sizes = {"bank": 100, "evaluations": 200, "effective": 20, "workers": 2}
+    bare = shutil.copytree(heart.folder, tmp_path / "heart", ignore=no_bank)
+    without = fascicle.fit(bare, target, tmp_path / "without", **sizes)
+    make_bank(heart, 100, workers=2)
+    banked = fascicle.fit(heart, target, tmp_path / "with", **sizes)
+    assert banked.population.losses == pytest.approx(without.population.losses, rel=1e-4)
+    assert load_study(tmp_path / "with").population.converged == banked.population.converged
