@@ -35,7 +35,7 @@ def target():
 
 
 def no_bank(folder, names):
-    return [name for name in names if name == "bank"]
+    return [name for name in names if name.startswith("bank-")]
 
 
 def bank_of(heart):

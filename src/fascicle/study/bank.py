@@ -20,7 +20,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path
+from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
@@ -35,7 +35,6 @@ from fascicle.study.settings import FitSettings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.torso.variation.conductor import InvalidBody
 
-FOLDER = "bank"  # of a heart
 FORMAT = 1
 PART = 500  # networks in a file
 SEED = 20240  # the networks of the prior are the same in every study
@@ -103,7 +102,8 @@ class Bank:
             return None
         held = sorted(growth_and_conduction(heart).items())
         text = f"{FORMAT} {heart.digest} {space.parameters} {sorted(fixed.items())} {held}"
-        return cls(heart.folder / FOLDER / hashlib.sha256(text.encode()).hexdigest()[:16])
+        key = hashlib.sha256(text.encode()).hexdigest()[:16]
+        return cls(heart.folder / DISPOSABLE / f"bank-{key}")
 
     def file(self, number: int) -> Path:
         """The file of a part."""
