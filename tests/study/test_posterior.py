@@ -14,7 +14,7 @@ from fascicle.study.population import Posterior
 from fascicle.study.population_files import read_checks, read_population, write_population
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.study import Study
-from fascicle.study.verdict import explained, statements, trade_offs, verdict
+from fascicle.study.verdict import explained, prediction_statement, statements, trade_offs, verdict
 from tests.study.test_study_folder import make_config
 
 SPACE = ParameterSpace(
@@ -114,18 +114,19 @@ def test_too_few_evaluations_have_not_converged(tmp_path):
     said = verdict(posterior, Checks(0.1, {}))
     assert said.startswith("NOT CONVERGED (log evidence ")
     assert "raise --evaluations" in said
-    assert said.endswith("; explained: what no network explains is 10% of the signal")
+    assert said.endswith("; explained: what no network explains is at most 10% of the signal")
 
 
 def test_what_disagrees_is_named(done):
     checks = Checks(0.1, {"V1": 0.002, "V2": 0.3, "axis": 0.001})
     assert not explained(checks)
     assert verdict(done[1], checks) == (
-        "converged; NOT EXPLAINED: what no network explains is 10% of the signal, and V1, axis "
-        "disagree"
+        "converged; NOT EXPLAINED: what no network explains is at most 10% of the signal, and V1, "
+        "axis disagree"
     )
     assert not explained(Checks(0.5, {}))
     assert explained(Checks(0.2, {"V1": 0.5}))
+    assert "explains is 33% of the signal" in verdict(done[1], Checks(0.33, {}))
 
 
 def test_what_the_ecg_determines(done):
@@ -137,6 +138,12 @@ def test_what_the_ecg_determines(done):
     assert (root_time.upper - root_time.lower) / 2 == pytest.approx(1.645 * 2.5, rel=0.35)
     assert "the ECG determines this to ±" in str(root_time)
     assert trade_offs(done[1]) == []
+
+
+def test_what_the_ecg_determines_of_a_prediction():
+    prior = np.random.default_rng(0).normal(150, 20, 60)
+    assert prediction_statement(0.3 * prior, prior).startswith("the ECG determines this to ±")
+    assert prediction_statement(prior, prior).startswith("the ECG does not determine this (±")
 
 
 def test_parameters_that_trade_off():

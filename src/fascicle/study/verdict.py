@@ -10,10 +10,12 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.forward.likelihood import SHARES
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
 
 MOST_DISCREPANCY = 0.35  # of the signal; with more, an eighth of its energy is not the model's
+LEAST_SEEN = float(SHARES[1])  # of the signal; the likelihood takes it to be no smaller
 DETERMINED = 0.5  # share of a prior's variance; below it, the ECG determines the parameter
 TRADED = 0.7  # rank correlation beyond which two parameters stand for one another
 INTERVAL = (5, 95)  # percentiles
@@ -79,7 +81,8 @@ def _convergence(posterior: Posterior) -> str:
 
 
 def _explanation(checks: Checks) -> str:
-    size = f"what no network explains is {checks.share:.0%} of the signal"
+    least = " at most" if checks.share <= LEAST_SEEN else ""
+    size = f"what no network explains is{least} {checks.share:.0%} of the signal"
     rare = f", and {', '.join(checks.disagreeing)} disagree" if checks.disagreeing else ""
     return f"{'explained' if explained(checks) else 'NOT EXPLAINED'}: {size}{rare}"
 
