@@ -11,7 +11,8 @@ StageProgress = Callable[[int, int], None]  # progress callback of one stage: do
 class Progress(Protocol):
     """Progress callback of a run with several stages.
 
-    The stages of a posterior are "prior" (networks of the prior) and "sampling"; those of the
+    The stages of a posterior are "prior" (networks of the prior) and "sampling", that of a bank is
+    "bank"; those of the
     paper's method "initial", "optimisation", "rejection" (networks accepted), and within it
     "draws" (uniform draws of a round). Before them come "compilation" and "preparation" of a large
     heart, after them "networks".

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +14,6 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.importance.agreement import Agreement
 from fascicle.inference.importance.sampling import State
 from fascicle.study.settings import Method
-
-if TYPE_CHECKING:
-    pass
 
 # The file that holds the networks, called what it is
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
