@@ -106,7 +106,8 @@ def test_another_heart_says_what_differs(study, target, default_heart):
 
 
 def test_other_rules_of_growth_are_refused(study, target, monkeypatch):
-    monkeypatch.setattr("fascicle.study.fit.GrowthRules", partial(GrowthRules, branch_length=10.0))
+    longer = partial(GrowthRules, branch_length=10.0)
+    monkeypatch.setattr("fascicle.study.space.GrowthRules", longer)
     wanted = r"holds a study with another growth branch_length \(8 there, 10 now\)"
     with pytest.raises(fascicle.InputError, match=wanted):
         fascicle.fit("default", target, study.folder, **BUDGET)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.stats import multivariate_normal, multivariate_t
 
 from fascicle.core.arrays import Floats
 
@@ -16,6 +15,8 @@ SMALLEST = 0.01  # variance that is added to each, of the prior's 1
 
 def standard_normal(dimension: int) -> Any:
     """Make the standard normal distribution, as SciPy's frozen ones."""
+    from scipy.stats import multivariate_normal
+
     return multivariate_normal(np.zeros(dimension))
 
 
@@ -25,6 +26,8 @@ def fitted(points: Floats, weights: Floats) -> Any:
     One is enough, and with few effective points better than a mixture: the posterior of a network
     is broad in most parameters, and bent in none so far that a heavy tail would not cover it.
     """
+    from scipy.stats import multivariate_t
+
     mean = weights @ points
     apart = points - mean
     covariance = WIDER * (weights * apart.T) @ apart + SMALLEST * np.eye(len(mean))
