@@ -50,7 +50,7 @@ from fascicle.build.refinement import refined
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.core.files import write_text
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LIMB_LEADS, limb_leads_from
-from fascicle.forward.likelihood import SHARES, matern
+from fascicle.forward.likelihood import SHARES, discrepancy_in_time
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
@@ -135,7 +135,7 @@ def recorded(
     size = share * np.sqrt((clean[:, qrs] ** 2).mean())
     leads, within = (
         np.linalg.cholesky(known.pattern),
-        np.linalg.cholesky(matern(len(times)) + 1e-9 * np.eye(len(times))),
+        np.linalg.cholesky(discrepancy_in_time(len(times)) + 1e-9 * np.eye(len(times))),
     )
     size *= discrepancy
     error = size * leads @ rng.standard_normal(clean.shape) @ within.T

@@ -22,7 +22,7 @@ from fascicle.recording.passed_filters import passed_filters
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.recording import Filters
 from fascicle.recording.resampling import filtered
-from fascicle.study.fit import target_digest
+from fascicle.study.recordings import target_digest
 
 RECORDER = FilterOrigin.FILE
 

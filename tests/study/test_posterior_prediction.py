@@ -100,12 +100,17 @@ def test_noise_obeys_the_laws_of_the_limb_leads(recorded):
 
 def test_a_lead_that_disagrees_is_named(recorded):
     beats = recorded.beats.copy()
-    beats[:, 8] *= -1  # V3 upside down
+    beats[:, 9] *= -1  # V4 upside down
     found = predict(replace(recorded, beats=beats))
-    assert found.checks.probabilities["V3"] == min(
-        p for name, p in found.checks.probabilities.items() if name.startswith("V")
-    )
-    assert found.checks.disagreeing == ["V3"]
+    assert found.checks.disagreeing == ["V4"]
+    assert found.checks.share > 0.5
+
+
+def test_what_networks_leave_is_named(recorded):
+    """A recording twice as large, with the gain near 1, leaves what is not scaled."""
+    checks = predict(recorded).checks
+    assert checks.share < 0.1
+    assert predict(replace(recorded, beats=2 * recorded.beats)).checks.share > checks.share
 
 
 def test_another_duration_and_another_axis_are_named(recorded):

@@ -59,6 +59,7 @@ def fitted(
             fixed=fixed or {},
             target=SimpleNamespace(qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)),
             compared=np.arange(12) != 11,  # all but V6
+            others=(),
         ),
         Population({}, np.ones(networks), MIDDLE | (best or {}), loss),
     )

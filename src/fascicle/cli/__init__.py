@@ -18,6 +18,7 @@ from fascicle.cli.arguments import (
     StudyArgument,
     explicit,
     settings_options,
+    with_scenario,
 )
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.printing import (
@@ -163,7 +164,14 @@ app.command(name="parameters")(parameters_command)
 def fit(
     context: typer.Context,
     heart: HeartArgument,
-    target: Annotated[Path, typer.Argument(help="Target made by 'fascicle target'.")],
+    targets: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="TARGET[:SCENARIO]...",
+            help="Target made by 'fascicle target', with the scenario file (TOML) that it was "
+            "recorded in if it was not the intrinsic beat; or several of one heart.",
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
     settings_file: Annotated[
         Path | None, typer.Option("--settings", help="TOML file of settings and parameters.")
@@ -173,6 +181,10 @@ def fit(
     **settings: Any,
 ) -> None:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
+
+    Of several recordings, such as of the intrinsic beat and paced from a known site
+    ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), all must be explained by
+    the same networks; how much the others narrow what the first leaves open is said.
 
     The posterior is sampled in two independent runs; the first line of the result says whether they
     agree, and whether the model explains the recording.
@@ -202,7 +214,8 @@ def fit(
     learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
     given |= explicit(context, settings)
     with _resumable(out), TerminalProgress() as progress:
-        fitted = run_fit(heart, target, out, parameters=learnt, progress=progress, **given)
+        recordings: list[Any] = [with_scenario(target) for target in targets]
+        fitted = run_fit(heart, recordings, out, parameters=learnt, progress=progress, **given)
     print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")
 

@@ -89,3 +89,11 @@ def _option(field: FieldInfo, names: Sequence[str], panel: str | None) -> inspec
         default=field.default,
         annotation=Annotated[field.annotation, option],
     )
+
+
+def with_scenario(text: str) -> Path | tuple[Path, Path]:
+    """A target, or target and scenario of ``target.nc:scenario.toml``."""
+    target, colon, scenario = text.rpartition(":")
+    if not colon or not scenario.endswith(".toml") or Path(text).exists():
+        return Path(text)
+    return Path(target), Path(scenario)

@@ -69,6 +69,8 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     if not posterior.converged:
         print("parameters             nothing is said of them: the runs do not agree")
         return
+    if len(fitted.problem.recordings) > 1 and posterior.first_alone is None:
+        print("first recording alone  not converged: what the others add cannot be said")
     for statement in statements(posterior, fitted.problem.space):
         print(f"{statement.name:<22} {statement}")
     for first, second, correlation in trade_offs(posterior):

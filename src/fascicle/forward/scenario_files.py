@@ -162,6 +162,33 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     return scenario, tuple(regions)
 
 
+def scenario_text(scenario: Scenario) -> str:
+    """The TOML of which `read_scenario` makes a scenario.
+
+    Raises
+    ------
+    InputError
+        If it has trees of its own, which are files that it only names.
+    """
+    if scenario.trees:
+        raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")
+    lines = [f"silent = {list(scenario.silent)!r}"]
+    for name, delay in (
+        ("orthodromic", scenario.orthodromic_delay),
+        ("antidromic", scenario.antidromic_delay),
+    ):
+        if delay is not None:
+            lines.append(f"delay.{name} = {delay!r}")
+    for table, items in (("stimulus", scenario.stimuli), ("slowing", scenario.slowings)):
+        for item in items:
+            lines.append(f"\n[[{table}]]")
+            for key, value in vars(item).items():
+                if value is not None:
+                    shown = [float(x) for x in value] if isinstance(value, tuple) else value
+                    lines.append(f"{key} = {shown!r}")
+    return "\n".join(lines) + "\n"
+
+
 def _read_tree(table: _Tree, folder: Path) -> PurkinjeTree:
     root = np.array(table.root)
     tree = read_tree(folder / table.file, table.name, root)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,25 +19,32 @@ class Evaluation:
     point : (d,) array
         Where, in the unit cube.
     loss : float
-        Mismatch with the mean beat (mV²); NaN where the parameters give no tree.
+        Mismatch with the mean beat (mV²), of several recordings their sum; NaN where the
+        parameters give no tree.
     beat_errors : (n_beats,) array
-        Mismatch with each recorded beat (mV²); empty where the parameters give no tree.
+        Mismatch with each beat of the first recording (mV²); empty where the parameters give no
+        tree.
     reason : str, optional
         Why the parameters give no tree, for people; None where they give one.
-    log_likelihood : float
-        Of the mean beat; NaN where it was not asked for.
+    log_likelihoods : (n_recordings,) array
+        Of each recording's mean beat; empty where they were not asked for.
     """
 
     point: Floats
     loss: float
     beat_errors: Floats
     reason: str | None = None
-    log_likelihood: float = np.nan
+    log_likelihoods: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def infeasible(cls, point: Floats, reason: str) -> Evaluation:
         """Make the evaluation of a point (d,) that gives no tree."""
         return cls(point, np.nan, np.empty(0), reason)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all recordings together; NaN where it was not asked for."""
+        return float(self.log_likelihoods.sum()) if len(self.log_likelihoods) else np.nan
 
     @property
     def feasible(self) -> bool:

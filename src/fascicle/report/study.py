@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from fascicle.core.errors import InputError
 from fascicle.forward.simulation import Simulation
@@ -15,7 +16,7 @@ from fascicle.report.figures import save
 from fascicle.report.hearts import ActivationRow, activation_figure
 from fascicle.report.pairs import pair_figure
 from fascicle.report.style import BLUE, VERMILION
-from fascicle.study.problem import Network
+from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
 
@@ -51,14 +52,9 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     """
     check_population(fitted)
     problem, population, records = fitted.problem, fitted.population, fitted.study.records()
-    window = problem.target.qrs_samples
-    time = problem.target.time[window]
-    predicted = np.stack([network.predicted for network in networks])[:, :, window]
-    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
-    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION)]
     best = activation_row("best network", fitted.best_network.simulation)
     figures = {
-        "ecg": ecg_figure(groups, f"Recorded QRS and {len(population)} networks"),
+        "ecg": _ecg_figure(problem, networks),
         "pairs": pair_figure(
             problem.space, population.values, population.best, title=fitted.networks_called
         ),
@@ -68,5 +64,17 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
             [record.stage for record in records],
         ),
     }
+    for number, other in enumerate(problem.others, 1):
+        figures[f"ecg-{number + 1}"] = _ecg_figure(other, fitted.networks(recording=number))
     folder = fitted.folder / "figures"
     return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
+
+
+def _ecg_figure(problem: Problem, networks: Sequence[Network]) -> Figure:
+    """Recorded and predicted QRS of one recording."""
+    window = problem.target.qrs_samples
+    time = problem.target.time[window]
+    predicted = np.stack([network.predicted for network in networks])[:, :, window]
+    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
+    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION)]
+    return ecg_figure(groups, f"Recorded QRS and {len(networks)} networks")

@@ -52,8 +52,8 @@ NOT_ITS_CONTENT = (  # errors of SQLite that are not about what is in the file
 SMALLEST_ROW = 32  # bytes in the file, less than any row takes
 TABLES = {
     "evaluations": "stage TEXT NOT NULL, point BLOB NOT NULL, loss REAL, "
-    "beat_errors BLOB NOT NULL, log_likelihood REAL, reason TEXT NOT NULL, seconds REAL NOT NULL, "
-    "checksum INTEGER NOT NULL",
+    "beat_errors BLOB NOT NULL, log_likelihoods BLOB NOT NULL, reason TEXT NOT NULL, "
+    "seconds REAL NOT NULL, checksum INTEGER NOT NULL",
     "proposals": "stage TEXT NOT NULL, step INTEGER NOT NULL, hyperparameters TEXT, "
     "points BLOB NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (stage, step)",
 }
@@ -216,18 +216,18 @@ def _evaluation_row(record: Record) -> Row:
         _bytes(evaluation.point),
         float(evaluation.loss) if evaluation.feasible else None,
         _bytes(evaluation.beat_errors),
-        None if np.isnan(evaluation.log_likelihood) else float(evaluation.log_likelihood),
+        _bytes(evaluation.log_likelihoods),
         evaluation.reason or "",
         float(record.seconds),
     )
 
 
 def _record(row: Row) -> Record:
-    stage, point, loss, errors, log_likelihood, reason, seconds, _ = row
+    stage, point, loss, errors, log_likelihoods, reason, seconds, _ = row
     if loss is None:
         return Record(Stage(stage), Evaluation.infeasible(_floats(point), reason), seconds)
-    likelihood = np.nan if log_likelihood is None else log_likelihood
-    found = Evaluation(_floats(point), loss, _floats(errors), log_likelihood=likelihood)
+    likelihoods = _floats(log_likelihoods)
+    found = Evaluation(_floats(point), loss, _floats(errors), log_likelihoods=likelihoods)
     return Record(Stage(stage), found, seconds)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,34 +15,39 @@ from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
-from fascicle.recording.target import Target
-from fascicle.recording.target_files import read_target, write_target
 from fascicle.study.bank import Bank
 from fascicle.study.likelihood import qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_population
-from fascicle.study.predictive import predict_recording
+from fascicle.study.predictive import Checks, predict_recording
 from fascicle.study.problem import Problem
+from fascicle.study.recordings import (
+    Given,
+    Recording,
+    given_recordings,
+    read_recordings,
+    write_recordings,
+)
 from fascicle.study.results import FittedStudy, write_results
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 
-HEART, TARGET = "heart", "target.nc"  # in the study's folder
+HEART = "heart"  # in the study's folder
 PRIOR, PREDICTION = 1, 2  # number the random generators of a posterior
 
 
 def fit(
     heart: Heart | Path | str,
-    target: Target | Path | str,
+    target: Given | list[Given],
     out: Path | str,
     *,
     parameters: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
     **settings: Any,
 ) -> FittedStudy:
-    """Learn the Purkinje networks that explain a target.
+    """Learn the Purkinje networks that explain a target, or several of one heart.
 
     Started again on the same folder it resumes, and gives exactly the result of a run that was
     never interrupted. The numbers of steps and samples may then be others: what is stored is used
@@ -54,8 +58,9 @@ def fit(
     ----------
     heart : Heart or path
         The heart, its folder, or ``"default"``.
-    target : Target or path
-        The target, or its netCDF file.
+    target : Target or path, or list
+        The target, or its netCDF file. If it was not recorded in an intrinsic beat, a tuple with
+        the scenario, or its file: ``("rv.nc", "rv.toml")``. A list is of several recordings.
     out : path
         Folder of the study.
     parameters : mapping of name to value, optional
@@ -92,13 +97,14 @@ def fit(
     check_study_folder(folder)
     refuse_held(folder)
     heart = load_heart(heart) if not isinstance(heart, Heart) else heart
-    target = read_target(target) if not isinstance(target, Target) else target
+    recordings = given_recordings(target)
+    _check_method(checked.method, recordings)
     space, fixed = study_space(checked.method, parameters or {}, heart)
     if checked.free_gain and ("gain" in space.names or "gain" in fixed):
         raise InputError("the gain is a parameter and free of its own; leave --free-gain out")
     config = StudyConfig(
         heart=heart.digest,
-        target=target_digest(target),
+        **_hashes(recordings),
         space=space.parameters,
         fixed=fixed,
         **growth_and_conduction(heart),
@@ -108,27 +114,53 @@ def fit(
         study = Study.create_or_resume(folder, config, progress)
         if not (folder / HEART).exists():
             write_heart(heart, folder / HEART)
-        if not (folder / TARGET).exists():
-            write_target(target, folder / TARGET)
-        problem = _problem(config, heart, target, progress)
+        write_recordings(folder, recordings)
+        problem = _problem(config, heart, recordings, progress)
         if config.method == "posterior":
-            rng = np.random.default_rng([config.seed, PRIOR])
-            found = qrs_likelihood(problem, rng, _gain_sd(config), progress)
-            problem = replace(problem, likelihood=found, bank=_bank(heart, problem))
+            problem = _with_likelihoods(problem, config, heart, progress)
         fitted = FittedStudy(study, problem, study.run(problem, progress))
         return _completed(fitted, progress)
 
 
 def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
     """Simulate what was found, compare a posterior with the recording, and write it all."""
-    networks, prediction = fitted.networks(progress), None
-    problem = fitted.problem
-    if problem.likelihood is not None:
-        rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
-        prediction = predict_recording(problem, problem.likelihood, networks, rng)
-        fitted = replace(fitted, checks=prediction.checks)
-    write_results(fitted, networks, prediction)
+    networks, predictions = fitted.networks(progress), []
+    rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
+    for number, problem in enumerate(fitted.problem.recordings):
+        if problem.likelihood is not None:
+            its = networks if number == 0 else fitted.networks(progress, number)
+            predictions.append(predict_recording(problem, problem.likelihood, its, rng))
+    if predictions:
+        fitted = replace(fitted, checks=Checks.joined([each.checks for each in predictions]))
+    write_results(fitted, networks, predictions)
     return fitted
+
+
+def _check_method(method: str, recordings: Sequence[Recording]) -> None:
+    """The paper's method knows one intrinsic beat."""
+    if method == "paper" and (len(recordings) > 1 or recordings[0].scenario is not None):
+        raise InputError(
+            "the method 'paper' fits one recording of an intrinsic beat; give one without a "
+            "scenario, or use the method 'posterior'"
+        )
+
+
+def _hashes(recordings: Sequence[Recording]) -> dict[str, Any]:
+    """What a configuration says of the recordings."""
+    targets, scenarios = zip(*(recording.digests for recording in recordings), strict=True)
+    return {"target": targets[0], "others": targets[1:], "scenarios": scenarios}
+
+
+def _with_likelihoods(
+    problem: Problem, config: StudyConfig, heart: Heart, progress: Progress | None
+) -> Problem:
+    """The problem with the likelihood of every recording, and with the heart's bank."""
+    rng, bank = np.random.default_rng([config.seed, PRIOR]), _bank(heart, problem)
+    first, *others = (
+        replace(each, likelihood=qrs_likelihood(each, rng, _gain_sd(config), progress), bank=bank)
+        for each in problem.recordings
+    )
+    return replace(first, others=tuple(others))
 
 
 def _bank(heart: Heart, problem: Problem) -> Bank | None:
@@ -167,12 +199,10 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
     result = folder / RESULT[study.config.method]
     population = read_population(result)
     heart = load_heart(folder / HEART)
-    target = read_target(folder / TARGET)
-    for name, found, wanted in (
-        (HEART, heart.digest, study.config.heart),
-        (TARGET, target_digest(target), study.config.target),
-    ):
-        if found != wanted:
+    recordings = read_recordings(folder, len(study.config.scenarios))
+    same = all(getattr(study.config, k) == value for k, value in _hashes(recordings).items())
+    for name, unchanged in ((HEART, heart.digest == study.config.heart), ("target.nc", same)):
+        if not unchanged:
             raise InputError(
                 f"{folder / name}: not the one that was fitted; put the original back, or fit anew"
             )
@@ -183,40 +213,30 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
         )
     now = study.config.model_copy(update=growth_and_conduction(heart))
     check_same(folder, study.config, now)
-    problem = _problem(study.config, heart, target, progress)
+    problem = _problem(study.config, heart, recordings, progress)
     study.check_objective(problem)
     return FittedStudy(study, problem, population, read_checks(result))
 
 
 def _problem(
-    config: StudyConfig, heart: Heart, target: Target, progress: Progress | None
+    config: StudyConfig, heart: Heart, recordings: Sequence[Recording], progress: Progress | None
 ) -> Problem:
     """The study's problem; takes a while on a new machine or with a large new heart."""
     if progress is not None:
         compile_kernels(progress)
     model = ForwardModel(heart, progress=progress)
-    return Problem(
-        model,
-        target,
-        config.parameter_space,
-        config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
-        config.workers,
-        fixed=config.fixed,
-        independent_leads=config.leads == "8",
-        fewest_junctions=config.fewest_junctions,
+    first, *others = (
+        Problem(
+            model,
+            recording.target,
+            config.parameter_space,
+            config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
+            config.workers,
+            fixed=config.fixed,
+            independent_leads=config.leads == "8",
+            fewest_junctions=config.fewest_junctions,
+            scenario=recording.scenario,
+        )
+        for recording in recordings
     )
-
-
-def target_digest(target: Target) -> str:
-    """SHA-256 of what the fit sees of a target."""
-    digest = hashlib.sha256()
-    numbers = [target.qrs_onset, target.qrs_offset, target.onset_sd, target.offset_sd]
-    if target.noise is not None:
-        numbers.append(target.noise)
-    for array in (target.beats, target.time, np.array(numbers)):
-        digest.update(str(array.shape).encode())
-        digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-    for one in target.filters:  # how they are known does not matter
-        text = f"{one.kind.value} {one.frequency!r} {one.shape!r} {one.sampling_rate!r}"
-        digest.update(text.encode())
-    return digest.hexdigest()
+    return replace(first, others=tuple(others))

@@ -18,7 +18,14 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import independent_rows
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.forward.likelihood import QrsLikelihood, cosines, lead_pattern, matern, separable
+from fascicle.forward.likelihood import (
+    QrsLikelihood,
+    cosines,
+    discrepancy_in_time,
+    lead_pattern,
+    matern,
+    separable,
+)
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Simulation
 from fascicle.recording.covariance import residual_covariance
@@ -81,11 +88,11 @@ def likelihood_of(target: Target, known: PriorKnowledge, gain_sd: float) -> QrsL
     """
     rows = independent_rows(target.used)
     modes = cosines(target.qrs.shape[1])
-    time = matern(len(modes))
+    smooth, discrepancy = matern(len(modes)), discrepancy_in_time(len(modes))
     return QrsLikelihood(
         target.qrs[rows],
-        beat_noise(target, rows) + separable(known.roughness, time, modes),
-        separable(known.pattern, time, modes),
+        beat_noise(target, rows) + separable(known.roughness, smooth, modes),
+        separable(known.pattern, discrepancy, modes),
         target.onset_sd,
         gain_sd,
         target.response,

@@ -83,13 +83,15 @@ class Posterior(Population):
 
     Attributes
     ----------
-    log_likelihoods : (n,) array
+    log_likelihoods : (n, n_recordings) array
     log_evidences, effective, evaluations : (2,) arrays
         Of each run: log-evidence, effective sample size, evaluations.
     means_apart : mapping of name to float
         Between the runs, in standard deviations.
     converged : bool
         Whether both runs ended by themselves, and agree.
+    first_alone : mapping of name to (m,) array, optional
+        Of several recordings, draws from the posterior of the first, if that has converged.
     """
 
     log_likelihoods: Floats
@@ -98,6 +100,7 @@ class Posterior(Population):
     evaluations: Floats
     means_apart: Mapping[str, float]
     converged: bool
+    first_alone: Mapping[str, Floats] | None = None
 
     @classmethod
     def of(
@@ -128,7 +131,7 @@ class Posterior(Population):
             np.array([draw.loss for draw in draws]),
             space.from_unit(best.point),
             best.loss,
-            np.array([draw.log_likelihood for draw in draws]),
+            np.array([draw.log_likelihoods for draw in draws]),
             np.array([end.log_evidence for end in ends]),
             np.array([end.effective for end in ends]),
             np.array([float(end.evaluations) for end in ends]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,9 @@ class Run:
         The d parameters that are learnt.
     journal : Journal
         Gives evaluations with their likelihoods, stored ones where there are any.
+    recordings : int
+        How many there are. The posterior of the first alone is sampled first, from which that of
+        all goes on: what the others add is seen, too.
     progress : Progress, optional
         Called after every batch of evaluations.
     """
@@ -41,15 +44,24 @@ class Run:
     settings: FitSettings
     space: ParameterSpace
     journal: Journal
+    recordings: int = 1
     progress: Progress | None = None
 
     def population(self) -> Posterior:
         """Do all that is left, and give the result."""
-        runs = [self._sample(number) for number in range(RUNS)]
+        runs = [self._sample(number, 1) for number in range(RUNS)]
+        posterior = self._posterior(runs, 1)
+        if self.recordings == 1:
+            return posterior
+        joint = [self._sample(number, self.recordings, run) for number, run in enumerate(runs)]
+        alone = posterior.values if posterior.converged else None
+        return replace(self._posterior(joint, self.recordings), first_alone=alone)
+
+    def _posterior(self, runs: list[SamplingRun], recordings: int) -> Posterior:
+        """Draw from both runs."""
         count = -(-self.settings.effective // RUNS)
         chosen = [
-            run.draw(self.journal.rng(Stage.SAMPLING, RUNS + number), count)
-            for number, run in enumerate(runs)
+            run.draw(self._rng(RUNS + number, recordings), count) for number, run in enumerate(runs)
         ]
         points = np.concatenate([run.points[k] for run, k in zip(runs, chosen, strict=True)])
         return Posterior.of(
@@ -60,21 +72,32 @@ class Run:
             agreement(*runs),
         )
 
-    def _sample(self, number: int) -> SamplingRun:
+    def _rng(self, number: int, recordings: int) -> np.random.Generator:
+        """Random numbers of a run, or of draws from one."""
+        return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
+
+    def _sample(
+        self, number: int, recordings: int, begun: SamplingRun | None = None
+    ) -> SamplingRun:
         """Make one run; how it goes depends on its number and on the seed alone."""
         # Every second network of the prior: the runs have nothing in common.
         prior = prior_points(len(self.space), self.settings.bank)[number::RUNS]
         each = self.settings.evaluations // RUNS
         said = [f"run {number + 1} of {RUNS}"]
-        first = number * (self.settings.bank + self.settings.evaluations) // RUNS
-        done = [first]
+        if self.recordings > 1:
+            said[0] += ", first recording alone" if begun is None else ", all recordings"
+        done = [number * (len(prior) + each)]
+        if begun is not None:  # evaluates those points again, which are there
+            done = [RUNS * (len(prior) + each) + number * each - len(begun.points)]
 
         def log_likelihoods(points: Floats) -> Floats:
             values = []
             for start in range(0, len(points), BATCH):
                 part = list(points[start : start + BATCH])
                 found = self.journal.evaluate(Stage.SAMPLING, part, BATCH)
-                values += [e.log_likelihood if e.feasible else -np.inf for e in found]
+                values += [
+                    e.log_likelihoods[:recordings].sum() if e.feasible else -np.inf for e in found
+                ]
                 done[0] += len(part)
                 self._report(done[0], ", ".join(said))
             return np.array(values)
@@ -87,11 +110,12 @@ class Run:
             self._report(done[0], ", ".join(said))
 
         run: SamplingRun = importance_sample(
-            self.journal.rng(Stage.SAMPLING, number),
+            self._rng(number, recordings),
             log_likelihoods,
             prior,
             effective=-(-self.settings.effective // RUNS),
             most=each,
+            begun=begun,
             progress=report,
         )
         return run
@@ -101,5 +125,9 @@ class Run:
             return
         losses = [e.loss for e in self.journal.evaluations if e.feasible]
         best = f", best loss {min(losses):.4g} mV²" if losses else ""
-        total = self.settings.bank + self.settings.evaluations
-        self.progress(Stage.SAMPLING, done, total, said + best)
+        self.progress(Stage.SAMPLING, done, self._total, said + best)
+
+    @property
+    def _total(self) -> int:
+        """Evaluations at most."""
+        return self.settings.bank + self.settings.evaluations * min(self.recordings, 2)

@@ -30,14 +30,28 @@ class Checks:
     Attributes
     ----------
     share : float
-        Size of the discrepancy over that of the recorded QRS, median of the networks.
+        Size (root mean square) of what a network leaves of the recorded QRS over that of the QRS,
+        median of the networks.
     probabilities : mapping of str to float
         How probable a recording at least as far from the networks is, of every lead, of the QRS
-        duration and of the axis.
+        duration and of the axis. Of a lead, with the least discrepancy that the likelihood knows:
+        a larger one would excuse what it is there to show.
     """
 
     share: float
     probabilities: Mapping[str, float]
+
+    @classmethod
+    def joined(cls, each: Sequence[Checks]) -> Checks:
+        """Those of several recordings in one, with the largest of the discrepancies."""
+        if len(each) == 1:
+            return each[0]
+        named = {
+            f"{name} of recording {number}": probability
+            for number, checks in enumerate(each, 1)
+            for name, probability in checks.probabilities.items()
+        }
+        return cls(max(checks.share for checks in each), named)
 
     @property
     def disagreeing(self) -> list[str]:
@@ -93,6 +107,7 @@ def predict_recording(
     ecg = np.zeros((len(networks), len(LEADS), len(target.time)))
     noisy = ecg.copy()
     drawn, rarer = np.empty((3, len(networks))), np.empty((len(networks), len(rows)))
+    unexplained = np.empty(len(networks))
     for k, network in enumerate(networks):
         simulation = network.simulation
         fit = likelihood.fit(simulation.leads[rows], simulation.first_activation)
@@ -103,16 +118,16 @@ def predict_recording(
         ecg[k] = gain * placed(
             simulation.leads, shift + MARGIN - begin, len(target.time), target.response
         )
-        error = likelihood.noise(rng, int(scale))
+        error, least = likelihood.noise(rng, int(scale)), likelihood.noise(rng, 0)
         noisy[k] = ecg[k] + _in_twelve_leads(error @ likelihood.modes.T, target)
         left = likelihood.residual(simulation.leads[rows], shift, gain)
-        rarer[k] = (error**2).sum(axis=1) >= (left**2).sum(axis=1)
+        rarer[k] = (least**2).sum(axis=1) >= ((left @ likelihood.modes) ** 2).sum(axis=1)
+        unexplained[k] = (left**2).sum()
         drawn[:, k] = gain, simulation.first_activation - shift - MARGIN, likelihood.scales[scale]
     probabilities = {LEADS[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)}
     probabilities["QRS duration"] = _duration(target, networks)
     probabilities["axis"] = _axis(target, noisy)
-    signal = float(np.sqrt((target.qrs[rows] ** 2).mean()))
-    share = float(np.median(drawn[2])) / signal
+    share = float(np.sqrt(np.median(unexplained) / (target.qrs[rows] ** 2).sum()))
     gains, shifts, discrepancies = drawn
     return Prediction(ecg, noisy, gains, shifts, discrepancies, Checks(share, probabilities))
 

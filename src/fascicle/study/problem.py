@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from fascicle.core.quantities import SIDES
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
@@ -52,7 +53,7 @@ class Network:
 
 @dataclass(frozen=True)
 class Problem:
-    """The question which networks of a parameter space explain a target on a heart.
+    """The question which networks of a parameter space explain recordings of a heart.
 
     Calling it evaluates points of the unit cube, which is all the inference ever sees. The
     forward model runs outside Python's global lock, so threads are enough to use every core.
@@ -62,7 +63,7 @@ class Problem:
     model : ForwardModel
         The forward model of the heart.
     target : Target
-        What is to be explained.
+        What is to be explained; of several recordings the first.
     space : ParameterSpace
         What is learnt.
     free_gain : bool
@@ -79,6 +80,10 @@ class Problem:
         Of the target (`fascicle.study.likelihood`), if evaluations are to have one.
     bank : Bank, optional
         Networks that need not be simulated again.
+    scenario : Scenario, optional
+        In which the target was recorded, such as paced from a known site.
+    others : tuple of Problem
+        Further recordings, each with its own target, scenario and likelihood.
     """
 
     model: ForwardModel
@@ -91,6 +96,13 @@ class Problem:
     fewest_junctions: int = 0
     likelihood: QrsLikelihood | None = None
     bank: Bank | None = None
+    scenario: Scenario | None = None
+    others: tuple[Problem, ...] = ()
+
+    @property
+    def recordings(self) -> tuple[Problem, ...]:
+        """The first and the others, each by itself."""
+        return (replace(self, others=()), *self.others)
 
     def __call__(self, points: Sequence[Floats]) -> list[Evaluation]:
         """Evaluate points of the unit cube, in order."""
@@ -101,11 +113,28 @@ class Problem:
         return list(in_threads(self._simulate, points, self.workers))
 
     def _simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
-        return self.model.simulate({**self.fixed, **self.space.from_unit(point)})
+        return self.model.simulate({**self.fixed, **self.space.from_unit(point)}, self.scenario)
 
     def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
         signals = self._signals(point)
+        own = self._compare(point, signals)
+        if not own.feasible or not self.others:
+            return own
+        every = [own] + [
+            other._compare(
+                point, signals if other.scenario is self.scenario else other._signals(point)
+            )
+            for other in self.others
+        ]
+        return replace(
+            own,
+            loss=sum(each.loss for each in every),
+            log_likelihoods=np.concatenate([each.log_likelihoods for each in every]),
+        )
+
+    def _compare(self, point: Floats, signals: Signals | str) -> Evaluation:
+        """Compare what a network gives with this recording alone."""
         if isinstance(signals, str):
             return Evaluation.infeasible(point, signals)
         for side, junctions in zip(SIDES, signals.junctions, strict=True):
@@ -120,13 +149,14 @@ class Problem:
         likelihood = self.likelihood.fit(
             signals.leads[independent_rows(self.target.used)], signals.first_activation
         ).log_likelihood
-        return Evaluation(point, alignment.loss, errors, log_likelihood=likelihood)
+        return Evaluation(point, alignment.loss, errors, log_likelihoods=np.array([likelihood]))
 
     def _signals(self, point: Floats) -> Signals | str:
         """What a network gives, from the bank if it is there, or why it is none."""
-        stored = self.bank.get(point) if self.bank is not None else None
-        if stored is not None:
-            return stored
+        if self.bank is not None and self.scenario is None:
+            stored = self.bank.get(point)
+            if stored is not None:
+                return stored
         outcome = self._simulate(point)
         if isinstance(outcome, (InvalidTree, InvalidBody)):
             return outcome.reason
@@ -146,9 +176,10 @@ class Problem:
 
     @property
     def flat(self) -> float:
-        """Mismatch of a flat line (mV²)."""
+        """Mismatch of a flat line (mV²), of several recordings their sum."""
         recorded = self.target.qrs[self.compared]
-        return float((recorded**2).sum() / recorded.shape[1])
+        own = float((recorded**2).sum() / recorded.shape[1])
+        return own + sum(other.flat for other in self.others)
 
     def align(self, simulation: Simulation) -> Alignment:
         """Best alignment of a simulation with the mean recorded QRS, over the compared leads."""
@@ -171,7 +202,7 @@ class Problem:
 
     def _network(self, learnt: Mapping[str, float]) -> Network:
         parameters = {**self.fixed, **learnt}
-        simulation = self.model.simulate(parameters)
+        simulation = self.model.simulate(parameters, self.scenario)
         if isinstance(simulation, (InvalidTree, InvalidBody)):
             raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
         alignment = self.align(simulation)

@@ -124,14 +124,22 @@ class FittedStudy:
         """The network with the least mismatch, simulated."""
         return next(self.problem.networks([self.population.best]))
 
-    def networks(self, progress: Progress | None = None) -> list[Network]:
-        """Simulate the population; the best network alone where none was accepted."""
-        count = len(self.population)
+    def networks(self, progress: Progress | None = None, recording: int = 0) -> list[Network]:
+        """Simulate the population; the best network alone where none was accepted.
+
+        Parameters
+        ----------
+        progress : Progress, optional
+            Called after every network.
+        recording : int
+            In whose scenario, counted from 0.
+        """
+        count, problem = len(self.population), self.problem.recordings[recording]
         if not count:
             return [self.best_network]
         report = stage_progress(progress, "networks")
         networks = []
-        for network in self.problem.networks(self.population.parameters(k) for k in range(count)):
+        for network in problem.networks(self.population.parameters(k) for k in range(count)):
             networks.append(network)
             report(len(networks), count)
         return networks
@@ -151,13 +159,18 @@ def _unexplained(fitted: FittedStudy) -> str:
 def _unexplained_leads(fitted: FittedStudy) -> str:
     """Warn of compared leads whose shape the best network does not have."""
     problem = fitted.problem
-    recorded, window = problem.target.qrs, problem.target.qrs_samples
-    predicted = fitted.best_network.predicted[:, window]
-    found = {
-        name: _correlation(recorded[lead], predicted[lead])
-        for lead, name in enumerate(LEADS)
-        if problem.compared[lead]
-    }
+    found: dict[str, float] = {}
+    for number, each in enumerate((problem, *problem.others), 1):
+        network = (
+            next(each.networks([fitted.population.best])) if number > 1 else (fitted.best_network)
+        )
+        recorded, predicted = each.target.qrs, network.predicted[:, each.target.qrs_samples]
+        of = f" of recording {number}" if problem.others else ""
+        found |= {
+            f"{name}{of}": _correlation(recorded[lead], predicted[lead])
+            for lead, name in enumerate(LEADS)
+            if each.compared[lead]
+        }
     poor = [f"{name} ({value:.2f})" for name, value in found.items() if value < LEAST_CORRELATION]
     if not poor:
         return ""
@@ -288,7 +301,7 @@ def _outside_qrs(fitted: FittedStudy) -> str:
 
 
 def write_results(
-    fitted: FittedStudy, networks: Sequence[Network], prediction: Prediction | None = None
+    fitted: FittedStudy, networks: Sequence[Network], predictions: Sequence[Prediction] = ()
 ) -> None:
     """Write networks, trees, activation map and summary into the study's folder.
 
@@ -298,8 +311,8 @@ def write_results(
         The study.
     networks : sequence of Network
         Its population, simulated.
-    prediction : Prediction, optional
-        Of a posterior.
+    predictions : sequence of Prediction
+        Of a posterior, of each recording.
     """
     problem, population, folder = fitted.problem, fitted.population, fitted.folder
     result = folder / RESULT[fitted.study.config.method]
@@ -328,8 +341,8 @@ def write_results(
         result,
         population,
         problem.space,
-        problem.target,
-        prediction if prediction is not None else predicted,
+        [recording.target for recording in problem.recordings],
+        predictions or predicted,
         {"networks_are": fitted.networks_called, "verdict": fitted.verdict} | _provenance(fitted),
     )
 
@@ -343,9 +356,14 @@ def _provenance(fitted: FittedStudy) -> dict[str, str]:
         "created_by": f"fascicle {__version__}",
         "heart": config.heart,
         "target": config.target,
-        "recording": fitted.problem.target.provenance.get("source", ""),
+        "recording": _sources(fitted),
         "configuration": config.model_dump_json(),
     }
+
+
+def _sources(fitted: FittedStudy) -> str:
+    """Where the recordings come from."""
+    return ", ".join(p.target.provenance.get("source", "") for p in fitted.problem.recordings)
 
 
 def spread(values: Floats) -> dict[str, float]:
@@ -380,7 +398,7 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
         "verdict": fitted.verdict,
         "networks_are": fitted.networks_called,
         "heart": fitted.problem.model.heart.name,
-        "recording": fitted.problem.target.provenance.get("source", ""),
+        "recording": _sources(fitted),
         "evaluations": len(records),
         "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
         "best_loss_mV2": population.best_loss,

@@ -34,7 +34,7 @@ from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 5  # of the folder
+FORMAT: Final = 6  # of the folder
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when a study is resumed
 LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not depend on these numbers
 CHECKED = 4  # stored evaluations that are made again
@@ -50,6 +50,9 @@ LEFTOVERS = (
     ".summary.",
     ".activation.",
     ".target.",
+    ".target-",
+    ".scenario.",
+    ".scenario-",
 )
 LEFTOVER_FOLDERS = (".heart.", ".networks.")
 
@@ -62,7 +65,11 @@ class StudyConfig(FitSettings):
     Attributes
     ----------
     heart, target : str
-        Hashes of the heart and of the target.
+        Hashes of the heart and of the target, of several the first.
+    others : tuple of str
+        Hashes of the other targets.
+    scenarios : tuple of str
+        Hashes of the scenarios of all targets, empty where a target has none.
     space : tuple of Parameter
         What is learnt, in which ranges and with which priors.
     fixed : dict of name to float
@@ -80,11 +87,13 @@ class StudyConfig(FitSettings):
 
     heart: str
     target: str
+    others: tuple[str, ...] = ()
+    scenarios: tuple[str, ...] = ("",)
     space: tuple[Parameter, ...] = Field(min_length=1)
     fixed: dict[str, float] = Field(default_factory=dict)
     growth: dict[str, float]
     conduction: dict[str, float | None]
-    version: Literal[5] = FORMAT
+    version: Literal[6] = FORMAT
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -187,7 +196,8 @@ class Study:
             journal = Journal(self._database, objective, len(space), config.seed, config.workers)
             if config.method == "paper":
                 return paper.Run(config, space, journal, progress).population()
-            return posterior.Run(config, space, journal, progress).population()
+            recordings = len(config.scenarios)
+            return posterior.Run(config, space, journal, recordings, progress).population()
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse another forward model than that of the stored evaluations.
@@ -271,8 +281,10 @@ def _same(then: Evaluation, now: Evaluation) -> bool:
         return then.feasible == now.feasible
     if not np.isclose(now.loss, then.loss, rtol=SAME_LOSS, atol=0):
         return False
-    likelihoods = now.log_likelihood, then.log_likelihood
-    return bool(np.isnan(likelihoods).any() or np.isclose(*likelihoods, rtol=0, atol=SAME_LOG))
+    now_log, then_log = now.log_likelihoods, then.log_likelihoods
+    if len(now_log) != len(then_log):  # a study is opened without its likelihoods
+        return True
+    return bool(np.allclose(now_log, then_log, rtol=0, atol=SAME_LOG))
 
 
 def _outcome(evaluation: Evaluation) -> str:

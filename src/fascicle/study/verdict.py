@@ -10,12 +10,10 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter, ParameterSpace
-from fascicle.forward.likelihood import SHARES
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
 
-MOST_DISCREPANCY = 0.35  # of the signal; with more, an eighth of its energy is not the model's
-LEAST_SEEN = float(SHARES[1])  # of the signal; the likelihood takes it to be no smaller
+MOST_LEFT = 0.35  # of the signal; with more, an eighth of its energy is not the model's
 DETERMINED = 0.5  # share of a prior's variance; below it, the ECG determines the parameter
 TRADED = 0.7  # rank correlation beyond which two parameters stand for one another
 INTERVAL = (5, 95)  # percentiles
@@ -32,6 +30,8 @@ class Statement:
         Of the posterior; `lower` and `upper` are its 5th and 95th percentiles.
     contraction : float
         1 less the posterior's variance over the prior's, in shares of the prior; 0 to 1.
+    first_alone : float, optional
+        Of several recordings, half of the 90 % interval that the first alone leaves.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Statement:
     lower: float
     upper: float
     contraction: float
+    first_alone: float | None = None
 
     @property
     def determined(self) -> bool:
@@ -49,9 +50,11 @@ class Statement:
     def __str__(self) -> str:
         unit = "" if self.unit == "1" else f" {self.unit}"
         found = f"{self.median:.3g}{unit}, 90 % within {self.lower:.3g} to {self.upper:.3g}"
+        half = (self.upper - self.lower) / 2
+        if self.first_alone is not None:
+            found += f"; ±{half:.2g}{unit}, by the first recording alone ±{self.first_alone:.2g}"
         if not self.determined:
             return f"the ECG does not determine this ({found})"
-        half = (self.upper - self.lower) / 2
         return f"the ECG determines this to ±{half:.2g}{unit} ({found})"
 
 
@@ -81,15 +84,14 @@ def _convergence(posterior: Posterior) -> str:
 
 
 def _explanation(checks: Checks) -> str:
-    least = " at most" if checks.share <= LEAST_SEEN else ""
-    size = f"what no network explains is{least} {checks.share:.0%} of the signal"
+    size = f"the networks leave {checks.share:.0%} of the signal"
     rare = f", and {', '.join(checks.disagreeing)} disagree" if checks.disagreeing else ""
     return f"{'explained' if explained(checks) else 'NOT EXPLAINED'}: {size}{rare}"
 
 
 def explained(checks: Checks) -> bool:
     """Whether the recording looks like what the networks predict."""
-    return checks.share <= MOST_DISCREPANCY and not checks.disagreeing
+    return checks.share <= MOST_LEFT and not checks.disagreeing
 
 
 def statements(posterior: Posterior, space: ParameterSpace) -> list[Statement]:
@@ -102,15 +104,20 @@ def statements(posterior: Posterior, space: ParameterSpace) -> list[Statement]:
     space : ParameterSpace
         The priors.
     """
-    return [_statement(p, posterior.values[p.name]) for p in space.parameters]
+    alone = posterior.first_alone or {}
+    return [_statement(p, posterior.values[p.name], alone.get(p.name)) for p in space.parameters]
 
 
-def _statement(parameter: Parameter, values: Floats) -> Statement:
-    lower, median, upper = np.percentile(values, [INTERVAL[0], 50, INTERVAL[1]])
+def _statement(parameter: Parameter, values: Floats, first_alone: Floats | None) -> Statement:
     left = float(np.var(parameter.to_unit(values)) * 12)  # a uniform share has variance 1/12
-    return Statement(
-        parameter.name, parameter.unit, float(median), float(lower), float(upper), 1 - min(left, 1)
-    )
+    median, lower, upper = (float(np.percentile(values, share)) for share in (50, *INTERVAL))
+    before = None if first_alone is None else half_width(first_alone)
+    return Statement(parameter.name, parameter.unit, median, lower, upper, 1 - min(left, 1), before)
+
+
+def half_width(values: Floats) -> float:
+    """Half of the 90 % interval of draws (n,)."""
+    return float(np.diff(np.percentile(values, INTERVAL))[0]) / 2
 
 
 def prediction_statement(values: Floats, prior: Floats) -> str:
@@ -121,9 +128,7 @@ def prediction_statement(values: Floats, prior: Floats) -> str:
     values, prior : (n,) and (m,) arrays
         Of the networks, and of networks of the prior.
     """
-    half, before = (
-        float(np.diff(np.percentile(each, INTERVAL))[0]) / 2 for each in (values, prior)
-    )
+    half, before = half_width(values), half_width(prior)
     if np.var(values) <= DETERMINED * np.var(prior):
         return f"the ECG determines this to ±{half:.0f} ms (±{before:.0f} without it)"
     return f"the ECG does not determine this (±{half:.0f} ms, ±{before:.0f} without it)"

@@ -78,6 +78,10 @@ class Run:
         At the end.
     complete : bool
         Whether the effective sample was reached with weights that can be trusted.
+    proposals : list
+        Distributions that points were drawn from, in normal scores, the prior's first.
+    counts : list of int
+        How many were drawn from each.
     """
 
     points: Floats
@@ -85,6 +89,8 @@ class Run:
     log_likelihoods: Floats
     state: State
     complete: bool
+    proposals: list[Any]
+    counts: list[int]
 
     def draw(
         self, rng: np.random.Generator, count: int
@@ -103,6 +109,7 @@ def importance_sample(
     *,
     effective: int,
     most: int,
+    begun: Run | None = None,
     progress: Callable[[State], None] = lambda state: None,
 ) -> Run:
     """Sample the posterior under a uniform prior on the unit cube.
@@ -119,13 +126,18 @@ def importance_sample(
         Effective sample size to reach.
     most : int
         Evaluations beside the prior's after which the run stops, complete or not.
+    begun : Run, optional
+        Of another posterior under the same prior, with the same draws of it: its points count
+        here, too, and its evaluations are not among `most`.
     progress : callable
         Called after every batch.
     """
-    points, scores = prior, ndtri(np.clip(prior, EDGE, 1 - EDGE))
-    values = log_likelihoods(prior)
-    proposals = [standard_normal(prior.shape[1])]
-    counts = [len(prior)]
+    points = prior if begun is None else begun.points
+    proposals = [standard_normal(prior.shape[1])] if begun is None else list(begun.proposals)
+    counts = [len(prior)] if begun is None else list(begun.counts)
+    most += sum(counts[1:])
+    scores = ndtri(np.clip(points, EDGE, 1 - EDGE))
+    values = log_likelihoods(points)
     while True:
         weights, state = _weigh(scores, values, proposals, counts)
         progress(state)
@@ -133,7 +145,7 @@ def importance_sample(
             state.effective >= effective and state.tail <= TRUSTED and state.evaluations >= FEWEST
         )
         if complete or state.evaluations >= most:
-            return Run(points, weights, values, state, complete)
+            return Run(points, weights, values, state, complete, proposals, counts)
         proposals.append(fitted(scores, _flattened(weights)))
         counts.append(min(BATCH, most - state.evaluations))
         new = proposals[-1].rvs(counts[-1], random_state=rng).reshape(counts[-1], -1)

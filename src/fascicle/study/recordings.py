@@ -1,0 +1,112 @@
+"""The recordings of a study: targets, each with the scenario that it was recorded in."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.errors import InputError
+from fascicle.core.files import write_text
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import read_scenario, scenario_text
+from fascicle.recording.target import Target
+from fascicle.recording.target_files import read_target, write_target
+
+# A target, or one with its scenario
+Given = Target | Path | str | tuple[Target | Path | str, Scenario | Path | str]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A target, and what was done to the heart while it was recorded.
+
+    Attributes
+    ----------
+    target : Target
+    scenario : Scenario, optional
+        None for the intrinsic beat.
+    """
+
+    target: Target
+    scenario: Scenario | None = None
+
+    @property
+    def digests(self) -> tuple[str, str]:
+        """SHA-256 of what a fit sees of target and scenario; empty without a scenario."""
+        scenario = self.scenario
+        text = hashlib.sha256(scenario_text(scenario).encode()).hexdigest() if scenario else ""
+        return target_digest(self.target), text
+
+
+def given_recordings(given: Given | list[Given]) -> list[Recording]:
+    """Read what is not read yet; a list is of several recordings.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a file cannot be used.
+    """
+    several = list(given) if isinstance(given, list) else [given]
+    if not several:
+        raise InputError("no target is given; make one with 'fascicle target'")
+    return [_recording(one) for one in several]
+
+
+def _recording(given: Given) -> Recording:
+    target, scenario = given if isinstance(given, tuple) else (given, None)
+    if not isinstance(target, Target):
+        target = read_target(target)
+    if isinstance(scenario, Path | str):
+        path = scenario
+        scenario, regions = read_scenario(path)
+        if regions:
+            raise InputError(
+                f"{path}: has regions of the myocardium, which are the heart's in every "
+                "recording; say them in its heart.toml"
+            )
+    return Recording(target, scenario)
+
+
+def write_recordings(folder: Path, recordings: Sequence[Recording]) -> None:
+    """Keep recordings in a study's folder, where they are not kept yet."""
+    for number, recording in enumerate(recordings, 1):
+        target, scenario = _paths(folder, number)
+        if not target.exists():
+            write_target(recording.target, target)
+        if recording.scenario is not None and not scenario.exists():
+            write_text(scenario, scenario_text(recording.scenario))
+
+
+def read_recordings(folder: Path, count: int) -> list[Recording]:
+    """Read what `write_recordings` has written."""
+    found = []
+    for number in range(1, count + 1):
+        target, scenario = _paths(folder, number)
+        there = read_scenario(scenario)[0] if scenario.exists() else None
+        found.append(Recording(read_target(target), there))
+    return found
+
+
+def _paths(folder: Path, number: int) -> tuple[Path, Path]:
+    """Files of a recording, which are numbered from the second on."""
+    end = f"-{number}" if number > 1 else ""
+    return folder / f"target{end}.nc", folder / f"scenario{end}.toml"
+
+
+def target_digest(target: Target) -> str:
+    """SHA-256 of what the fit sees of a target."""
+    digest = hashlib.sha256()
+    numbers = [target.qrs_onset, target.qrs_offset, target.onset_sd, target.offset_sd]
+    if target.noise is not None:
+        numbers.append(target.noise)
+    for array in (target.beats, target.time, np.array(numbers)):
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    for one in target.filters:  # how they are known does not matter
+        text = f"{one.kind.value} {one.frequency!r} {one.shape!r} {one.sampling_rate!r}"
+        digest.update(text.encode())
+    return digest.hexdigest()
