@@ -13,10 +13,11 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
-from fascicle.study.bank import Bank
-from fascicle.study.likelihood import qrs_likelihood
+from fascicle.study.bank import Bank, prior_points
+from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_population
@@ -110,12 +111,13 @@ def fit(
         **growth_and_conduction(heart),
         **checked.model_dump(),
     )
+    problem = _problem(config, heart, recordings, progress)
+    _check_scenarios(problem)
     with study_lock(folder):
         study = Study.create_or_resume(folder, config, progress)
         if not (folder / HEART).exists():
             write_heart(heart, folder / HEART)
         write_recordings(folder, recordings)
-        problem = _problem(config, heart, recordings, progress)
         if config.method == "posterior":
             problem = _with_likelihoods(problem, config, heart, progress)
         fitted = FittedStudy(study, problem, study.run(problem, progress))
@@ -143,6 +145,14 @@ def _check_method(method: str, recordings: Sequence[Recording]) -> None:
             "the method 'paper' fits one recording of an intrinsic beat; give one without a "
             "scenario, or use the method 'posterior'"
         )
+
+
+def _check_scenarios(problem: Problem) -> None:
+    """Refuse a scenario that does not fit the heart, with the first network of the prior."""
+    for each in problem.recordings:
+        if each.scenario is not None:
+            fits = (each.simulate([point])[0] for point in prior_points(len(each.space), FEWEST))
+            next((found for found in fits if isinstance(found, Simulation)), None)
 
 
 def _hashes(recordings: Sequence[Recording]) -> dict[str, Any]:
