@@ -38,7 +38,7 @@ class FitSettings(AbcSettings):
         default=300, ge=20, description="Effective sample size, and networks to draw."
     )
     evaluations: int = Field(
-        default=16_000,
+        default=24_000,
         ge=200,
         description="Simulations at most, beside those of the bank; where they are too few, the "
         "result says so.",
