@@ -5,7 +5,7 @@
                                      [--noise TARGET]
 
 Truths are drawn from the prior. Each gives a recording as the likelihood believes recordings to be:
-the simulated ECG times a gain, with a discrepancy (its size is log-uniform from 45 % to all of
+the simulated ECG times a gain, with a discrepancy (its size is log-uniform from half to all of
 the signal, its correlation that of the likelihood), ten beats with noise of 0.03 mV, and QRS marks
 that are off. A whole fit with default settings follows, but with `--bank` networks. Where the truth
 lies among the draws is kept (`truth-0007.json`), so that the same command goes on where it stopped,

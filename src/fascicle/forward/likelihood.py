@@ -44,7 +44,7 @@ CORRELATIONS = 12.0, 4.0  # ms; of the smooth and of the rough half of the discr
 OWN = 0.5  # share of its variance that is each lead's own
 REACH = 3.0  # standard deviations of the shift that are summed over
 FIRST_ACTIVATION_SD = 3.0  # ms; of the recorded onset after the first activation, beside its own
-SHARES = np.geomspace(0.45, 1.0, 15)  # of the recorded QRS (root mean square): the discrepancy's
+SHARES = np.geomspace(0.5, 1.0, 8)  # of the recorded QRS (root mean square): the discrepancy's
 
 
 @dataclass(frozen=True)
