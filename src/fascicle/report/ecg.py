@@ -48,6 +48,8 @@ class EcgGroup:
         ended.
     colour : str
         Colour of line and band.
+    share : float
+        Of the ECGs that the band holds at every time, in the middle; 1 for their range.
     """
 
     name: str
@@ -55,12 +57,14 @@ class EcgGroup:
     time: Floats
     leads: Floats
     colour: str
+    share: float = 1.0
 
     @property
     def label(self) -> str:
         """Name, and how many ECGs the line and the band stand for."""
         count = len(self.leads)
-        shown = f"mean and range of {count} {self.member}s" if count > 1 else f"1 {self.member}"
+        band = "range" if self.share == 1 else f"{self.share:.0%}"
+        shown = f"mean and {band} of {count} {self.member}s" if count > 1 else f"1 {self.member}"
         return f"{self.name} ({shown})"
 
 
@@ -78,7 +82,7 @@ def ecg_figure(groups: Sequence[EcgGroup], title: str | None = None) -> Figure:
     -------
     Figure
         Axes in the order of `fascicle.core.leads.LEADS`, all with the same limits (ms, mV). Lines
-        are means over a group, bands run from its minimum to its maximum.
+        are means over a group, bands hold its `share`.
     """
     figure = new_figure(*SIZE)
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True)
@@ -110,8 +114,10 @@ def _handle(group: EcgGroup) -> Any:  # Matplotlib's stubs know no tuples of art
 def _draw_lead(axes: Axes, group: EcgGroup, lead: int) -> None:
     ecgs = group.leads[:, lead]
     if len(ecgs) > 1:
+        ends = (1 - group.share) / 2, (1 + group.share) / 2
+        there = np.isfinite(ecgs).any(axis=0)
         axes.fill_between(
-            group.time, np.fmin.reduce(ecgs), np.fmax.reduce(ecgs),
+            group.time[there], *np.nanquantile(ecgs[:, there], ends, axis=0),
             color=group.colour, alpha=BAND_OPACITY, linewidth=0,
         )  # fmt: skip
     mean = np.ma.masked_invalid(ecgs).mean(axis=0).filled(np.nan)

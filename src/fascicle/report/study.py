@@ -16,6 +16,7 @@ from fascicle.report.figures import save
 from fascicle.report.hearts import ActivationRow, activation_figure
 from fascicle.report.pairs import pair_figure
 from fascicle.report.style import BLUE, VERMILION
+from fascicle.study.population import Posterior
 from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
@@ -52,9 +53,10 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     """
     check_population(fitted)
     problem, population, records = fitted.problem, fitted.population, fitted.study.records()
+    share = 0.9 if isinstance(population, Posterior) else 1.0  # the paper shows the range of its 30
     best = activation_row("best network", fitted.best_network.simulation)
     figures = {
-        "ecg": _ecg_figure(problem, networks),
+        "ecg": _ecg_figure(problem, networks, share),
         "pairs": pair_figure(
             problem.space, population.values, population.best, title=fitted.networks_called
         ),
@@ -65,16 +67,16 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
         ),
     }
     for number, other in enumerate(problem.others, 1):
-        figures[f"ecg-{number + 1}"] = _ecg_figure(other, fitted.networks(recording=number))
+        figures[f"ecg-{number + 1}"] = _ecg_figure(other, fitted.networks(recording=number), share)
     folder = fitted.folder / "figures"
     return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
-def _ecg_figure(problem: Problem, networks: Sequence[Network]) -> Figure:
-    """Recorded and predicted QRS of one recording."""
+def _ecg_figure(problem: Problem, networks: Sequence[Network], share: float) -> Figure:
+    """Recorded and predicted QRS of one recording; the band holds a share of the networks."""
     window = problem.target.qrs_samples
     time = problem.target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
-    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION)]
+    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, share)]
     return ecg_figure(groups, f"Recorded QRS and {len(networks)} networks")
