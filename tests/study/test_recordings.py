@@ -161,5 +161,5 @@ def test_a_fit_of_two_recordings(both, tmp_path):
     assert set(found.log_likelihood.data_vars) == {"ecg", "ecg_2"}
     figures = write_figures(again, again.networks())
     assert "ecg-2.png" in {path.name for path in figures}
-    with pytest.raises(InputError, match="another others"):
+    with pytest.raises(InputError, match=r"another other targets \("):
         fascicle.fit("default", both[0], folder, **SMALL)

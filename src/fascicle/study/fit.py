@@ -158,7 +158,7 @@ def _check_scenarios(problem: Problem) -> None:
 def _hashes(recordings: Sequence[Recording]) -> dict[str, Any]:
     """What a configuration says of the recordings."""
     targets, scenarios = zip(*(recording.digests for recording in recordings), strict=True)
-    return {"target": targets[0], "others": targets[1:], "scenarios": scenarios}
+    return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}
 
 
 def _with_likelihoods(

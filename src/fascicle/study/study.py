@@ -66,7 +66,7 @@ class StudyConfig(FitSettings):
     ----------
     heart, target : str
         Hashes of the heart and of the target, of several the first.
-    others : tuple of str
+    other_targets : tuple of str
         Hashes of the other targets.
     scenarios : tuple of str
         Hashes of the scenarios of all targets, empty where a target has none.
@@ -87,7 +87,7 @@ class StudyConfig(FitSettings):
 
     heart: str
     target: str
-    others: tuple[str, ...] = ()
+    other_targets: tuple[str, ...] = ()
     scenarios: tuple[str, ...] = ("",)
     space: tuple[Parameter, ...] = Field(min_length=1)
     fixed: dict[str, float] = Field(default_factory=dict)
@@ -354,6 +354,8 @@ def _identity(config: StudyConfig) -> dict[str, str]:
             found |= {f"{name} {key}": _number(number) for key, number in value.items()}
         elif name == "space":
             found |= {f"parameter {parameter.name}": _prior(parameter) for parameter in value}
+        elif name in ("other_targets", "scenarios"):
+            found[name.replace("_", " ")] = ", ".join(each[:SHOWN] or "none" for each in value)
         elif name not in MAY_CHANGE:
             found[name] = f"{value}"
     return found | {"order of the parameters": ", ".join(config.parameter_space.names)}
