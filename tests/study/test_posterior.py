@@ -140,6 +140,43 @@ def test_what_the_ecg_determines(done):
     assert trade_offs(done[1]) == []
 
 
+def test_what_the_first_recording_alone_determines(done):
+    alone = {"cv": np.linspace(1.0, 4.0, 100), "root_time": np.linspace(-60.0, 0.0, 100)}
+    cv, root_time = map(str, statements(replace(done[1], first_alone=alone), SPACE))
+    assert ", by the first recording alone ±27 ms (" in root_time
+    assert "does not determine this (±" in cv
+    assert "alone ±1.4 mm/ms; " in cv
+
+
+def test_a_second_recording_narrows_what_the_first_leaves(tmp_path):
+    """The second knows the speed, which the first hardly does; the first alone stays as it was."""
+
+    def second(points):
+        found = [evaluate(point) for point in points]
+        return [
+            replace(
+                e, log_likelihoods=np.append(e.log_likelihoods, -0.5 * ((p[0] - 0.6) / 0.05) ** 2)
+            )
+            if e.feasible
+            else e
+            for e, p in zip(found, points, strict=True)
+        ]
+
+    config = make_config(**SMALL, other_targets=("b",), scenarios=("", ""))
+    both = Study.create_or_resume(tmp_path / "both", config).run(second)
+    single = Study.create_or_resume(tmp_path / "one", make_config(**SMALL)).run(objective)
+    assert both.converged
+    assert both.first_alone is not None
+    for name, values in single.values.items():
+        assert both.first_alone[name] == pytest.approx(values)
+    assert both.log_likelihoods.shape == (60, 2)
+    narrowed = both.values["cv"].std() / both.first_alone["cv"].std()
+    assert narrowed < 0.35
+    # prior N(0.5, 0.5²) of the first within the range, times N(0.6, 0.05²)
+    middle = SPACE.parameters[0].to_unit(both.values["cv"]).mean()
+    assert middle == pytest.approx(0.6, abs=0.03)
+
+
 def test_what_the_ecg_determines_of_a_prediction():
     prior = np.random.default_rng(0).normal(150, 20, 60)
     assert prediction_statement(0.3 * prior, prior).startswith("the ECG determines this to ±")

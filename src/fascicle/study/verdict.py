@@ -51,11 +51,13 @@ class Statement:
         unit = "" if self.unit == "1" else f" {self.unit}"
         found = f"{self.median:.3g}{unit}, 90 % within {self.lower:.3g} to {self.upper:.3g}"
         half = (self.upper - self.lower) / 2
+        known = f"±{half:.2g}{unit}"
         if self.first_alone is not None:
-            found += f"; ±{half:.2g}{unit}, by the first recording alone ±{self.first_alone:.2g}"
+            known += f", by the first recording alone ±{self.first_alone:.2g}{unit}"
         if not self.determined:
-            return f"the ECG does not determine this ({found})"
-        return f"the ECG determines this to ±{half:.2g}{unit} ({found})"
+            before = f"{known}; " if self.first_alone is not None else ""
+            return f"the ECG does not determine this ({before}{found})"
+        return f"the ECG determines this to {known} ({found})"
 
 
 def verdict(posterior: Posterior, checks: Checks) -> str:
