@@ -66,7 +66,7 @@ def test_against_brute_force(noise, scale, monkeypatch):
 
 
 def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
-    monkeypatch.setattr(tested, "SHARES", SHARES[[0, 5, 10]])
+    monkeypatch.setattr(tested, "SHARES", SHARES[[0, 3, 7]])
     likelihood = example()
     each = [brute_force(likelihood, signal(), scale) for scale in likelihood.scales]
     fit = likelihood.fit(signal(), ONSET)
