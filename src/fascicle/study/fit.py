@@ -150,9 +150,11 @@ def _check_method(method: str, recordings: Sequence[Recording]) -> None:
 def _check_scenarios(problem: Problem) -> None:
     """Refuse a scenario that does not fit the heart, with the first network of the prior."""
     for each in problem.recordings:
-        if each.scenario is not None:
-            fits = (each.simulate([point])[0] for point in prior_points(len(each.space), FEWEST))
-            next((found for found in fits if isinstance(found, Simulation)), None)
+        if each.scenario is None:
+            continue
+        for point in prior_points(len(each.space), FEWEST):
+            if isinstance(each.simulate([point])[0], Simulation):
+                break
 
 
 def _hashes(recordings: Sequence[Recording]) -> dict[str, Any]:

@@ -226,7 +226,8 @@ def read_population(path: Path) -> Population:
 
 def _log_likelihoods(stored: xr.Dataset) -> Floats:
     """Of every draw and recording, (n, n_recordings)."""
-    return np.stack([values.to_numpy().ravel() for values in stored.data_vars.values()], axis=1)
+    names = [f"ecg{end}" for end, _ in _numbered(list(stored.data_vars))]
+    return np.stack([stored[name].to_numpy().ravel() for name in names], axis=1)
 
 
 def _first_alone(path: Path) -> dict[str, Floats]:
