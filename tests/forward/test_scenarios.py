@@ -469,6 +469,10 @@ class TestRefusals:
                 r"stimulus at \(0, 0, 400\): 3\d\d\.\d mm from the tissue",
             ),
             (
+                {"stimuli": (Stimulus(0.0, (0, 0, 0), "lv", part="fascicle 9"),)},
+                "lv tree has no part 'fascicle 9'; known: bundle, fascicle 1, fascicle 2",
+            ),
+            (
                 {"stimuli": (Stimulus(0.0, (0.0, 0.0, 400.0), "rv"),)},
                 r"nearest node of the rv tree is 3\d\d\.\d mm away",
             ),
@@ -486,14 +490,28 @@ class TestRefusals:
             ({"slowings": (Slowing("lv", np.inf),)}, "speed inf is a factor"),
             ({"orthodromic_delay": -1.0}, "'orthodromic_delay' is -1 ms"),
             ({"antidromic_delay": np.nan}, "'antidromic_delay' is nan ms"),
-            ({"stimuli": (Stimulus(np.nan, (0, 0, 0)),)}, "at nan ms: time and position"),
-            ({"stimuli": (Stimulus(np.inf, (0, 0, 0)),)}, "at inf ms: time and position"),
-            ({"stimuli": (Stimulus(0.0, (0, np.inf, 0)),)}, r"\(0, inf, 0\)"),
         ],
     )
     def test_what_no_heart_could_do_is_refused_at_construction(self, options, message):
         with pytest.raises(InputError, match=message):
             Scenario(**options)
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"time": np.nan, "position": (0, 0, 0)}, "at nan ms: time and position"),
+            ({"time": np.inf, "position": (0, 0, 0)}, "at inf ms: time and position"),
+            ({"time": 0.0, "position": (0, np.inf, 0)}, r"\(0, inf, 0\)"),
+            ({"time": 0.0}, "give either a position or a site, not none"),
+            ({"time": 0.0, "position": (0, 0, 0), "site": "rv apex"}, "or a site, not both"),
+            ({"time": 0.0, "site": "rv apex", "radius": -1.0}, "radius -1 mm; give 0 to 20 mm"),
+            ({"time": 0.0, "site": "rv apex", "radius": np.nan}, "radius nan mm"),
+            ({"time": 0.0, "site": "rv apex", "part": "bundle"}, "part 'bundle' is of no tree"),
+        ],
+    )
+    def test_what_no_stimulus_is(self, options, message):
+        with pytest.raises(InputError, match=message):
+            Stimulus(**options)
 
     def test_sphere_off_its_part_tells_the_distance_to_that_part(self, normal):
         """Not to a node of another part that lies in the sphere."""

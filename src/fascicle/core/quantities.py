@@ -18,6 +18,7 @@ from fascicle.core.errors import InputError
 
 SIDES = ("lv", "rv")
 MOST_FASCICLES = 4  # a side
+HIS_TIME = 10.0  # ms; docs/files.md says why
 USUAL_FASCICLES = 2  # a side, in the paper
 _REGION = re.compile(r"region_(\d{1,9})_conductivity")
 _FASCICLE = re.compile(r"(lv|rv)_fascicle_(length|angle)_(\d+)")
@@ -125,6 +126,11 @@ def _of_conduction() -> Iterator[Quantity]:
     yield Quantity(
         "root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0),
         "t_RV - t_LV of the roots; negative, the left one fires later", times,
+    )  # fmt: skip
+    yield Quantity(
+        "his_time", "ms", HIS_TIME, (0.0, 500.0), (5.0, 40.0),
+        "from the His bundle to the root that fires first; counts where a scenario has the bundle",
+        times,
     )  # fmt: skip
     yield Quantity("cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "speed in the trees", times)
     yield Quantity(

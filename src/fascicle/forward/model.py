@@ -20,7 +20,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress
-from fascicle.core.quantities import Changes, body_values, check, checked, quantity
+from fascicle.core.quantities import Changes, body_values, checked, quantity
 from fascicle.forward.body import (
     BodyModel,
     body_model,
@@ -37,6 +37,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation, check_activation
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
+from fascicle.heart.sites import Sites
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.torso.variation.conductor import InvalidBody
@@ -102,6 +103,7 @@ class ForwardModel:
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
         self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
+        self.sites = Sites(heart)
         self._progress = progress
         self._body: BodyModel | None = None
         self._first_body = Lock()
@@ -208,8 +210,7 @@ class ForwardModel:
             touch the skin.
         """
         values = checked(values | {"cv": cv})
-        roots = _roots(root_time)
-        scenario = scenario if scenario is not None else Scenario()
+        scenario = scenario.located(self.sites) if scenario is not None else Scenario()
         trees = (*trees, *(tree for tree, _ in scenario.trees))
         conduction = self.conduction.with_values(values)
         tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
@@ -218,10 +219,12 @@ class ForwardModel:
             scenario.check_stimuli(coupling.stimuli.distances)
         else:
             coupling = tissue.attach(trees)
+        roots, his = scenario.firing(trees, root_time, values)
         coupled = solve(
             coupling,
-            scenario.root_times(trees, roots),
+            roots,
             values["cv"],
+            his=his,
             stimuli=scenario.times,
             node_times=scenario.node_times(trees),
             speed=scenario.speeds(trees) if scenario.slowings else 1.0,
@@ -374,12 +377,3 @@ def _tissue(heart: Heart, prepared: Prepared, base: Conduction, conduction: Cond
         prepared.electrocardiograph.scaled(conduction.scale(heart)),
         lru_cache(REMEMBERED)(partial(attach, myocardium)),
     )
-
-
-def _roots(root_time: float | Sequence[float]) -> Sequence[float]:
-    """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
-    known = quantity("root_time")
-    if isinstance(root_time, (Sequence, np.ndarray)):
-        return [check(known, time) for time in root_time]
-    delay = check(known, root_time)
-    return max(0.0, -delay), max(0.0, delay)

@@ -1,18 +1,25 @@
-"""What a heart does beside its own beat: stimuli, blocks, slow segments, delays, more trees."""
+"""What a heart does beside its own beat: stimuli, blocks, slow segments, delays, more trees.
+
+With a His bundle the roots are joined above the trees: pacing one of them climbs to the bundle and
+comes down the other branch, and a front that enters a tree from the tissue returns by the other.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import checked
+from fascicle.core.quantities import HIS_TIME, SIDES, check, checked, quantity
+from fascicle.forward.eikonal.activation import HisBundle
+from fascicle.heart.sites import Sites
 from fascicle.purkinje.tree import PurkinjeTree
 
 FURTHEST_STIMULUS = 5.0  # mm; a stimulus further from the tissue, or from its tree, is a mistake
+LARGEST_RADIUS = 20.0  # mm, that a stimulus captures
 
 
 @dataclass(frozen=True)
@@ -23,15 +30,50 @@ class Stimulus:
     ----------
     time : float
         When it fires (ms).
-    position : (x, y, z)
+    position : (x, y, z), optional
         Where (mm).
     tree : str, optional
         The tree whose node nearest to `position` it fires; without one, the myocardium.
+    site : str, optional
+        Where, by a name of `fascicle.heart.sites.Sites`, instead of by a position.
+    radius : float
+        What lies this near (mm) is fired, too: vertices of the myocardium, or nodes of the tree.
+    part : str, optional
+        Of the tree, if only nodes of its ``"bundle"``, ``"fascicle 1"``, … can be fired; branches
+        may lie nearer.
     """
 
     time: float
-    position: tuple[float, float, float]
+    position: tuple[float, float, float] | None = None
     tree: str | None = None
+    site: str | None = None
+    radius: float = 0.0
+    part: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.position is None) == (self.site is None):
+            raise InputError(
+                f"stimulus at {self.time} ms: give either a position or a site, not "
+                f"{'none' if self.site is None else 'both'}"
+            )
+        if not np.isfinite([self.time, *(self.position or ())]).all():
+            raise InputError(
+                f"stimulus at {self.position}, at {self.time} ms: time and position must be finite"
+            )
+        if self.part is not None and self.tree is None:
+            raise InputError(f"stimulus at {self.time} ms: its part '{self.part}' is of no tree")
+        if not 0 <= self.radius <= LARGEST_RADIUS:
+            raise InputError(
+                f"stimulus at {self.time} ms: radius {self.radius:g} mm; give 0 to "
+                f"{LARGEST_RADIUS:g} mm"
+            )
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Its position (mm); that of a site only after `Scenario.located`."""
+        if self.position is None:
+            raise ValueError(f"where '{self.site}' is, has not been looked up")
+        return self.position
 
 
 @dataclass(frozen=True)
@@ -63,10 +105,7 @@ class Slowing:
         chosen = tree.parents >= 0  # no segment ends in the root
         of_part = f" of its {self.part}" if self.part is not None else ""
         if self.part is not None:
-            if self.part not in tree.parts:
-                known = ", ".join(tree.parts)
-                raise InputError(f"the {tree.side} tree has no part '{self.part}'; known: {known}")
-            chosen &= tree.parts[self.part]
+            chosen &= part_of(tree, self.part)
             if not chosen.any():
                 raise InputError(
                     f"slowing of the {tree.side} tree: its {self.part} has no segment; the tree "
@@ -87,6 +126,63 @@ class Slowing:
 
 
 @dataclass(frozen=True)
+class His:
+    """A His bundle, whose branches join the roots of the heart's two trees and conduct both ways.
+
+    The branch to the root that fires first takes the network's ``his_time``, the other one longer
+    by the root time; so the heart's own beat is the same with it as without.
+
+    Attributes
+    ----------
+    time : float, optional
+        When it fires (ms), inf if it does not; if not given, so that the first root fires at 0.
+    root_time : float, optional
+        t_RV − t_LV (ms), in place of the network's: 0 makes branches of equal times.
+    left, right : float
+        Factors on the speeds of its branches; 0 blocks both directions.
+    """
+
+    time: float | None = None
+    root_time: float | None = None
+    left: float = 1.0
+    right: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.time is not None and not self.time > -np.inf:
+            raise InputError(f"His bundle: it fires at {self.time} ms; give a time, or inf")
+        if self.root_time is not None:
+            check(quantity("root_time"), self.root_time)
+        for side in ("left", "right"):
+            factor = getattr(self, side)
+            if not 0 <= factor < np.inf:
+                raise InputError(
+                    f"His bundle: {side} is {factor:g}, a factor on the speed of that branch; "
+                    "give 0 (block) or more"
+                )
+
+    def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
+        """When it fires the left and the right root (ms), and what joins them.
+
+        Parameters
+        ----------
+        roots : sequence of float
+            When the left and the right root fire without it (ms).
+        nearest : float
+            From it to the root that fires first (ms).
+        """
+        fires = min(roots) - nearest if self.time is None else self.time
+        down, branches = [], []
+        for time, factor in zip(roots, (self.left, self.right), strict=True):
+            usual = nearest + time - min(roots)
+            takes = usual / factor if factor > 0 else np.inf
+            # not fires + takes, which differs from the root's own time in the last digit
+            own = time + (takes - usual)
+            down.append(own if self.time is None else self.time + takes)
+            branches.append(takes)
+        return down, HisBundle(fires, branches)
+
+
+@dataclass(frozen=True)
 class Scenario:
     """A case to simulate on top of trees, root time and speed.
 
@@ -103,8 +199,13 @@ class Scenario:
         inf blocks that direction.
     trees : tuple of (PurkinjeTree, float)
         Trees beside the heart's own, and when their roots fire (ms).
+    his : His, optional
+        What joins the roots of the heart's own trees; without it a front that climbs to a root
+        ends there.
     source : str, optional
         Where it was read from, for messages.
+    description, reference : str
+        What it is, and after whom, in a line; may be empty.
     """
 
     stimuli: tuple[Stimulus, ...] = ()
@@ -113,7 +214,10 @@ class Scenario:
     orthodromic_delay: float | None = None
     antidromic_delay: float | None = None
     trees: tuple[tuple[PurkinjeTree, float], ...] = ()
+    his: His | None = None
     source: str | None = field(default=None, repr=False, compare=False)
+    description: str = field(default="", repr=False, compare=False)
+    reference: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("orthodromic_delay", "antidromic_delay"):
@@ -126,17 +230,41 @@ class Scenario:
                     f"slowing of the {slowing.tree} tree: speed {slowing.speed:g} is a factor; "
                     "give 0 (block) or more"
                 )
+
+    def located(self, sites: Sites) -> Scenario:
+        """The same with positions for the names of sites, and all that is fired at once.
+
+        Raises
+        ------
+        InputError
+            If there is no site of a name.
+        """
+        if not any(s.site is not None or s.radius > 0 for s in self.stimuli):
+            return self
+        found: list[Stimulus] = []
         for stimulus in self.stimuli:
-            if not np.isfinite([stimulus.time, *stimulus.position]).all():
-                raise InputError(
-                    f"stimulus at {stimulus.position}, at {stimulus.time} ms: time and position "
-                    "must be finite"
-                )
+            place = stimulus.position
+            if stimulus.site is not None:
+                place = sites.position(stimulus.site)
+            found.append(replace(stimulus, position=place, site=None))
+            if stimulus.tree is None and stimulus.radius > 0:
+                vertices = sites.heart.vertices
+                near = np.linalg.norm(vertices - np.asarray(place), axis=1) <= stimulus.radius
+                found += [Stimulus(stimulus.time, (x, y, z)) for x, y, z in vertices[near].tolist()]
+        return replace(self, stimuli=tuple(found))
+
+    @property
+    def first_stimulus(self) -> float | None:
+        """When the first stimulus is given, or the His bundle paced (ms); None if nothing is."""
+        times = [stimulus.time for stimulus in self.stimuli]
+        if self.his is not None and self.his.time is not None and np.isfinite(self.his.time):
+            times.append(self.his.time)
+        return min(times) if times else None
 
     @property
     def points(self) -> Floats:
         """Positions of the stimuli in the myocardium (mm), shape (s, 3)."""
-        positions = [s.position for s in self.stimuli if s.tree is None]
+        positions = [s.place for s in self.stimuli if s.tree is None]
         return np.array(positions, dtype=float).reshape(-1, 3)
 
     @property
@@ -161,15 +289,18 @@ class Scenario:
             if stimulus.tree is None:
                 continue
             number = tree_number(trees, stimulus.tree)
-            distance = np.linalg.norm(trees[number].nodes - np.asarray(stimulus.position), axis=1)
-            node = int(distance.argmin())
-            if distance[node] > FURTHEST_STIMULUS:
+            distance = np.linalg.norm(trees[number].nodes - np.asarray(stimulus.place), axis=1)
+            if stimulus.part is not None:
+                distance[~part_of(trees[number], stimulus.part)] = np.inf
+            nearest = int(distance.argmin())
+            if distance[nearest] > FURTHEST_STIMULUS:
                 raise InputError(
-                    f"stimulus at {stimulus.position}: the nearest node of the {stimulus.tree} "
-                    f"tree is {distance[node]:.1f} mm away; give a position on it (within "
+                    f"stimulus at {stimulus.place}: the nearest node of the {stimulus.tree} "
+                    f"tree is {distance[nearest]:.1f} mm away; give a position on it (within "
                     f"{FURTHEST_STIMULUS:g} mm)"
                 )
-            fired.append((number, node, stimulus.time))
+            captured = {nearest, *np.flatnonzero(distance <= stimulus.radius).tolist()}
+            fired += [(number, node, stimulus.time) for node in sorted(captured)]
         return fired
 
     def speeds(self, trees: Sequence[PurkinjeTree]) -> Floats:
@@ -187,16 +318,64 @@ class Scenario:
             for name in ("orthodromic_delay", "antidromic_delay")
         }
 
-    def root_times(self, trees: Sequence[PurkinjeTree], root_times: Sequence[float]) -> list[float]:
-        """When each root fires (ms), inf where it is silent."""
+    def firing(
+        self,
+        trees: Sequence[PurkinjeTree],
+        root_time: float | Sequence[float],
+        values: Mapping[str, float],
+    ) -> tuple[list[float], HisBundle | None]:
+        """When each root fires (ms), inf where it is silent, and the His bundle if there is one.
+
+        Parameters
+        ----------
+        trees : sequence of PurkinjeTree
+            The heart's own, and those of the scenario.
+        root_time : float or sequence of float
+            Of the network: t_RV − t_LV, or when each of its roots fires (ms).
+        values : mapping of name to float
+            Quantities of the network, ``his_time`` perhaps among them.
+        """
         names = [tree.side for tree in trees]
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two trees are named '{name}'; give each a name of its own")
-        times = [*root_times, *(time for _, time in self.trees)]
+        his, roots = None, _roots(root_time)
+        if self.his is not None:
+            self._check_joined(names)
+            own = roots if self.his.root_time is None else _roots(self.his.root_time)
+            roots, his = self.his.conducted(own, values.get("his_time", HIS_TIME))
+            his = replace(his, branches=[*his.branches, *(np.inf for _ in self.trees)])
+        times = [*roots, *(time for _, time in self.trees)]
         for side in self.silent:
             times[tree_number(trees, side)] = np.inf
-        return times
+        return times, his
+
+    def _check_joined(self, names: Sequence[str]) -> None:
+        """Refuse a His bundle that has not two roots to fire."""
+        if tuple(names[:2]) != SIDES:
+            raise InputError(
+                f"His bundle: it joins the trees {' and '.join(SIDES)}; known: {', '.join(names)}"
+            )
+        for side, branch in zip(SIDES, ("left", "right"), strict=True):
+            if side in self.silent:
+                raise InputError(
+                    f"silent tree '{side}': its root hangs on the His bundle; block that branch "
+                    f"({branch} = 0), or let the bundle not fire (time = inf)"
+                )
+
+
+def part_of(tree: PurkinjeTree, name: str) -> Booleans:
+    """Which nodes end a segment of a part of a tree.
+
+    Raises
+    ------
+    InputError
+        If it has none of this name.
+    """
+    if name not in tree.parts:
+        known = ", ".join(tree.parts)
+        raise InputError(f"the {tree.side} tree has no part '{name}'; known: {known}")
+    return tree.parts[name]
 
 
 def tree_number(trees: Sequence[PurkinjeTree], side: str) -> int:
@@ -211,3 +390,12 @@ def tree_number(trees: Sequence[PurkinjeTree], side: str) -> int:
     if side not in names:
         raise InputError(f"there is no tree '{side}'; known: {', '.join(names)}")
     return names.index(side)
+
+
+def _roots(root_time: float | Sequence[float]) -> Sequence[float]:
+    """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
+    known = quantity("root_time")
+    if isinstance(root_time, (Sequence, np.ndarray)):
+        return [check(known, time) for time in root_time]
+    delay = check(known, root_time)
+    return max(0.0, -delay), max(0.0, delay)

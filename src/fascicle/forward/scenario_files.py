@@ -1,9 +1,11 @@
-"""Scenario files: TOML with stimuli, slow or blocked segments, delays, regions, extra trees."""
+"""Scenario files: TOML with stimuli, His bundle, slow segments, delays, regions, extra trees."""
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, Valid
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, read_toml
-from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.forward.scenario import LARGEST_RADIUS, His, Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree
@@ -33,6 +35,12 @@ def _zero_or_between(least: float, most: float) -> Callable[[float], float]:
     return check
 
 
+def _time_or_never(value: float) -> float:
+    if not -LATEST <= value <= LATEST and value != math.inf:
+        raise ValueError
+    return value
+
+
 def _delay_or_block(value: float) -> float:
     if not 0 <= value <= LATEST and value != math.inf:
         raise ValueError
@@ -43,14 +51,17 @@ Number = Annotated[float, Strict()]
 Point = tuple[Number, Number, Number]
 Time = Annotated[Number, Field(ge=-LATEST, le=LATEST)]
 Radius = Annotated[Number, Field(gt=0)]
+CaptureRadius = Annotated[Number, Field(ge=0, le=LARGEST_RADIUS)]
 SpeedFactor = Annotated[Number, AfterValidator(_zero_or_between(SLOWEST, FASTEST))]
 ConductivityFactor = Annotated[Number, AfterValidator(_zero_or_between(SLOWEST**2, FASTEST**2))]
 Delay = Annotated[Number, AfterValidator(_delay_or_block)]
+TimeOrNever = Annotated[Number, AfterValidator(_time_or_never)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]  # files are named after it
 
 POINT = "a point [x, y, z] (mm)"
 TIME = f"a number from {-LATEST:g} to {LATEST:g} (ms)"
 DELAY = f"a number from 0 to {LATEST:g} (ms), or inf (block)"
+FACTOR = f"a factor: 0 (block), or {SLOWEST:g} to {FASTEST:g}"
 NEEDED = {
     "time": TIME,
     "position": POINT,
@@ -58,8 +69,9 @@ NEEDED = {
     "root": POINT,
     "radius": "a number above 0 (mm)",
     "tree": "the name of a tree, in quotes",
+    "site": "the name of a site, in quotes, such as 'rv apex'",
     "part": "'bundle', 'fascicle 1', 'fascicle 2', …",
-    "speed": f"a factor: 0 (block), or {SLOWEST:g} to {FASTEST:g}",
+    "speed": FACTOR,
     "conductivity": f"a factor: 0 (scar), or {SLOWEST**2:g} to {FASTEST**2:g}",
     "label": "a whole number",
     "name": "made of letters, digits, '-' and '_'",
@@ -68,6 +80,17 @@ NEEDED = {
     "antidromic": DELAY,
     "silent": "a list of names of trees, such as ['lv']",
     "delay": "one table: [delay]",
+    "his": "one table: [his]",
+    "description": "a text in quotes",
+    "reference": "a text in quotes",
+    "root_time": TIME,
+    "left": FACTOR,
+    "right": FACTOR,
+}
+# what a key must be in one table, where it differs
+NEEDED_IN = {
+    ("his", "time"): f"{TIME}, or inf (it does not fire)",
+    ("stimulus", "radius"): f"a number from 0 to {LARGEST_RADIUS:g} (mm)",
 }
 
 
@@ -77,8 +100,11 @@ class _Table(BaseModel):
 
 class _Stimulus(_Table):
     time: Time
-    position: Point
+    position: Point | None = None
     tree: str | None = None
+    site: str | None = None
+    radius: CaptureRadius = 0.0
+    part: str | None = None
 
 
 class _Slowing(_Table):
@@ -109,6 +135,14 @@ class _Delay(_Table):
     antidromic: Delay | None = None
 
 
+class _His(_Table):
+    model_config = ConfigDict(allow_inf_nan=True)  # inf: it does not fire
+    time: TimeOrNever | None = None
+    root_time: Time | None = None
+    left: SpeedFactor = 1.0
+    right: SpeedFactor = 1.0
+
+
 class _File(_Table):
     stimulus: list[_Stimulus] = []
     slowing: list[_Slowing] = []
@@ -116,6 +150,9 @@ class _File(_Table):
     tree: list[_Tree] = []
     silent: list[str] = []
     delay: _Delay = _Delay()
+    his: _His | None = None
+    description: str = ""
+    reference: str = ""
 
 
 TABLES: dict[str, type[_Table]] = {
@@ -124,7 +161,58 @@ TABLES: dict[str, type[_Table]] = {
     "region": _Region,
     "tree": _Tree,
     "delay": _Delay,
+    "his": _His,
 }
+ONCE = ("delay", "his")  # tables in single brackets
+
+
+def library() -> dict[str, Path]:
+    """The scenarios that come with the package, by name."""
+    folder = Path(str(files("fascicle") / "data" / "scenarios"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def find_scenario(name: str) -> Path:
+    """The file of a scenario of the `library`, or of one's own.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    known = library()
+    if name in known:
+        return known[name]
+    if not Path(name).exists() and not name.endswith(".toml"):
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        raise InputError(
+            f"there is no scenario '{name}'; did you mean '{near}'? 'fascicle scenarios' lists "
+            "them; a file of your own ends in .toml"
+        )
+    return Path(name)
+
+
+def read_scenarios(names: Sequence[str]) -> dict[str, Scenario]:
+    """Scenarios by name, of the `library` or of files, which are called as they are without .toml.
+
+    Raises
+    ------
+    InputError
+        If one is not there or cannot be read, two have the same name, or one changes the heart by
+        regions, which a population that was learnt without them cannot have.
+    """
+    found: dict[str, Scenario] = {}
+    for name in names:
+        path = find_scenario(name)
+        scenario, regions = read_scenario(path)
+        if regions:
+            raise InputError(
+                f"{path}: has regions; put them into the heart (heart.toml) and fit anew"
+            )
+        if path.stem in found:
+            raise InputError(f"two scenarios are called '{path.stem}'; rename one")
+        found[path.stem] = scenario
+    return found
 
 
 def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
@@ -150,16 +238,26 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     scenario = Scenario(
-        stimuli=tuple(Stimulus(**dict(s)) for s in content.stimulus),
+        stimuli=_stimuli(path, content.stimulus),
         slowings=tuple(Slowing(**dict(s)) for s in content.slowing),
         silent=tuple(content.silent),
         orthodromic_delay=content.delay.orthodromic,
         antidromic_delay=content.delay.antidromic,
         trees=trees,
+        his=His(**dict(content.his)) if content.his is not None else None,
         source=str(path),
+        description=content.description,
+        reference=content.reference,
     )
     regions = (Region(**dict(region), source=str(path)) for region in content.region)
     return scenario, tuple(regions)
+
+
+def _stimuli(path: Path, tables: list[_Stimulus]) -> tuple[Stimulus, ...]:
+    try:
+        return tuple(Stimulus(**table.model_dump(exclude_none=True)) for table in tables)
+    except InputError as error:
+        raise InputError(f"{path}: {error}; see docs/files.md") from None
 
 
 def scenario_text(scenario: Scenario) -> str:
@@ -179,6 +277,9 @@ def scenario_text(scenario: Scenario) -> str:
     ):
         if delay is not None:
             lines.append(f"delay.{name} = {delay!r}")
+    for key, value in vars(scenario.his).items() if scenario.his is not None else ():
+        if value is not None:
+            lines.append(f"his.{key} = {value!r}")
     for table, items in (("stimulus", scenario.stimuli), ("slowing", scenario.slowings)):
         for item in items:
             lines.append(f"\n[[{table}]]")
@@ -217,7 +318,9 @@ def _complaint(error: ValidationError, values: dict[str, Any]) -> str:
             where, found = f"{table} {number + 1}: ", values[table][number]
     if first["type"] == "extra_forbidden":
         return f"{where}unknown key '{key}'; known: {', '.join(known)}"
-    needed = NEEDED.get(key) if tables or key not in TABLES or key == "delay" else None
+    needed = NEEDED_IN.get((tables[0] if tables else "", key), NEEDED.get(key))
+    if not tables and key in TABLES and key not in ONCE:
+        needed = None
     needed = needed if needed is not None else f"in double brackets: [[{key}]]"
     if key not in found:
         return f"{where}'{key}' is missing; it must be {needed}"

@@ -162,6 +162,7 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
     ):
         fired = np.isfinite(times[tree.junctions])
         sides[tree.side] = {
+            "root_ms": _fired(times[tree.root]),
             "nodes": len(tree.nodes),
             "length_mm": round(float(tree.lengths.sum()), 3),
             "junctions": len(tree.junctions),
@@ -177,8 +178,14 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
         "total_activation_time_ms": round(simulation.total_activation_time, 3),
         "unreached_vertices": int(simulation.unreached.sum()),
         "unreached_volume_ml": round(unreached_volume(heart, simulation), 4),
+        "his_bundle_ms": _fired(simulation.coupled.his),
         "trees": sides,
     }
+
+
+def _fired(time: float) -> float | None:
+    """When something fires (ms), for JSON; None if it never does."""
+    return round(float(time), 3) if np.isfinite(time) else None
 
 
 def unreached_volume(heart: Heart, simulation: Simulation) -> float:

@@ -109,6 +109,8 @@ class TravelTimeTable(NamedTuple):
 class Forest(NamedTuple):
     """All trees as one graph; a stimulus in the myocardium is a tree of one node.
 
+    The roots of the Purkinje trees hang on the last node, the His bundle.
+
     Attributes
     ----------
     order : (k,) array

@@ -35,18 +35,23 @@ def settle_trees(time, forest):
     """Lower the times of tree nodes to what the trees alone make of them, in place.
 
     c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`): up the tree, then down.
+    As in the sweep, what is earlier by rounding alone is left.
     """
     nodes = len(forest.order)
     for k in range(nodes - 1, -1, -1):
         node = forest.order[k]
         parent = forest.parent[node]
         if parent >= 0:
-            time[parent] = min(time[parent], time[node] + forest.time[node])
+            arrival = time[node] + forest.time[node]
+            if arrival < time[parent] - SETTLED:
+                time[parent] = arrival
     for k in range(nodes):
         node = forest.order[k]
         parent = forest.parent[node]
         if parent >= 0:
-            time[node] = min(time[node], time[parent] + forest.time[node])
+            arrival = time[parent] + forest.time[node]
+            if arrival < time[node] - SETTLED:
+                time[node] = arrival
 
 
 @kernel(inline="always")

@@ -26,10 +26,31 @@ FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothin
 
 
 @dataclass(frozen=True)
+class HisBundle:
+    """What joins the roots of the trees; it conducts both ways.
+
+    Attributes
+    ----------
+    fires : float
+        When it is fired from outside (ms); inf if not.
+    branches : sequence of float
+        Travel time to the root of each tree (ms); inf where it is blocked, or goes to none.
+    """
+
+    fires: float
+    branches: Sequence[float]
+
+    def slowed(self, factor: float) -> HisBundle:
+        """The same with everything taking `factor` times as long."""
+        return HisBundle(factor * self.fires, [factor * time for time in self.branches])
+
+
+@dataclass(frozen=True)
 class Coupling:
     """Trees and stimuli attached to the myocardium: all that does not depend on when they fire.
 
-    Sites are numbered junctions first, tree by tree, then stimuli.
+    Sites are numbered junctions first, tree by tree, then stimuli. On the last node, the His
+    bundle, hang the roots of all trees; nothing passes there unless `solve` is told so.
 
     Attributes
     ----------
@@ -41,11 +62,14 @@ class Coupling:
         Where junctions and stimuli lie in the myocardium.
     nodes : (k + 1,) array
         Where each tree's nodes start, counting on from the mesh's vertices; after them come the
-        stimuli, a node each.
+        stimuli, a node each, and the His bundle.
+    roots : (k,) array
+        The node of each tree's root.
     junctions : (k + 1,) array
         Where each tree's junctions start among the sites.
     lengths : (n_nodes,) array
-        Length of the segment that ends in each node (mm), tree by tree, then stimuli.
+        Length of the segment that ends in each node (mm), tree by tree, then stimuli and the
+        His bundle.
     forest, sites : Forest, Sites
         As the sweep wants them, with neither travel times nor delays.
     """
@@ -54,6 +78,7 @@ class Coupling:
     trees: tuple[PurkinjeTree, ...]
     located: LocatedPoints
     nodes: Integers
+    roots: Integers
     junctions: Integers
     lengths: Floats
     forest: Forest
@@ -63,6 +88,11 @@ class Coupling:
     def stimuli(self) -> LocatedPoints:
         """Where the stimuli lie in the myocardium."""
         return LocatedPoints._make(values[self.junctions[-1] :] for values in self.located)
+
+    @property
+    def stimulus_nodes(self) -> slice:
+        """The nodes of the stimuli."""
+        return slice(self.nodes[-1], len(self.lengths) - 1)
 
 
 @dataclass(frozen=True)
@@ -88,6 +118,8 @@ class Activation:
         Which of the stimuli came before any front was there.
     junction_distances : tuple of (n_junctions,) arrays
         How far each junction lies from where it meets the tissue (mm).
+    his : float
+        Time at the His bundle (ms); inf where there is none, or no front arrives.
     """
 
     myocardium: Floats
@@ -99,6 +131,7 @@ class Activation:
     stimulus_times: Floats
     captured: Booleans
     junction_distances: tuple[Floats, ...]
+    his: float
 
     def with_clock(self, speed: float) -> Activation:
         """The same on a clock that runs `speed` times as fast: all times divided by it."""
@@ -107,6 +140,7 @@ class Activation:
             myocardium=self.myocardium / speed,
             trees=tuple(times / speed for times in self.trees),
             stimulus_times=self.stimulus_times / speed,
+            his=self.his / speed,
         )
 
 
@@ -134,12 +168,15 @@ def attach(
         neighbourhood = neighbourhood.joined_with(around_them)
     nodes = _starts([len(tree.nodes) for tree in trees])
     junctions = _starts([len(tree.junctions) for tree in trees])
-    count = int(nodes[-1]) + len(stimuli)
+    his = int(nodes[-1]) + len(stimuli)
     junction_nodes = [t.junctions + first for t, first in zip(trees, nodes[:-1], strict=True)]
-    site_node = np.concatenate([*junction_nodes, np.arange(nodes[-1], count)]).astype(np.int64)
-    node_site = np.full(count, -1, dtype=np.int64)
+    site_node = np.concatenate([*junction_nodes, np.arange(nodes[-1], his)]).astype(np.int64)
+    node_site = np.full(his + 1, -1, dtype=np.int64)
     node_site[site_node] = np.arange(len(site_node))
-    parents, lengths = _joined(trees, nodes, count)
+    parents, lengths = _joined(trees, nodes, his)
+    order = np.concatenate([[his], _parents_first(parents[:his])])
+    roots = nodes[:-1] + np.array([tree.root for tree in trees], dtype=np.int64)
+    parents[roots] = his
     no_delay = np.zeros(len(site_node))
     reader_start, reader = _readers(myocardium, located)
     sites = Sites(
@@ -153,8 +190,10 @@ def attach(
         to_vertices=neighbourhood.to_vertices,
         to_sites=rays_between_sites(neighbourhood, myocardium.mesh),
     )
-    forest = Forest(_parents_first(parents), parents, no_delay[:0], *_children(parents), node_site)
-    return Coupling(myocardium, tuple(trees), located, nodes, junctions, lengths, forest, sites)
+    forest = Forest(order, parents, no_delay[:0], *_children(parents), node_site)
+    return Coupling(
+        myocardium, tuple(trees), located, nodes, roots, junctions, lengths, forest, sites
+    )
 
 
 def solve(
@@ -168,6 +207,7 @@ def solve(
     orthodromic_delay: ArrayLike = 0.0,
     antidromic_delay: ArrayLike = 0.0,
     tissue_speed: float = 1.0,
+    his: HisBundle | None = None,
 ) -> Activation:
     """Solve the coupled eikonal problem, orthodromic and antidromic, in one sweep.
 
@@ -194,6 +234,8 @@ def solve(
         Factor on all speeds of the myocardium. A heart that conducts c times as fast is one that
         conducts as before while everything else takes c times as long, seen on a clock that runs
         c times as fast: nothing about it need be prepared anew.
+    his : HisBundle, optional
+        Joins the roots; without it a front that comes to a root ends there.
     """
     if tissue_speed != 1.0:
         slowed = solve(
@@ -205,6 +247,7 @@ def solve(
             speed=speed,
             orthodromic_delay=tissue_speed * np.asarray(orthodromic_delay),
             antidromic_delay=tissue_speed * np.asarray(antidromic_delay),
+            his=his.slowed(tissue_speed) if his is not None else None,
         )
         return slowed.with_clock(tissue_speed)
     if len(root_times) != len(coupling.trees):
@@ -214,8 +257,11 @@ def solve(
     front = front_at_rest(vertices + nodes, len(sites.node))
     in_trees = front.time[vertices:]
     in_trees[:] = _firing_times(coupling, root_times, stimuli, node_times)
-    stimulus_times = in_trees[coupling.nodes[-1] :].copy()
-    forest = coupling.forest._replace(time=_segment_times(coupling, cv, speed))
+    stimulus_times = in_trees[coupling.stimulus_nodes].copy()
+    travel = _segment_times(coupling, cv, speed)
+    travel[coupling.roots] = his.branches if his is not None else np.inf
+    in_trees[-1] = his.fires if his is not None else np.inf
+    forest = coupling.forest._replace(time=travel)
     settle_trees(in_trees, forest)
     sources = sites.node[np.isfinite(front.time[sites.node])]
     sites = sites._replace(
@@ -240,12 +286,11 @@ def _firing_times(
 ) -> Floats:
     """When each node of the trees, and each stimulus, is fired from outside (ms); inf if not."""
     firing = np.full(len(coupling.lengths), np.inf)
-    for tree, first, root_time in zip(coupling.trees, coupling.nodes[:-1], root_times, strict=True):
-        firing[first + tree.root] = root_time
+    firing[coupling.roots] = root_times
     for tree_number, node, moment in node_times:
         first = coupling.nodes[tree_number]
         firing[first + node] = min(moment, firing[first + node])
-    firing[coupling.nodes[-1] :] = stimuli
+    firing[coupling.stimulus_nodes] = stimuli
     return firing
 
 
@@ -285,8 +330,9 @@ def _activation(coupling: Coupling, front: Front, stimulus_times: Floats) -> Act
         entered_by=entered,
         stimuli=stimuli.positions,
         stimulus_times=stimulus_times,
-        captured=(in_trees[coupling.nodes[-1] :] == stimulus_times) & (stimuli.elements >= 0),
+        captured=(in_trees[coupling.stimulus_nodes] == stimulus_times) & (stimuli.elements >= 0),
         junction_distances=_pieces(coupling.located.distances, coupling.junctions),
+        his=float(in_trees[-1]),
     )
 
 
@@ -334,9 +380,9 @@ def _pieces(values: NDArray[Any], starts: Integers) -> tuple[NDArray[Any], ...]:
     return tuple(values[a:b] for a, b in pairwise(starts))
 
 
-def _joined(trees: Sequence[PurkinjeTree], nodes: Integers, count: int) -> tuple[Integers, Floats]:
-    """Parents and lengths of the trees as one."""
-    parents, lengths = np.full(count, -1, dtype=np.int64), np.zeros(count)
+def _joined(trees: Sequence[PurkinjeTree], nodes: Integers, his: int) -> tuple[Integers, Floats]:
+    """Parents and lengths of the trees as one, up to the node of the His bundle."""
+    parents, lengths = np.full(his + 1, -1, dtype=np.int64), np.zeros(his + 1)
     for tree, first in zip(trees, nodes[:-1], strict=True):
         part = slice(first, first + len(tree.nodes))
         parents[part] = np.where(tree.parents >= 0, tree.parents + first, -1)

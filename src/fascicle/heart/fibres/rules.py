@@ -280,16 +280,28 @@ def by_rule(
     fibre = _principal(fibre_tensor)
     beside = np.eye(3) - _lines(fibre)
     sheet = _principal(beside @ sheet_tensor @ beside)
-    wall = LEAST_NEAR[np.argmin(potentials, axis=0)]
+    wall, depth = wall_and_depth(potentials)
     outward = unit(np.einsum("mk,km,kmx->mx", SIDES[wall], potentials, across))
     around, along = _frame(outward, baseward)
     fibre[_dot(fibre, around) < 0] *= -1
     sheet = unit(sheet - _dot(sheet, fibre)[:, None] * fibre)
+    return Fibres(fibre, sheet, outward, along, depth, wall)
+
+
+def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
+    """Which wall each tetrahedron is in, and how deep, as in `Fibres`.
+
+    Parameters
+    ----------
+    potentials : (3, m) array
+        Of the `SURFACES`.
+    """
+    wall = LEAST_NEAR[np.argmin(potentials, axis=0)]
     inner = potentials[np.where(wall == Wall.RV, RV, LV), np.arange(len(wall))]
     depth = 1 - inner / (
         inner + potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
     )
-    return Fibres(fibre, sheet, outward, along, depth, wall)
+    return wall, depth
 
 
 def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tuple[Floats, Floats]:

@@ -1,0 +1,151 @@
+"""Named sites lie where their names say, in every heart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from fascicle.core.errors import InputError
+from fascicle.core.leads import ELECTRODES
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.scenario import Scenario, Stimulus
+from fascicle.forward.scenario_files import read_scenario, scenario_text
+from fascicle.heart.segments import RIGHT, SEGMENTS
+from fascicle.heart.sites import LAYERS, LEFT_SITES, RIGHT_SITES, Sites
+
+
+@pytest.fixture(scope="module", params=["default_heart", "crtdemo"])
+def sites(request):
+    return Sites(request.getfixturevalue(request.param))
+
+
+def distance(vertices, place):
+    return float(cKDTree(vertices).query(place)[0])
+
+
+@pytest.mark.parametrize("name", SEGMENTS)
+def test_of_a_segment(sites, name):
+    """Within the segment, the inner one nearer to the cavity."""
+    inner, outer = (np.array(sites.position(f"{name} {layer}")) for layer in LAYERS)
+    heart, segment = sites.heart, 1 + SEGMENTS.index(name)
+    centres = cKDTree(heart.vertices[heart.tetrahedra].mean(axis=1))
+    for place in (inner, outer):
+        assert sites.places.segment[centres.query(place)[1]] == segment
+    assert distance(heart.lv.vertices, inner) < distance(heart.lv.vertices, outer)
+    assert sites.position(f"segment {segment} {LAYERS[1]}") == tuple(outer)
+
+
+def test_of_the_right_ventricle(sites):
+    heart = sites.heart
+    electrodes = dict(zip(ELECTRODES, heart.electrodes, strict=True))
+    up = (electrodes["RA"] + electrodes["LA"]) / 2 - electrodes["LL"]
+    at = {name: np.array(sites.position(name)) for name in RIGHT_SITES}
+    centres = cKDTree(heart.vertices[heart.tetrahedra].mean(axis=1))
+    for place in at.values():
+        assert distance(heart.rv.vertices, place) < 1e-6
+    height = {name: float(place @ up) for name, place in at.items()}
+    assert height["rv outflow tract"] == max(height.values())
+    assert height["rv apex"] == min(height.values())
+    left = heart.lv.vertices
+    assert distance(left, at["rv septum"]) < 15 < 25 < distance(left, at["rv free wall"])
+    wall = sites.places.segment[centres.query(at["rv free wall"], k=8)[1]]
+    assert (wall == RIGHT).all()
+
+
+def test_of_the_left_bundle(default_model, default_heart):
+    """On the tree of any network; below the root by so much."""
+    sites = default_model.sites
+    tree = default_model.grow(EXAMPLE_PARAMETERS)[0]
+    for name, way in zip(LEFT_SITES, (15.0, 25.0), strict=True):
+        away = np.linalg.norm(tree.nodes - sites.position(name), axis=1)
+        away[~tree.parts["bundle"]] = np.inf  # branches come back and lie nearer
+        node = int(np.argmin(away))
+        assert away[node] < 2.5
+        below = 0.0
+        while tree.parents[node] >= 0:
+            below += tree.lengths[node]
+            node = tree.parents[node]
+        assert below == pytest.approx(way, abs=3.0)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "lv", "segment 0 endocardium", "segment 18 endocardium", "mid anterior", "RV apex"]
+)
+def test_there_are_no_others(sites, name):
+    with pytest.raises(InputError, match=f"there is no site '{name}'; did you mean '") as caught:
+        sites.position(name)
+    assert "\n" not in str(caught.value)
+
+
+class TestInScenarios:
+    def test_a_name_is_the_same_as_its_position(self, default_model):
+        place = default_model.sites.position("rv apex")
+        named, placed = (
+            default_model.simulate(
+                EXAMPLE_PARAMETERS, Scenario((Stimulus(0.0, **where),), silent=("lv", "rv"))
+            )
+            for where in ({"site": "rv apex"}, {"position": place})
+        )
+        np.testing.assert_array_equal(named.activation, placed.activation)
+
+    def test_a_radius_fires_all_that_is_near(self, default_model, default_heart):
+        stimulus = Stimulus(3.0, site="mid inferior epicardium", radius=8.0)
+        paced = default_model.simulate(
+            EXAMPLE_PARAMETERS, Scenario((stimulus,), silent=("lv", "rv"))
+        )
+        place = default_model.sites.position("mid inferior epicardium")
+        away = np.linalg.norm(default_heart.vertices - place, axis=1)
+        assert (away <= 8).sum() > 3
+        np.testing.assert_allclose(paced.activation[away <= 8], 3.0)
+        assert (paced.activation[away > 8] > 3.0).all()
+
+    def test_a_radius_in_a_tree_fires_its_nodes(self, default_model):
+        paced = default_model.simulate(
+            EXAMPLE_PARAMETERS,
+            Scenario(
+                (Stimulus(2.0, site="left bundle", tree="lv", radius=6.0),), silent=("lv", "rv")
+            ),
+        )
+        place = default_model.sites.position("left bundle")
+        away = np.linalg.norm(paced.trees[0].nodes - place, axis=1)
+        times = paced.coupled.trees[0]
+        assert (away <= 6).sum() > 3
+        assert (times[away <= 6] == 2.0).all()
+        assert (times[away > 6] > 2.0).all()
+
+    def test_a_part_of_a_tree_is_fired_where_branches_lie_nearer(self, default_model):
+        fired = {}
+        for part in (None, "bundle"):
+            stimulus = Stimulus(0.0, site="left septum", tree="lv", part=part)
+            paced = default_model.simulate(
+                EXAMPLE_PARAMETERS, Scenario((stimulus,), silent=("lv", "rv"))
+            )
+            fired[part] = int(np.argmin(paced.coupled.trees[0]))
+        assert paced.trees[0].parts["bundle"][fired["bundle"]]
+        assert not paced.trees[0].parts["bundle"][fired[None]]
+
+    def test_they_come_back_from_a_file(self, tmp_path):
+        scenario = Scenario(
+            (
+                Stimulus(0.0, site="apex epicardium", radius=3.0),
+                Stimulus(1.0, (1.0, 2.0, 3.0), "lv"),
+            )
+        )
+        path = tmp_path / "case.toml"
+        path.write_text(scenario_text(scenario))
+        assert read_scenario(path)[0].stimuli == scenario.stimuli
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("time = 0", "case.toml: stimulus at 0.0 ms: give either a position or a site"),
+            ("time = 0\nsite = 3", "stimulus 1: 'site' is 3; it must be the name of a site"),
+            ("time = 0\nsite = 'rv apex'\nradius = 50", "radius' is 50; .* 0 to 20 .mm"),
+        ],
+    )
+    def test_wrong_files_are_refused(self, text, message, tmp_path):
+        path = tmp_path / "case.toml"
+        path.write_text(f"[[stimulus]]\n{text}\n")
+        with pytest.raises(InputError, match=message):
+            read_scenario(path)
