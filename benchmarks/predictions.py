@@ -1,0 +1,70 @@
+"""How long scenarios over a population take.
+
+    python -m benchmarks.predictions --heart HEART [--networks 30] [--workers 2]
+
+Networks of the prior stand for a population. Printed are the seconds that six scenarios of the
+library take in all of them (activation, ECG and indices), and what was found once for the heart
+before: its segments, and sites. Run from the root of the repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+import fascicle
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario_files import read_scenarios
+from fascicle.predict.scenarios import predict
+from fascicle.recording.synthetic import smooth_noise
+from fascicle.recording.target import Target
+from fascicle.study.problem import Network, Problem
+from fascicle.study.space import study_space
+
+SCENARIOS = (
+    "intrinsic", "his-pacing", "left-bundle-pacing", "left-bundle-pacing-nonselective",
+    "rv-apical-pacing", "biventricular-pacing",
+)  # fmt: skip
+
+
+def population(model: ForwardModel, count: int, rng: np.random.Generator) -> list[Network]:
+    """So many networks of the prior."""
+    space, fixed = study_space("posterior", {}, model.heart)
+    found: list[Network] = []
+    while len(found) < count:
+        values = {**fixed, **space.from_unit(rng.random(len(space)))}
+        simulation = model.simulate(values)
+        if isinstance(simulation, fascicle.Simulation):
+            found.append(Network(values, simulation, simulation.leads, 1.0, 1.0))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--heart", required=True)
+    parser.add_argument("--networks", type=int, default=30)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    rng = np.random.default_rng(0)
+    model = ForwardModel(fascicle.load_heart(given.heart))
+    networks = population(model, given.networks, rng)
+    time_axis = np.arange(-60.0, 140.0)
+    beats = smooth_noise(rng, (2, 12, len(time_axis)), 0.1)  # of any recording; its filters count
+    target = Target(beats, time_axis, -40.0, 40.0, 60.0, {}, 4.0, 5.0)
+    space, _ = study_space("posterior", {}, model.heart)
+    problem = Problem(model, target, space, workers=given.workers)
+    scenarios = read_scenarios(SCENARIOS)
+    begin = time.perf_counter()
+    predict(problem, networks[:1], scenarios)
+    once = time.perf_counter() - begin
+    begin = time.perf_counter()
+    predict(problem, networks, scenarios)
+    seconds = time.perf_counter() - begin
+    print(f"{len(networks)} networks, {len(scenarios)} scenarios: {seconds:.1f} s")
+    print(f"once for the heart, with the first network: {once:.1f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""What is read off an activation and its ECG: durations, synchrony, peaks, the area of the QRS.
+
+Definitions and sources stand in docs/predictions.md, which `INDICES` is held to by a test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.leads import LEADS
+from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.simulation import Simulation
+from fascicle.heart.fibres.rules import Wall
+from fascicle.heart.heart import Heart
+from fascicle.heart.segments import APEX, RIGHT, Places
+from fascicle.recording.window import qrs_window
+
+INDICES = {
+    "qrs_duration": "ms",
+    "qrs_from_stimulus": "ms",
+    "total_activation_time": "ms",
+    "lv_activation_time": "ms",
+    "rv_activation_time": "ms",
+    "activation_time_90": "ms",
+    "activation_time_95": "ms",
+    "lv_rv_delay": "ms",
+    "lv_dyssynchrony": "ms",
+    "latest_segment": "1",
+    "v6_r_wave_peak_time": "ms",
+    "v6_v1_interpeak_interval": "ms",
+    "qrs_area": "µVs",
+}
+"""Names of the indices, and their units."""
+
+SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave
+
+# J. A. Kors et al., Eur Heart J 11 (1990): X (to the left), Y (down) and Z (to the back) of a
+# vectorcardiogram by regression on I, II, V1 … V6
+KORS_LEADS = ("I", "II", "V1", "V2", "V3", "V4", "V5", "V6")
+KORS = np.array(
+    [
+        [0.38, -0.07, -0.13, 0.05, -0.01, 0.14, 0.06, 0.54],
+        [-0.07, 0.93, 0.06, -0.02, -0.05, 0.06, -0.17, 0.13],
+        [0.11, -0.23, -0.43, -0.06, -0.14, -0.20, -0.11, 0.31],
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Territories:
+    """Volumes of a heart's elements, and where these lie.
+
+    Attributes
+    ----------
+    tetrahedra : (m, 4) array
+        Vertices of each.
+    volumes : (m,) array
+        Of each (mm³).
+    segment : (m,) array
+        Of the left ventricle, 1 to 17; 0 in the free wall of the right one.
+    left_free_wall : (m,) bool array
+        The left ventricle without the septum.
+    left, right : arrays
+        Vertices of the left ventricle with the septum, and of the free wall of the right one.
+    """
+
+    tetrahedra: Integers
+    volumes: Floats
+    segment: Integers
+    left_free_wall: Booleans
+    left: Integers
+    right: Integers
+
+    @classmethod
+    def of(cls, heart: Heart, places: Places) -> Territories:
+        """Those of a heart."""
+        right = places.segment == RIGHT
+        vertices = (np.unique(heart.tetrahedra[chosen]) for chosen in (~right, right))
+        free = places.wall == Wall.LV
+        return cls(heart.tetrahedra, heart.volumes, places.segment, free, *vertices)
+
+    def times(self, activation: Floats) -> Floats:
+        """Mean activation time of each element (ms); inf where a corner is never activated."""
+        return np.asarray(activation[self.tetrahedra].mean(axis=1))
+
+    def segment_means(self, times: Floats) -> Floats:
+        """Mean over the volume of each segment that is activated (ms), shape (18,); NaN of none.
+
+        The first is that of the right ventricle's free wall.
+        """
+        volumes = np.where(np.isfinite(times), self.volumes, 0.0)
+        total = np.bincount(self.segment, volumes * _finite(times), APEX + 1)
+        active = np.bincount(self.segment, volumes, APEX + 1)
+        means = np.full(APEX + 1, np.nan)
+        return np.asarray(np.divide(total, active, out=means, where=active > 0))
+
+
+def indices(
+    simulation: Simulation, territories: Territories, stimulus: float | None = None
+) -> dict[str, float]:
+    """Compute all `INDICES` of a simulation.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of the heart of the territories.
+    territories : Territories
+        Where its elements lie.
+    stimulus : float, optional
+        When the first stimulus is given (ms); of an intrinsic beat none: what is counted from it is
+        then NaN, as is what refers to a wave that is not there.
+    """
+    return {**_of_activation(simulation.activation, territories), **_of_ecg(simulation, stimulus)}
+
+
+def segment_times(activation: Floats, territories: Territories) -> Floats:
+    """Mean activation time of each segment of the left ventricle (ms), shape (17,); NaN in scar."""
+    return territories.segment_means(territories.times(activation))[1:]
+
+
+def vectorcardiogram(leads: Floats) -> Floats:
+    """Vectorcardiogram X, Y, Z (mV), shape (3, n), of twelve leads (12, n) by Kors' regression."""
+    return np.asarray(KORS @ leads[[LEADS.index(name) for name in KORS_LEADS]])
+
+
+def _of_activation(activation: Floats, territories: Territories) -> dict[str, float]:
+    times = territories.times(activation)
+    right, *segments = territories.segment_means(times)
+    begin, end = _ends(activation)
+    late = _activated(times, territories.volumes, (0.9, 0.95))
+    free = territories.left_free_wall & np.isfinite(times)
+    left_free = np.average(times[free], weights=territories.volumes[free]) if free.any() else np.nan
+    return {
+        "total_activation_time": end - begin,
+        "lv_activation_time": _ends(activation[territories.left])[1] - begin,
+        "rv_activation_time": _ends(activation[territories.right])[1] - begin,
+        "activation_time_90": float(late[0]) - begin,
+        "activation_time_95": float(late[1]) - begin,
+        "lv_rv_delay": float(left_free - right),
+        "lv_dyssynchrony": float(np.nanstd(segments)),
+        "latest_segment": float(1 + np.nanargmax(segments)),
+    }
+
+
+def _ends(times: Floats) -> tuple[float, float]:
+    """First and last of the times that are reached (ms); NaN of none."""
+    reached = times[np.isfinite(times)]
+    return (float(reached.min()), float(reached.max())) if reached.size else (np.nan, np.nan)
+
+
+def _finite(times: Floats) -> Floats:
+    return np.where(np.isfinite(times), times, 0.0)
+
+
+def _activated(times: Floats, volumes: Floats, shares: Sequence[float]) -> Floats:
+    """When these shares of the volume that is reached at all are active (ms)."""
+    reached = np.isfinite(times)
+    times, volumes = times[reached], volumes[reached]
+    order = np.argsort(times)
+    done = np.cumsum(volumes[order])
+    return np.asarray(times[order][np.searchsorted(done, done[-1] * np.array(shares))])
+
+
+def _of_ecg(simulation: Simulation, stimulus: float | None) -> dict[str, float]:
+    leads = simulation.leads
+    onset, offset = qrs_window(leads, STEP)
+    loop = vectorcardiogram(leads[:, onset : offset + 1])
+    v6, v1 = (_r_peak(leads[LEADS.index(name), onset : offset + 1]) for name in ("V6", "V1"))
+    since = np.nan if stimulus is None else simulation.onset + onset * STEP - stimulus
+    return {
+        "qrs_duration": (offset - onset) * STEP,
+        "qrs_from_stimulus": since + (offset - onset) * STEP,
+        "v6_r_wave_peak_time": since + v6,
+        "v6_v1_interpeak_interval": v1 - v6,
+        "qrs_area": float(np.linalg.norm(loop.sum(axis=1)) * STEP),  # 1 mV ms is 1 µVs
+    }
+
+
+def _r_peak(potential: Floats) -> float:
+    """Time of the largest potential of a lead (ms), from its first sample; NaN without R wave."""
+    peak = int(np.argmax(potential))
+    return peak * STEP if potential[peak] >= SMALLEST_R else np.nan
