@@ -17,7 +17,7 @@ from fascicle.report.hearts import ActivationRow, activation_figure
 from fascicle.report.pairs import pair_figure
 from fascicle.report.style import BLUE, VERMILION
 from fascicle.study.population import Posterior
-from fascicle.study.problem import Network, Problem
+from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
 
 
@@ -53,10 +53,9 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
     """
     check_population(fitted)
     problem, population, records = fitted.problem, fitted.population, fitted.study.records()
-    share = 0.9 if isinstance(population, Posterior) else 1.0  # the paper shows the range of its 30
     best = activation_row("best network", fitted.best_network.simulation)
     figures = {
-        "ecg": _ecg_figure(problem, networks, share),
+        "ecg": recorded_ecg_figure(fitted, 0, networks),
         "pairs": pair_figure(
             problem.space, population.values, population.best, title=fitted.networks_called
         ),
@@ -66,14 +65,31 @@ def write_figures(fitted: FittedStudy, networks: Sequence[Network]) -> list[Path
             [record.stage for record in records],
         ),
     }
-    for number, other in enumerate(problem.others, 1):
-        figures[f"ecg-{number + 1}"] = _ecg_figure(other, fitted.networks(recording=number), share)
+    for number in range(1, len(problem.recordings)):
+        figures[f"ecg-{number + 1}"] = recorded_ecg_figure(fitted, number)
     folder = fitted.folder / "figures"
     return [save(figure, folder / f"{name}.png") for name, figure in figures.items()]
 
 
-def _ecg_figure(problem: Problem, networks: Sequence[Network], share: float) -> Figure:
-    """Recorded and predicted QRS of one recording; the band holds a share of the networks."""
+def recorded_ecg_figure(
+    fitted: FittedStudy, recording: int, networks: Sequence[Network] | None = None
+) -> Figure:
+    """Draw recorded and predicted QRS of one recording.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    recording : int
+        Which of its recordings, counted from 0.
+    networks : sequence of Network, optional
+        Its population in that recording's scenario, if simulated before.
+    """
+    problem = fitted.problem.recordings[recording]
+    if networks is None:
+        networks = fitted.networks(recording=recording)
+    # the paper shows the range of its 30
+    share = 0.9 if isinstance(fitted.population, Posterior) else 1.0
     window = problem.target.qrs_samples
     time = problem.target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]

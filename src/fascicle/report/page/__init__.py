@@ -1,0 +1,1 @@
+"""One HTML file that tells what a study found: words, figures, and a heart to turn."""

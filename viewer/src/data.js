@@ -1,0 +1,32 @@
+// What a scene holds, as typed arrays.
+
+const NONE = 65535;
+const STEPS = 65534;
+
+function bytes(text) {
+  const binary = atob(text);
+  const out = new Uint8Array(binary.length);
+  for (let k = 0; k < binary.length; k++) out[k] = binary.charCodeAt(k);
+  return out.buffer;
+}
+
+export const whole = (text) => new Uint32Array(bytes(text));
+
+// Positions (mm) of quantised points.
+export function positions(text, box) {
+  const quantised = new Uint16Array(bytes(text));
+  const out = new Float32Array(quantised.length);
+  for (let k = 0; k < quantised.length; k++) {
+    const low = box.low[k % 3];
+    out[k] = low + (quantised[k] / NONE) * (box.high[k % 3] - low);
+  }
+  return out;
+}
+
+// Values of a field; NaN where there is none.
+export function values(field) {
+  const quantised = new Uint16Array(bytes(field.values ?? field.times));
+  return Float32Array.from(quantised, (q) =>
+    q === NONE ? NaN : field.low + (q / STEPS) * (field.high - field.low),
+  );
+}
