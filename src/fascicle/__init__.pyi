@@ -4,6 +4,7 @@ from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
 from .forward.model import ForwardModel as ForwardModel
+from .forward.scenario import His as His
 from .forward.scenario import Scenario as Scenario
 from .forward.scenario import Slowing as Slowing
 from .forward.scenario import Stimulus as Stimulus

@@ -40,7 +40,8 @@ def test_installed_program():
         ("heart", "import"), ("heart import", "--lv-endocardium"), ("heart check", "HEART"),
         ("heart refine", "--out"),
         ("simulate", "--root-time"), ("target", "--out"), ("fit", "--effective"),
-        ("predict", "--root-time"), ("report", "Finished study"), ("demo", "--out"),
+        ("predict", "--scenario"), ("compare", "--threshold"), ("sweep", "--delay"),
+        ("report", "Finished study"), ("demo", "--out"),
     ],
 )  # fmt: skip
 def test_help_of_every_command(run, monkeypatch, command, words):

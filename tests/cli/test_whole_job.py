@@ -1,6 +1,8 @@
 """Recording to prediction on the packaged heart, with a budget of seconds."""
 
+import html
 import json
+import re
 import shutil
 import sqlite3
 import sys
@@ -9,6 +11,7 @@ from functools import partial
 
 import arviz as az
 import numpy as np
+import pandas as pd
 import pytest
 import pyvista as pv
 import xarray as xr
@@ -131,25 +134,82 @@ def test_another_forward_model_is_refused(study, target, monkeypatch):
 
 
 def test_predict(study, tmp_path, monkeypatch, capsys):
-    assert (
-        run(monkeypatch, "predict", study.folder, "--root-time", "0", "--out", tmp_path / "p") == 0
-    )
-    assert "QRS duration" in capsys.readouterr().out
-    rows = (tmp_path / "p" / "table.csv").read_text().splitlines()
-    assert len(rows) == 1 + len(study.population)
-    table = np.array([row.split(",")[1:] for row in rows[1:]], dtype=float)
-    assert (table > 30).all()
-    assert (table < 250).all()
+    own = tmp_path / "slow-left.toml"
+    own.write_text("description = 'a slow branch'\n[his]\nleft = 0.5\n")
+    asked = ["--scenario", "his-pacing", "--scenario", own, "--scenario", "biventricular-pacing"]
+    assert run(monkeypatch, "predict", study.folder, *asked, "--out", tmp_path / "p") == 0
+    printed = capsys.readouterr().out
+    names = ["intrinsic", "his-pacing", "slow-left", "biventricular-pacing"]
+    assert [line.split()[0] for line in printed.splitlines()[2:6]] == names
+    table = pd.read_csv(tmp_path / "p" / "indices.csv")
+    assert table["scenario"].unique().tolist() == names
+    assert len(table) == len(names) * len(study.population)
+    assert table["qrs_duration_ms"].between(30, 250).all()
     summary = json.loads((tmp_path / "p" / "summary.json").read_text())
-    tat = table[:, 3]
-    assert summary["total_activation_time_after_ms"]["maximum"] == pytest.approx(
-        tat.max(), abs=0.01
+    assert summary["slow-left"]["description"] == "a slow branch"
+    assert summary["intrinsic"]["qrs_duration_ms"]["change"]["95 %"] == 0
+    assert sum(summary["his-pacing"]["latest_segment"].values()) == pytest.approx(1, abs=0.01)
+    paced = table[table["scenario"] == "biventricular-pacing"]["total_activation_time_ms"]
+    arrays = pv.read(tmp_path / "p" / "biventricular-pacing" / "activation.vtu").point_data
+    for name, value in (("minimum", paced.min()), ("maximum", paced.max())):
+        assert np.ptp(arrays[f"activation_{name}"]) == pytest.approx(value, abs=0.01)
+    assert ((arrays["probability_latest_fifth"] >= 0) & (arrays["activation_sd"] >= 0)).all()
+    path = tmp_path / "p" / "his-pacing" / "ecgs.nc"
+    with xr.open_dataset(path, engine="h5netcdf") as ecgs:
+        assert ecgs["ecg"].sizes["network"] == len(study.population)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["hiss-pacing"], "no scenario 'hiss-pacing'; did you mean 'his-pacing'?"),
+        (["missing.toml"], "missing.toml"),
+        (["his-pacing", "his-pacing"], "two scenarios are called 'his-pacing'"),
+    ],
+)
+def test_predict_refuses(study, tmp_path, monkeypatch, capsys, asked, words):
+    options = [text for name in asked for text in ("--scenario", name)]
+    assert run(monkeypatch, "predict", study.folder, *options, "--out", tmp_path / "p") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error
+    assert not (tmp_path / "p").exists()
+
+
+def test_compare(study, monkeypatch, capsys):
+    asked = ["compare", study.folder, "his-pacing", "left-bundle-branch-block"]
+    assert run(monkeypatch, *asked, "--threshold", "2") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        lines[1] == f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     )
-    for name, value in (("minimum", tat.min()), ("maximum", tat.max())):
-        times = pv.read(tmp_path / "p" / f"activation_{name}.vtu").point_data["activation"]
-        assert np.ptp(times) == pytest.approx(value, abs=0.01)
-    with xr.open_dataset(tmp_path / "p" / "ecgs.nc", engine="h5netcdf") as ecgs:
-        assert ecgs["after"].sizes["network"] == len(study.population)
+    shown = {line[:24].strip(): float(line[24:38]) for line in lines[3:-2]}
+    assert shown["LV activation time"] > 0.9
+    assert all(0 <= probability <= 1 for probability in shown.values())
+    assert lines[-2].startswith("total activation time: a gain of more than 2 ms has probability ")
+    assert run(monkeypatch, *asked, "--index", "speed") == 2
+    error = capsys.readouterr()
+    assert error.out == ""
+    assert error.err.count("\n") == 1
+    assert "index 'speed' is not compared" in error.err
+
+
+def test_sweep(study, tmp_path, monkeypatch, capsys):
+    asked = ["sweep", study.folder, "biventricular-pacing", "--networks", "3"]
+    assert run(monkeypatch, *asked, "--delay=-20:20:20", "--out", tmp_path / "s") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[3:6]] == ["-20", "0", "20"]
+    assert sum(int(line.split()[-1][:-1]) for line in lines[3:6]) == pytest.approx(100, abs=2)
+    table = pd.read_csv(tmp_path / "s" / "indices.csv")
+    assert table.groupby("scenario").size().to_dict() == {"-20 ms": 3, "0 ms": 3, "20 ms": 3}
+    medians = json.loads((tmp_path / "s" / "summary.json").read_text())["medians"]
+    early = table[table["scenario"] == "-20 ms"]["total_activation_time_ms"]
+    assert medians["-20 ms"] == pytest.approx(early.median(), abs=0.01)
+    assert (tmp_path / "s" / "sweep.png").exists()
+    for wrong in (["--delay", "0:1"], [], ["--segments", "middle"]):
+        assert run(monkeypatch, *asked, *wrong, "--out", tmp_path / "w") == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "w").exists()
 
 
 def test_pacing_together_undoes_a_delay(study):
@@ -162,14 +222,25 @@ def test_pacing_together_undoes_a_delay(study):
 
 
 def test_report(study, monkeypatch, capsys):
-    assert run(monkeypatch, "report", study.folder) == 0
-    figures = capsys.readouterr().out.split("\n")[:-1]
+    asked = ["report", study.folder, "--scenario", "his-pacing", "--figures"]
+    assert run(monkeypatch, *asked) == 0
+    verdict, *figures, page = capsys.readouterr().out.split("\n")[:-1]
+    assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
         "ecg.png", "pairs.png", "activation.png", "convergence.png",
     ]  # fmt: skip
     for figure in figures:
         with open(figure, "rb") as file:
             assert file.read(4) == b"\x89PNG"
+    assert page == (study.folder / "report.html").resolve().as_uri()
+    text = (study.folder / "report.html").read_text()
+    assert study.verdict in html.unescape(text)
+    assert len(text) < 5_000_000
+    assert not re.search(r"(src|href)=.https?:", text), "nothing is loaded from elsewhere"
+    content = re.search(r'<script type="application/json" id="scene">(.*?)</script>', text, re.S)
+    scenarios = json.loads(content[1])["scenarios"]
+    assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
+    assert all(warning in html.unescape(text) for warning in study.warnings)
 
 
 def test_unfinished_study_is_refused(study, tmp_path, monkeypatch, capsys):

@@ -22,10 +22,12 @@ from fascicle.cli.arguments import (
 )
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.printing import (
+    print_comparison,
     print_demo,
     print_fit,
-    print_pacing,
+    print_prediction,
     print_simulation,
+    print_sweep,
     print_template,
 )
 from fascicle.cli.quantities import FixOption, FreeOption, fixed_values, wanted_parameters
@@ -90,10 +92,10 @@ def simulate(
     ] = None,
     fix: FixOption = None,
     scenario: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="TOML file with stimuli, blocked or slow segments, junction delays, scar, more "
-            "trees (docs/files.md)."
+            help="Name ('fascicle scenarios' lists them), or TOML file with stimuli, blocked or "
+            "slow segments, junction delays, scar, more trees (docs/files.md)."
         ),
     ] = None,
 ) -> None:
@@ -119,13 +121,13 @@ def simulate(
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
-    from fascicle.forward.scenario_files import read_scenario
+    from fascicle.forward.scenario_files import find_scenario, read_scenario
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
     from fascicle.heart.conduction import Conduction
     from fascicle.heart.folder import load_heart
 
     overrides = fixed_values(fix, cv=cv, root_time=root_time)
-    case, regions = read_scenario(scenario) if scenario is not None else (None, ())
+    case, regions = read_scenario(find_scenario(scenario)) if scenario is not None else (None, ())
     loaded = load_heart(heart)
     with TerminalProgress() as progress:
 
@@ -224,39 +226,175 @@ def fit(
 def predict(
     study: StudyArgument,
     out: OutOption,
-    root_time: Annotated[
-        float, typer.Option(help="t_RV - t_LV of the paced roots (ms); 0 fires both together.")
-    ] = 0.0,
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
+            "given several times. Without one: his-pacing, both roots fired together."
+        ),
+    ] = None,
 ) -> None:
-    """Predict conduction-system pacing with every network of the population."""
+    """Predict pacings, blocks and ectopic beats with every network of the population.
+
+    Each is set beside the heart's own beat: QRS duration, activation times, dyssynchrony, QRS area
+    and more (docs/predictions.md), twelve-lead ECGs as the recorder would have them, activation
+    maps. Intervals are those of the networks, so of what the ECG leaves open.
+    """
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.predict.pacing import paced_prior
-    from fascicle.report.prediction import write_pacing
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.predict.scenarios import predict as simulate_scenarios
+    from fascicle.predict.scenarios import prior_networks
+    from fascicle.report.prediction import write_prediction
     from fascicle.study.fit import load_study
     from fascicle.study.population import Posterior
 
+    scenarios, prior = read_scenarios(scenario or ["his-pacing"]), None
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        pacing = write_pacing(fitted, root_time, out, progress)
-        said = isinstance(fitted.population, Posterior) and fitted.population.converged
-        prior = paced_prior(fitted.problem, root_time, progress) if said else None
+        predicted = write_prediction(fitted, scenarios, out, progress)
+        if isinstance(fitted.population, Posterior) and fitted.population.converged:
+            networks = prior_networks(fitted.problem, progress)
+            prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")
     print(f"result                 {fitted.verdict}")
-    print_pacing(pacing, prior)
+    print_prediction(predicted, prior)
     print(f"prediction in {out}")
 
 
 @app.command()
-def report(study: StudyArgument) -> None:
-    """Draw the figures of a study into its folder."""
+def compare(
+    study: StudyArgument,
+    first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
+    second: Annotated[str, typer.Argument(help="The one it is compared with.")],
+    index: Annotated[
+        str, typer.Option(help="Index whose gain is explained; less is better.")
+    ] = "total_activation_time",
+    threshold: Annotated[
+        float, typer.Option(help="Gain that matters, in the unit of the index.")
+    ] = 0.0,
+) -> None:
+    """Say how probably one scenario is better than another, by how much, and what leaves it open.
+
+    Every network of the population decides for itself; 'intrinsic' is the heart's own beat. All
+    indices are shown, since they may disagree.
+    """
     from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.predict.comparison import check_index
+    from fascicle.predict.scenarios import predict as simulate_scenarios
+    from fascicle.report.study import check_population
+    from fascicle.study.fit import load_study
+
+    check_index(index)
+    wanted = read_scenarios([first, second])
+    with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
+        check_population(fitted)
+        networks = fitted.networks(progress)
+        predicted = simulate_scenarios(fitted.problem, networks, wanted, progress)
+    print(f"result                 {fitted.verdict}")
+    print_comparison(predicted, index, threshold, fitted.population.values)
+
+
+@app.command()
+def sweep(
+    study: StudyArgument,
+    scenario: Annotated[str, typer.Argument(help="Scenario to vary, by name or file.")],
+    out: OutOption,
+    delay: Annotated[
+        str | None,
+        typer.Option(help="Delays of the last stimulus after the first: first:last:step (ms)."),
+    ] = None,
+    layer: Annotated[
+        str | None,
+        typer.Option(
+            "--segments",
+            help="Move the last stimulus of the tissue over all 17 segments of the left ventricle, "
+            "under this layer: endocardium or epicardium.",
+        ),
+    ] = None,
+    radius: Annotated[
+        str | None,
+        typer.Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm)."),
+    ] = None,
+    index: Annotated[str, typer.Option(help="Index to draw.")] = "total_activation_time",
+    networks: Annotated[int, typer.Option(min=2, help="Networks of the population to use.")] = 60,
+) -> None:
+    """Vary a delay, a site or a capture radius in networks of the population.
+
+    Biventricular pacing with the left side up to 60 ms before and after the right one:
+
+        fascicle sweep STUDY biventricular-pacing --delay=-60:60:10 --out SWEEP
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.predict.comparison import check_index
+    from fascicle.predict.sweeps import delays, radii, segments
+    from fascicle.report.sweep import write_sweep
+    from fascicle.study.fit import load_study
+
+    check_index(index)
+    (case,) = read_scenarios([scenario]).values()
+    ways = {delays: delay, segments: layer, radii: radius}
+    asked = [(vary, how) for vary, how in ways.items() if how is not None]
+    if len(asked) != 1:
+        raise InputError("give one of --delay, --segments and --radius: what is to vary")
+    ((vary, how),) = asked
+    family = vary(case, how)
+    with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
+        found = write_sweep(fitted, family, index, networks, out, progress)
+    print(f"result                 {fitted.verdict}")
+    print_sweep(found, index, family.varied)
+    print(f"sweep in {out}")
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that come with fascicle, for `predict` and `simulate`."""
+    from fascicle.forward.scenario_files import library, read_scenario
+
+    for name, path in library().items():
+        case, _ = read_scenario(path)
+        print(f"{name:<34}{case.description}")
+
+
+@app.command()
+def report(
+    study: StudyArgument,
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
+            "given several times. Without one: three pacings."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="HTML file; report.html in the study.")
+    ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw the figures into the study's folder, too.")
+    ] = False,
+) -> None:
+    """Write what a study found as one HTML file that opens offline.
+
+    First the answer in words; then the recorded and the predicted ECG, a heart to turn with the
+    activation of every scenario, the scenarios compared, parameters, convergence, inputs.
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.report.page.page import PACINGS, write_report
     from fascicle.report.study import write_figures
     from fascicle.study.fit import load_study
 
+    wanted, drawn = read_scenarios(scenario or PACINGS), []
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        figures = write_figures(fitted, fitted.networks(progress))
-    for figure in figures:
-        print(figure)
+        page = write_report(fitted, wanted, out or study / "report.html", progress)
+        if figures:
+            drawn = write_figures(fitted, fitted.networks(progress))
+    print(f"result                 {fitted.verdict}")
+    for path in (*drawn, page.resolve().as_uri()):
+        print(path)
 
 
 @app.command()
@@ -295,10 +433,10 @@ def demo(
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
     with _resumable(out), TerminalProgress() as progress:
-        analysis, fitted, pacing = run_demo(out, progress, free_gain=free_gain)
+        analysis, fitted, predicted = run_demo(out, progress, free_gain=free_gain)
     print_analysis(analysis)
     print_fit(fitted)
-    print_pacing(pacing)
+    print_prediction(predicted)
     print_demo(out)
 
 

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from fascicle.core.progress import Progress
-from fascicle.predict.pacing import Pacing
+from fascicle.forward.scenario_files import read_scenarios
+from fascicle.predict.scenarios import Predicted
 from fascicle.recording.analysis import Analysis
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target_files import write_target
 from fascicle.report.figures import save
-from fascicle.report.prediction import write_pacing
+from fascicle.report.page.page import PACINGS, write_report
+from fascicle.report.prediction import write_prediction
 from fascicle.report.recording import recording_figure
 from fascicle.report.study import write_figures
 from fascicle.study.fit import fit
@@ -34,14 +36,14 @@ def demo_recording() -> Path:
 
 def run_demo(
     out: Path, progress: Progress, *, free_gain: bool
-) -> tuple[Analysis, FittedStudy, Pacing]:
-    """Make the target, fit, draw the figures, predict simultaneous activation of both trees.
+) -> tuple[Analysis, FittedStudy, dict[str, Predicted]]:
+    """Make the target, fit, draw the figures, compare three pacings.
 
     Parameters
     ----------
     out : Path
-        Folder that gets ``target.nc`` and ``target.png``, ``study`` and ``pacing``; run again, the
-        study resumes.
+        Folder that gets ``target.nc`` and ``target.png``, ``study``, ``pacings`` and
+        ``report.html``; run again, the study resumes.
     progress : Progress
         Called with the stage, and how far it is.
     free_gain : bool
@@ -53,5 +55,6 @@ def run_demo(
     settings = SETTINGS | {"free_gain": free_gain}
     fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
     write_figures(fitted, fitted.networks(progress))
-    pacing = write_pacing(fitted, 0.0, out / "pacing", progress)
-    return analysis, fitted, pacing
+    predicted = write_prediction(fitted, read_scenarios(PACINGS), out / "pacings", progress)
+    write_report(fitted, read_scenarios(PACINGS), out / "report.html", progress)
+    return analysis, fitted, predicted

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
     from fascicle.forward.simulation import Simulation
-    from fascicle.predict.pacing import Pacing
+    from fascicle.predict.scenarios import Predicted
     from fascicle.study.population import Population, Posterior
     from fascicle.study.results import FittedStudy
 
@@ -91,26 +91,76 @@ def _print_population(population: Population) -> None:
         print(f"{name:<22} {middle} {unit}{' ' * bool(unit)}({low} to {high})")
 
 
-def print_pacing(pacing: Pacing, prior: Mapping[str, Floats] | None = None) -> None:
-    """Print durations before and after pacing: medians, and 90 % of the networks.
+def print_prediction(
+    predicted: Mapping[str, Predicted], prior: Mapping[str, Predicted] | None = None
+) -> None:
+    """Print indices of scenarios: medians, and 90 % of the networks.
 
-    With those of the prior, say whether the ECG determines them, too.
+    With those of networks of the prior, say whether the ECG determines them, too.
     """
     import numpy as np
 
     from fascicle.study.verdict import prediction_statement
 
-    for key, name, before, after in (
-        ("qrs_after", "QRS duration", pacing.qrs_before, pacing.qrs_after),
-        ("tat_after", "total activation time", pacing.tat_before, pacing.tat_after),
-    ):
-        low, middle, high = np.percentile(after, [5, 50, 95])
-        print(
-            f"{name:<22} {np.median(before):.0f} ms -> {middle:.0f} ms paced "
-            f"(90 % of the networks: {low:.0f} to {high:.0f})"
-        )
-        if prior is not None:
-            print(f"{'':<22} {prediction_statement(after, prior[key])}")
+    shown = {"qrs_duration": "QRS duration (ms)", "total_activation_time": "total activation (ms)"}
+    print(f"{'scenario':<32}" + "".join(f"{name:<26}" for name in shown.values()))
+    for name, found in predicted.items():
+        cells = []
+        for index in shown:
+            low, middle, high = np.percentile(found.indices[index], [5, 50, 95])
+            cells.append(f"{middle:.0f} ({low:.0f} to {high:.0f})")
+        print(f"{name:<32}" + "".join(f"{cell:<26}" for cell in cells))
+    print("medians (90 % of the networks)")
+    for name, known in (prior or {}).items():
+        for index, title in shown.items():
+            said = prediction_statement(predicted[name].indices[index], known.indices[index])
+            print(f"{name}, {title.removesuffix(' (ms)')}: {said}")
+
+
+def print_comparison(
+    predicted: Mapping[str, Predicted],
+    index: str,
+    threshold: float,
+    parameters: Mapping[str, Floats],
+) -> None:
+    """Print how probably the first of two scenarios is better, by every index."""
+    from fascicle.predict.comparison import COMPARED, compare
+    from fascicle.report.indices import index_name
+
+    (first, one), (second, other) = predicted.items()
+    print(f"{first} against {second}, {len(one.simulations)} networks")
+    print(f"{'less is better':<24}{'probability':<14}{'gain (90 % of the networks)'}")
+    for name in COMPARED:
+        found = compare(one, other, name)
+        low, high = found.interval
+        gain = f"{found.expected:.0f} {found.unit} ({low:.0f} to {high:.0f})"
+        print(f"{index_name(name):<24}{found.probability():<14.2f}{gain}")
+    chosen = compare(one, other, index)
+    print(
+        f"{index_name(index)}: a gain of more than {threshold:g} {chosen.unit} has probability "
+        f"{chosen.probability(threshold):.2f} ± {chosen.standard_error(threshold):.2f}"
+    )
+    open_by = [f"{name} {share:.0%}" for name, share in chosen.left_open_by(parameters)[:3]]
+    print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
+
+
+def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied: str) -> None:
+    """Print an index of every scenario of a sweep, and how often each is the best."""
+    import numpy as np
+
+    from fascicle.heart.segments import SEGMENTS
+    from fascicle.predict.indices import INDICES
+    from fascicle.predict.sweeps import SEGMENT
+    from fascicle.report.indices import index_name
+
+    values = np.array([each[index] for each in found.values()])
+    best = np.bincount(np.argmin(np.abs(values), axis=0), minlength=len(values)) / values.shape[1]
+    print(varied)
+    print(f"{'':<24}{index_name(index)} ({INDICES[index]}), 90 % of the networks; how often best")
+    for key, row, share in zip(found, values, best, strict=True):
+        low, middle, high = np.percentile(row, [5, 50, 95])
+        name = SEGMENTS[int(key) - 1] if varied == SEGMENT else f"{key:g}"
+        print(f"{name:<24}{f'{middle:.0f} ({low:.0f} to {high:.0f})':<24}{share:.0%}")
 
 
 def print_template(measures: Mapping[str, Mapping[str, float]]) -> None:
@@ -134,6 +184,7 @@ def print_demo(out: Path) -> None:
         ("study/networks", "their trees, for ParaView"),
         ("study/activation.vtu", "activation of the best network, mean and spread over all"),
         ("study/figures", "ECG, pair plot, activation map, convergence"),
-        ("pacing", "what firing both trees together would do"),
+        ("pacings", "what three pacings would do"),
     ):
         print(f"  {name:<21} {what}")
+    print(f"\nto read in a browser: {(out / 'report.html').resolve().as_uri()}")
