@@ -1,5 +1,5 @@
-# Two commands: `make demo` and `make test`; `make test-slow` runs the slow tests. All set up .venv
-# first, once.
+# Two commands: `make demo` and `make test`; `make test-slow` runs the slow tests, `make docs` builds
+# the documentation. All set up .venv first, once.
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PYTEST := $(BIN)/pytest -n auto --dist loadfile
 INSTALLED := $(VENV)/.installed
 
-.PHONY: demo test test-slow clean
+.PHONY: demo test test-slow docs clean
 
 demo: $(INSTALLED)
 	$(BIN)/fascicle demo
@@ -22,6 +22,10 @@ test: $(INSTALLED)
 
 test-slow: $(INSTALLED)
 	$(PYTEST) -m slow
+
+docs: $(INSTALLED)
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/docs
+	@echo "file://$(CURDIR)/build/docs/index.html"
 
 # The stamp is made last, so an interrupted set-up starts again.
 $(INSTALLED): pyproject.toml constraints.txt

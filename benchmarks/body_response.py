@@ -31,8 +31,8 @@ from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.loss import align
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.window import qrs_window
-from fascicle.report import style
-from fascicle.report.figures import new_figure, save
+from fascicle.reporting import style
+from fascicle.reporting.figures import new_figure, save
 from fascicle.torso.lead_fields import assemble_stiffness
 from fascicle.torso.variation.conductor import BodyState, Conductor, InvalidBody, build_conductor
 from fascicle.torso.variation.electrode_paths import electrode_places

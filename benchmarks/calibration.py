@@ -70,7 +70,7 @@ from fascicle.heart.heart import Heart
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
-from fascicle.report.figures import new_figure, save
+from fascicle.reporting.figures import new_figure, save
 from fascicle.study import paper, posterior
 from fascicle.study.bank import Bank, make_bank
 from fascicle.study.evaluations import Database, Journal

@@ -17,7 +17,7 @@ import numpy as np
 import fascicle
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.predict.scenarios import predict
+from fascicle.prediction.scenarios import simulate_scenarios
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.study.problem import Network, Problem
@@ -57,10 +57,10 @@ def main() -> None:
     problem = Problem(model, target, space, workers=given.workers)
     scenarios = read_scenarios(SCENARIOS)
     begin = time.perf_counter()
-    predict(problem, networks[:1], scenarios)
+    simulate_scenarios(problem, networks[:1], scenarios)
     once = time.perf_counter() - begin
     begin = time.perf_counter()
-    predict(problem, networks, scenarios)
+    simulate_scenarios(problem, networks, scenarios)
     seconds = time.perf_counter() - begin
     print(f"{len(networks)} networks, {len(scenarios)} scenarios: {seconds:.1f} s")
     print(f"once for the heart, with the first network: {once:.1f} s")

@@ -41,13 +41,13 @@ from benchmarks.forward import _heart, build_case
 from examples.recover_known_network import synthetic_target
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.forward.simulation import Simulation
-from fascicle.report.ecg import EcgGroup, ecg_figure
-from fascicle.report.figures import new_figure, save
-from fascicle.report.hearts import activation_figure
-from fascicle.report.pairs import pair_figure
-from fascicle.report.rendering import heart_views
-from fascicle.report.study import activation_row
-from fascicle.report.style import BLUE, VERMILION
+from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.figures import new_figure, save
+from fascicle.reporting.hearts import activation_figure
+from fascicle.reporting.pairs import pair_figure
+from fascicle.reporting.rendering import heart_views
+from fascicle.reporting.study import activation_row
+from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.study.evaluations import Stage
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy

@@ -25,9 +25,9 @@ from fascicle.core.parameters import read_parameters
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import SAMPLING_STEP, Target
 from fascicle.recording.window import qrs_window
-from fascicle.report.figures import save
-from fascicle.report.pairs import pair_figure
-from fascicle.report.study import write_figures
+from fascicle.reporting.figures import save
+from fascicle.reporting.pairs import pair_figure
+from fascicle.reporting.study import drawings, write_figures
 from fascicle.study.fit import fit
 from fascicle.study.results import FittedStudy
 
@@ -128,7 +128,8 @@ def main() -> None:
             f"{parameter.name:<22} {truth[parameter.name]:8.3g} {np.median(values):8.3g} "
             f"{np.percentile(values, 5):8.3g} {np.percentile(values, 95):8.3g} {parameter.unit}"
         )
-    write_figures(fitted, fitted.networks())
+    drawn = drawings(fitted, fitted.networks())
+    write_figures(drawn, fitted.folder / "figures", ["png"])
     pairs = pair_figure(fitted.problem.space, population.values, population.best, truth)
     save(pairs, fitted.folder / "figures" / "pairs_with_truth.png")
 

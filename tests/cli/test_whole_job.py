@@ -183,10 +183,12 @@ def test_compare(study, monkeypatch, capsys):
     assert (
         lines[1] == f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     )
-    shown = {line[:24].strip(): float(line[24:38]) for line in lines[3:-2]}
+    shown = {line[:24].strip(): float(line[24:38]) for line in lines[3:-3]}
     assert shown["LV activation time"] > 0.9
     assert all(0 <= probability <= 1 for probability in shown.values())
-    assert lines[-2].startswith("total activation time: a gain of more than 2 ms has probability ")
+    assert lines[-3].startswith("total activation time: a gain of more than 2 ms has probability ")
+    assert lines[-1].startswith("measured besides, each alone would take away: ")
+    assert "QRS duration of rv-apical-pacing to ±6 ms" in lines[-1]
     assert run(monkeypatch, *asked, "--index", "speed") == 2
     error = capsys.readouterr()
     assert error.out == ""
@@ -222,12 +224,13 @@ def test_pacing_together_undoes_a_delay(study):
 
 
 def test_report(study, monkeypatch, capsys):
-    asked = ["report", study.folder, "--scenario", "his-pacing", "--figures"]
+    asked = ["report", study.folder, "--scenario", "his-pacing", "--figures", "png"]
     assert run(monkeypatch, *asked) == 0
     verdict, *figures, page = capsys.readouterr().out.split("\n")[:-1]
     assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
-        "ecg.png", "pairs.png", "activation.png", "convergence.png",
+        "ecg.png", "recording.png", "activation.png", "indices.png", "priors.png", "pairs.png",
+        "convergence.png", "heart.png",
     ]  # fmt: skip
     for figure in figures:
         with open(figure, "rb") as file:
@@ -241,6 +244,44 @@ def test_report(study, monkeypatch, capsys):
     scenarios = json.loads(content[1])["scenarios"]
     assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
     assert all(warning in html.unescape(text) for warning in study.warnings)
+
+
+def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
+    asked = ["report", study.folder, "--scenario", "his-pacing", "--out", tmp_path / "r.html"]
+    assert run(monkeypatch, *asked, "--figures", "jpg") == 2
+    error = "error: figures cannot be drawn as 'jpg'; use png, pdf, svg\n"
+    assert capsys.readouterr().err == error
+    assert not (tmp_path / "r.html").exists()
+    assert run(monkeypatch, *asked, "--figures", "svg", "--figures", "pdf") == 0
+    figures = study.folder / "figures"
+    assert b"<svg" in (figures / "heart.svg").read_bytes()[:2000]
+    assert (figures / "recording.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_plots_in_a_notebook(study):
+    """Every one draws something on axes of a figure of its own."""
+    plot, predicted = fascicle.plot, fascicle.predict(study, ["left-bundle-pacing"])
+    assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
+    drawn = {
+        "ecg": plot.ecg(study),
+        "scenario_ecg": plot.scenario_ecg(predicted, "left-bundle-pacing"),
+        "activation": plot.activation(study.problem.model.heart, predicted["intrinsic"]),
+        "indices": plot.indices(predicted),
+        "pairs": plot.pairs(study),
+        "priors": plot.priors(study),
+        "convergence": plot.convergence(study),
+        "target": plot.target(study.problem.target),
+    }
+    public = {name for name, known in vars(plot).items() if getattr(known, "__module__", "") ==
+              plot.__name__ and not name.startswith("_")}  # fmt: skip
+    assert drawn.keys() == public
+    for axes in drawn.values():
+        assert axes
+        assert all(one.figure is axes[0].figure for one in axes)
+        assert any(one.has_data() for one in axes)
+    assert [len(drawn[name]) for name in ("ecg", "scenario_ecg", "target")] == [12, 12, 12]
+    found = fascicle.compare(predicted["left-bundle-pacing"], predicted["intrinsic"], "qrs_area")
+    assert 0 <= found.probability() <= 1
 
 
 def test_unfinished_study_is_refused(study, tmp_path, monkeypatch, capsys):

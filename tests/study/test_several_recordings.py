@@ -17,7 +17,7 @@ from fascicle.forward.scenario import Scenario, Slowing, Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import Target
-from fascicle.report.study import write_figures
+from fascicle.reporting.study import drawings
 from fascicle.study.problem import Problem
 from fascicle.study.recordings import given_recordings, read_recordings, write_recordings
 from fascicle.study.space import study_space
@@ -159,7 +159,6 @@ def test_a_fit_of_two_recordings(both, tmp_path):
     found = az.from_netcdf(folder / "posterior.nc")
     assert found.observed_data["ecg_2"].sizes["time_2"] == len(both[1][0].time)
     assert set(found.log_likelihood.data_vars) == {"ecg", "ecg_2"}
-    figures = write_figures(again, again.networks())
-    assert "ecg-2.png" in {path.name for path in figures}
+    assert {"ecg", "recording", "ecg-2", "recording-2"} <= drawings(again, again.networks()).keys()
     with pytest.raises(InputError, match=r"another other targets \("):
         fascicle.fit("default", both[0], folder, **SMALL)

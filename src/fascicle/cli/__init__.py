@@ -242,16 +242,17 @@ def predict(
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.predict.scenarios import predict as simulate_scenarios
-    from fascicle.predict.scenarios import prior_networks
-    from fascicle.report.prediction import write_prediction
+    from fascicle.prediction.scenarios import predict as predict_scenarios
+    from fascicle.prediction.scenarios import prior_networks, simulate_scenarios
+    from fascicle.reporting.prediction import write_prediction
     from fascicle.study.fit import load_study
     from fascicle.study.population import Posterior
 
     scenarios, prior = read_scenarios(scenario or ["his-pacing"]), None
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        predicted = write_prediction(fitted, scenarios, out, progress)
+        predicted = predict_scenarios(fitted, scenarios, progress)
+        write_prediction(fitted, predicted, out)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
             networks = prior_networks(fitted.problem, progress)
             prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")
@@ -279,20 +280,18 @@ def compare(
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.predict.comparison import check_index
-    from fascicle.predict.scenarios import predict as simulate_scenarios
-    from fascicle.report.study import check_population
+    from fascicle.prediction.comparison import PACED, check_index
+    from fascicle.prediction.scenarios import predict as predict_scenarios
     from fascicle.study.fit import load_study
 
     check_index(index)
     wanted = read_scenarios([first, second])
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        check_population(fitted)
-        networks = fitted.networks(progress)
-        predicted = simulate_scenarios(fitted.problem, networks, wanted, progress)
+        measured = wanted | read_scenarios([PACED])
+        predicted = predict_scenarios(fitted, measured, progress)
     print(f"result                 {fitted.verdict}")
-    print_comparison(predicted, index, threshold, fitted.population.values)
+    print_comparison(list(wanted), predicted, index, threshold, fitted.population.values)
 
 
 @app.command()
@@ -327,9 +326,9 @@ def sweep(
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.predict.comparison import check_index
-    from fascicle.predict.sweeps import delays, radii, segments
-    from fascicle.report.sweep import write_sweep
+    from fascicle.prediction.comparison import check_index
+    from fascicle.prediction.sweeps import delays, radii, segments
+    from fascicle.reporting.sweep import write_sweep
     from fascicle.study.fit import load_study
 
     check_index(index)
@@ -372,8 +371,12 @@ def report(
         Path | None, typer.Option("--out", help="HTML file; report.html in the study.")
     ] = None,
     figures: Annotated[
-        bool, typer.Option("--figures", help="Draw the figures into the study's folder, too.")
-    ] = False,
+        list[str] | None,
+        typer.Option(
+            help="Also write the figures into the study's folder, as png, svg or pdf; may be given "
+            "several times."
+        ),
+    ] = None,
 ) -> None:
     """Write what a study found as one HTML file that opens offline.
 
@@ -382,16 +385,16 @@ def report(
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.report.page.page import PACINGS, write_report
-    from fascicle.report.study import write_figures
+    from fascicle.reporting.page.page import PACINGS
+    from fascicle.reporting.page.page import report as write_report
+    from fascicle.reporting.study import check_kinds
     from fascicle.study.fit import load_study
 
-    wanted, drawn = read_scenarios(scenario or PACINGS), []
+    kinds, wanted = figures or [], read_scenarios(scenario or PACINGS)
+    check_kinds(kinds)
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        page = write_report(fitted, wanted, out or study / "report.html", progress)
-        if figures:
-            drawn = write_figures(fitted, fitted.networks(progress))
+        page, *drawn = write_report(fitted, wanted, out, progress, kinds)
     print(f"result                 {fitted.verdict}")
     for path in (*drawn, page.resolve().as_uri()):
         print(path)
@@ -408,8 +411,8 @@ def template(
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.report.figures import check_picture, save
-    from fascicle.report.template import template_figure
+    from fascicle.reporting.figures import check_picture, save
+    from fascicle.reporting.template import template_figure
 
     check_picture(out)
     with TerminalProgress() as progress:

@@ -6,17 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from fascicle.core.progress import Progress
-from fascicle.forward.scenario_files import read_scenarios
-from fascicle.predict.scenarios import Predicted
+from fascicle.prediction.scenarios import Predicted, predict
 from fascicle.recording.analysis import Analysis
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target_files import write_target
-from fascicle.report.figures import save
-from fascicle.report.page.page import PACINGS, write_report
-from fascicle.report.prediction import write_prediction
-from fascicle.report.recording import recording_figure
-from fascicle.report.study import write_figures
+from fascicle.reporting.figures import save
+from fascicle.reporting.page.page import PACINGS, write_report
+from fascicle.reporting.prediction import write_prediction
+from fascicle.reporting.recording import recording_figure
 from fascicle.study.fit import fit
 from fascicle.study.results import FittedStudy
 
@@ -54,7 +52,8 @@ def run_demo(
     save(recording_figure(analysis), out / "target.png")
     settings = SETTINGS | {"free_gain": free_gain}
     fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
-    write_figures(fitted, fitted.networks(progress))
-    predicted = write_prediction(fitted, read_scenarios(PACINGS), out / "pacings", progress)
-    write_report(fitted, read_scenarios(PACINGS), out / "report.html", progress)
+    networks = fitted.networks(progress)
+    predicted = predict(fitted, PACINGS, progress, networks)
+    write_prediction(fitted, predicted, out / "pacings")
+    write_report(fitted, networks, predicted, out / "report.html", ["png"])
     return analysis, fitted, predicted

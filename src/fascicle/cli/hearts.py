@@ -165,7 +165,7 @@ def heart_check(
 ) -> None:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
     from fascicle.heart.folder import PICTURE, load_heart
-    from fascicle.report.figures import check_picture
+    from fascicle.reporting.figures import check_picture
 
     if picture is not None:
         check_picture(picture)
@@ -273,8 +273,8 @@ def _forward_run_time(heart: Heart, progress: Progress) -> float | None:
 
 def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
     from fascicle.heart.folder import LABELS_PICTURE
-    from fascicle.report.figures import save
-    from fascicle.report.labels import labels_figure
+    from fascicle.reporting.figures import save
+    from fascicle.reporting.labels import labels_figure
 
     save(labels_figure(mesh), folder / LABELS_PICTURE)
     print(
@@ -285,8 +285,8 @@ def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
 
 def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> None:
     from fascicle.build.check import check_heart
-    from fascicle.report.check import check_figure
-    from fascicle.report.figures import save
+    from fascicle.reporting.check import check_figure
+    from fascicle.reporting.figures import save
 
     found = check_heart(heart, charts)
     print(heart.name)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
     from fascicle.forward.simulation import Simulation
-    from fascicle.predict.scenarios import Predicted
+    from fascicle.prediction.scenarios import Predicted
     from fascicle.study.population import Population, Posterior
     from fascicle.study.results import FittedStudy
 
@@ -118,17 +118,19 @@ def print_prediction(
 
 
 def print_comparison(
+    names: Sequence[str],
     predicted: Mapping[str, Predicted],
     index: str,
     threshold: float,
     parameters: Mapping[str, Floats],
 ) -> None:
-    """Print how probably the first of two scenarios is better, by every index."""
-    from fascicle.predict.comparison import COMPARED, compare
-    from fascicle.report.indices import index_name
+    """Print how probably the first of two named scenarios is better, by every index."""
+    from fascicle.prediction.comparison import COMPARED, MEASURABLE, compare
+    from fascicle.prediction.indices import INDICES
+    from fascicle.reporting.indices import index_name
 
-    (first, one), (second, other) = predicted.items()
-    print(f"{first} against {second}, {len(one.simulations)} networks")
+    one, other = (predicted[name] for name in names)
+    print(f"{' against '.join(names)}, {len(one.simulations)} networks")
     print(f"{'less is better':<24}{'probability':<14}{'gain (90 % of the networks)'}")
     for name in COMPARED:
         found = compare(one, other, name)
@@ -142,6 +144,12 @@ def print_comparison(
     )
     open_by = [f"{name} {share:.0%}" for name, share in chosen.left_open_by(parameters)[:3]]
     print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
+    helpful = [
+        f"{index_name(what)} of {scenario} to ±{MEASURABLE[scenario, what]:g} "
+        f"{INDICES[what]} {share:.0%}"
+        for scenario, what, share in chosen.would_help(predicted)
+    ]
+    print(f"measured besides, each alone would take away: {', '.join(helpful)}")
 
 
 def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied: str) -> None:
@@ -149,9 +157,9 @@ def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied:
     import numpy as np
 
     from fascicle.heart.segments import SEGMENTS
-    from fascicle.predict.indices import INDICES
-    from fascicle.predict.sweeps import SEGMENT
-    from fascicle.report.indices import index_name
+    from fascicle.prediction.indices import INDICES
+    from fascicle.prediction.sweeps import SEGMENT
+    from fascicle.reporting.indices import index_name
 
     values = np.array([each[index] for each in found.values()])
     best = np.bincount(np.argmin(np.abs(values), axis=0), minlength=len(values)) / values.shape[1]

@@ -123,8 +123,8 @@ def target(
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
-    from fascicle.report.figures import save
-    from fascicle.report.recording import recording_figure
+    from fascicle.reporting.figures import save
+    from fascicle.reporting.recording import recording_figure
 
     picture = _picture_beside(out, recording)
     choices = Choices(

@@ -192,7 +192,7 @@ def find_scenario(name: str) -> Path:
     return Path(name)
 
 
-def read_scenarios(names: Sequence[str]) -> dict[str, Scenario]:
+def read_scenarios(names: Sequence[str | Path]) -> dict[str, Scenario]:
     """Scenarios by name, of the `library` or of files, which are called as they are without .toml.
 
     Raises
@@ -203,7 +203,7 @@ def read_scenarios(names: Sequence[str]) -> dict[str, Scenario]:
     """
     found: dict[str, Scenario] = {}
     for name in names:
-        path = find_scenario(name)
+        path = find_scenario(str(name))
         scenario, regions = read_scenario(path)
         if regions:
             raise InputError(

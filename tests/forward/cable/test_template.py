@@ -177,7 +177,7 @@ def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_pa
 
 def test_figure_and_table(folder, template):
     """All three cells from the fake simulation, so every row is the same."""
-    from fascicle.report.template import template_figure
+    from fascicle.reporting.template import template_figure
 
     module.default_template.cache_clear()
     reports = []

@@ -1,0 +1,66 @@
+# %% [markdown]
+# # From an ECG file to a comparison of pacings
+#
+# The 12-lead DICOM recording that comes inside pydicom, on the packaged heart, which is not this
+# person's: so the result will say that it does not explain the ECG. The budget is a hundredth of
+# the default, enough to see every stage work; it will not converge, and the first line says that,
+# too.
+
+# %%
+import tempfile
+from pathlib import Path
+
+from pydicom.data import get_testdata_file
+
+import fascicle
+from fascicle.cli.terminal_progress import TerminalProgress
+
+folder = Path(tempfile.mkdtemp())
+
+# %% [markdown]
+# The target: beats found, sorted by shape and aligned; their mean, their spread, and the QRS
+# window.
+
+# %%
+recording = Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
+target = fascicle.make_target(fascicle.read_recording(recording))
+print(f"{len(target.beats)} beats, QRS {target.qrs_duration:.0f} ms")
+
+# %%
+fascicle.plot.target(target)[0].figure
+
+# %% [markdown]
+# The fit. Leave the settings out for the default ones; started again with the same folder, it goes
+# on.
+
+# %%
+SMALL = {"bank": 300, "effective": 20, "evaluations": 500}
+with TerminalProgress() as progress:
+    study = fascicle.fit("default", target, folder / "study", progress=progress, **SMALL)
+print(study.verdict)
+
+# %%
+fascicle.plot.ecg(study)[0].figure
+
+# %% [markdown]
+# What scenarios do in every network: an interval is what the ECG leaves open.
+
+# %%
+predicted = fascicle.predict(study, ["left-bundle-pacing", "rv-apical-pacing"])
+fascicle.plot.indices(predicted)[0].figure
+
+# %%
+found = fascicle.compare(
+    predicted["left-bundle-pacing"], predicted["rv-apical-pacing"], "total_activation_time"
+)
+low, high = found.interval
+print(f"probability to be faster {found.probability():.2f}, by {low:.0f} to {high:.0f} ms")
+for name, share in found.left_open_by(study.population.values)[:3]:
+    print(f"{share:.0%} of the difference between networks goes with {name}")
+
+# %% [markdown]
+# Everything on one page, to read in a browser and to send to somebody.
+
+# %%
+page, *_ = fascicle.report(study, out=folder / "report.html")
+print(page.as_uri())

@@ -1,0 +1,143 @@
+"""Which of two scenarios is better, how probably, by how much, and what leaves it open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import rankdata
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.prediction.indices import INDICES
+from fascicle.prediction.scenarios import OWN_BEAT, Predicted
+
+# Indices of which less is better; of a delay between the sides, less either way
+COMPARED = (
+    "qrs_duration", "total_activation_time", "lv_activation_time", "rv_activation_time",
+    "activation_time_90", "activation_time_95", "lv_rv_delay", "lv_dyssynchrony", "qrs_area",
+)  # fmt: skip
+SIGNED = ("lv_rv_delay",)
+INTERVAL = (5, 95)  # percentiles
+# What could be measured besides the recording, and with which standard deviation: an ECG while the
+# right ventricle is paced, with the uncertainty of its QRS window; electrograms of the own beat,
+# with some 5 ms for where in them the activation is.
+PACED = "rv-apical-pacing"
+MEASURABLE = {
+    (PACED, "qrs_duration"): 6.0,
+    (PACED, "qrs_area"): 5.0,
+    (OWN_BEAT, "lv_rv_delay"): 5.0,
+    (OWN_BEAT, "lv_activation_time"): 5.0,
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two scenarios in each of n networks, by one index.
+
+    Attributes
+    ----------
+    index, unit : str
+        One of `COMPARED`, and its unit.
+    gains : (n,) array
+        By how much the first scenario's index is less than the second's.
+    """
+
+    index: str
+    unit: str
+    gains: Floats
+
+    def probability(self, threshold: float = 0.0) -> float:
+        """How probable it is that the first gains more than a threshold; of ties, half counts."""
+        more, same = self.gains > threshold, self.gains == threshold
+        return float(more.mean() + same.mean() / 2)
+
+    def standard_error(self, threshold: float = 0.0) -> float:
+        """Of that probability, because there are only so many networks."""
+        share = self.probability(threshold)
+        return float(np.sqrt(share * (1 - share) / len(self.gains)))
+
+    @property
+    def expected(self) -> float:
+        """Mean gain."""
+        return float(self.gains.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """5th and 95th percentile of the gain."""
+        low, high = np.percentile(self.gains, INTERVAL)
+        return float(low), float(high)
+
+    def left_open_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
+        """Share of the gain's variance, in ranks, that each parameter alone goes with.
+
+        Squared rank correlations, the largest first. Of parameters that stand for one another each
+        has the same share; what no parameter goes with by itself is in none.
+
+        Parameters
+        ----------
+        parameters : mapping of name to (n,) array
+            Of the networks.
+        """
+        shares = {name: _rank_correlation(v, self.gains) ** 2 for name, v in parameters.items()}
+        return sorted(shares.items(), key=lambda item: -item[1])
+
+    def would_help(self, predicted: Mapping[str, Predicted]) -> list[tuple[str, str, float]]:
+        """Share of the gain's variance, in ranks, that a further measurement would take away.
+
+        The squared rank correlation of what is measured with the gain, less what the error of the
+        measurement leaves of it. What has been fitted is in none: it is known already.
+
+        Parameters
+        ----------
+        predicted : mapping of name to Predicted
+            Scenarios in the same networks; of `MEASURABLE`, those that are among them.
+
+        Returns
+        -------
+        list of (scenario, index, share)
+            The most useful first.
+        """
+        found = []
+        for (scenario, index), error in MEASURABLE.items():
+            if scenario in predicted:
+                values = predicted[scenario].indices[index]
+                seen = float(np.var(values) / (np.var(values) + error**2))
+                found.append((scenario, index, seen * _rank_correlation(values, self.gains) ** 2))
+        return sorted(found, key=lambda item: -item[2])
+
+
+def check_index(index: str) -> None:
+    """Refuse an index that is none of `COMPARED`."""
+    if index not in COMPARED:
+        raise InputError(f"index '{index}' is not compared; choose one of {', '.join(COMPARED)}")
+
+
+def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
+    """Compare two scenarios in the same networks.
+
+    Parameters
+    ----------
+    first, second : Predicted
+        Of the same networks.
+    index : str
+        One of `COMPARED`.
+
+    Raises
+    ------
+    InputError
+        If the index is none of them.
+    """
+    check_index(index)
+    one, other = first.indices[index], second.indices[index]
+    if index in SIGNED:
+        one, other = np.abs(one), np.abs(other)
+    return Comparison(index, INDICES[index], other - one)
+
+
+def _rank_correlation(a: Floats, b: Floats) -> float:
+    ranks = np.array([rankdata(a), rankdata(b)])
+    if (np.ptp(ranks, axis=1) == 0).any():  # all alike: nothing goes with it
+        return 0.0
+    return float(np.corrcoef(ranks)[0, 1])

@@ -1,0 +1,226 @@
+"""Scenarios over a population: what each of its networks does in each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.forward.ecg.electrocardiogram import STEP
+from fascicle.forward.loss import placed
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import read_scenarios
+from fascicle.forward.simulation import Simulation
+from fascicle.prediction.indices import INDICES, Territories, indices
+from fascicle.recording.window import qrs_window
+from fascicle.study.bank import prior_points
+from fascicle.study.in_threads import in_threads
+from fascicle.study.problem import Network, Problem
+from fascicle.study.results import FittedStudy
+
+OWN_BEAT = "intrinsic"  # the scenario that others are compared with
+LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset, and after the last QRS's end
+RINGING = 40  # samples on either side, for what the recorder's filters add; at least `LEAD_IN`
+PRIOR_NETWORKS = 60
+LATEST = 0.2  # share of the vertices that count as late
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What one scenario does in n networks.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    simulations : sequence of Simulation
+        Of each network, their ECGs with the gain that the network needs to match the recording.
+    filtered : sequence of (12, n_time) arrays
+        The same ECGs (mV) as the recorder would have them, from `RINGING` samples before theirs to
+        as many after. A steep filter rings about the QRS, so that indices are not read off them.
+    indices : mapping of name to (n,) array
+        `INDICES` of each.
+    """
+
+    scenario: Scenario
+    simulations: Sequence[Simulation]
+    filtered: Sequence[Floats]
+    indices: Mapping[str, Floats]
+
+    def extremes(self) -> dict[str, int]:
+        """Networks with the least, the median and the largest total activation time."""
+        order = np.argsort(self.indices["total_activation_time"], kind="stable")
+        return {
+            "minimum": int(order[0]),
+            "median": int(order[(len(order) - 1) // 2]),
+            "maximum": int(order[-1]),
+        }
+
+    def maps(self) -> dict[str, Floats]:
+        """Activation over the networks at each vertex, from its first activation on.
+
+        Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
+        fifth. What no network reaches is NaN; elsewhere those that do reach it count.
+        """
+        times = np.array([s.activation - s.activation.min() for s in self.simulations])
+        times[np.isinf(times)] = np.nan
+        reached = np.isfinite(times).sum(axis=0)
+        known = np.where(reached > 0, reached, np.nan)
+        mean = np.nansum(times, axis=0) / known
+        spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / known)
+        late = times >= np.nanquantile(times, 1 - LATEST, axis=1, keepdims=True)
+        return {
+            "activation_mean": mean,
+            "activation_sd": spread,
+            "probability_latest_fifth": late.sum(axis=0) / known,
+        }
+
+
+def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
+    """The heart's own beat, which others are compared with, and then the scenarios."""
+    return {OWN_BEAT: Scenario(description="the heart's own beat"), **scenarios}
+
+
+def predict(
+    fitted: FittedStudy,
+    scenarios: Mapping[str, Scenario] | Sequence[str | Path],
+    progress: Progress | None = None,
+    networks: Sequence[Network] | None = None,
+) -> dict[str, Predicted]:
+    """Simulate the own beat and scenarios in every network of a study.
+
+    The trees stay as they were learnt, and all else of a network that a scenario does not change.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    scenarios : mapping of name to Scenario, or sequence of str or Path
+        What to predict; names of the library (``"his-pacing"``) and files are read.
+    progress : Progress, optional
+        Called after each network that is simulated.
+    networks : sequence of Network, optional
+        Those to take instead of all of the study.
+
+    Returns
+    -------
+    dict of name to Predicted
+        The own beat first, then the scenarios in their order.
+
+    Raises
+    ------
+    InputError
+        If the study has no network, there is no such scenario, or it does not fit the heart.
+    """
+    check_population(fitted)
+    if not isinstance(scenarios, Mapping):
+        scenarios = read_scenarios(scenarios)
+    if networks is None:
+        networks = fitted.networks(progress)
+    return simulate_scenarios(fitted.problem, networks, with_own_beat(scenarios), progress)
+
+
+def check_population(fitted: FittedStudy) -> None:
+    """Refuse a study without networks."""
+    if not len(fitted.population):
+        raise InputError(
+            f"{fitted.folder}: no network was found, so there is nothing to draw or to predict "
+            "with; fit with more steps or more initial points"
+        )
+
+
+def simulate_scenarios(
+    problem: Problem,
+    networks: Sequence[Network],
+    scenarios: Mapping[str, Scenario],
+    progress: Progress | None = None,
+    of: str = "",
+) -> dict[str, Predicted]:
+    """Simulate scenarios in networks.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the study: heart, target and workers.
+    networks : sequence of Network
+        The n networks, simulated.
+    scenarios : mapping of name to Scenario
+        What to simulate.
+    progress : Progress, optional
+        Called as networks are done, a stage for each scenario.
+    of : str
+        What the stages are called beside the scenario's name.
+    """
+    territories = Territories.of(problem.model.heart, problem.model.sites.places)
+    predicted = {}
+    for name, scenario in scenarios.items():
+        report, simulations, filtered = stage_progress(progress, name + of), [], []
+        each_network = partial(_simulate, problem, scenario)
+        for simulation, leads in in_threads(each_network, networks, problem.workers):
+            simulations.append(simulation)
+            filtered.append(leads)
+            report(len(simulations), len(networks))
+        found = [indices(s, territories, scenario.first_stimulus) for s in simulations]
+        each = {index: np.array([values[index] for values in found]) for index in INDICES}
+        predicted[name] = Predicted(scenario, simulations, filtered, each)
+    return predicted
+
+
+def _simulate(problem: Problem, scenario: Scenario, network: Network) -> tuple[Simulation, Floats]:
+    simulation = problem.model.activate(
+        network.simulation.trees, scenario=scenario, **network.parameters
+    )
+    leads = network.gain * simulation.leads
+    length, response = leads.shape[1] + 2 * RINGING, problem.target.response
+    return replace(simulation, leads=leads), placed(leads, -RINGING, length, response)
+
+
+def prior_networks(problem: Problem, progress: Progress | None = None) -> list[Network]:
+    """Networks of the prior, which know nothing of the recording.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its space is the prior.
+    progress : Progress, optional
+        Called as networks are simulated.
+    """
+    points = prior_points(len(problem.space), PRIOR_NETWORKS)
+    report, networks = stage_progress(progress, "networks of the prior"), []
+    for done, point in enumerate(points, 1):
+        (found,) = problem.simulate([point])
+        if isinstance(found, Simulation):
+            values = {**problem.fixed, **problem.space.from_unit(point)}
+            networks.append(Network(values, found, found.leads, 1.0, 1.0))
+        report(done, len(points))
+    return networks
+
+
+def qrs_aligned(predicted: Predicted) -> tuple[Floats, Floats]:
+    """ECGs as the recorder would have them, from the QRS onsets on.
+
+    Parameters
+    ----------
+    predicted : Predicted
+        Of n networks.
+
+    Returns
+    -------
+    time : (t,) array
+        Time from QRS onset (ms).
+    ecgs : (n, 12, t) array
+        Potentials (mV), of all until the longest QRS has ended.
+    """
+    windows = [qrs_window(simulation.leads, STEP) for simulation in predicted.simulations]
+    length = LEAD_IN + max(offset - onset for onset, offset in windows) + LEAD_OUT
+    ecgs = np.zeros((len(windows), len(LEADS), length))
+    for ecg, leads, (onset, _) in zip(ecgs, predicted.filtered, windows, strict=True):
+        begin = RINGING + onset - LEAD_IN
+        ecg[:] = np.pad(leads, ((0, 0), (0, length)))[:, begin : begin + length]
+    return np.asarray((np.arange(length) - LEAD_IN) * STEP, dtype=np.float64), ecgs

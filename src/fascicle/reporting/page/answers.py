@@ -1,0 +1,143 @@
+"""What a study found, in words: whether to believe it, what the ECG told, what pacing would do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.prediction.comparison import compare
+from fascicle.prediction.scenarios import OWN_BEAT, Predicted
+from fascicle.study.population import Posterior
+from fascicle.study.results import FittedStudy
+from fascicle.study.verdict import Statement, explained, statements, trade_offs
+
+LIKELY = 0.9  # probability from which on one scenario is called better
+
+
+@dataclass(frozen=True)
+class Answers:
+    """The first screen of a report.
+
+    Attributes
+    ----------
+    verdict : str
+        First line of the result.
+    trustworthy : bool
+        Whether it has converged and explains its recordings.
+    meaning : list of str
+        What the verdict means, in whole sentences.
+    warnings : list of str
+        What must be known first.
+    determined, undetermined : list of Statement
+        What the ECG says of the parameters, and of which it says little.
+    traded : list of str
+        Parameters that stand for one another.
+    predicted : list of str
+        A sentence for each scenario.
+    """
+
+    verdict: str
+    trustworthy: bool
+    meaning: list[str]
+    warnings: list[str]
+    determined: list[Statement]
+    undetermined: list[Statement]
+    traded: list[str]
+    predicted: list[str]
+
+
+def answers(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> Answers:
+    """Put a study and its predictions into words.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    predicted : mapping of name to Predicted
+        Scenarios over its networks, the own beat among them.
+    """
+    population, converged = fitted.population, False
+    known: list[Statement] = []
+    traded: list[str] = []
+    if isinstance(population, Posterior):
+        converged = population.converged
+        if converged:
+            known = statements(population, fitted.problem.space)
+            traded = [
+                f"{a} and {b} stand for one another (rank correlation {r:.2f})".replace("_", " ")
+                for a, b, r in trade_offs(population)
+            ]
+    believed = converged and fitted.checks is not None and explained(fitted.checks)
+    own = predicted[OWN_BEAT]
+    return Answers(
+        fitted.verdict,
+        believed,
+        _meaning(fitted, converged=converged),
+        fitted.warnings,
+        [statement for statement in known if statement.determined],
+        [statement for statement in known if not statement.determined],
+        traded,
+        [_prediction(name, found, own) for name, found in predicted.items()],
+    )
+
+
+def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
+    count = len(fitted.population)
+    if fitted.of_the_paper:
+        return [
+            f"{count} networks were accepted by the paper's rule. They are a population and not a "
+            "posterior: how wide it is says nothing of how sure one may be."
+        ]
+    if not converged:
+        return [
+            "The two runs that were made do not agree, so that no number below can be relied on. "
+            "Continue the study with more evaluations."
+        ]
+    said = [
+        f"Two independent runs agree. The {count} networks below are equally probable, and what "
+        "they span is what the ECG leaves open."
+    ]
+    checks = fitted.checks
+    if checks is None:
+        return said
+    if explained(checks):
+        said.append(
+            f"They explain the ECG but for {checks.share:.0%} of its size, and no lead, the QRS "
+            "duration or the axis stands out."
+        )
+    else:
+        apart = f" {', '.join(checks.disagreeing)} cannot be theirs." if checks.disagreeing else ""
+        said.append(
+            f"They do not explain the ECG: they leave {checks.share:.0%} of its size.{apart} The "
+            "heart, the body or the model is not the patient's, so that the intervals below are "
+            "those of a model that does not fit."
+        )
+    return said
+
+
+def _prediction(name: str, found: Predicted, own: Predicted) -> str:
+    """QRS duration and total activation time of a scenario, and what it gains."""
+    qrs = _interval(found.indices["qrs_duration"])
+    total = _interval(found.indices["total_activation_time"])
+    sentence = f"QRS duration {qrs} ms, total activation time {total} ms"
+    if found is own:
+        return f"{sentence}."
+    gain = compare(found, own, "total_activation_time")
+    better = gain.probability()
+    likely = "shorter" if better >= LIKELY else "longer" if better <= 1 - LIKELY else "open"
+    low, high = gain.interval
+    change = f"{gain.expected:.0f} ms ({low:.0f} to {high:.0f})"
+    verb = {
+        "shorter": f"The activation is shorter than that of the own beat, by {change}",
+        "longer": f"The activation is not shorter than that of the own beat; it gains {change}",
+        "open": f"Whether the activation is shorter than that of the own beat is open: by {change}",
+    }[likely]
+    return f"{sentence}. {verb}; probability to be shorter {better:.2f}."
+
+
+def _interval(values: Floats) -> str:
+    low, middle, high = np.nanpercentile(values, [5, 50, 95])
+    return f"{middle:.0f} ({low:.0f} to {high:.0f})"

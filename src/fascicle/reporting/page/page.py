@@ -1,0 +1,227 @@
+"""The report: one HTML file that opens offline."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fascicle.core.files import write_text
+from fascicle.core.progress import Progress
+from fascicle.forward.scenario import Scenario
+from fascicle.heart.segments import SEGMENTS
+from fascicle.prediction.indices import INDICES
+from fascicle.prediction.scenarios import OWN_BEAT, Predicted, check_population, predict
+from fascicle.reporting.indices import SHOWN, index_name
+from fascicle.reporting.page.answers import answers
+from fascicle.reporting.page.scene import scene
+from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figures
+from fascicle.study.population import Posterior
+from fascicle.study.problem import Network
+from fascicle.study.results import FittedStudy
+
+RESOLUTION = 110  # dots per inch of pictures in the page
+PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure in the page.
+
+    Attributes
+    ----------
+    source : str
+        The picture itself, as a data URL.
+    text : str
+        What it shows.
+    """
+
+    source: str
+    text: str
+
+    @classmethod
+    def of(cls, drawing: Drawing) -> Picture:
+        """Draw a figure into a page."""
+        content = io.BytesIO()
+        drawing.figure.savefig(content, format="png", dpi=RESOLUTION)
+        encoded = base64.b64encode(content.getvalue()).decode("ascii")
+        return cls(f"data:image/png;base64,{encoded}", drawing.text)
+
+
+def report(
+    fitted: FittedStudy,
+    scenarios: Mapping[str, Scenario] | Sequence[str | Path] = PACINGS,
+    out: Path | str | None = None,
+    progress: Progress | None = None,
+    figures: Sequence[str] = (),
+) -> list[Path]:
+    """Write a study and what scenarios do in its networks as one HTML file.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    scenarios : mapping of name to Scenario, or sequence of str or Path
+        What to predict, as `fascicle.predict` takes it; the own beat is always among them.
+    out : Path or str, optional
+        File to write; ``report.html`` in the study.
+    progress : Progress, optional
+        Called after each network that is simulated.
+    figures : sequence of str
+        Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the study's folder
+        ``figures``.
+
+    Returns
+    -------
+    list of Path
+        The report, and then the figures.
+
+    Raises
+    ------
+    InputError
+        If the study has no network, or a scenario is not there or does not fit its heart.
+    """
+    check_population(fitted)
+    check_kinds(figures)
+    networks = fitted.networks(progress)
+    predicted = predict(fitted, scenarios, progress, networks)
+    out = Path(out) if out is not None else fitted.folder / "report.html"
+    return write_report(fitted, networks, predicted, out, figures)
+
+
+def write_report(
+    fitted: FittedStudy,
+    networks: Sequence[Network],
+    predicted: Mapping[str, Predicted],
+    out: Path,
+    figures: Sequence[str] = (),
+) -> list[Path]:
+    """Write the report of what is simulated already.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    networks : sequence of Network
+        Its population, simulated.
+    predicted : mapping of name to Predicted
+        Scenarios over it, the own beat first.
+    out : Path
+        File to write.
+    figures : sequence of str
+        As of `report`, which says what is returned, too.
+    """
+    drawn = drawings(fitted, networks, predicted)
+    content = {
+        **_words(fitted, predicted),
+        "pictures": {name: Picture.of(drawing) for name, drawing in drawn.items()},
+        "scene": _safe(scene(fitted.problem.model.heart, predicted)),
+        "style": _file("style.css"),
+        "viewer": _file("viewer.js"),
+    }
+    write_text(out, _template().render(content))
+    return [out, *write_figures(drawn, fitted.folder / "figures", figures)]
+
+
+def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
+    from fascicle import __version__
+
+    said = answers(fitted, predicted)
+    sources = [p.target.provenance.get("source", "a target") for p in fitted.problem.recordings]
+    names = [Path(source).name for source in sources]
+    return {
+        "version": __version__,
+        "title": f"What the ECG tells of the Purkinje network: {fitted.folder.resolve().name}",
+        "heart": fitted.problem.model.heart.name,
+        "recordings": ", ".join(names),
+        "answers": said,
+        "predictions": list(zip(predicted, said.predicted, strict=True)),
+        "columns": [f"{index_name(index)} ({INDICES[index]})" for index in SHOWN],
+        "rows": [_row(name, found) for name, found in predicted.items()],
+        "convergence": _convergence(fitted),
+        "inputs": _inputs(fitted),
+        "command": _command(fitted, predicted),
+    }
+
+
+def _row(name: str, found: Predicted) -> dict[str, Any]:
+    cells = []
+    for index in SHOWN:
+        low, middle, high = np.nanpercentile(found.indices[index], [5, 50, 95])
+        cells.append(f"{middle:.0f} ({low:.0f} to {high:.0f})")
+    numbers, counts = np.unique(found.indices["latest_segment"].astype(int), return_counts=True)
+    most = int(np.argmax(counts))
+    share = counts[most] / counts.sum()
+    return {"name": name, "cells": cells, "latest": f"{SEGMENTS[numbers[most] - 1]} ({share:.0%})"}
+
+
+def _convergence(fitted: FittedStudy) -> list[str]:
+    population, count = fitted.population, len(fitted.study.records())
+    if not isinstance(population, Posterior):
+        return [f"{count} evaluations; the least mismatch is {population.best_loss:.3f} mV²."]
+    one, other = population.log_evidences
+    name, apart = max(population.means_apart.items(), key=lambda item: item[1])
+    bank, effective = fitted.study.config.bank, population.effective.sum()
+    return [
+        f"{count} evaluations in two runs, {bank} of them of the prior; effective sample "
+        f"{effective:.0f}.",
+        f"Log evidence {one:.1f} and {other:.1f}. The means of {name.replace('_', ' ')} are "
+        f"furthest apart: {apart:.2f} standard deviations, where 0.5 is allowed.",
+    ]
+
+
+def _inputs(fitted: FittedStudy) -> list[tuple[str, str]]:
+    config = fitted.study.config
+    settings = config.model_dump(exclude={"space", "fixed", "growth", "conduction", "scenarios"})
+    learnt = "; ".join(
+        f"{p.name} {p.lower:g} to {p.upper:g}" + ("" if p.unit == "1" else f" {p.unit}")
+        for p in config.space
+    )
+    rows = [("learnt, with the ranges of the priors", learnt)]
+    rows += [
+        (p.target.provenance.get("source", "recording"), _of_target(p.target.provenance))
+        for p in fitted.problem.recordings
+    ]
+    rows += [(name.replace("_", " "), str(value)) for name, value in settings.items()]
+    for group in ("fixed", "growth", "conduction"):
+        held = getattr(config, group)
+        rows.append((group, ", ".join(f"{name} {value}" for name, value in held.items())))
+    return [(name, value) for name, value in rows if value not in ("", "None", "()")]
+
+
+def _of_target(provenance: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in provenance.items() if name != "source")
+
+
+def _command(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> str:
+    asked = "".join(f" --scenario {name}" for name in predicted if name != OWN_BEAT)
+    return f"fascicle report {fitted.folder.name}{asked}"
+
+
+def _template() -> Any:
+    from jinja2 import Environment
+
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["words"] = lambda name: name.replace("_", " ")
+    return environment.from_string(str(_file("page.html")))
+
+
+def _file(name: str) -> Any:
+    """A file of the page, which is inserted as it is."""
+    from markupsafe import Markup
+
+    return Markup((files("fascicle") / "reporting" / "page" / name).read_text(encoding="utf-8"))
+
+
+def _safe(content: Mapping[str, Any]) -> Any:
+    """JSON that no browser takes for the end of its script."""
+    from markupsafe import Markup
+
+    return Markup(json.dumps(content, allow_nan=False).replace("</", "<\\/"))

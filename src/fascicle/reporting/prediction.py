@@ -1,0 +1,120 @@
+"""Predictions as files: a table of indices, ECGs, activation maps, figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from fascicle.core.arrays import Floats
+from fascicle.core.files import atomic_folder, write_bytes, write_text
+from fascicle.core.leads import LEADS
+from fascicle.heart.heart import Heart
+from fascicle.heart.segments import SEGMENTS
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON
+from fascicle.mesh.formats.vtk import write_grid
+from fascicle.prediction.indices import INDICES
+from fascicle.prediction.scenarios import OWN_BEAT, Predicted, qrs_aligned
+from fascicle.reporting.figures import save
+from fascicle.reporting.indices import index_figure
+from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
+from fascicle.study.results import FittedStudy
+
+INTERVAL = (5, 50, 95)  # percentiles
+
+
+def write_prediction(fitted: FittedStudy, predicted: Mapping[str, Predicted], out: Path) -> None:
+    """Write what scenarios do in a population.
+
+    The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
+    ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
+    (of the networks with the least, median and largest total activation time; mean, standard
+    deviation, and how probably each vertex is among the latest fifth) and ``activation.png``.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    predicted : mapping of name to Predicted
+        What `fascicle.predict` found.
+    out : Path
+        Folder to write.
+    """
+    heart, own = fitted.problem.model.heart, predicted[OWN_BEAT]
+    with atomic_folder(out) as folder:
+        write_text(folder / "indices.csv", index_table(predicted))
+        content = {"verdict": fitted.verdict} | {n: _summary(p, own) for n, p in predicted.items()}
+        write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
+        save(index_figure({n: p.indices for n, p in predicted.items()}), folder / "indices.png")
+        for name, found in predicted.items():
+            _write_scenario(folder / name, found, heart)
+            save(scenario_ecg_figure(predicted, name), folder / name / "ecg.png")
+
+
+def index_table(predicted: Mapping[str, Predicted]) -> str:
+    """Every index of every scenario and network, as CSV."""
+    columns = {index: f"{index}_{unit}" for index, unit in INDICES.items() if unit != "1"}
+    tables = []
+    for name, found in predicted.items():
+        table = pd.DataFrame(dict(found.indices)).rename(columns=columns)
+        table.insert(0, "network", np.arange(len(table)))
+        table.insert(0, "scenario", name)
+        tables.append(table)
+    text = pd.concat(tables).to_csv(index=False, float_format="%.2f", lineterminator="\n")
+    return str(text)
+
+
+def _summary(found: Predicted, own: Predicted) -> dict[str, Any]:
+    """Percentiles of each index, and of what each network gains against its own beat."""
+    content: dict[str, Any] = {
+        "description": found.scenario.description,
+        "reference": found.scenario.reference,
+        "networks": len(found.simulations),
+        "activation_maps": found.extremes(),
+        "latest_segment": _latest(found.indices["latest_segment"]),
+    }
+    for index, unit in INDICES.items():
+        if unit != "1":
+            values = found.indices[index]
+            content[f"{index}_{unit}"] = {
+                "value": _percentiles(values),
+                "change": _percentiles(values - own.indices[index]),
+            }
+    return content
+
+
+def _percentiles(values: Floats) -> dict[str, float] | None:
+    """Of what is a number; None if nothing is."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    low, middle, high = np.percentile(known, INTERVAL)
+    return {"5 %": round(low, 2), "median": round(middle, 2), "95 %": round(high, 2)}
+
+
+def _latest(numbers: Floats) -> dict[str, float]:
+    """Share of the networks in which each segment is the latest, the most frequent first."""
+    found, counts = np.unique(numbers.astype(int), return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {SEGMENTS[found[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
+
+
+def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
+    maps = found.maps() | {
+        f"activation_{which}": found.simulations[k].activation
+        for which, k in found.extremes().items()
+    }
+    write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
+    save(scenario_activation_figure(heart, found), folder / "activation.png")
+    time, ecgs = qrs_aligned(found)
+    array = xr.DataArray(
+        ecgs, {"lead": list(LEADS), "time": time}, ("network", "lead", "time"), "ecg",
+        {"units": "mV"},
+    )  # fmt: skip
+    array["time"].attrs.update(units="ms", long_name="time from QRS onset")
+    write_bytes(folder / "ecgs.nc", array.to_dataset().to_netcdf(engine="h5netcdf"))

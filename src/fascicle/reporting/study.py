@@ -1,0 +1,182 @@
+"""The figures of a finished study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fascicle.build.check import check_heart
+from fascicle.core.errors import InputError
+from fascicle.forward.simulation import Simulation
+from fascicle.prediction.scenarios import Predicted, check_population
+from fascicle.reporting.check import check_figure
+from fascicle.reporting.convergence import convergence_figure
+from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.figures import FORMATS, save
+from fascicle.reporting.hearts import ActivationRow, activation_figure
+from fascicle.reporting.indices import index_figure
+from fascicle.reporting.pairs import pair_figure
+from fascicle.reporting.priors import prior_figure
+from fascicle.reporting.style import BLUE, VERMILION
+from fascicle.reporting.target import target_figure
+from fascicle.study.population import Posterior
+from fascicle.study.problem import Network
+from fascicle.study.results import FittedStudy
+
+
+class Drawing(NamedTuple):
+    """A figure, and what it shows."""
+
+    figure: Figure
+    text: str
+
+
+def activation_row(label: str, simulation: Simulation) -> ActivationRow:
+    """A simulation as `activation_figure` draws it: tissue and trees."""
+    trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
+    return ActivationRow(label, simulation.activation, trees)
+
+
+def drawings(
+    fitted: FittedStudy,
+    networks: Sequence[Network],
+    predicted: Mapping[str, Predicted] = MappingProxyType({}),
+) -> dict[str, Drawing]:
+    """Draw a study: its recordings, networks and predictions, and the heart they rest on.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    networks : sequence of Network
+        Its population, simulated.
+    predicted : mapping of name to Predicted, optional
+        Scenarios over it, the own beat first.
+    """
+    check_population(fitted)
+    problem, population = fitted.problem, fitted.population
+    heart = problem.model.heart
+    best = activation_row("best network", fitted.best_network.simulation)
+    return {
+        **_of_recordings(fitted, networks),
+        "activation": Drawing(
+            activation_figure(heart, [best]), "Activation by the network with the least mismatch."
+        ),
+        **_of_scenarios(predicted),
+        "priors": Drawing(
+            prior_figure(problem.space, population.values),
+            "What was thought before (grey lines) and the networks (orange).",
+        ),
+        "pairs": Drawing(
+            pair_figure(
+                problem.space, population.values, population.best, title=fitted.networks_called
+            ),
+            "Pairs of parameters on the whole ranges of their priors.",
+        ),
+        "convergence": Drawing(
+            loss_figure(fitted), "Mismatch of every evaluation, in the order they were made."
+        ),
+        "heart": Drawing(
+            check_figure(heart, check_heart(heart, problem.model.prepared.charts)),
+            "The heart: walls, fibres, where the bundles start, and the body with its electrodes.",
+        ),
+    }
+
+
+def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[str]) -> list[Path]:
+    """Write figures into a folder.
+
+    Parameters
+    ----------
+    drawn : mapping of name to Drawing
+        What to write.
+    folder : Path
+        Where to; it is made if it is not there.
+    kinds : sequence of str
+        Of files: ``"png"``, ``"svg"``, ``"pdf"``.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    return [
+        save(drawing.figure, folder / f"{name}.{kind}")
+        for name, drawing in drawn.items()
+        for kind in kinds
+    ]
+
+
+def check_kinds(kinds: Sequence[str]) -> None:
+    """Refuse kinds of files that no figure can be written as."""
+    known = [suffix.removeprefix(".") for suffix in FORMATS]
+    for kind in kinds:
+        if kind not in known:
+            raise InputError(f"figures cannot be drawn as '{kind}'; use {', '.join(known)}")
+
+
+def loss_figure(fitted: FittedStudy) -> Figure:
+    """Draw the mismatch of every evaluation of a study."""
+    records = fitted.study.records()
+    losses = np.array([record.evaluation.loss for record in records])
+    return convergence_figure(losses, [record.stage for record in records])
+
+
+def recorded_ecg_figure(
+    fitted: FittedStudy, recording: int = 0, networks: Sequence[Network] | None = None
+) -> Figure:
+    """Draw recorded and predicted QRS of one recording.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    recording : int
+        Which of its recordings, counted from 0.
+    networks : sequence of Network, optional
+        Its population in that recording's scenario, if simulated before.
+    """
+    check_population(fitted)
+    problem = fitted.problem.recordings[recording]
+    if networks is None:
+        networks = fitted.networks(recording=recording)
+    # the paper shows the range of its 30
+    share = 0.9 if isinstance(fitted.population, Posterior) else 1.0
+    window = problem.target.qrs_samples
+    time = problem.target.time[window]
+    predicted = np.stack([network.predicted for network in networks])[:, :, window]
+    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
+    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, share)]
+    return ecg_figure(groups, f"Recorded QRS and {len(networks)} networks")
+
+
+def _of_scenarios(predicted: Mapping[str, Predicted]) -> dict[str, Drawing]:
+    if not predicted:
+        return {}
+    figure = index_figure({name: found.indices for name, found in predicted.items()})
+    text = "Medians, and what half (thick) and 90 % (thin) of the networks span."
+    return {"indices": Drawing(figure, text)}
+
+
+def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, Drawing]:
+    """Recorded and predicted QRS, and the beats of every recording."""
+    recordings = fitted.problem.recordings
+    names = [""] if len(recordings) == 1 else [f" {n + 1}" for n in range(len(recordings))]
+    found: dict[str, Drawing] = {}
+    for number, name in enumerate(names):
+        suffix = f"-{number + 1}" if number else ""
+        found[f"ecg{suffix}"] = Drawing(
+            recorded_ecg_figure(fitted, number, None if number else networks),
+            f"Recorded beats{name} and what the networks predict: means and bands. Time counts "
+            "from the R peak; a fine square is 40 ms.",
+        )
+        found[f"recording{suffix}"] = Drawing(
+            target_figure(recordings[number].target),
+            f"Recording{name}: its beats, and the QRS window that the fit saw.",
+        )
+    return found

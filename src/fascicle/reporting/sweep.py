@@ -1,0 +1,178 @@
+"""What a sweep found: a curve, or a bull's eye of the left ventricle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
+
+from fascicle.core.arrays import Floats
+from fascicle.core.files import atomic_folder, write_text
+from fascicle.core.progress import Progress
+from fascicle.prediction.indices import INDICES
+from fascicle.prediction.scenarios import check_population, simulate_scenarios
+from fascicle.prediction.sweeps import SEGMENT, Sweep
+from fascicle.reporting import style
+from fascicle.reporting.figures import new_figure, save
+from fascicle.reporting.indices import index_name
+from fascicle.reporting.prediction import index_table
+from fascicle.study.results import FittedStudy
+
+SIZE, EYE = (5.6, 3.6), (4.6, 4.2)  # inch
+HALF, MOST = (25, 75), (5, 95)  # percentiles of the bands
+COLOURS = "cividis_r"  # ordered for every colour vision; less is lighter, and better
+# Rings of the bull's eye from outside: how many sectors, and the middle of the first one (degrees
+# from the right, counter-clockwise): anterior is above, septal to the left
+RINGS = ((6, 90.0), (6, 90.0), (4, 90.0), (1, 90.0))
+
+
+def write_sweep(
+    fitted: FittedStudy,
+    sweep: Sweep,
+    index: str,
+    networks: int,
+    out: Path,
+    progress: Progress | None = None,
+) -> dict[float, Mapping[str, Floats]]:
+    """Predict a family of scenarios with some networks of a population and write the result.
+
+    The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``
+    and ``sweep.png``.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    sweep : Sweep
+        What to predict.
+    index : str
+        What to draw.
+    networks : int
+        How many networks, evenly spread over the population.
+    out : Path
+        Folder to write.
+    progress : Progress, optional
+        Called after each network that is simulated.
+
+    Returns
+    -------
+    dict of delay or segment to mapping of index to (n,) array
+    """
+    check_population(fitted)
+    every = len(fitted.population)
+    chosen = np.linspace(0, every - 1, min(networks, every)).round().astype(int)
+    parameters = [fitted.population.parameters(k) for k in chosen]
+    some = list(fitted.problem.networks(parameters))
+    unit = sweep.varied.partition("(")[2].strip(")")
+    named = {f"{k:g} {unit}" if unit else f"segment {k:g}": k for k in sweep.scenarios}
+    scenarios = {name: sweep.scenarios[key] for name, key in named.items()}
+    predicted = simulate_scenarios(fitted.problem, some, scenarios, progress)
+    found = {key: predicted[name].indices for name, key in named.items()}
+    values = {key: each[index] for key, each in found.items()}
+    medians = np.array([np.nanmedian(each) for each in values.values()])
+    title = f"Median {index_name(index)} with the stimulus in each segment"
+    with atomic_folder(out) as folder:
+        write_text(folder / "indices.csv", index_table(predicted))
+        content: dict[str, Any] = {"verdict": fitted.verdict, "networks": len(some), "index": index}
+        content |= {"medians": dict(zip(named, medians.round(2).tolist(), strict=True))}
+        write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
+        if sweep.varied == SEGMENT:
+            figure = bulls_eye_figure(medians, title, INDICES[index])
+        else:
+            figure = curve_figure(values, index, sweep.varied)
+        save(figure, folder / "sweep.png")
+    return found
+
+
+def curve_figure(values: Mapping[float, Floats], index: str, varied: str) -> Figure:
+    """Draw an index over what was varied.
+
+    Parameters
+    ----------
+    values : mapping of float to (n,) array
+        Of the networks.
+    index : str
+        One of `INDICES`.
+    varied : str
+        What was varied, and its unit.
+
+    Returns
+    -------
+    Figure
+        The median, and bands of half and of 90 % of the networks.
+    """
+    figure = new_figure(*SIZE)
+    axes = figure.subplots()
+    found = np.array(list(values.values()))
+    for share, opacity in ((MOST, 0.2), (HALF, 0.35)):
+        low, high = np.nanpercentile(found, share, axis=1)
+        axes.fill_between(list(values), low, high, color=style.VERMILION, alpha=opacity, lw=0)
+    axes.plot(list(values), np.nanmedian(found, axis=1), "o-", color=style.VERMILION, ms=3.0)
+    named = f"{index_name(index)} ({INDICES[index]})"
+    style.finish_axes(axes, x=varied, y=named)
+    style.set_title(figure, "Median, half and 90 % of the networks")
+    return figure
+
+
+def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
+    """Draw a value of each segment of the left ventricle, seen from the apex.
+
+    Parameters
+    ----------
+    values : (17,) array
+        In the order of `fascicle.heart.segments.SEGMENTS`; NaN is left white.
+    title, unit : str
+        What they are.
+    """
+    figure = new_figure(*EYE)
+    axes = figure.add_subplot(projection="polar")
+    assert isinstance(axes, PolarAxes)
+    norm = Normalize(float(np.nanmin(values)), float(np.nanmax(values)))
+    colours = ScalarMappable(norm, COLOURS)
+    number = 0
+    for ring, (count, first) in enumerate(RINGS):
+        for sector in range(count):
+            middle = np.radians(first + sector * 360 / count)
+            _draw(axes, ring, middle, 2 * np.pi / count, values[number], colours)
+            number += 1
+    axes.set_axis_off()
+    axes.set_ylim(0, len(RINGS))
+    for angle, wall in zip(
+        (90, 180, 270, 0), ("anterior", "septal", "inferior", "lateral"), strict=True
+    ):
+        turned = 0 if angle in (90, 270) else 90
+        axes.text(
+            np.radians(angle), len(RINGS) + 0.25, wall, ha="center", va="center", rotation=turned,
+            fontsize=style.LABEL_SIZE,
+        )  # fmt: skip
+    bar = figure.colorbar(colours, ax=axes, fraction=0.04, pad=0.08)
+    bar.set_label(unit, fontsize=style.LABEL_SIZE)
+    bar.ax.tick_params(labelsize=style.TICK_SIZE)
+    style.set_title(figure, title)
+    return figure
+
+
+def _draw(
+    axes: PolarAxes, ring: int, middle: float, width: float, value: float, colours: ScalarMappable
+) -> None:
+    """One segment, with its value."""
+    outer, innermost = len(RINGS) - ring, ring == len(RINGS) - 1
+    red, green, blue, _ = colours.to_rgba(np.array([value]))[0]
+    known = np.isfinite(value)
+    axes.bar(
+        middle, 1, width, bottom=outer - 1, color=(red, green, blue) if known else "white",
+        edgecolor="white", linewidth=0 if innermost else 1,
+    )  # fmt: skip
+    if known:
+        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        axes.text(
+            middle, 0 if innermost else outer - 0.5, style.whole(value), ha="center", va="center",
+            fontsize=style.TICK_SIZE, color="white" if dark else style.BLACK,
+        )  # fmt: skip

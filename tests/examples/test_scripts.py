@@ -1,0 +1,24 @@
+"""The examples that notebooks are made from run as they stand, and find what they say."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def test_simulate_and_pace():
+    found = runpy.run_path(str(EXAMPLES / "simulate_and_pace.py"))
+    qrs = {name: simulation.qrs_duration for name, simulation in found["simulated"].items()}
+    assert qrs["left-bundle-branch-block"] > qrs["left-bundle-pacing"] + 20
+    assert qrs["rv-apical-pacing"] > found["own"].qrs_duration + 20
+
+
+@pytest.mark.slow
+def test_learn_and_predict(capsys):
+    found = runpy.run_path(str(EXAMPLES / "learn_and_predict.py"))
+    assert "NOT EXPLAINED" in found["study"].verdict
+    assert found["page"].stat().st_size > 500_000
+    assert "probability to be faster 1.00" in capsys.readouterr().out
+    assert found["low"] > 0

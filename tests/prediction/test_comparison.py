@@ -1,0 +1,76 @@
+"""Comparisons whose answer is known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.prediction.comparison import compare
+
+
+def predicted(**indices):
+    return SimpleNamespace(indices={name: np.asarray(values) for name, values in indices.items()})
+
+
+def test_counts_networks():
+    a = predicted(qrs_duration=[100.0, 110.0, 120.0, 130.0])
+    b = predicted(qrs_duration=[112.0, 115.0, 120.0, 125.0])
+    found = compare(a, b, "qrs_duration")
+    np.testing.assert_array_equal(found.gains, [12, 5, 0, -5])
+    assert found.unit == "ms"
+    assert found.probability() == (2 + 0.5) / 4
+    assert found.probability(10.0) == 0.25
+    assert found.standard_error(10.0) == pytest.approx(np.sqrt(0.25 * 0.75 / 4))
+    assert found.expected == 3.0
+    assert found.interval == pytest.approx(np.percentile([12, 5, 0, -5], [5, 95]))
+    assert compare(b, a, "qrs_duration").probability() == 1 - found.probability()
+
+
+def test_a_delay_is_as_bad_either_way():
+    a, b = predicted(lv_rv_delay=[-10.0, 5.0]), predicted(lv_rv_delay=[30.0, -40.0])
+    np.testing.assert_array_equal(compare(a, b, "lv_rv_delay").gains, [20, 35])
+
+
+def test_says_what_leaves_it_open():
+    rng = np.random.default_rng(0)
+    x, y, z = rng.normal(size=(3, 20_000))
+    gain = np.exp(x + 0.5 * y)  # ranks see what is monotonous, not what is linear
+    found = compare(
+        predicted(qrs_area=np.zeros(20_000)), predicted(qrs_area=gain), "qrs_area"
+    ).left_open_by({"z": z, "y": y, "x": x, "fixed": np.ones(20_000)})
+    assert [name for name, _ in found] == ["x", "y", "z", "fixed"]
+    shares = dict(found)
+    assert shares["x"] == pytest.approx(0.8, abs=0.03)  # 1 / (1 + 0.25), a little less in ranks
+    assert shares["y"] == pytest.approx(0.2, abs=0.03)
+    assert shares["z"] == pytest.approx(0.0, abs=0.01)
+    assert shares["fixed"] == 0.0
+
+
+def test_says_what_would_help():
+    """A datum that is the gain itself, one with as much error as spread, one that says nothing."""
+    rng = np.random.default_rng(1)
+    gain, noise = 6.0 * rng.normal(size=(2, 50_000))
+    paced = predicted(qrs_duration=gain, qrs_area=noise)
+    own = predicted(lv_rv_delay=1000 * gain**3, lv_activation_time=np.full(50_000, 80.0))
+    found = compare(predicted(qrs_area=np.zeros(50_000)), predicted(qrs_area=gain), "qrs_area")
+    helped = found.would_help({"rv-apical-pacing": paced, "intrinsic": own})
+    assert [what[:2] for what in helped[:2]] == [
+        ("intrinsic", "lv_rv_delay"), ("rv-apical-pacing", "qrs_duration"),
+    ]  # fmt: skip
+    shares = {what: share for _, what, share in helped}
+    assert shares["lv_rv_delay"] == pytest.approx(1.0, abs=1e-3)
+    assert shares["qrs_duration"] == pytest.approx(0.5, abs=0.01)  # an error of 6 ms
+    assert shares["qrs_area"] == pytest.approx(0.0, abs=0.001)
+    assert shares["lv_activation_time"] == 0.0
+    assert [scenario for scenario, _, _ in found.would_help({"intrinsic": own})] == [
+        "intrinsic"
+    ] * 2
+
+
+@pytest.mark.parametrize("index", ["latest_segment", "v6_r_wave_peak_time", "speed"])
+def test_what_is_not_compared(index):
+    with pytest.raises(InputError, match=f"index '{index}' is not compared; choose one of qrs_"):
+        compare(predicted(), predicted(), index)

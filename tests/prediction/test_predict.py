@@ -1,0 +1,140 @@
+"""Scenarios over a population, the library of them, and what is made of their activations."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.scenario import His, Scenario
+from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
+from fascicle.forward.simulation import Simulation
+from fascicle.prediction.scenarios import (
+    LEAD_IN,
+    RINGING,
+    Predicted,
+    qrs_aligned,
+    simulate_scenarios,
+)
+from fascicle.study.problem import Network
+
+PARAMETERS = EXAMPLE_PARAMETERS | {"root_time": -50.0, "cv": 2.5}
+
+
+@pytest.fixture(scope="module")
+def problem(default_model):
+    target = SimpleNamespace(response=None)
+    return SimpleNamespace(model=default_model, target=target, workers=2)
+
+
+@pytest.fixture(scope="module")
+def networks(default_model):
+    each = [PARAMETERS, PARAMETERS | {"cv": 3.0}, PARAMETERS | {"alpha": 0.06}]
+    return [Network(p, s := default_model.simulate(p), s.leads, 1.0, 2.0) for p in each]
+
+
+@pytest.fixture(scope="module")
+def predicted(problem, networks):
+    names = ["intrinsic", "his-pacing", "left-bundle-branch-block", "left-bundle-pacing"]
+    return simulate_scenarios(problem, networks, read_scenarios(names))
+
+
+class TestLibrary:
+    @pytest.mark.parametrize("name", library())
+    def test_every_scenario_runs_and_is_described(self, name, default_model):
+        scenario, regions = read_scenario(find_scenario(name))
+        assert scenario.description
+        assert not regions
+        simulation = default_model.simulate(PARAMETERS, scenario)
+        assert isinstance(simulation, Simulation)
+        assert 40 < simulation.qrs_duration < 220
+        assert np.isfinite(simulation.activation).all()
+
+    def test_stimuli_capture(self, default_model):
+        for name, path in library().items():
+            simulation = default_model.simulate(PARAMETERS, read_scenario(path)[0])
+            if name.endswith("pacing") and not name.startswith(("his", "left-bundle-optimised")):
+                assert simulation.coupled.captured.all(), name
+
+    def test_regions_are_refused(self, tmp_path):
+        path = tmp_path / "scar.toml"
+        path.write_text("[[region]]\nlabel = 1\nconductivity = 0.0\n")
+        with pytest.raises(InputError, match=r"scar.toml: has regions; put them into the heart"):
+            read_scenarios([str(path)])
+
+
+class TestPredicted:
+    def test_the_own_beat_is_what_was_learnt(self, predicted, networks):
+        for simulation, network in zip(predicted["intrinsic"].simulations, networks, strict=True):
+            np.testing.assert_array_equal(simulation.activation, network.simulation.activation)
+            np.testing.assert_array_equal(simulation.leads, 2 * network.simulation.leads)
+        for leads, network in zip(predicted["intrinsic"].filtered, networks, strict=True):
+            inside = leads[:, RINGING:-RINGING]  # this recorder has no filter
+            np.testing.assert_allclose(inside, 2 * network.simulation.leads, atol=1e-9)
+
+    def test_indices_are_counted_from_the_stimulus(self, predicted):
+        assert np.isnan(predicted["intrinsic"].indices["qrs_from_stimulus"]).all()
+        assert np.isnan(predicted["left-bundle-branch-block"].indices["qrs_from_stimulus"]).all()
+        paced = predicted["his-pacing"].indices
+        first = [s.activation.min() for s in predicted["his-pacing"].simulations]
+        latency = paced["qrs_from_stimulus"] - paced["qrs_duration"]
+        np.testing.assert_allclose(latency, first, atol=10.0)
+        assert ((latency > 30) & (latency < 70)).all()
+
+    def test_pacing_both_bundles_undoes_a_late_left_one(self, predicted):
+        index = "total_activation_time"
+        assert (
+            predicted["his-pacing"].indices[index] < predicted["intrinsic"].indices[index]
+        ).all()
+        assert (
+            predicted["left-bundle-branch-block"].indices["lv_rv_delay"]
+            >= predicted["intrinsic"].indices["lv_rv_delay"]
+        ).all()
+        assert (predicted["left-bundle-pacing"].indices["lv_rv_delay"] < 0).all()
+
+
+def test_maps_and_extremes_by_hand():
+    """Three networks on five vertices, of which one is reached by two and another by none."""
+    times = np.array(
+        [
+            [0.0, 10.0, 20.0, 30.0, np.inf],
+            [5.0, 25.0, 15.0, np.inf, np.inf],
+            [0.0, 10.0, 50.0, 20.0, np.inf],
+        ]
+    )
+    simulations = [SimpleNamespace(activation=row) for row in times]
+    totals = {"total_activation_time": np.array([30.0, 20.0, 50.0])}
+    found = Predicted(Scenario(his=His()), simulations, [], totals)
+    assert found.extremes() == {"minimum": 1, "median": 0, "maximum": 2}
+    maps = found.maps()
+    np.testing.assert_allclose(maps["activation_mean"], [0, 40 / 3, 80 / 3, 25, np.nan])
+    np.testing.assert_allclose(maps["activation_sd"][:2], [0, np.std([10, 20, 10])])
+    np.testing.assert_allclose(maps["activation_sd"][3], 5.0)
+    np.testing.assert_allclose(maps["probability_latest_fifth"], [0, 1 / 3, 1 / 3, 1 / 2, np.nan])
+
+
+def test_a_steep_filter_changes_the_ecg_and_no_index(problem, networks, predicted):
+    filtered = SimpleNamespace(
+        model=problem.model,
+        target=SimpleNamespace(response=lambda f: np.where(f < 0.03, 1.0, 0.0)),
+        workers=1,
+    )
+    found = simulate_scenarios(filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
+    for name, values in found.indices.items():
+        np.testing.assert_array_equal(values, predicted["intrinsic"].indices[name][:1])
+    before, after = predicted["intrinsic"].filtered[0], found.filtered[0]
+    assert np.abs(after - before).max() > 0.05 * np.abs(before).max()
+    assert np.abs(after[:, :RINGING]).max() > 0  # it rings
+
+
+def test_ecgs_begin_at_their_onsets(predicted):
+    time, ecgs = qrs_aligned(predicted["left-bundle-pacing"])
+    assert time[0] == -LEAD_IN
+    assert ecgs.shape == (3, 12, len(time))
+    strength = np.abs(ecgs).max(axis=(0, 1))
+    assert strength[:LEAD_IN].max() < 0.05 * strength.max()
+    assert strength[LEAD_IN + 5 : LEAD_IN + 40].max() > 0.1 * strength.max()
+    assert strength[-1] < 0.02 * strength.max()

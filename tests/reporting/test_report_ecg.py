@@ -1,0 +1,101 @@
+import numpy as np
+
+from fascicle.core.leads import LEADS
+from fascicle.reporting.ecg import EcgGroup, ecg_figure
+
+TIME = np.arange(-40.0, 81.0)
+
+
+def ecgs(count, time=TIME, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.5, 2.0, (count, 12, len(time)))
+
+
+def figure_of(predicted, recorded=None):
+    groups = [EcgGroup("predicted", "network", TIME, predicted, "#D55E00")]
+    if recorded is not None:
+        groups.insert(0, EcgGroup("recorded", "beat", TIME, recorded, "#0072B2"))
+    return ecg_figure(groups)
+
+
+def band_edges(axes, index):
+    """Lower and upper edge of a `fill_between` polygon, as functions of time."""
+    outline = axes.collections[index].get_paths()[0].vertices
+    times = np.unique(outline[:, 0])
+    low = [outline[outline[:, 0] == t, 1].min() for t in times]
+    high = [outline[outline[:, 0] == t, 1].max() for t in times]
+    return times, np.array(low), np.array(high)
+
+
+def panel(figure, lead):
+    return figure.axes[[axes.texts[0].get_text() for axes in figure.axes].index(lead)]
+
+
+def test_lines_are_means_and_bands_run_from_minimum_to_maximum():
+    beats, networks = ecgs(4), ecgs(6, seed=1)
+    figure = figure_of(networks, beats)
+    for index, lead in enumerate(LEADS):
+        axes = panel(figure, lead)
+        recorded, predicted = axes.lines
+        np.testing.assert_array_equal(recorded.get_xdata(), TIME)
+        np.testing.assert_allclose(recorded.get_ydata(), beats[:, index].mean(axis=0))
+        np.testing.assert_allclose(predicted.get_ydata(), networks[:, index].mean(axis=0))
+        times, low, high = band_edges(axes, 1)
+        np.testing.assert_array_equal(times, TIME)
+        np.testing.assert_allclose(low, networks[:, index].min(axis=0))
+        np.testing.assert_allclose(high, networks[:, index].max(axis=0))
+
+
+def test_leads_stand_in_the_clinical_columns():
+    figure = figure_of(ecgs(2))
+    figure.draw_without_rendering()
+    columns = [("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6")]
+    corners = [[panel(figure, lead).get_position() for lead in column] for column in columns]
+    for column in corners:
+        assert np.ptp([box.x0 for box in column]) < 1e-6
+        assert column[0].y0 > column[1].y0 > column[2].y0
+    assert np.all(np.diff([column[0].x0 for column in corners]) > 0.1)
+
+
+def test_all_leads_share_one_scale_that_holds_every_value():
+    networks = ecgs(3)
+    networks[2, 7, 30] = -6.2  # one network's V2 alone
+    figure = figure_of(networks, ecgs(2))
+    limits = {(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}
+    assert len(limits) == 1
+    (start, stop), (bottom, top) = limits.pop()
+    assert (start, stop) == (-40.0, 80.0)
+    assert -7.5 < bottom < -6.2
+    assert 2.0 < top < 3.5
+    assert (figure.get_supxlabel(), figure.get_supylabel()) == ("time (ms)", "potential (mV)")
+
+
+def test_before_and_after_keep_their_own_time():
+    later = np.arange(0.0, 151.0)
+    groups = [
+        EcgGroup("LBBB", "network", TIME, ecgs(3), "#6B6B6B"),
+        EcgGroup("paced", "network", later, ecgs(3, later), "#D55E00"),
+    ]
+    figure = ecg_figure(groups)
+    before, after = panel(figure, "V5").lines
+    assert len(before.get_xdata()) == len(TIME)
+    assert len(after.get_xdata()) == len(later)
+    assert panel(figure, "V5").get_xlim() == (-40.0, 150.0)
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert [entry.split(" (")[0] for entry in legend] == ["LBBB", "paced"]
+    assert "3 networks" in legend[1]
+
+
+def test_an_ecg_that_ended_leaves_the_mean_to_the_others():
+    networks = ecgs(3)
+    networks[0, :, 100:] = np.nan
+    networks[:, :, -1] = np.nan
+    line = panel(figure_of(networks), "I").lines[0].get_ydata()
+    np.testing.assert_allclose(line[110], networks[1:, 0, 110].mean())
+    assert np.isnan(line[-1])
+
+
+def test_single_beat_has_a_line_and_no_band():
+    figure = figure_of(ecgs(5), ecgs(1))
+    assert len(panel(figure, "V1").collections) == 1
+    assert figure.legends[0].get_texts()[0].get_text() == "recorded (1 beat)"

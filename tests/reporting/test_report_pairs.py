@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+
+from fascicle.core.parameters import NETWORK_SPACE, Parameter, ParameterSpace
+from fascicle.reporting.pairs import pair_figure, short_name
+
+SPACE = ParameterSpace(
+    (
+        Parameter("lv_initial_length", "mm", 30.0, 100.0),
+        Parameter("rv_fascicle_angle_1", "rad", -0.5, 1.5),
+        Parameter("cv", "mm/ms", 2.0, 4.0),
+    )
+)
+BEST = {"lv_initial_length": 50.0, "rv_fascicle_angle_1": 0.0, "cv": 2.5}
+
+
+def samples(count=30):
+    unit = np.random.default_rng(3).uniform(0.4, 0.6, (count, len(SPACE)))
+    return {p.name: p.from_unit(share) for p, share in zip(SPACE.parameters, unit.T, strict=True)}
+
+
+def panel(figure, row, column):
+    return figure.axes[row * (row + 1) // 2 + column]
+
+
+def test_lower_triangle_spans_the_whole_prior():
+    figure = pair_figure(SPACE, samples(), BEST)
+    assert len(figure.axes) == 6
+    for row in range(3):
+        for column in range(row + 1):
+            axes, x, y = panel(figure, row, column), SPACE.parameters[column], SPACE.parameters[row]
+            assert axes.get_xlim() == (x.lower, x.upper)
+            if row != column:
+                assert axes.get_ylim() == (y.lower, y.upper)
+
+
+def test_scatter_shows_column_against_row_and_marks_best_and_truth():
+    values = samples()
+    truth = {"lv_initial_length": 60.0, "rv_fascicle_angle_1": 0.4, "cv": 3.1}
+    axes = panel(pair_figure(SPACE, values, BEST, truth), 2, 1)
+    offsets = axes.collections[0].get_offsets()
+    np.testing.assert_array_equal(offsets[:, 0], values["rv_fascicle_angle_1"])
+    np.testing.assert_array_equal(offsets[:, 1], values["cv"])
+    marks = [(line.get_xdata()[0], line.get_ydata()[0]) for line in axes.lines]
+    assert marks == [(0.0, 2.5), (0.4, 3.1)]
+
+
+def test_diagonal_is_a_density_over_the_range_against_the_flat_prior():
+    figure = pair_figure(SPACE, samples(400), BEST)
+    for index, parameter in enumerate(SPACE.parameters):
+        axes = panel(figure, index, index)
+        density, edges, _ = axes.patches[0].get_data()
+        assert (edges[0], edges[-1]) == (parameter.lower, parameter.upper)
+        assert np.sum(density * np.diff(edges)) == pytest.approx(1.0)
+        prior = axes.lines[0].get_ydata()[0]
+        assert prior == pytest.approx(1 / (parameter.upper - parameter.lower))
+        assert density.max() > 3 * prior  # contracted fivefold
+        assert axes.get_ylim()[1] > density.max()
+
+
+def test_outer_axes_name_parameter_and_unit():
+    figure = pair_figure(SPACE, samples(), BEST)
+    assert panel(figure, 2, 0).get_xlabel() == "LV bundle\nlength (mm)"
+    assert panel(figure, 2, 1).get_xlabel() == "RV fasc. 1\nangle (rad)"
+    assert panel(figure, 2, 0).get_ylabel() == "tree speed\n(mm/ms)"
+    assert panel(figure, 1, 1).get_xlabel() == ""
+
+
+def test_names_of_the_standard_space_are_short_and_distinct():
+    names = {short_name(name) for name in NETWORK_SPACE.names}
+    assert len(names) == len(NETWORK_SPACE)
+    assert max(len(line) for name in names for line in name.split("\n")) <= 10
+    assert short_name("anisotropy_ratio") == "anisotropy ratio\n"

@@ -1,0 +1,99 @@
+"""Figures of predictions: every number stands where it belongs."""
+
+import numpy as np
+import pytest
+
+from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.heart.segments import SEGMENTS
+from fascicle.prediction.indices import INDICES
+from fascicle.reporting.indices import SHOWN, index_figure, index_name
+from fascicle.reporting.priors import prior_figure
+from fascicle.reporting.sweep import bulls_eye_figure, curve_figure
+
+
+@pytest.mark.parametrize(
+    ("index", "name"),
+    [
+        ("qrs_duration", "QRS duration"),
+        ("lv_rv_delay", "LV-RV delay"),
+        ("total_activation_time", "total activation time"),
+        ("rv_activation_time", "RV activation time"),
+    ],
+)
+def test_names_of_indices(index, name):
+    assert index_name(index) == name
+
+
+def test_indices_of_scenarios_are_medians_and_intervals():
+    rng = np.random.default_rng(0)
+    indices = {
+        name: {index: rng.normal(100, 10, 200) for index in INDICES} for name in ("own", "a", "b")
+    }
+    indices["a"]["qrs_area"][:20] = np.nan  # left out
+    panels = index_figure(indices).axes
+    assert [tick.get_text() for tick in panels[0].get_yticklabels()] == ["own", "a", "b"]
+    for panel, index in zip(panels, SHOWN, strict=True):
+        assert panel.get_xlabel() == f"{index_name(index)} ({INDICES[index]})"
+        thin, thick, dot = panel.lines[3:6]  # of the second scenario
+        values = indices["a"][index]
+        np.testing.assert_allclose(thin.get_xdata(), np.nanpercentile(values, [5, 95]))
+        np.testing.assert_allclose(thick.get_xdata(), np.nanpercentile(values, [25, 75]))
+        np.testing.assert_allclose(dot.get_xdata(), np.nanmedian(values))
+        assert (np.array([thin.get_ydata(), thick.get_ydata()]) == 1).all()
+
+
+def test_bulls_eye_has_each_segment_in_its_place():
+    """Seen from the apex, as the American Heart Association draws it: septal to the left."""
+    values = np.arange(1.0, 18.0)
+    values[4] = np.nan  # basal inferolateral: white, without a number
+    axes = bulls_eye_figure(values, "title", "ms").axes[0]
+    places = {t.get_text(): t.get_position() for t in axes.texts}
+    assert "5" not in places
+
+    def at(number):
+        angle, radius = places[str(number)]
+        return radius * np.cos(angle), radius * np.sin(angle)
+
+    for number, name in enumerate(SEGMENTS, 1):
+        if number == 5:
+            continue
+        x, y = at(number)
+        if "septal" in name:
+            assert x < -0.1
+        if "lateral" in name:
+            assert x > 0.1
+        if name.endswith(" anterior"):
+            assert y > abs(x)
+        if name.endswith(" inferior"):
+            assert -y > abs(x)
+    assert np.hypot(*at(1)) > np.hypot(*at(7)) > np.hypot(*at(13)) > np.hypot(*at(17))
+
+
+def test_a_delay_has_its_median():
+    values = {float(d): np.array([d, d + 1.0, d + 5.0]) for d in (-10, 0, 10)}
+    axes = curve_figure(values, "total_activation_time", "delay (ms)").axes[0]
+    (line,) = axes.lines
+    np.testing.assert_array_equal(line.get_xdata(), [-10, 0, 10])
+    np.testing.assert_array_equal(line.get_ydata(), [-9, 1, 11])
+    assert axes.get_ylabel() == "total activation time (ms)"
+    assert axes.get_xlabel() == "delay (ms)"
+
+
+def test_priors_are_densities_beside_the_networks():
+    space = ParameterSpace(
+        (
+            Parameter("cv", "mm/ms", 2.0, 4.0),
+            Parameter("gain", "1", 0.5, 2.0, "log-normal", median=1.0, sd=0.3),
+        )
+    )
+    rng = np.random.default_rng(0)
+    figure = prior_figure(space, {"cv": rng.uniform(2, 4, 300), "gain": rng.uniform(0.8, 1.2, 300)})
+    uniform, log_normal = figure.axes[:2]
+    np.testing.assert_allclose(uniform.lines[0].get_ydata(), 0.5, rtol=1e-6)
+    x, y = log_normal.lines[0].get_data()
+    assert np.trapezoid(y, x) == pytest.approx(0.99, abs=0.01)
+    assert x[np.argmax(y)] == pytest.approx(np.exp(-0.09), abs=0.03)  # the mode of a log-normal
+    for axes in (uniform, log_normal):
+        assert sum(bar.get_width() * bar.get_height() for bar in axes.patches) == pytest.approx(1)
+    assert uniform.get_xlabel() == "cv (mm/ms)"
+    assert log_normal.get_xlabel() == "gain"

@@ -1,0 +1,56 @@
+"""The documentation's site builds without a warning, and names everything that is public."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import fascicle
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+DOCS = REPOSITORY / "docs"
+
+
+def test_every_public_name_is_in_the_api():
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"auto\w+:: fascicle\.(\w+)", page)) | set(
+        re.findall(r"^`([A-Z_]+)`$", page, re.MULTILINE)
+    )
+    assert named == set(fascicle.__all__)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    from sphinx.cmd.build import main
+
+    out = tmp_path_factory.mktemp("site")
+    arguments = ["-W", "--keep-going", "-q", "-b", "html", str(DOCS), str(out)]
+    assert main(arguments) == 0
+    return out
+
+
+def test_what_the_site_holds(site):
+    pages = {path.stem for path in DOCS.glob("*.md")}
+    assert pages <= {path.stem for path in site.glob("*.html")}
+    api = (site / "api.html").read_text(encoding="utf-8")
+    assert all(f'id="fascicle.{name}"' in api for name in ("fit", "predict", "plot.ecg"))
+    benchmarks = (site / "benchmarks.html").read_text(encoding="utf-8")
+    for path in (REPOSITORY / "benchmarks").glob("*.py"):
+        if f"python -m benchmarks.{path.stem}" in path.read_text(encoding="utf-8"):
+            assert f"python -m benchmarks.{path.stem}" in benchmarks
+
+
+def test_the_site_loads_nothing_from_elsewhere(site):
+    for path in site.glob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r'<(?:script|link|img)[^>]+(?:src|href)="https?:', text), path.name
+
+
+@pytest.mark.parametrize("name", ["simulate_and_pace", "learn_and_predict"])
+def test_notebooks_without_output(site, name):
+    cells = json.loads((site / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert {cell["cell_type"] for cell in cells} == {"code", "markdown"}
+    assert not any(cell.get("outputs") for cell in cells)
