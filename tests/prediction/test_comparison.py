@@ -26,6 +26,11 @@ def test_counts_networks():
     assert found.standard_error(10.0) == pytest.approx(np.sqrt(0.25 * 0.75 / 4))
     assert found.expected == 3.0
     assert found.interval == pytest.approx(np.percentile([12, 5, 0, -5], [5, 95]))
+    assert str(found) == "3 ms (-4 to 11)"
+    same = predicted(qrs_duration=[100.2, 99.9])
+    assert str(compare(same, predicted(qrs_duration=[100.0, 99.8]), "qrs_duration")) == (
+        "0 ms (0 to 0)"
+    )
     assert compare(b, a, "qrs_duration").probability() == 1 - found.probability()
 
 

@@ -134,9 +134,7 @@ def print_comparison(
     print(f"{'less is better':<24}{'probability':<14}{'gain (90 % of the networks)'}")
     for name in COMPARED:
         found = compare(one, other, name)
-        low, high = found.interval
-        gain = f"{found.expected:.0f} {found.unit} ({low:.0f} to {high:.0f})"
-        print(f"{index_name(name):<24}{found.probability():<14.2f}{gain}")
+        print(f"{index_name(name):<24}{found.probability():<14.2f}{found}")
     chosen = compare(one, other, index)
     print(
         f"{index_name(index)}: a gain of more than {threshold:g} {chosen.unit} has probability "

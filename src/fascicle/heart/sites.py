@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium, long_axis
+from fascicle.heart.fibres.rules import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.seeds import septal_seeds
 from fascicle.heart.segments import SEGMENTS, Places, places
@@ -27,6 +28,9 @@ OUTFLOW = (0.05, 0.25)  # of the way from the right ventricle's opening to its a
 MIDDLE = (0.4, 0.6)  # likewise
 RIGHT_SITES = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
 LEFT_SITES = ("left bundle", "left septum")
+THICK = 10.0  # mm, of a wall, when distances in coordinates are weighed
+_NUMBER = r"(-?\d+(?:\.\d+)?)"
+_COORDINATES = re.compile(rf"(lv|rv) height {_NUMBER} angle {_NUMBER} depth {_NUMBER}")
 _SEGMENT = re.compile(rf"(?:segment (\d+)|({'|'.join(SEGMENTS)})) ({'|'.join(LAYERS)})")
 
 
@@ -58,6 +62,10 @@ class Sites:
               of a septal segment is the right side of the septum;
             - ``"rv apex"``, ``"rv septum"``, ``"rv outflow tract"``, ``"rv free wall"``: on the
               right endocardium;
+            - ``"lv height 0.5 angle 120 depth 1"``: coordinates that mean the same in every heart,
+              as `Places` has them, the angle in degrees; ``rv`` for the right free wall. They serve
+              as universal ventricular coordinates do (J. Bayer et al., Med Image Anal 45, 2018),
+              but are measured along and about the left ventricle's long axis;
             - ``"left bundle"``: 15 mm below the root of the left tree, and ``"left septum"``, 10 mm
               further, on the left endocardium. The bundles of all networks with the paper's ranges
               of lengths pass there.
@@ -65,7 +73,7 @@ class Sites:
         Raises
         ------
         InputError
-            If there is no such site.
+            If there is no such site, or coordinates name none.
         """
         if name not in self._known:
             x, y, z = map(float, self._find(name))
@@ -77,6 +85,11 @@ class Sites:
         if match is not None and (match[1] is None or 1 <= int(match[1]) <= len(SEGMENTS)):
             number = int(match[1]) if match[1] is not None else 1 + SEGMENTS.index(match[2])
             return _in_segment(self.heart, self.places, number, match[3])
+        coordinates = _COORDINATES.fullmatch(name)
+        if coordinates is not None:
+            height, angle, depth = map(float, coordinates.groups()[1:])
+            wall = coordinates[1].upper()
+            return _at_coordinates(self.heart, self.places, name, wall, height, angle, depth)
         if name in LEFT_SITES:
             way = LEFT_BUNDLE if name == "left bundle" else LEFT_SEPTUM
             return _below_root(self.heart.lv, way)
@@ -87,8 +100,35 @@ class Sites:
         raise InputError(
             f"there is no site '{name}'; did you mean '{near}'? Sites are "
             f"{', '.join(LEFT_SITES + RIGHT_SITES)}, and segments with a layer, such as "
-            f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}'"
+            f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}', or coordinates, such as "
+            "'lv height 0.5 angle 120 depth 1'"
         )
+
+
+def _at_coordinates(
+    heart: Heart, found: Places, name: str, wall: str, height: float, angle: float, depth: float
+) -> Floats:
+    """Middle of the element whose coordinates are nearest, as lengths in this heart."""
+    if not (0 <= height <= 1 and 0 <= depth <= 1 and -360 <= angle <= 360):
+        raise InputError(
+            f"site '{name}': height and depth go from 0 to 1, and the angle from -360 to 360 "
+            "degrees"
+        )
+    inside = np.flatnonzero((found.wall == Wall.RV) == (wall == "RV"))
+    centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    length = np.linalg.norm(apex - base)
+    away = centres - base
+    radius = np.linalg.norm(np.cross(away, apex - base), axis=1) / length
+    turn = np.angle(np.exp(1j * (found.angle[inside] - np.radians(angle))))
+    apart = np.array(
+        [
+            length * (found.height[inside] - height),
+            radius * turn,
+            THICK * (found.depth[inside] - depth),
+        ]
+    )
+    return np.asarray(centres[np.argmin((apart**2).sum(axis=0))])
 
 
 def _in_segment(heart: Heart, found: Places, number: int, layer: str) -> Floats:

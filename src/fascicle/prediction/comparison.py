@@ -69,6 +69,12 @@ class Comparison:
         low, high = np.percentile(self.gains, INTERVAL)
         return float(low), float(high)
 
+    def __str__(self) -> str:
+        """Mean gain with its interval, such as ``6 ms (-11 to 22)``."""
+        numbers = np.round([self.expected, *self.interval]) + 0.0  # no minus before a 0
+        mean, low, high = (f"{number:.0f}" for number in numbers)
+        return f"{mean} {self.unit} ({low} to {high})"
+
     def left_open_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the gain's variance, in ranks, that each parameter alone goes with.
 

@@ -128,12 +128,10 @@ def _prediction(name: str, found: Predicted, own: Predicted) -> str:
     gain = compare(found, own, "total_activation_time")
     better = gain.probability()
     likely = "shorter" if better >= LIKELY else "longer" if better <= 1 - LIKELY else "open"
-    low, high = gain.interval
-    change = f"{gain.expected:.0f} ms ({low:.0f} to {high:.0f})"
     verb = {
-        "shorter": f"The activation is shorter than that of the own beat, by {change}",
-        "longer": f"The activation is not shorter than that of the own beat; it gains {change}",
-        "open": f"Whether the activation is shorter than that of the own beat is open: by {change}",
+        "shorter": f"The activation is shorter than that of the own beat, by {gain}",
+        "longer": f"The activation is not shorter than that of the own beat; it gains {gain}",
+        "open": f"Whether the activation is shorter than that of the own beat is open: by {gain}",
     }[likely]
     return f"{sentence}. {verb}; probability to be shorter {better:.2f}."
 
