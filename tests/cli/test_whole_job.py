@@ -260,7 +260,7 @@ def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
 
 def test_plots_in_a_notebook(study):
     """Every one draws something on axes of a figure of its own."""
-    plot, predicted = fascicle.plot, fascicle.predict(study, ["left-bundle-pacing"])
+    plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-pacing")
     assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
     drawn = {
         "ecg": plot.ecg(study),
@@ -280,6 +280,8 @@ def test_plots_in_a_notebook(study):
         assert all(one.figure is axes[0].figure for one in axes)
         assert any(one.has_data() for one in axes)
     assert [len(drawn[name]) for name in ("ecg", "scenario_ecg", "target")] == [12, 12, 12]
+    with pytest.raises(fascicle.InputError, match="'his-pacing' was not predicted; there"):
+        plot.scenario_ecg(predicted, "his-pacing")
     found = fascicle.compare(predicted["left-bundle-pacing"], predicted["intrinsic"], "qrs_area")
     assert 0 <= found.probability() <= 1
 

@@ -34,6 +34,12 @@ def test_counts_networks():
     assert compare(b, a, "qrs_duration").probability() == 1 - found.probability()
 
 
+def test_other_networks_are_refused():
+    three, two = predicted(qrs_area=[1.0, 2.0, 3.0]), predicted(qrs_area=[1.0, 2.0])
+    with pytest.raises(InputError, match="3 networks cannot be compared with 2; predict both"):
+        compare(three, two, "qrs_area")
+
+
 def test_a_delay_is_as_bad_either_way():
     a, b = predicted(lv_rv_delay=[-10.0, 5.0]), predicted(lv_rv_delay=[30.0, -40.0])
     np.testing.assert_array_equal(compare(a, b, "lv_rv_delay").gains, [20, 35])

@@ -68,18 +68,21 @@ class TestLibrary:
 
 class TestPredicted:
     def test_the_own_beat_is_what_was_learnt(self, predicted, networks):
-        for simulation, network in zip(predicted["intrinsic"].simulations, networks, strict=True):
-            np.testing.assert_array_equal(simulation.activation, network.simulation.activation)
-            np.testing.assert_array_equal(simulation.leads, 2 * network.simulation.leads)
-        for leads, network in zip(predicted["intrinsic"].filtered, networks, strict=True):
-            inside = leads[:, RINGING:-RINGING]  # this recorder has no filter
-            np.testing.assert_allclose(inside, 2 * network.simulation.leads, atol=1e-9)
+        for beat, network in zip(predicted["intrinsic"].beats, networks, strict=True):
+            own = network.simulation
+            np.testing.assert_allclose(beat.activation, own.activation, rtol=1e-6, atol=1e-5)
+            np.testing.assert_array_equal(beat.leads, 2 * own.leads)
+            inside = beat.filtered[:, RINGING:-RINGING]  # this recorder has no filter
+            np.testing.assert_allclose(inside, 2 * own.leads, atol=1e-9)
+            assert [tree for tree, _ in beat.trees] == list(own.trees)
+            for (_, times), expected in zip(beat.trees, own.coupled.trees, strict=True):
+                np.testing.assert_allclose(times, expected, rtol=1e-6, atol=1e-5)
 
     def test_indices_are_counted_from_the_stimulus(self, predicted):
         assert np.isnan(predicted["intrinsic"].indices["qrs_from_stimulus"]).all()
         assert np.isnan(predicted["left-bundle-branch-block"].indices["qrs_from_stimulus"]).all()
         paced = predicted["his-pacing"].indices
-        first = [s.activation.min() for s in predicted["his-pacing"].simulations]
+        first = [b.activation.min() for b in predicted["his-pacing"].beats]
         latency = paced["qrs_from_stimulus"] - paced["qrs_duration"]
         np.testing.assert_allclose(latency, first, atol=10.0)
         assert ((latency > 30) & (latency < 70)).all()
@@ -105,9 +108,9 @@ def test_maps_and_extremes_by_hand():
             [0.0, 10.0, 50.0, 20.0, np.inf],
         ]
     )
-    simulations = [SimpleNamespace(activation=row) for row in times]
+    beats = [SimpleNamespace(activation=row) for row in times]
     totals = {"total_activation_time": np.array([30.0, 20.0, 50.0])}
-    found = Predicted(Scenario(his=His()), simulations, [], totals)
+    found = Predicted(Scenario(his=His()), beats, totals)
     assert found.extremes() == {"minimum": 1, "median": 0, "maximum": 2}
     maps = found.maps()
     np.testing.assert_allclose(maps["activation_mean"], [0, 40 / 3, 80 / 3, 25, np.nan])
@@ -125,7 +128,7 @@ def test_a_steep_filter_changes_the_ecg_and_no_index(problem, networks, predicte
     found = simulate_scenarios(filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
     for name, values in found.indices.items():
         np.testing.assert_array_equal(values, predicted["intrinsic"].indices[name][:1])
-    before, after = predicted["intrinsic"].filtered[0], found.filtered[0]
+    before, after = predicted["intrinsic"].beats[0].filtered, found.beats[0].filtered
     assert np.abs(after - before).max() > 0.05 * np.abs(before).max()
     assert np.abs(after[:, :RINGING]).max() > 0  # it rings
 

@@ -12,7 +12,7 @@ import pytest
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import Predicted
+from fascicle.prediction.scenarios import Predicted, PredictedBeat
 from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.page import _safe, _template
 from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene
@@ -27,7 +27,7 @@ SPACE = ParameterSpace(
 def predicted(total):
     """Four networks whose indices are all that of the total activation time."""
     values = np.asarray(total, dtype=float)
-    return Predicted(Scenario(), [], [], dict.fromkeys(INDICES, values))
+    return Predicted(Scenario(), [], dict.fromkeys(INDICES, values))
 
 
 def study(*, converged=True, share=0.2, disagreeing=None, paper=False):
@@ -90,6 +90,10 @@ class TestAnswers:
         assert "a population and not a posterior" in said.meaning[0]
 
 
+def kept(simulation):
+    return PredictedBeat.of(simulation, simulation.leads, simulation.leads)
+
+
 @pytest.fixture(scope="module")
 def shown(default_heart, default_model):
     from fascicle.core.parameters import EXAMPLE_PARAMETERS
@@ -101,8 +105,10 @@ def shown(default_heart, default_model):
     ))  # fmt: skip
     totals = {"total_activation_time": np.array([90.0, 80.0])}
     found = {
-        "intrinsic": Predicted(Scenario(description="the own beat"), [simulation] * 2, [], totals),
-        "half": Predicted(Scenario(), [late] * 2, [], totals),
+        "intrinsic": Predicted(
+            Scenario(description="the own beat"), [kept(simulation)] * 2, totals
+        ),
+        "half": Predicted(Scenario(), [kept(late)] * 2, totals),
     }
     return simulation, scene(default_heart, found)
 

@@ -6,7 +6,7 @@ import io
 import json
 import re
 import shutil
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.scenario import His, Scenario
-from fascicle.prediction.scenarios import Predicted
+from fascicle.prediction.scenarios import Predicted, PredictedBeat
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
 
@@ -33,11 +33,10 @@ def content(default_heart, default_model):
     for name, his in (("intrinsic", His()), ("block", His(left=0.0))):
         scenario = Scenario(his=his, description=f"<b>{name}</b>")
         simulation = default_model.simulate(EXAMPLE_PARAMETERS, scenario)
-        faster = SimpleNamespace(
-            activation=simulation.activation / 2, trees=simulation.trees, coupled=simulation.coupled
-        )
+        beat = PredictedBeat.of(simulation, simulation.leads, simulation.leads)
+        faster = replace(beat, activation=beat.activation / 2)
         totals = {"total_activation_time": np.array([100.0, 50.0])}
-        found[name] = Predicted(scenario, [simulation, faster], [], totals)
+        found[name] = Predicted(scenario, [beat, faster], totals)
     return scene(default_heart, found)
 
 

@@ -130,7 +130,7 @@ def print_comparison(
     from fascicle.reporting.indices import index_name
 
     one, other = (predicted[name] for name in names)
-    print(f"{' against '.join(names)}, {len(one.simulations)} networks")
+    print(f"{' against '.join(names)}, {len(one.beats)} networks")
     print(f"{'less is better':<24}{'probability':<14}{'gain (90 % of the networks)'}")
     for name in COMPARED:
         found = compare(one, other, name)

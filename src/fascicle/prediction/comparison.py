@@ -133,10 +133,15 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     Raises
     ------
     InputError
-        If the index is none of them.
+        If the index is none of them, or the networks are not as many.
     """
     check_index(index)
     one, other = first.indices[index], second.indices[index]
+    if len(one) != len(other):
+        raise InputError(
+            f"{len(one)} networks cannot be compared with {len(other)}; predict both scenarios "
+            "with the same ones"
+        )
     if index in SIGNED:
         one, other = np.abs(one), np.abs(other)
     return Comparison(index, INDICES[index], other - one)

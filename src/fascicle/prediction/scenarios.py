@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Singles
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
@@ -19,6 +19,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.indices import INDICES, Territories, indices
+from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.window import qrs_window
 from fascicle.study.bank import prior_points
 from fascicle.study.in_threads import in_threads
@@ -33,24 +34,51 @@ LATEST = 0.2  # share of the vertices that count as late
 
 
 @dataclass(frozen=True)
+class PredictedBeat:
+    """What is kept of one simulation, in single precision: of a fine heart there are hundreds.
+
+    Attributes
+    ----------
+    leads : (12, n_time) array
+        ECG (mV), with the gain that the network needs to match the recording, every 1 ms.
+    filtered : (12, n_time + 2 * `RINGING`) array
+        The same as the recorder would have it, from `RINGING` samples before to as many after. A
+        steep filter rings about the QRS, so that indices are not read off it.
+    activation : (n,) array
+        Activation time of each vertex of the heart (ms); inf where no front arrives.
+    trees : tuple of (PurkinjeTree, (n_nodes,) array)
+        The trees, left first, and when each of their nodes is reached (ms).
+    """
+
+    leads: Floats
+    filtered: Floats
+    activation: Singles
+    trees: tuple[tuple[PurkinjeTree, Singles], ...]
+
+    @classmethod
+    def of(cls, simulation: Simulation, leads: Floats, filtered: Floats) -> PredictedBeat:
+        """What is kept of a simulation; `leads` and `filtered` as above."""
+        times = (each.astype(np.float32) for each in simulation.coupled.trees)
+        trees = tuple(zip(simulation.trees, times, strict=True))
+        return cls(leads, filtered, simulation.activation.astype(np.float32), trees)
+
+
+@dataclass(frozen=True)
 class Predicted:
     """What one scenario does in n networks.
 
     Attributes
     ----------
     scenario : Scenario
-    simulations : sequence of Simulation
-        Of each network, their ECGs with the gain that the network needs to match the recording.
-    filtered : sequence of (12, n_time) arrays
-        The same ECGs (mV) as the recorder would have them, from `RINGING` samples before theirs to
-        as many after. A steep filter rings about the QRS, so that indices are not read off them.
+        What was predicted.
+    beats : sequence of PredictedBeat
+        Of each network.
     indices : mapping of name to (n,) array
         `INDICES` of each.
     """
 
     scenario: Scenario
-    simulations: Sequence[Simulation]
-    filtered: Sequence[Floats]
+    beats: Sequence[PredictedBeat]
     indices: Mapping[str, Floats]
 
     def extremes(self) -> dict[str, int]:
@@ -68,7 +96,7 @@ class Predicted:
         Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
         fifth. What no network reaches is NaN; elsewhere those that do reach it count.
         """
-        times = np.array([s.activation - s.activation.min() for s in self.simulations])
+        times = np.array([b.activation - b.activation.min() for b in self.beats], dtype=float)
         times[np.isinf(times)] = np.nan
         reached = np.isfinite(times).sum(axis=0)
         known = np.where(reached > 0, reached, np.nan)
@@ -89,7 +117,7 @@ def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
 
 def predict(
     fitted: FittedStudy,
-    scenarios: Mapping[str, Scenario] | Sequence[str | Path],
+    scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
     progress: Progress | None = None,
     networks: Sequence[Network] | None = None,
 ) -> dict[str, Predicted]:
@@ -101,7 +129,7 @@ def predict(
     ----------
     fitted : FittedStudy
         The study.
-    scenarios : mapping of name to Scenario, or sequence of str or Path
+    scenarios : mapping of name to Scenario, or one or several of str or Path
         What to predict; names of the library (``"his-pacing"``) and files are read.
     progress : Progress, optional
         Called after each network that is simulated.
@@ -119,6 +147,8 @@ def predict(
         If the study has no network, there is no such scenario, or it does not fit the heart.
     """
     check_population(fitted)
+    if isinstance(scenarios, str | Path):
+        scenarios = [scenarios]
     if not isinstance(scenarios, Mapping):
         scenarios = read_scenarios(scenarios)
     if networks is None:
@@ -160,25 +190,27 @@ def simulate_scenarios(
     territories = Territories.of(problem.model.heart, problem.model.sites.places)
     predicted = {}
     for name, scenario in scenarios.items():
-        report, simulations, filtered = stage_progress(progress, name + of), [], []
-        each_network = partial(_simulate, problem, scenario)
-        for simulation, leads in in_threads(each_network, networks, problem.workers):
-            simulations.append(simulation)
-            filtered.append(leads)
-            report(len(simulations), len(networks))
-        found = [indices(s, territories, scenario.first_stimulus) for s in simulations]
+        report, beats, found = stage_progress(progress, name + of), [], []
+        each_network = partial(_simulate, problem, territories, scenario)
+        for beat, values in in_threads(each_network, networks, problem.workers):
+            beats.append(beat)
+            found.append(values)
+            report(len(beats), len(networks))
         each = {index: np.array([values[index] for values in found]) for index in INDICES}
-        predicted[name] = Predicted(scenario, simulations, filtered, each)
+        predicted[name] = Predicted(scenario, beats, each)
     return predicted
 
 
-def _simulate(problem: Problem, scenario: Scenario, network: Network) -> tuple[Simulation, Floats]:
+def _simulate(
+    problem: Problem, territories: Territories, scenario: Scenario, network: Network
+) -> tuple[PredictedBeat, dict[str, float]]:
     simulation = problem.model.activate(
         network.simulation.trees, scenario=scenario, **network.parameters
     )
     leads = network.gain * simulation.leads
     length, response = leads.shape[1] + 2 * RINGING, problem.target.response
-    return replace(simulation, leads=leads), placed(leads, -RINGING, length, response)
+    values = indices(replace(simulation, leads=leads), territories, scenario.first_stimulus)
+    return PredictedBeat.of(simulation, leads, placed(leads, -RINGING, length, response)), values
 
 
 def prior_networks(problem: Problem, progress: Progress | None = None) -> list[Network]:
@@ -217,10 +249,10 @@ def qrs_aligned(predicted: Predicted) -> tuple[Floats, Floats]:
     ecgs : (n, 12, t) array
         Potentials (mV), of all until the longest QRS has ended.
     """
-    windows = [qrs_window(simulation.leads, STEP) for simulation in predicted.simulations]
+    windows = [qrs_window(beat.leads, STEP) for beat in predicted.beats]
     length = LEAD_IN + max(offset - onset for onset, offset in windows) + LEAD_OUT
     ecgs = np.zeros((len(windows), len(LEADS), length))
-    for ecg, leads, (onset, _) in zip(ecgs, predicted.filtered, windows, strict=True):
+    for ecg, beat, (onset, _) in zip(ecgs, predicted.beats, windows, strict=True):
         begin = RINGING + onset - LEAD_IN
-        ecg[:] = np.pad(leads, ((0, 0), (0, length)))[:, begin : begin + length]
+        ecg[:] = np.pad(beat.filtered, ((0, 0), (0, length)))[:, begin : begin + length]
     return np.asarray((np.arange(length) - LEAD_IN) * STEP, dtype=np.float64), ecgs

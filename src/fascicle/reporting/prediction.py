@@ -74,7 +74,7 @@ def _summary(found: Predicted, own: Predicted) -> dict[str, Any]:
     content: dict[str, Any] = {
         "description": found.scenario.description,
         "reference": found.scenario.reference,
-        "networks": len(found.simulations),
+        "networks": len(found.beats),
         "activation_maps": found.extremes(),
         "latest_segment": _latest(found.indices["latest_segment"]),
     }
@@ -106,7 +106,7 @@ def _latest(numbers: Floats) -> dict[str, float]:
 
 def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
     maps = found.maps() | {
-        f"activation_{which}": found.simulations[k].activation
+        f"activation_{which}": found.beats[k].activation.astype(float)
         for which, k in found.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)

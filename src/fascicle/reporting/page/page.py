@@ -57,7 +57,7 @@ class Picture:
 
 def report(
     fitted: FittedStudy,
-    scenarios: Mapping[str, Scenario] | Sequence[str | Path] = PACINGS,
+    scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path = PACINGS,
     out: Path | str | None = None,
     progress: Progress | None = None,
     figures: Sequence[str] = (),
@@ -68,7 +68,7 @@ def report(
     ----------
     fitted : FittedStudy
         The study.
-    scenarios : mapping of name to Scenario, or sequence of str or Path
+    scenarios : mapping of name to Scenario, or one or several of str or Path
         What to predict, as `fascicle.predict` takes it; the own beat is always among them.
     out : Path or str, optional
         File to write; ``report.html`` in the study.

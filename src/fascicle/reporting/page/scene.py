@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
-from fascicle.prediction.scenarios import Predicted
+from fascicle.prediction.scenarios import Predicted, PredictedBeat
 from fascicle.reporting.rendering import heart_views
 
 STEPS = 65_534  # of a quantised value; the next number stands for none
@@ -44,7 +43,7 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
     shown, numbered = np.unique(triangles, return_inverse=True)
     low, high = heart.vertices.min(axis=0), heart.vertices.max(axis=0)
     for found in predicted.values():  # trees end on the endocardium, roots may lie outside the mesh
-        for tree in found.simulations[found.extremes()["median"]].trees:
+        for tree, _ in found.beats[found.extremes()["median"]].trees:
             low, high = np.minimum(low, tree.nodes.min(0)), np.maximum(high, tree.nodes.max(0))
     anterior = heart_views(heart)["anterior"].axes
     surface = {
@@ -67,15 +66,15 @@ def _scenario(
     name: str, found: Predicted, shown: Integers, low: Floats, high: Floats
 ) -> dict[str, Any]:
     extremes, maps = found.extremes(), found.maps()
-    begin = {k: float(found.simulations[k].activation.min()) for k in extremes.values()}
+    begin = {k: float(found.beats[k].activation.min()) for k in extremes.values()}
     fields = []
     for which in ("median", "minimum", "maximum"):
         number = extremes[which]
-        times = found.simulations[number].activation[shown] - begin[number]
+        times = found.beats[number].activation[shown].astype(float) - begin[number]
         label = f"network of {which} total activation time"
         fields.append(_field(f"activation_{which}", label, "ms", "time", times))
     fields += [_field(key, label, unit, kind, maps[key][shown]) for key, label, unit, kind in MAPS]
-    median = found.simulations[extremes["median"]]
+    median = found.beats[extremes["median"]]
     return {
         "name": name,
         "label": found.scenario.description or name,
@@ -95,11 +94,11 @@ def _field(name: str, label: str, unit: str, kind: str, values: Floats) -> dict[
     }  # fmt: skip
 
 
-def _trees(simulation: Simulation, begin: float, low: Floats, high: Floats) -> list[dict[str, Any]]:
+def _trees(beat: PredictedBeat, begin: float, low: Floats, high: Floats) -> list[dict[str, Any]]:
     trees = []
-    for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
+    for tree, times in beat.trees:
         ends = np.flatnonzero(tree.parents >= 0)
-        since = times - begin
+        since = times.astype(float) - begin
         known = since[np.isfinite(since)]
         first, last = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
         trees.append(
