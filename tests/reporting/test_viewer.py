@@ -114,6 +114,17 @@ def test_the_heart_is_painted(page):
     assert len(np.unique((image * 15).round().reshape(-1, 3), axis=0)) > 60
 
 
+@pytest.mark.parametrize("size", [(1000, 1000), (390, 700), (1600, 500)])
+def test_no_part_of_the_heart_is_cut_off(page, size):
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    for view in ("anterior", "left", "right", "inferior", "base"):
+        page.get_by_role("button", name=view).click()
+        image = picture(page)
+        edge = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+        assert edge.min() > BACKGROUND, view
+        assert painted(image) > 0.05
+
+
 def test_the_slider_and_play_move_the_front(page):
     whole = picture(page)
     slide(page, 20)

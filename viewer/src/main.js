@@ -1,8 +1,8 @@
 // A heart that can be turned: activations of scenarios on its surface, the front over time, trees.
 
 import {
-  Mesh, MeshBasicMaterial, PerspectiveCamera, Raycaster, Scene, SphereGeometry, Vector2, Vector3,
-  WebGLRenderer,
+  MathUtils, Mesh, MeshBasicMaterial, PerspectiveCamera, Raycaster, Scene, SphereGeometry, Vector2,
+  Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { drawBar } from "./colours.js";
@@ -12,6 +12,29 @@ import { Heart, treeLines } from "./heart.js";
 const PLAYED_IN = 5; // seconds
 const TURN = 0.15; // rad by an arrow key
 const CLICK = 5; // pixels that a click may move
+const HALF_VIEW = 15; // degrees that the camera sees on either side
+const STEPS = 50; // towards the centre of the smallest sphere
+
+// A sphere about all points that is hardly larger than the smallest: the centre goes towards the
+// point that is furthest away, by smaller and smaller steps (Badoiu and Clarkson 2003).
+function enclosing(points) {
+  const centre = new Vector3().fromBufferAttribute(points, 0);
+  const point = new Vector3();
+  const furthest = new Vector3();
+  let reach = 0;
+  for (let step = 0; step <= STEPS; step += 1) {
+    reach = 0;
+    for (let k = 0; k < points.count; k += 1) {
+      const away = point.fromBufferAttribute(points, k).distanceTo(centre);
+      if (away > reach) {
+        reach = away;
+        furthest.copy(point);
+      }
+    }
+    if (step < STEPS) centre.lerp(furthest, 1 / (step + 2));
+  }
+  return { centre, reach };
+}
 
 class Viewer {
   constructor(element, data) {
@@ -72,11 +95,10 @@ class Viewer {
 
   // The camera, so far away that the heart fills the picture.
   look() {
-    this.heart.mesh.geometry.computeBoundingSphere();
-    const { center, radius: reach } = this.heart.mesh.geometry.boundingSphere;
-    this.centre = center.clone();
-    this.camera = new PerspectiveCamera(30, 1, reach / 50, reach * 20);
-    this.distance = (0.9 * reach) / Math.sin((15 * Math.PI) / 180);
+    const { centre, reach } = enclosing(this.heart.mesh.geometry.getAttribute("position"));
+    this.centre = centre;
+    this.camera = new PerspectiveCamera(2 * HALF_VIEW, 1, reach / 50, reach * 20);
+    this.distance = reach / Math.sin(MathUtils.degToRad(HALF_VIEW));
     this.orbit = new OrbitControls(this.camera, this.canvas);
     this.orbit.enablePan = false;
     this.orbit.minDistance = reach;
@@ -133,6 +155,9 @@ class Viewer {
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
+    // the sphere fits the shorter side
+    const half = Math.tan(MathUtils.degToRad(HALF_VIEW)) / Math.min(this.camera.aspect, 1);
+    this.camera.fov = 2 * MathUtils.radToDeg(Math.atan(half));
     this.camera.updateProjectionMatrix();
     this.draw();
   }

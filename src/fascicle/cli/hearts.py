@@ -297,7 +297,8 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> N
     if picture is not None:
         save(check_figure(heart, found), picture)
         print(f"picture: {picture}")
-    print(f"{len(found.warnings)} warnings" if found.warnings else "no problem found")
+    count = len(found.warnings)
+    print(f"{count} warning{'s' * (count > 1)}" if count else "no problem found")
 
 
 def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:

@@ -142,12 +142,10 @@ def print_comparison(
     )
     open_by = [f"{name} {share:.0%}" for name, share in chosen.left_open_by(parameters)[:3]]
     print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
-    helpful = [
-        f"{index_name(what)} of {scenario} to ±{MEASURABLE[scenario, what]:g} "
-        f"{INDICES[what]} {share:.0%}"
-        for scenario, what, share in chosen.would_help(predicted)
-    ]
-    print(f"measured besides, each alone would take away: {', '.join(helpful)}")
+    print("what a further measurement alone would take away of that:")
+    for scenario, what, share in chosen.would_help(predicted):
+        error = f"±{MEASURABLE[scenario, what]:g} {INDICES[what]}"
+        print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
 
 
 def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied: str) -> None:
