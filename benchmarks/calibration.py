@@ -402,7 +402,7 @@ def summarise(results: list[dict[str, Any]], folder: Path) -> None:
         left = np.quantile([r["left"] for r in results], (0.1, 0.5, 0.9))
         print("the networks leave {:.0%}, {:.0%}, {:.0%} (tenth, half, nine tenths)".format(*left))
         rung = Counter(name for r in results for name in r["disagreeing"])
-        print("disagree: " + ", ".join(f"{name} {n}" for name, n in rung.most_common()))
+        print("disagree: " + (", ".join(f"{name} {n}" for name, n in rung.most_common()) or "none"))
     for what in ("evaluations", "effective"):
         if what in results[0]:
             print(f"{what}: {np.median([sum(r[what]) for r in results]):.0f} (median)")
