@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
 from fascicle.core.errors import InputError
+from fascicle.forward.simulation import Simulation
 from fascicle.prediction.scenarios import Predicted, check_population
 from fascicle.reporting.check import check_figure
 from fascicle.reporting.convergence import convergence_figure
@@ -35,6 +36,12 @@ class Drawing(NamedTuple):
     text: str
 
 
+def activation_row(label: str, simulation: Simulation) -> ActivationRow:
+    """A simulation as `activation_figure` draws it: tissue and trees."""
+    trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
+    return ActivationRow(label, simulation.activation, trees)
+
+
 def drawings(
     fitted: FittedStudy,
     networks: Sequence[Network],
@@ -54,13 +61,11 @@ def drawings(
     check_population(fitted)
     problem, population = fitted.problem, fitted.population
     heart = problem.model.heart
-    best = fitted.best_network.simulation
-    trees = tuple(zip(best.trees, best.coupled.trees, strict=True))
-    row = ActivationRow("best network", best.activation, trees)
+    best = activation_row("best network", fitted.best_network.simulation)
     return {
         **_of_recordings(fitted, networks),
         "activation": Drawing(
-            activation_figure(heart, [row]), "Activation by the network with the least mismatch."
+            activation_figure(heart, [best]), "Activation by the network with the least mismatch."
         ),
         **_of_scenarios(predicted),
         "priors": Drawing(
