@@ -424,9 +424,11 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
 
 
 def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
-    """What only a posterior has."""
+    """What only a posterior has; of one that has not converged nothing is said of parameters."""
     posterior, space = fitted.population, fitted.problem.space
     assert isinstance(posterior, Posterior)
+    said = statements(posterior, space) if posterior.converged else []
+    traded = trade_offs(posterior) if posterior.converged else []
     return {
         "converged": posterior.converged,
         "log_evidences": posterior.log_evidences.tolist(),
@@ -434,6 +436,6 @@ def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
         "standard_deviations_between_runs": dict(posterior.means_apart),
         "discrepancy_over_signal": fitted.checks.share if fitted.checks else None,
         "probabilities_under_the_model": dict(fitted.checks.probabilities) if fitted.checks else {},
-        "what_the_ecg_says": {s.name: str(s) for s in statements(posterior, space)},
-        "trade_offs": [[a, b, round(value, 2)] for a, b, value in trade_offs(posterior)],
+        "what_the_ecg_says": {s.name: str(s) for s in said},
+        "trade_offs": [[a, b, round(value, 2)] for a, b, value in traded],
     }
