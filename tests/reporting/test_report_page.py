@@ -68,7 +68,8 @@ class TestAnswers:
         assert "is open" in mixed
         assert "probability to be shorter 0.50" in mixed
         (_, slower) = answers(study(), {"intrinsic": FASTER, "a": OWN}).predicted
-        assert "is not shorter" in slower
+        assert "is longer than that of the own beat, by 28 ms (21 to 34)" in slower
+        assert "probability to be shorter 0.00" in slower
 
     def test_of_one_that_does_not_explain(self):
         said = answers(study(share=0.6, disagreeing={"V2": 0.001}), {"intrinsic": OWN})

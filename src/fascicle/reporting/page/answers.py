@@ -125,13 +125,13 @@ def _prediction(name: str, found: Predicted, own: Predicted) -> str:
     sentence = f"QRS duration {qrs} ms, total activation time {total} ms"
     if found is own:
         return f"{sentence}."
-    gain = compare(found, own, "total_activation_time")
+    gain, loss = (compare(a, b, "total_activation_time") for a, b in ((found, own), (own, found)))
     better = gain.probability()
     likely = "shorter" if better >= LIKELY else "longer" if better <= 1 - LIKELY else "open"
     verb = {
         "shorter": f"The activation is shorter than that of the own beat, by {gain}",
-        "longer": f"The activation is not shorter than that of the own beat; it gains {gain}",
-        "open": f"Whether the activation is shorter than that of the own beat is open: by {gain}",
+        "longer": f"The activation is longer than that of the own beat, by {loss}",
+        "open": f"Whether the activation is shorter than that of the own beat is open: gain {gain}",
     }[likely]
     return f"{sentence}. {verb}; probability to be shorter {better:.2f}."
 

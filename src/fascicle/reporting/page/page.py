@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from fascicle.core.files import write_text
 from fascicle.core.progress import Progress
@@ -27,7 +28,7 @@ from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
 
-RESOLUTION = 110  # dots per inch of pictures in the page
+RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
 PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")
 
 
@@ -48,9 +49,11 @@ class Picture:
 
     @classmethod
     def of(cls, drawing: Drawing) -> Picture:
-        """Draw a figure into a page."""
-        content = io.BytesIO()
-        drawing.figure.savefig(content, format="png", dpi=RESOLUTION)
+        """Draw a figure into a page, in so many colours that it takes a third of the room."""
+        drawn, content = io.BytesIO(), io.BytesIO()
+        drawing.figure.savefig(drawn, format="png", dpi=RESOLUTION)
+        colours = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        colours.save(content, format="PNG", optimize=True)
         encoded = base64.b64encode(content.getvalue()).decode("ascii")
         return cls(f"data:image/png;base64,{encoded}", drawing.text)
 
