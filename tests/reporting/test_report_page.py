@@ -69,6 +69,11 @@ class TestAnswers:
         assert "probability to be shorter 0.50" in mixed
         (_, slower) = answers(study(), {"intrinsic": FASTER, "a": OWN}).predicted
         assert "is longer than that of the own beat, by 28 ms (21 to 34)" in slower
+        found = {"intrinsic": FASTER, "block": OWN, "a": FASTER}
+        own, block, paced = answers(study(), found, "block").predicted
+        assert own.endswith("ms.")
+        assert block.endswith("ms.")
+        assert "is shorter than that of block, by 28 ms (21 to 34)" in paced
         assert "probability to be shorter 0.00" in slower
 
     def test_of_one_that_does_not_explain(self):

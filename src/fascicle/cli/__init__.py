@@ -25,6 +25,7 @@ from fascicle.cli.printing import (
     print_comparison,
     print_demo,
     print_fit,
+    print_gains,
     print_prediction,
     print_simulation,
     print_sweep,
@@ -430,7 +431,7 @@ def demo(
     ] = True,
 ) -> None:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
-    from fascicle.cli.demo import demo_recording, run_demo
+    from fascicle.cli.demo import BLOCK, demo_recording, run_demo
     from fascicle.cli.terminal_progress import TerminalProgress
 
     print("heart      packaged idealised adult heart")
@@ -440,6 +441,7 @@ def demo(
     print_analysis(analysis)
     print_fit(fitted)
     print_prediction(predicted)
+    print_gains(predicted, BLOCK)
     print_demo(out)
 
 

@@ -25,6 +25,9 @@ SETTINGS: dict[str, Any] = {
 }  # fmt: skip
 
 
+BLOCK = "left-bundle-branch-block"  # what the demonstration's pacings are for
+
+
 def demo_recording() -> Path:
     """The 10 s, 1000 Hz, 12-lead DICOM ECG that comes inside the pydicom package."""
     from pydicom.data import get_testdata_file
@@ -35,7 +38,7 @@ def demo_recording() -> Path:
 def run_demo(
     out: Path, progress: Progress, *, free_gain: bool
 ) -> tuple[Analysis, FittedStudy, dict[str, Predicted]]:
-    """Make the target, fit, draw the figures, compare three pacings.
+    """Make the target, fit, draw the figures, compare three pacings for a left bundle branch block.
 
     Parameters
     ----------
@@ -53,7 +56,7 @@ def run_demo(
     settings = SETTINGS | {"free_gain": free_gain}
     fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
     networks = fitted.networks(progress)
-    predicted = predict(fitted, PACINGS, progress, networks)
+    predicted = predict(fitted, [BLOCK, *PACINGS], progress, networks)
     write_prediction(fitted, predicted, out / "pacings")
-    write_report(fitted, networks, predicted, out / "report.html", ["png"])
+    write_report(fitted, networks, predicted, out / "report.html", ["png"], BLOCK)
     return analysis, fitted, predicted

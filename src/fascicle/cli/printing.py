@@ -117,6 +117,17 @@ def print_prediction(
             print(f"{name}, {title.removesuffix(' (ms)')}: {said}")
 
 
+def print_gains(predicted: Mapping[str, Predicted], against: str) -> None:
+    """Print what the scenarios after one gain against it in total activation time."""
+    from fascicle.prediction.comparison import compare
+
+    names = list(predicted)
+    print(f"total activation time against {against}:")
+    for name in names[names.index(against) + 1 :]:
+        gain = compare(predicted[name], predicted[against], "total_activation_time")
+        print(f"  {name:<30} gain {gain}; probability to be shorter {gain.probability():.2f}")
+
+
 def print_comparison(
     names: Sequence[str],
     predicted: Mapping[str, Predicted],
@@ -188,7 +199,7 @@ def print_demo(out: Path) -> None:
         ("study/networks", "their trees, for ParaView"),
         ("study/activation.vtu", "activation of the best network, mean and spread over all"),
         ("study/figures", "ECG, pair plot, activation map, convergence"),
-        ("pacings", "what three pacings would do"),
+        ("pacings", "what three pacings would do for a left bundle branch block"),
     ):
         print(f"  {name:<21} {what}")
     print(f"\nto read in a browser: {(out / 'report.html').resolve().as_uri()}")

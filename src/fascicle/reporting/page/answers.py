@@ -49,7 +49,9 @@ class Answers:
     predicted: list[str]
 
 
-def answers(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> Answers:
+def answers(
+    fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str = OWN_BEAT
+) -> Answers:
     """Put a study and its predictions into words.
 
     Parameters
@@ -58,6 +60,8 @@ def answers(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> Answers:
         The study.
     predicted : mapping of name to Predicted
         Scenarios over its networks, the own beat among them.
+    against : str
+        That of them which the others are compared with, if not the own beat.
     """
     population, converged = fitted.population, False
     known: list[Statement] = []
@@ -71,7 +75,6 @@ def answers(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> Answers:
                 for a, b, r in trade_offs(population)
             ]
     believed = converged and fitted.checks is not None and explained(fitted.checks)
-    own = predicted[OWN_BEAT]
     return Answers(
         fitted.verdict,
         believed,
@@ -80,7 +83,7 @@ def answers(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> Answers:
         [statement for statement in known if statement.determined],
         [statement for statement in known if not statement.determined],
         traded,
-        [_prediction(name, found, own) for name, found in predicted.items()],
+        [_prediction(name, predicted, against) for name in predicted],
     )
 
 
@@ -118,20 +121,23 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
     return said
 
 
-def _prediction(name: str, found: Predicted, own: Predicted) -> str:
+def _prediction(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
     """QRS duration and total activation time of a scenario, and what it gains."""
+    found, other = predicted[name], predicted[against]
+    beat = "the own beat" if against == OWN_BEAT else against
     qrs = _interval(found.indices["qrs_duration"])
     total = _interval(found.indices["total_activation_time"])
     sentence = f"QRS duration {qrs} ms, total activation time {total} ms"
-    if found is own:
+    if name in (against, OWN_BEAT):
         return f"{sentence}."
-    gain, loss = (compare(a, b, "total_activation_time") for a, b in ((found, own), (own, found)))
+    pairs = (found, other), (other, found)
+    gain, loss = (compare(*pair, "total_activation_time") for pair in pairs)
     better = gain.probability()
     likely = "shorter" if better >= LIKELY else "longer" if better <= 1 - LIKELY else "open"
     verb = {
-        "shorter": f"The activation is shorter than that of the own beat, by {gain}",
-        "longer": f"The activation is longer than that of the own beat, by {loss}",
-        "open": f"Whether the activation is shorter than that of the own beat is open: gain {gain}",
+        "shorter": f"The activation is shorter than that of {beat}, by {gain}",
+        "longer": f"The activation is longer than that of {beat}, by {loss}",
+        "open": f"Whether the activation is shorter than that of {beat} is open: gain {gain}",
     }[likely]
     return f"{sentence}. {verb}; probability to be shorter {better:.2f}."
 

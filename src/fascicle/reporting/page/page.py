@@ -105,6 +105,7 @@ def write_report(
     predicted: Mapping[str, Predicted],
     out: Path,
     figures: Sequence[str] = (),
+    against: str = OWN_BEAT,
 ) -> list[Path]:
     """Write the report of what is simulated already.
 
@@ -120,10 +121,12 @@ def write_report(
         File to write.
     figures : sequence of str
         As of `report`, which says what is returned, too.
+    against : str
+        The scenario that the others are compared with, if not the own beat.
     """
     drawn = drawings(fitted, networks, predicted)
     content = {
-        **_words(fitted, predicted),
+        **_words(fitted, predicted, against),
         "pictures": {name: Picture.of(drawing) for name, drawing in drawn.items()},
         "scene": _safe(scene(fitted.problem.model.heart, predicted)),
         "style": _file("style.css"),
@@ -133,10 +136,10 @@ def write_report(
     return [out, *write_figures(drawn, fitted.folder / "figures", figures)]
 
 
-def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
+def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> dict[str, Any]:
     from fascicle import __version__
 
-    said = answers(fitted, predicted)
+    said = answers(fitted, predicted, against)
     sources = [p.target.provenance.get("source", "a target") for p in fitted.problem.recordings]
     names = [Path(source).name for source in sources]
     return {
