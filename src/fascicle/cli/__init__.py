@@ -289,7 +289,7 @@ def compare(
     wanted = read_scenarios([first, second])
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        measured = wanted | read_scenarios([PACED])
+        measured = read_scenarios([PACED]) | wanted
         predicted = predict_scenarios(fitted, measured, progress)
     print(f"result                 {fitted.verdict}")
     print_comparison(list(wanted), predicted, index, threshold, fitted.population.values)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from fascicle.core.progress import Progress
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import Predicted, predict
 from fascicle.recording.analysis import Analysis
 from fascicle.recording.pipeline import analyse
@@ -35,6 +38,19 @@ def demo_recording() -> Path:
     return Path(str(get_testdata_file("waveform_ecg.dcm", download=False)))
 
 
+def blocked_scenarios() -> dict[str, Scenario]:
+    """A left bundle branch block, and three pacings of a heart that has it.
+
+    His bundle pacing captures both branches below the block; the others leave it as it is.
+    """
+    scenarios = read_scenarios([BLOCK, *PACINGS])
+    for name, scenario in scenarios.items():
+        if name != "his-pacing":
+            assert scenario.his is not None  # of all pacings of the library
+            scenarios[name] = replace(scenario, his=replace(scenario.his, left=0.0))
+    return scenarios
+
+
 def run_demo(
     out: Path, progress: Progress, *, free_gain: bool
 ) -> tuple[Analysis, FittedStudy, dict[str, Predicted]]:
@@ -56,7 +72,7 @@ def run_demo(
     settings = SETTINGS | {"free_gain": free_gain}
     fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
     networks = fitted.networks(progress)
-    predicted = predict(fitted, [BLOCK, *PACINGS], progress, networks)
+    predicted = predict(fitted, blocked_scenarios(), progress, networks)
     write_prediction(fitted, predicted, out / "pacings")
     write_report(fitted, networks, predicted, out / "report.html", ["png"], BLOCK)
     return analysis, fitted, predicted

@@ -155,7 +155,7 @@ def print_comparison(
     print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
     print("what a further measurement alone would take away of that:")
     for scenario, what, share in chosen.would_help(predicted):
-        error = f"±{MEASURABLE[scenario, what]:g} {INDICES[what]}"
+        error = f"±{MEASURABLE[scenario, what]:.2g} {INDICES[what]}"
         print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
 
 
@@ -169,7 +169,8 @@ def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied:
     from fascicle.reporting.indices import index_name
 
     values = np.array([each[index] for each in found.values()])
-    best = np.bincount(np.argmin(np.abs(values), axis=0), minlength=len(values)) / values.shape[1]
+    least = np.abs(values) == np.abs(values).min(axis=0)
+    best = (least / least.sum(axis=0)).mean(axis=1)  # those that tie share a network
     print(varied)
     print(f"{'':<24}{index_name(index)} ({INDICES[index]}), 90 % of the networks; how often best")
     for key, row, share in zip(found, values, best, strict=True):

@@ -12,6 +12,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.prediction.indices import INDICES
 from fascicle.prediction.scenarios import OWN_BEAT, Predicted
+from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 # Indices of which less is better; of a delay between the sides, less either way
 COMPARED = (
@@ -20,12 +21,13 @@ COMPARED = (
 )  # fmt: skip
 SIGNED = ("lv_rv_delay",)
 INTERVAL = (5, 95)  # percentiles
+FEWEST = 20  # networks; of fewer no correlation is spoken of
 # What could be measured besides the recording, and with which standard deviation: an ECG while the
 # right ventricle is paced, with the uncertainty of its QRS window; electrograms of the own beat,
 # with some 5 ms for where in them the activation is.
 PACED = "rv-apical-pacing"
 MEASURABLE = {
-    (PACED, "qrs_duration"): 6.0,
+    (PACED, "qrs_duration"): float(np.hypot(ONSET_ERROR, OFFSET_ERROR)),
     (PACED, "qrs_area"): 5.0,
     (OWN_BEAT, "lv_rv_delay"): 5.0,
     (OWN_BEAT, "lv_activation_time"): 5.0,
@@ -55,8 +57,9 @@ class Comparison:
 
     def standard_error(self, threshold: float = 0.0) -> float:
         """Of that probability, because there are only so many networks."""
-        share = self.probability(threshold)
-        return float(np.sqrt(share * (1 - share) / len(self.gains)))
+        count = len(self.gains)
+        share = (count * self.probability(threshold) + 0.5) / (count + 1)  # not 0 where all agree
+        return float(np.sqrt(share * (1 - share) / count))
 
     @property
     def expected(self) -> float:
@@ -78,22 +81,23 @@ class Comparison:
     def left_open_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the gain's variance, in ranks, that each parameter alone goes with.
 
-        Squared rank correlations, the largest first. Of parameters that stand for one another each
-        has the same share; what no parameter goes with by itself is in none.
+        Squared rank correlations, adjusted for how few networks there are, the largest first. Of
+        parameters that stand for one another each has the same share; what no parameter goes with
+        by itself is in none.
 
         Parameters
         ----------
         parameters : mapping of name to (n,) array
             Of the networks.
         """
-        shares = {name: _rank_correlation(v, self.gains) ** 2 for name, v in parameters.items()}
+        shares = {name: _explained(v, self.gains) for name, v in parameters.items()}
         return sorted(shares.items(), key=lambda item: -item[1])
 
     def would_help(self, predicted: Mapping[str, Predicted]) -> list[tuple[str, str, float]]:
         """Share of the gain's variance, in ranks, that a further measurement would take away.
 
         The squared rank correlation of what is measured with the gain, less what the error of the
-        measurement leaves of it. What has been fitted is in none: it is known already.
+        measurement leaves of it.
 
         Parameters
         ----------
@@ -110,7 +114,7 @@ class Comparison:
             if scenario in predicted:
                 values = predicted[scenario].indices[index]
                 seen = float(np.var(values) / (np.var(values) + error**2))
-                found.append((scenario, index, seen * _rank_correlation(values, self.gains) ** 2))
+                found.append((scenario, index, seen * _explained(values, self.gains)))
         return sorted(found, key=lambda item: -item[2])
 
 
@@ -145,6 +149,14 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     if index in SIGNED:
         one, other = np.abs(one), np.abs(other)
     return Comparison(index, INDICES[index], other - one)
+
+
+def _explained(a: Floats, b: Floats) -> float:
+    """Squared rank correlation, less what as many numbers have by chance."""
+    count = len(a)
+    if count < FEWEST:
+        return 0.0
+    return max(0.0, 1 - (1 - _rank_correlation(a, b) ** 2) * (count - 1) / (count - 2))
 
 
 def _rank_correlation(a: Floats, b: Floats) -> float:

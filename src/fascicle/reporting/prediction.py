@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Singles
 from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
 from fascicle.heart.heart import Heart
@@ -104,9 +104,15 @@ def _latest(numbers: Floats) -> dict[str, float]:
     return {SEGMENTS[found[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
 
 
+def _since_first(times: Singles) -> Floats:
+    """Times from the first activation on; NaN where none arrives."""
+    since = (times - times.min()).astype(float)
+    return np.where(np.isfinite(since), since, np.nan)
+
+
 def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
     maps = found.maps() | {
-        f"activation_{which}": found.beats[k].activation.astype(float)
+        f"activation_{which}": _since_first(found.beats[k].activation)
         for which, k in found.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)

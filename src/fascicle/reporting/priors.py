@@ -34,7 +34,8 @@ def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
     for panel, parameter in zip(panels.flat, space.parameters, strict=False):
         ends = parameter.from_unit(np.array([SHARES[0], SHARES[-1]]))
         edges = np.linspace(ends[0], ends[1], BINS + 1)
-        panel.hist(values[parameter.name], edges, density=True, color=style.VERMILION, alpha=0.6)
+        inside = np.clip(values[parameter.name], *ends)  # what lies at an end is shown there
+        panel.hist(inside, edges, density=True, color=style.VERMILION, alpha=0.6)
         at = parameter.from_unit(SHARES)
         panel.plot(at, np.gradient(SHARES, at), color=style.GREY, linewidth=style.THICK_LINE)
         unit = "" if parameter.unit == "1" else f" ({parameter.unit})"

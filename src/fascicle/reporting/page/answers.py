@@ -96,7 +96,7 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
         ]
     if not converged:
         return [
-            "The two runs that were made do not agree, so that no number below can be relied on. "
+            "The two runs have not ended, or do not agree: no number below can be relied on. "
             "Continue the study with more evaluations."
         ]
     said = [

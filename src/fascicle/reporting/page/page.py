@@ -230,4 +230,4 @@ def _safe(content: Mapping[str, Any]) -> Any:
     """JSON that no browser takes for the end of its script."""
     from markupsafe import Markup
 
-    return Markup(json.dumps(content, allow_nan=False).replace("</", "<\\/"))
+    return Markup(json.dumps(content, allow_nan=False).replace("<", "\\u003c"))
