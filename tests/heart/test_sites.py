@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -96,6 +98,25 @@ def test_of_the_left_bundle(default_model, default_heart):
             below += tree.lengths[node]
             node = tree.parents[node]
         assert below == pytest.approx(way, abs=3.0)
+
+
+def test_the_way_of_the_left_bundle_goes_on_to_the_apex(default_heart):
+    """Past a direction that is nearer than the site; in a heart that is too small, nowhere."""
+    left = default_heart.lv
+    away = np.linalg.norm(left.vertices - left.vertices[left.root], axis=1)
+    near = int(np.argmin(np.where(away > 5, away, np.inf)))
+    close = replace(left, direction=near)
+    at = {
+        name: np.array(Sites(replace(default_heart, lv=close)).position(name))
+        for name in LEFT_SITES
+    }
+    assert distance(left.vertices, at["left bundle"]) < 1.5
+    assert np.linalg.norm(at["left septum"] - at["left bundle"]) == pytest.approx(10, abs=1.5)
+    lengths = [np.linalg.norm(place - left.vertices[left.root]) for place in at.values()]
+    assert 9 < lengths[0] < 15.01 < lengths[1] < 25.01
+    small = replace(left, vertices=left.vertices / 10)
+    with pytest.raises(InputError, match=r"the left apex is \d\.\d mm from the root of the left"):
+        Sites(replace(default_heart, lv=small)).position("left bundle")
 
 
 @pytest.mark.parametrize(

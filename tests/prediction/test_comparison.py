@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.prediction.comparison import compare
+from fascicle.prediction.comparison import FEWEST, compare
 
 
-def predicted(**indices):
-    return SimpleNamespace(indices={name: np.asarray(values) for name, values in indices.items()})
+def predicted(beats=(), effective=np.inf, **indices):
+    found = {name: np.asarray(values) for name, values in indices.items()}
+    return SimpleNamespace(indices=found, beats=beats, effective=effective)
 
 
 def test_counts_networks():
@@ -40,6 +41,40 @@ def test_other_networks_are_refused():
     three, two = predicted(qrs_area=[1.0, 2.0, 3.0]), predicted(qrs_area=[1.0, 2.0])
     with pytest.raises(InputError, match="3 networks cannot be compared with 2; predict both"):
         compare(three, two, "qrs_area")
+
+
+def test_as_many_networks_of_another_study_are_refused():
+    def grown(*tips):
+        trees = [
+            SimpleNamespace(nodes=np.array([[0.0, 0.0, 0.0], [tip, 0.0, 0.0]])) for tip in tips
+        ]
+        return [SimpleNamespace(trees=tuple((tree, None) for tree in trees))]
+
+    one, same, other = (
+        predicted(grown(*tips), qrs_area=[1.0]) for tips in ((1.0, 2.0), (1.0, 2.0), (1.0, 3.0))
+    )
+    assert compare(one, same, "qrs_area").expected == 0
+    with pytest.raises(InputError, match="1 networks cannot be compared with 1 others; predict"):
+        compare(one, other, "qrs_area")
+
+
+def test_what_few_independent_networks_are_worth():
+    """Thousands of draws that are worth 100, or 10, are as sure of a probability as so many."""
+    rng = np.random.default_rng(2)
+    gain = rng.normal(size=5000)
+    for effective in (100.0, 10.0):
+        found = compare(
+            predicted(qrs_area=np.zeros(5000), effective=effective), predicted(qrs_area=gain),
+            "qrs_area",
+        )  # fmt: skip
+        assert found.standard_error() == pytest.approx(0.5 / np.sqrt(effective), rel=0.01)
+        if effective < FEWEST:
+            assert found.left_open_by({"x": gain}) == []
+            assert found.would_help({"intrinsic": predicted(lv_rv_delay=gain)}) == []
+        else:
+            assert dict(found.left_open_by({"x": gain}))["x"] == pytest.approx(1.0)
+            chance = dict(found.left_open_by({"y": gain + 10 * rng.normal(size=5000)}))["y"]
+            assert chance < 0.01  # 0.01 of the variance is what 100 networks have by chance
 
 
 def test_a_delay_is_as_bad_either_way():

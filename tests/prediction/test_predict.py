@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.scenario import His, Scenario
+from fascicle.forward.scenario import His, Scenario, Stimulus
 from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.scenarios import (
@@ -18,9 +19,14 @@ from fascicle.prediction.scenarios import (
     Predicted,
     qrs_aligned,
     simulate_scenarios,
+    with_own_beat,
 )
 from fascicle.study.problem import Network
 
+OF_THE_TISSUE = (
+    "biventricular-pacing", "left-bundle-pacing-nonselective", "left-septal-pacing",
+    "left-bundle-optimised-crt", "rv-apical-pacing", "rv-outflow-pacing",
+)  # fmt: skip
 PARAMETERS = EXAMPLE_PARAMETERS | {"root_time": -50.0, "cv": 2.5}
 
 
@@ -56,8 +62,9 @@ class TestLibrary:
     def test_stimuli_capture(self, default_model):
         for name, path in library().items():
             simulation = default_model.simulate(PARAMETERS, read_scenario(path)[0])
-            if name.endswith("pacing") and not name.startswith(("his", "left-bundle-optimised")):
-                assert simulation.coupled.captured.all(), name
+            if name in OF_THE_TISSUE:
+                assert len(simulation.coupled.captured), name
+            assert simulation.coupled.captured.all(), name
 
     def test_regions_are_refused(self, tmp_path):
         path = tmp_path / "scar.toml"
@@ -97,6 +104,46 @@ class TestPredicted:
             >= predicted["intrinsic"].indices["lv_rv_delay"]
         ).all()
         assert (predicted["left-bundle-pacing"].indices["lv_rv_delay"] < 0).all()
+
+
+def test_a_gain_that_was_drawn_stands_in_place_of_the_best(problem, networks, predicted):
+    drawn = replace(networks[0], drawn_gain=3.0)
+    found = simulate_scenarios(problem, [drawn], {"intrinsic": Scenario()})["intrinsic"]
+    before = predicted["intrinsic"]
+    np.testing.assert_allclose(found.beats[0].leads, 1.5 * before.beats[0].leads)
+    assert found.indices["qrs_area"][0] == pytest.approx(1.5 * before.indices["qrs_area"][0])
+
+
+def test_stimuli_that_capture_nothing_are_seen(problem, networks):
+    """One before all fronts, one in the middle of the beat, one with a radius long after it."""
+    stimuli = (
+        Stimulus(-60.0, site="rv apex"),
+        Stimulus(0.0, site="left bundle", tree="lv"),
+        Stimulus(300.0, site="segment 12 epicardium", radius=5.0),
+    )
+    found = simulate_scenarios(problem, networks, {"late": Scenario(stimuli)})["late"]
+    assert [beat.captured.tolist() for beat in found.beats] == [[True, False]] * 3
+    np.testing.assert_array_equal(found.captured, [1, 0])
+
+
+def test_the_own_beat_keeps_its_name(tmp_path):
+    path = tmp_path / "intrinsic.toml"
+    path.write_text("silent = ['rv']\n")
+    with pytest.raises(InputError, match=r"intrinsic.toml: 'intrinsic' is the heart's own beat"):
+        with_own_beat(read_scenarios([path]))
+    assert list(with_own_beat(read_scenarios(["his-pacing", "intrinsic"]))) == [
+        "intrinsic", "his-pacing",
+    ]  # fmt: skip
+
+
+def test_errors_name_the_file_or_the_scenario(problem, networks, tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text("[[stimulus]]\ntime = 0\nsite = 'rv apx'\n")
+    with pytest.raises(InputError, match=r"case.toml: there is no site 'rv apx'; did you mean"):
+        simulate_scenarios(problem, networks, read_scenarios([path]))
+    far = Scenario((Stimulus(0.0, (1e4, 0.0, 0.0)),))
+    with pytest.raises(InputError, match=r"far: stimulus at \(10000, 0, 0\): \d"):
+        simulate_scenarios(problem, networks, {"far": far})
 
 
 def test_maps_and_extremes_by_hand():

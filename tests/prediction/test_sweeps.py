@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.scenario import His, Scenario, Stimulus
-from fascicle.prediction.sweeps import DELAY, SEGMENT, delays, segments
+from fascicle.prediction.sweeps import (
+    DELAY,
+    RADIUS,
+    SEGMENT,
+    delays,
+    radii,
+    segments,
+    simulate_sweep,
+)
+from fascicle.study.problem import Network
 
 HIS = His(time=np.inf)
 PAIR = Scenario((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)
@@ -51,3 +63,62 @@ def test_what_cannot_be_moved():
         segments(Scenario((Stimulus(0.0, site="left bundle", tree="lv"),)), "epicardium")
     with pytest.raises(InputError, match="no layer 'middle'; choose endocardium or epicardium"):
         segments(PAIR, "middle")
+
+
+def test_radii_are_of_all_stimuli_of_the_tissue():
+    bundle = Stimulus(0.0, site="left bundle", tree="lv", radius=1.0)
+    found = radii(Scenario((bundle, *PAIR.stimuli)), "0:6:3")
+    assert found.varied == RADIUS
+    assert list(found.scenarios) == [0, 3, 6]
+    for radius, scenario in found.scenarios.items():
+        assert scenario.stimuli[0] == bundle
+        assert [stimulus.radius for stimulus in scenario.stimuli[1:]] == [radius] * 2
+    with pytest.raises(InputError, match="the scenario: no stimulus of the tissue that has a"):
+        radii(Scenario((bundle,)), "0:6:3")
+
+
+class TestSimulated:
+    @pytest.fixture(scope="class")
+    def fitted(self, default_model):
+        own = default_model.simulate(EXAMPLE_PARAMETERS)
+        every = [Network(EXAMPLE_PARAMETERS, own, own.leads, 1.0, gain) for gain in range(1, 8)]
+        problem = SimpleNamespace(
+            model=default_model, target=SimpleNamespace(response=None), workers=2
+        )
+        return SimpleNamespace(
+            problem=problem,
+            population=every,
+            networks=lambda progress, chosen: [every[k] for k in chosen],
+        )
+
+    def test_networks_are_spread_over_the_population(self, fitted):
+        paced = Scenario((Stimulus(0.0, site="rv apex"),), silent=("lv", "rv"))
+        found = simulate_sweep(fitted, radii(paced, "0:8:8"), 3)
+        assert found.called(8.0) == "8 mm"
+        one, other = (found.predicted[radius] for radius in (0.0, 8.0))
+        areas = one.indices["qrs_area"]
+        np.testing.assert_allclose(areas / areas[0], [1, 4, 7])
+        assert (one.indices["total_activation_time"] > other.indices["total_activation_time"]).all()
+
+    def test_a_segment_that_cannot_be_fired_is_named(self, fitted, monkeypatch):
+        """The others are simulated; if none can be, the sweep is refused."""
+        sites = fitted.problem.model.sites
+        position = type(sites).position
+
+        def lacking(self, name):
+            if name.startswith(lost):
+                raise InputError(f"'{name}' holds no tissue")
+            return position(self, name)
+
+        monkeypatch.setattr(type(sites), "position", lacking)
+        sites._known.clear()
+        lost = ("segment 3 ", "segment 17 ")
+        paced = segments(Scenario((Stimulus(0.0, site="rv apex"),), his=HIS), "endocardium")
+        found = simulate_sweep(fitted, paced, 2)
+        assert sorted(found.predicted) == [k for k in range(1, 18) if k not in (3, 17)]
+        assert found.impossible == {
+            k: f"segment {k}: 'segment {k} endocardium' holds no tissue" for k in (3, 17)
+        }
+        lost = "segment "
+        with pytest.raises(InputError, match="segment 1: 'segment 1 endocardium' holds no"):
+            simulate_sweep(fitted, paced, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,10 +12,11 @@ import pytest
 
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import Predicted, PredictedBeat
+from fascicle.prediction.scenarios import Predicted, PredictedBeat, with_own_beat
 from fascicle.reporting.page.answers import answers
-from fascicle.reporting.page.page import _safe, _template
+from fascicle.reporting.page.page import _command, _safe, _template
 from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
@@ -97,7 +99,7 @@ class TestAnswers:
 
 
 def kept(simulation):
-    return PredictedBeat.of(simulation, simulation.leads, simulation.leads)
+    return PredictedBeat.of(simulation, *2 * [simulation.leads], simulation.coupled.captured)
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +170,19 @@ class TestScene:
                 packed["high"] - packed["low"]
             )
             np.testing.assert_allclose(since, times - simulation.activation.min(), atol=0.02)
+
+
+def test_the_command_makes_the_page_again(tmp_path):
+    """With the file of a scenario of one's own, and names with spaces in quotes."""
+    path = tmp_path / "my case.toml"
+    path.write_text("silent = ['rv']\n")
+    found = {
+        name: SimpleNamespace(scenario=scenario)
+        for name, scenario in with_own_beat(read_scenarios(["his-pacing", path])).items()
+    }
+    command = _command(SimpleNamespace(folder=tmp_path / "S"), found, "my case")
+    words = ["fascicle", "report", str(tmp_path / "S"), "--scenario", "his-pacing"]
+    assert shlex.split(command) == [*words, "--scenario", str(path), "--against", "my case"]
 
 
 def test_no_text_can_end_the_page_or_its_script():

@@ -328,7 +328,7 @@ def sweep(
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.comparison import check_index
-    from fascicle.prediction.sweeps import delays, radii, segments
+    from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
     from fascicle.reporting.sweep import write_sweep
     from fascicle.study.fit import load_study
 
@@ -342,9 +342,10 @@ def sweep(
     family = vary(case, how)
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        found = write_sweep(fitted, family, index, networks, out, progress)
+        swept = simulate_sweep(fitted, family, networks, progress)
+        write_sweep(fitted, swept, index, out)
     print(f"result                 {fitted.verdict}")
-    print_sweep(found, index, family.varied)
+    print_sweep(swept, index)
     print(f"sweep in {out}")
 
 
@@ -368,6 +369,9 @@ def report(
             "given several times. Without one: three pacings."
         ),
     ] = None,
+    against: Annotated[
+        str, typer.Option(help="The one of them that all are compared with, such as a block.")
+    ] = "intrinsic",
     out: Annotated[
         Path | None, typer.Option("--out", help="HTML file; report.html in the study.")
     ] = None,
@@ -395,7 +399,7 @@ def report(
     check_kinds(kinds)
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-        page, *drawn = write_report(fitted, wanted, out, progress, kinds)
+        page, *drawn = write_report(fitted, wanted, out, progress, kinds, against)
     print(f"result                 {fitted.verdict}")
     for path in (*drawn, page.resolve().as_uri()):
         print(path)

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
     from fascicle.forward.simulation import Simulation
     from fascicle.prediction.scenarios import Predicted
+    from fascicle.prediction.sweeps import Swept
     from fascicle.study.population import Population, Posterior
     from fascicle.study.results import FittedStudy
 
@@ -111,10 +112,22 @@ def print_prediction(
             cells.append(f"{middle:.0f} ({low:.0f} to {high:.0f})")
         print(f"{name:<32}" + "".join(f"{cell:<26}" for cell in cells))
     print("medians (90 % of the networks)")
+    _print_capture(predicted)
     for name, known in (prior or {}).items():
         for index, title in shown.items():
             said = prediction_statement(predicted[name].indices[index], known.indices[index])
             print(f"{name}, {title.removesuffix(' (ms)')}: {said}")
+
+
+def _print_capture(predicted: Mapping[str, Predicted]) -> None:
+    """Warn of stimuli of the tissue that come too late, or lie in scar, in some networks."""
+    for name, found in predicted.items():
+        for number, share in enumerate(found.captured, 1):
+            if share < 1:
+                print(
+                    f"warning: {name}: stimulus {number} of the tissue captures in {share:.0%} of "
+                    "the networks; elsewhere a front is there before it, or it lies in scar"
+                )
 
 
 def print_gains(predicted: Mapping[str, Predicted], against: str) -> None:
@@ -141,6 +154,7 @@ def print_comparison(
     from fascicle.reporting.indices import index_name
 
     one, other = (predicted[name] for name in names)
+    _print_capture({name: predicted[name] for name in names})
     print(f"{' against '.join(names)}, {len(one.beats)} networks")
     print(f"{'less is better':<24}{'probability':<14}{'gain (90 % of the networks)'}")
     for name in COMPARED:
@@ -152,6 +166,9 @@ def print_comparison(
         f"{chosen.probability(threshold):.2f} ± {chosen.standard_error(threshold):.2f}"
     )
     open_by = [f"{name} {share:.0%}" for name, share in chosen.left_open_by(parameters)[:3]]
+    if not open_by:
+        print("what leaves it open cannot be said of so few independent networks")
+        return
     print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
     print("what a further measurement alone would take away of that:")
     for scenario, what, share in chosen.would_help(predicted):
@@ -159,7 +176,7 @@ def print_comparison(
         print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
 
 
-def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied: str) -> None:
+def print_sweep(swept: Swept, index: str) -> None:
     """Print an index of every scenario of a sweep, and how often each is the best."""
     import numpy as np
 
@@ -168,7 +185,8 @@ def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied:
     from fascicle.prediction.sweeps import SEGMENT
     from fascicle.reporting.indices import index_name
 
-    values = np.array([each[index] for each in found.values()])
+    found, varied = swept.predicted, swept.varied
+    values = np.array([each.indices[index] for each in found.values()])
     least = np.abs(values) == np.abs(values).min(axis=0)
     best = (least / least.sum(axis=0)).mean(axis=1)  # those that tie share a network
     print(varied)
@@ -177,6 +195,9 @@ def print_sweep(found: Mapping[float, Mapping[str, Floats]], index: str, varied:
         low, middle, high = np.percentile(row, [5, 50, 95])
         name = SEGMENTS[int(key) - 1] if varied == SEGMENT else f"{key:g}"
         print(f"{name:<24}{f'{middle:.0f} ({low:.0f} to {high:.0f})':<24}{share:.0%}")
+    for key, why in swept.impossible.items():
+        print(f"warning: {swept.called(key)} left out: {why}")
+    _print_capture({swept.called(key): each for key, each in found.items()})
 
 
 def print_template(measures: Mapping[str, Mapping[str, float]]) -> None:

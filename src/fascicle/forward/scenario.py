@@ -253,6 +253,15 @@ class Scenario:
                 found += [Stimulus(stimulus.time, (x, y, z)) for x, y, z in vertices[near].tolist()]
         return replace(self, stimuli=tuple(found))
 
+    def first_points(self, sites: Sites) -> list[int]:
+        """Where each stimulus of the tissue begins among the points of what is `located`."""
+        counts = [
+            len(replace(self, stimuli=(stimulus,)).located(sites).points)
+            for stimulus in self.stimuli
+            if stimulus.tree is None
+        ]
+        return np.cumsum([0, *counts[:-1]]).tolist() if counts else []
+
     @property
     def first_stimulus(self) -> float | None:
         """When the first stimulus is given, or the His bundle paced (ms); None if nothing is."""

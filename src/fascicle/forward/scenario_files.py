@@ -235,6 +235,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
         raise InputError(f"{path}: {_complaint(error, values)}; see docs/files.md") from None
     try:
         trees = tuple((_read_tree(tree, path.parent), tree.time) for tree in content.tree)
+        his = His(**dict(content.his)) if content.his is not None else None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     scenario = Scenario(
@@ -244,7 +245,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
         orthodromic_delay=content.delay.orthodromic,
         antidromic_delay=content.delay.antidromic,
         trees=trees,
-        his=His(**dict(content.his)) if content.his is not None else None,
+        his=his,
         source=str(path),
         description=content.description,
         reference=content.reference,

@@ -66,9 +66,9 @@ class Sites:
               as `Places` has them, the angle in degrees; ``rv`` for the right free wall. They serve
               as universal ventricular coordinates do (J. Bayer et al., Med Image Anal 45, 2018),
               but are measured along and about the left ventricle's long axis;
-            - ``"left bundle"``: 15 mm below the root of the left tree, and ``"left septum"``, 10 mm
-              further, on the left endocardium. The bundles of all networks with the paper's ranges
-              of lengths pass there.
+            - ``"left bundle"``: 15 mm below the root of the left tree, towards its direction and
+              the apex, and ``"left septum"``, 10 mm further, on the left endocardium. The bundles
+              of all networks with the paper's ranges of lengths pass there.
 
         Raises
         ------
@@ -144,19 +144,28 @@ def _in_segment(heart: Heart, found: Places, number: int, layer: str) -> Floats:
 
 
 def _below_root(endocardium: Endocardium, way: float) -> Floats:
-    """Point so far (mm) along the shortest way over the edges from the root to the direction."""
+    """Point so far (mm) from the root over the edges to the direction, and on to the apex."""
     vertices = endocardium.vertices
     a, b = unique_edges(endocardium.triangles)[0].T
     lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
     graph = csr_matrix((lengths, (a, b)), shape=(len(vertices),) * 2)
-    distance, before = dijkstra(
-        graph, directed=False, indices=endocardium.root, return_predecessors=True
-    )
-    path = [endocardium.direction]
-    while path[-1] != endocardium.root:
-        path.append(int(before[path[-1]]))
-    along = distance[path[::-1]]
-    return np.array([np.interp(way, along, vertices[path[::-1], k]) for k in range(3)])
+    _, apex = long_axis(vertices, endocardium.triangles)
+    last = int(np.argmin(np.linalg.norm(vertices - apex, axis=1)))
+    path = [endocardium.root]
+    for end in (endocardium.direction, last):
+        before = dijkstra(graph, directed=False, indices=path[-1], return_predecessors=True)[1]
+        leg = [end]
+        while leg[-1] != path[-1]:
+            leg.append(int(before[leg[-1]]))
+        path += leg[-2::-1]
+    steps = np.linalg.norm(np.diff(vertices[path], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    if along[-1] < way:
+        raise InputError(
+            f"the left apex is {along[-1]:.1f} mm from the root of the left tree, and the site "
+            f"{way:g} mm; give its position (mm)"
+        )
+    return np.array([np.interp(way, along, vertices[path, k]) for k in range(3)])
 
 
 def _on_the_right(heart: Heart, name: str) -> Floats:

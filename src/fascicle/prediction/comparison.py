@@ -44,11 +44,14 @@ class Comparison:
         One of `COMPARED`, and its unit.
     gains : (n,) array
         By how much the first scenario's index is less than the second's.
+    effective : float
+        How many independent networks the n are worth, at most n.
     """
 
     index: str
     unit: str
     gains: Floats
+    effective: float
 
     def probability(self, threshold: float = 0.0) -> float:
         """How probable it is that the first gains more than a threshold; of ties, half counts."""
@@ -56,8 +59,8 @@ class Comparison:
         return float(more.mean() + same.mean() / 2)
 
     def standard_error(self, threshold: float = 0.0) -> float:
-        """Of that probability, because there are only so many networks."""
-        count = len(self.gains)
+        """Of that probability, because there are only so many independent networks."""
+        count = self.effective
         share = (count * self.probability(threshold) + 0.5) / (count + 1)  # not 0 where all agree
         return float(np.sqrt(share * (1 - share) / count))
 
@@ -81,16 +84,18 @@ class Comparison:
     def left_open_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the gain's variance, in ranks, that each parameter alone goes with.
 
-        Squared rank correlations, adjusted for how few networks there are, the largest first. Of
-        parameters that stand for one another each has the same share; what no parameter goes with
-        by itself is in none.
+        Squared rank correlations, adjusted for how few networks there are, the largest first; none
+        of fewer than `FEWEST` independent ones. Of parameters that stand for one another each has
+        the same share; what no parameter goes with by itself is in none.
 
         Parameters
         ----------
         parameters : mapping of name to (n,) array
             Of the networks.
         """
-        shares = {name: _explained(v, self.gains) for name, v in parameters.items()}
+        if self.effective < FEWEST:
+            return []
+        shares = {name: self._explained_by(values) for name, values in parameters.items()}
         return sorted(shares.items(), key=lambda item: -item[1])
 
     def would_help(self, predicted: Mapping[str, Predicted]) -> list[tuple[str, str, float]]:
@@ -111,11 +116,16 @@ class Comparison:
         """
         found = []
         for (scenario, index), error in MEASURABLE.items():
-            if scenario in predicted:
+            if scenario in predicted and self.effective >= FEWEST:
                 values = predicted[scenario].indices[index]
                 seen = float(np.var(values) / (np.var(values) + error**2))
-                found.append((scenario, index, seen * _explained(values, self.gains)))
+                found.append((scenario, index, seen * self._explained_by(values)))
         return sorted(found, key=lambda item: -item[2])
+
+    def _explained_by(self, values: Floats) -> float:
+        """Squared rank correlation with the gain, less what as many numbers have by chance."""
+        left = 1 - _rank_correlation(values, self.gains) ** 2
+        return max(0.0, 1 - left * (self.effective - 1) / (self.effective - 2))
 
 
 def check_index(index: str) -> None:
@@ -141,22 +151,23 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     """
     check_index(index)
     one, other = first.indices[index], second.indices[index]
-    if len(one) != len(other):
-        raise InputError(
-            f"{len(one)} networks cannot be compared with {len(other)}; predict both scenarios "
-            "with the same ones"
-        )
+    if len(one) != len(other) or not _of_the_same_networks(first, second):
+        counts = f"{len(one)} networks cannot be compared with {len(other)}"
+        counts += " others" * (len(one) == len(other))
+        raise InputError(f"{counts}; predict both scenarios with the same ones")
     if index in SIGNED:
         one, other = np.abs(one), np.abs(other)
-    return Comparison(index, INDICES[index], other - one)
+    effective = min(len(one), first.effective, second.effective)
+    return Comparison(index, INDICES[index], other - one, effective)
 
 
-def _explained(a: Floats, b: Floats) -> float:
-    """Squared rank correlation, less what as many numbers have by chance."""
-    count = len(a)
-    if count < FEWEST:
-        return 0.0
-    return max(0.0, 1 - (1 - _rank_correlation(a, b) ** 2) * (count - 1) / (count - 2))
+def _of_the_same_networks(first: Predicted, second: Predicted) -> bool:
+    """Whether the heart's own trees, which no scenario changes, are the same."""
+    return all(
+        np.array_equal(one.nodes, other.nodes)
+        for a, b in zip(first.beats, second.beats, strict=True)
+        for (one, _), (other, _) in zip(a.trees[:2], b.trees[:2], strict=True)
+    )
 
 
 def _rank_correlation(a: Floats, b: Floats) -> float:

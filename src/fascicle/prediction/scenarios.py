@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.arrays import Floats, Singles
+from fascicle.core.arrays import Booleans, Floats, Singles
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
@@ -40,7 +40,7 @@ class PredictedBeat:
     Attributes
     ----------
     leads : (12, n_time) array
-        ECG (mV), with the gain that the network needs to match the recording, every 1 ms.
+        ECG (mV) every 1 ms, with the gain that matches the recording best, or that was drawn.
     filtered : (12, n_time + 2 * `RINGING`) array
         The same as the recorder would have it, from `RINGING` samples before to as many after. A
         steep filter rings about the QRS, so that indices are not read off it.
@@ -48,19 +48,24 @@ class PredictedBeat:
         Activation time of each vertex of the heart (ms); inf where no front arrives.
     trees : tuple of (PurkinjeTree, (n_nodes,) array)
         The trees, left first, and when each of their nodes is reached (ms).
+    captured : (n_stimuli,) bool array
+        Which of the scenario's stimuli of the tissue came before any front was there.
     """
 
     leads: Floats
     filtered: Floats
     activation: Singles
     trees: tuple[tuple[PurkinjeTree, Singles], ...]
+    captured: Booleans
 
     @classmethod
-    def of(cls, simulation: Simulation, leads: Floats, filtered: Floats) -> PredictedBeat:
-        """What is kept of a simulation; `leads` and `filtered` as above."""
+    def of(
+        cls, simulation: Simulation, leads: Floats, filtered: Floats, captured: Booleans
+    ) -> PredictedBeat:
+        """What is kept of a simulation; `leads`, `filtered` and `captured` as above."""
         times = (each.astype(np.float32) for each in simulation.coupled.trees)
         trees = tuple(zip(simulation.trees, times, strict=True))
-        return cls(leads, filtered, simulation.activation.astype(np.float32), trees)
+        return cls(leads, filtered, simulation.activation.astype(np.float32), trees, captured)
 
 
 @dataclass(frozen=True)
@@ -75,11 +80,14 @@ class Predicted:
         Of each network.
     indices : mapping of name to (n,) array
         `INDICES` of each.
+    effective : float
+        How many independent networks they are worth; n, if nothing less is known.
     """
 
     scenario: Scenario
     beats: Sequence[PredictedBeat]
     indices: Mapping[str, Floats]
+    effective: float = np.inf
 
     def extremes(self) -> dict[str, int]:
         """Networks with the least, the median and the largest total activation time."""
@@ -89,6 +97,11 @@ class Predicted:
             "median": int(order[(len(order) - 1) // 2]),
             "maximum": int(order[-1]),
         }
+
+    @property
+    def captured(self) -> Floats:
+        """Share of the networks that each stimulus of the tissue captures, shape (n_stimuli,)."""
+        return np.asarray(np.mean([beat.captured for beat in self.beats], axis=0))
 
     def maps(self) -> dict[str, Floats]:
         """Activation over the networks at each vertex, from its first activation on.
@@ -111,7 +124,18 @@ class Predicted:
 
 
 def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
-    """The heart's own beat, which others are compared with, and then the scenarios."""
+    """The heart's own beat, which others are compared with, and then the scenarios.
+
+    Raises
+    ------
+    InputError
+        If another scenario has its name.
+    """
+    if scenarios.get(OWN_BEAT, Scenario()) != Scenario():
+        raise InputError(
+            f"{scenarios[OWN_BEAT].source or 'a scenario'}: '{OWN_BEAT}' is the heart's own beat, "
+            "which all others are compared with; give this one another name"
+        )
     return {OWN_BEAT: Scenario(description="the heart's own beat"), **scenarios}
 
 
@@ -147,13 +171,21 @@ def predict(
         If the study has no network, there is no such scenario, or it does not fit the heart.
     """
     check_population(fitted)
-    if isinstance(scenarios, str | Path):
-        scenarios = [scenarios]
-    if not isinstance(scenarios, Mapping):
-        scenarios = read_scenarios(scenarios)
+    scenarios = as_scenarios(scenarios)
     if networks is None:
         networks = fitted.networks(progress)
-    return simulate_scenarios(fitted.problem, networks, with_own_beat(scenarios), progress)
+    found = simulate_scenarios(fitted.problem, networks, with_own_beat(scenarios), progress)
+    effective = fitted.population.effective_size
+    return {name: replace(each, effective=effective) for name, each in found.items()}
+
+
+def as_scenarios(
+    given: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
+) -> Mapping[str, Scenario]:
+    """Scenarios by name, read if they are names or files."""
+    if isinstance(given, str | Path):
+        given = [given]
+    return given if isinstance(given, Mapping) else read_scenarios(given)
 
 
 def check_population(fitted: FittedStudy) -> None:
@@ -187,30 +219,44 @@ def simulate_scenarios(
     of : str
         What the stages are called beside the scenario's name.
     """
-    territories = Territories.of(problem.model.heart, problem.model.sites.places)
+    sites = problem.model.sites
+    territories = Territories.of(problem.model.heart, sites.places)
     predicted = {}
     for name, scenario in scenarios.items():
         report, beats, found = stage_progress(progress, name + of), [], []
-        each_network = partial(_simulate, problem, territories, scenario)
-        for beat, values in in_threads(each_network, networks, problem.workers):
-            beats.append(beat)
-            found.append(values)
-            report(len(beats), len(networks))
+        try:
+            firsts = scenario.first_points(sites)
+            each_network = partial(_simulate, problem, territories, scenario, firsts)
+            for beat, values in in_threads(each_network, networks, problem.workers):
+                beats.append(beat)
+                found.append(values)
+                report(len(beats), len(networks))
+        except InputError as error:
+            raise InputError(f"{scenario.source or name}: {error}") from None
         each = {index: np.array([values[index] for values in found]) for index in INDICES}
         predicted[name] = Predicted(scenario, beats, each)
     return predicted
 
 
 def _simulate(
-    problem: Problem, territories: Territories, scenario: Scenario, network: Network
+    problem: Problem,
+    territories: Territories,
+    scenario: Scenario,
+    firsts: Sequence[int],
+    network: Network,
 ) -> tuple[PredictedBeat, dict[str, float]]:
     simulation = problem.model.activate(
         network.simulation.trees, scenario=scenario, **network.parameters
     )
-    leads = network.gain * simulation.leads
+    gain = network.gain if network.drawn_gain is None else network.drawn_gain
+    leads = gain * simulation.leads
     length, response = leads.shape[1] + 2 * RINGING, problem.target.response
     values = indices(replace(simulation, leads=leads), territories, scenario.first_stimulus)
-    return PredictedBeat.of(simulation, leads, placed(leads, -RINGING, length, response)), values
+    filtered = placed(leads, -RINGING, length, response)
+    captured = simulation.coupled.captured
+    if len(firsts):
+        captured = np.logical_or.reduceat(captured, firsts)
+    return PredictedBeat.of(simulation, leads, filtered, captured), values
 
 
 def prior_networks(problem: Problem, progress: Progress | None = None) -> list[Network]:

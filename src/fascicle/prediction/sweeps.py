@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from fascicle.core.errors import InputError
+from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario, Stimulus
 from fascicle.heart.segments import SEGMENTS
 from fascicle.heart.sites import LAYERS
+from fascicle.prediction.scenarios import Predicted, check_population, simulate_scenarios
+from fascicle.study.results import FittedStudy
 
 MOST = 200  # scenarios of a sweep
 SEGMENT = "segment"
@@ -30,6 +35,71 @@ class Sweep(NamedTuple):
     scenarios: dict[float, Scenario]
 
 
+@dataclass(frozen=True)
+class Swept:
+    """What a family of scenarios does in n networks.
+
+    Attributes
+    ----------
+    varied : str
+        As of the `Sweep`.
+    predicted : dict of segment, delay or radius to Predicted
+        Of those that can be simulated.
+    impossible : dict of segment, delay or radius to str
+        Of the others, why not.
+    """
+
+    varied: str
+    predicted: dict[float, Predicted]
+    impossible: dict[float, str]
+
+    def called(self, key: float) -> str:
+        """What a scenario of the family is called, such as ``"20 ms"``."""
+        unit = self.varied.partition("(")[2].strip(")")
+        return f"{key:g} {unit}" if unit else f"segment {key:g}"
+
+
+def simulate_sweep(
+    fitted: FittedStudy, sweep: Sweep, networks: int, progress: Progress | None = None
+) -> Swept:
+    """Simulate a family of scenarios in some networks of a study.
+
+    A segment may hold no tissue, or scar that nothing fires: the others are simulated all the same.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    sweep : Sweep
+        What to simulate.
+    networks : int
+        How many networks, evenly spread over the population.
+    progress : Progress, optional
+        Called after each network that is simulated.
+
+    Raises
+    ------
+    InputError
+        If the study has no network, or no scenario can be simulated.
+    """
+    check_population(fitted)
+    every = len(fitted.population)
+    chosen = np.linspace(0, every - 1, min(networks, every)).round().astype(int).tolist()
+    some = fitted.networks(progress, chosen=chosen)
+    swept = Swept(sweep.varied, {}, {})
+    for key, scenario in sweep.scenarios.items():
+        name = swept.called(key)
+        try:
+            found = simulate_scenarios(fitted.problem, some, {name: scenario}, progress)
+        except InputError as error:
+            swept.impossible[key] = str(error)
+        else:
+            swept.predicted[key] = found[name]
+    if not swept.predicted:
+        raise InputError(next(iter(swept.impossible.values())))
+    return swept
+
+
 def delays(scenario: Scenario, given: str) -> Sweep:
     """The scenario with its last stimulus so long after its first; negative, before it.
 
@@ -47,7 +117,7 @@ def delays(scenario: Scenario, given: str) -> Sweep:
     """
     if len(scenario.stimuli) < 2:
         raise InputError(
-            f"{scenario.source}: {len(scenario.stimuli)} stimuli; a delay needs two of them"
+            f"{_called(scenario)}: {len(scenario.stimuli)} stimuli; a delay needs two of them"
         )
     *others, last = scenario.stimuli
     begin = min(stimulus.time for stimulus in others)
@@ -77,7 +147,7 @@ def segments(scenario: Scenario, layer: str) -> Sweep:
         raise InputError(f"there is no layer '{layer}'; choose {' or '.join(LAYERS)}")
     of_tissue = [k for k, stimulus in enumerate(scenario.stimuli) if stimulus.tree is None]
     if not of_tissue:
-        raise InputError(f"{scenario.source}: no stimulus of the tissue that could be moved")
+        raise InputError(f"{_called(scenario)}: no stimulus of the tissue that could be moved")
     moved = of_tissue[-1]
 
     def at(number: int) -> tuple[Stimulus, ...]:
@@ -104,12 +174,16 @@ def radii(scenario: Scenario, given: str) -> Sweep:
         If there is no such stimulus, or the radii are not three numbers that go up.
     """
     if all(stimulus.tree is not None for stimulus in scenario.stimuli):
-        raise InputError(f"{scenario.source}: no stimulus of the tissue that has a radius")
+        raise InputError(f"{_called(scenario)}: no stimulus of the tissue that has a radius")
 
     def captured(radius: float) -> tuple[Stimulus, ...]:
         return tuple(s if s.tree else replace(s, radius=radius) for s in scenario.stimuli)
 
     return Sweep(RADIUS, {r: replace(scenario, stimuli=captured(r)) for r in _numbers(given)})
+
+
+def _called(scenario: Scenario) -> str:
+    return scenario.source or "the scenario"
 
 
 def _numbers(given: str) -> list[float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ from matplotlib.projections.polar import PolarAxes
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
-from fascicle.core.progress import Progress
+from fascicle.heart.segments import SEGMENTS
+from fascicle.prediction.comparison import SIGNED
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import check_population, simulate_scenarios
-from fascicle.prediction.sweeps import SEGMENT, Sweep
+from fascicle.prediction.sweeps import SEGMENT, Swept
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure, save
 from fascicle.reporting.indices import index_name
@@ -33,15 +34,8 @@ COLOURS = "cividis_r"  # ordered for every colour vision; less is lighter, and b
 RINGS = ((6, 90.0), (6, 90.0), (4, 90.0), (1, 90.0))
 
 
-def write_sweep(
-    fitted: FittedStudy,
-    sweep: Sweep,
-    index: str,
-    networks: int,
-    out: Path,
-    progress: Progress | None = None,
-) -> dict[float, Mapping[str, Floats]]:
-    """Predict a family of scenarios with some networks of a population and write the result.
+def write_sweep(fitted: FittedStudy, swept: Swept, index: str, out: Path) -> None:
+    """Write what a family of scenarios does.
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``
     and ``sweep.png``.
@@ -50,45 +44,38 @@ def write_sweep(
     ----------
     fitted : FittedStudy
         The study.
-    sweep : Sweep
-        What to predict.
+    swept : Swept
+        What `fascicle.prediction.sweeps.simulate_sweep` found.
     index : str
         What to draw.
-    networks : int
-        How many networks, evenly spread over the population.
     out : Path
         Folder to write.
-    progress : Progress, optional
-        Called after each network that is simulated.
-
-    Returns
-    -------
-    dict of delay or segment to mapping of index to (n,) array
     """
-    check_population(fitted)
-    every = len(fitted.population)
-    chosen = np.linspace(0, every - 1, min(networks, every)).round().astype(int)
-    parameters = [fitted.population.parameters(k) for k in chosen]
-    some = list(fitted.problem.networks(parameters))
-    unit = sweep.varied.partition("(")[2].strip(")")
-    named = {f"{k:g} {unit}" if unit else f"segment {k:g}": k for k in sweep.scenarios}
-    scenarios = {name: sweep.scenarios[key] for name, key in named.items()}
-    predicted = simulate_scenarios(fitted.problem, some, scenarios, progress)
-    found = {key: predicted[name].indices for name, key in named.items()}
-    values = {key: each[index] for key, each in found.items()}
-    medians = np.array([np.nanmedian(each) for each in values.values()])
-    title = f"Median {index_name(index)} with the stimulus in each segment"
+    named = {swept.called(key): found for key, found in swept.predicted.items()}
+    values = {key: found.indices[index] for key, found in swept.predicted.items()}
+    medians = [round(float(np.nanmedian(each)), 2) for each in values.values()]
+    content: dict[str, Any] = {
+        "verdict": fitted.verdict,
+        "networks": len(next(iter(values.values()))),
+        "index": index,
+        "medians": dict(zip(named, medians, strict=True)),
+        "impossible": {swept.called(key): why for key, why in swept.impossible.items()},
+    }
+    draw = _bulls_eye if swept.varied == SEGMENT else partial(curve_figure, varied=swept.varied)
     with atomic_folder(out) as folder:
-        write_text(folder / "indices.csv", index_table(predicted))
-        content: dict[str, Any] = {"verdict": fitted.verdict, "networks": len(some), "index": index}
-        content |= {"medians": dict(zip(named, medians.round(2).tolist(), strict=True))}
+        write_text(folder / "indices.csv", index_table(named))
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        if sweep.varied == SEGMENT:
-            figure = bulls_eye_figure(medians, title, INDICES[index])
-        else:
-            figure = curve_figure(values, index, sweep.varied)
-        save(figure, folder / "sweep.png")
-    return found
+        save(draw(values, index), folder / "sweep.png")
+
+
+def _bulls_eye(values: Mapping[float, Floats], index: str) -> Figure:
+    """Medians of an index with the stimulus in each segment; of a delay, of its size."""
+    medians, title = np.full(len(SEGMENTS), np.nan), f"Median {index_name(index)}"
+    for key, each in values.items():
+        medians[int(key) - 1] = np.nanmedian(np.abs(each) if index in SIGNED else each)
+    if index in SIGNED:
+        title += ", either way,"
+    return bulls_eye_figure(medians, f"{title} with the stimulus in each segment", INDICES[index])
 
 
 def curve_figure(values: Mapping[float, Floats], index: str, varied: str) -> Figure:

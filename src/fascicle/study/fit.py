@@ -20,7 +20,7 @@ from fascicle.study.bank import Bank, prior_points
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.population import RESULT
-from fascicle.study.population_files import read_checks, read_population
+from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
 from fascicle.study.problem import Problem
 from fascicle.study.recordings import (
@@ -133,7 +133,8 @@ def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
             its = networks if number == 0 else fitted.networks(progress, number)
             predictions.append(predict_recording(problem, problem.likelihood, its, rng))
     if predictions:
-        fitted = replace(fitted, checks=Checks.joined([each.checks for each in predictions]))
+        checks = Checks.joined([each.checks for each in predictions])
+        fitted = replace(fitted, checks=checks, gains=predictions[0].gains)
     write_results(fitted, networks, predictions)
     return fitted
 
@@ -227,7 +228,7 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
     check_same(folder, study.config, now)
     problem = _problem(study.config, heart, recordings, progress)
     study.check_objective(problem)
-    return FittedStudy(study, problem, population, read_checks(result))
+    return FittedStudy(study, problem, population, read_checks(result), read_gains(result))
 
 
 def _problem(

@@ -44,6 +44,11 @@ class Population:
     def __len__(self) -> int:
         return len(self.losses)
 
+    @property
+    def effective_size(self) -> float:
+        """How many independent networks they are worth."""
+        return float(len(self))
+
     def parameters(self, k: int) -> dict[str, float]:
         """Named parameters of network `k`."""
         return {name: float(values[k]) for name, values in self.values.items()}
@@ -101,6 +106,12 @@ class Posterior(Population):
     means_apart: Mapping[str, float]
     converged: bool
     first_alone: Mapping[str, Floats] | None = None
+
+    @property
+    def effective_size(self) -> float:
+        """How many independent draws they are worth: half of them are of each run."""
+        each = np.minimum(self.effective, len(self) / len(self.effective))
+        return float(len(each) ** 2 / (1 / each).sum())
 
     @classmethod
     def of(

@@ -238,11 +238,21 @@ def _first_alone(path: Path) -> dict[str, Floats]:
     return {str(name): values.to_numpy() for name, values in stored.data_vars.items()}
 
 
+def read_gains(path: Path) -> Floats | None:
+    """Gains (n,) that were drawn with a posterior, for its first recording; None of others."""
+    stats = _statistics(path)
+    return stats["gain"].to_numpy().ravel() if "gain" in stats else None
+
+
 def read_checks(path: Path) -> Checks | None:
     """How a posterior written by `write_population` compares with its recording; None of others."""
-    import xarray as xr
-
-    stats = xr.load_dataset(path, group="sample_stats", engine="h5netcdf")
+    stats = _statistics(path)
     if SHARE not in stats.attrs:
         return None
     return Checks(float(stats.attrs[SHARE]), json.loads(stats.attrs[PROBABILITIES]))
+
+
+def _statistics(path: Path) -> xr.Dataset:
+    import xarray as xr
+
+    return xr.load_dataset(path, group="sample_stats", engine="h5netcdf")

@@ -42,6 +42,8 @@ class Network:
         Share of the energy of its ECG that lies under the recorded QRS, 0 to 1.
     gain : float
         By which its simulated ECG was scaled to give `predicted`; 1 unless the gain is free.
+    drawn_gain : float, optional
+        Of a posterior, the gain that was drawn with it, in place of the best one.
     """
 
     parameters: Mapping[str, float]
@@ -49,6 +51,7 @@ class Network:
     predicted: Floats
     under_qrs: float
     gain: float
+    drawn_gain: float | None = None
 
 
 @dataclass(frozen=True)

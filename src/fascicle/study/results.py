@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
@@ -53,12 +54,16 @@ class FittedStudy:
         The networks that explain the target, and the best one.
     checks : Checks, optional
         Of a posterior against its recording.
+    gains : (n,) array, optional
+        By which the ECG of each network of a posterior is scaled: drawn from what the first
+        recording says of it.
     """
 
     study: Study
     problem: Problem
     population: Population
     checks: Checks | None = None
+    gains: Floats | None = None
 
     @property
     def folder(self) -> Path:
@@ -124,7 +129,12 @@ class FittedStudy:
         """The network with the least mismatch, simulated."""
         return next(self.problem.networks([self.population.best]))
 
-    def networks(self, progress: Progress | None = None, recording: int = 0) -> list[Network]:
+    def networks(
+        self,
+        progress: Progress | None = None,
+        recording: int = 0,
+        chosen: Sequence[int] | None = None,
+    ) -> list[Network]:
         """Simulate the population; the best network alone where none was accepted.
 
         Parameters
@@ -133,15 +143,26 @@ class FittedStudy:
             Called after every network.
         recording : int
             In whose scenario, counted from 0.
+        chosen : sequence of int, optional
+            Which networks; all.
         """
-        count, problem = len(self.population), self.problem.recordings[recording]
-        if not count:
+        if not len(self.population):
             return [self.best_network]
+        if not 0 <= recording < len(self.problem.recordings):
+            raise InputError(
+                f"{self.folder}: there is no recording {recording}; the study has "
+                f"{len(self.problem.recordings)}, counted from 0"
+            )
+        problem = self.problem.recordings[recording]
+        chosen = range(len(self.population)) if chosen is None else chosen
         report = stage_progress(progress, "networks")
-        networks = []
-        for network in problem.networks(self.population.parameters(k) for k in range(count)):
+        networks: list[Network] = []
+        for network in problem.networks(self.population.parameters(k) for k in chosen):
+            if self.gains is not None and recording == 0:
+                gain = float(self.gains[chosen[len(networks)]])
+                network = replace(network, drawn_gain=gain)
             networks.append(network)
-            report(len(networks), count)
+            report(len(networks), len(chosen))
         return networks
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -14,12 +15,21 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
 from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import library
 from fascicle.heart.segments import SEGMENTS
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import OWN_BEAT, Predicted, check_population, predict
+from fascicle.prediction.scenarios import (
+    OWN_BEAT,
+    Predicted,
+    as_scenarios,
+    check_population,
+    predict,
+    with_own_beat,
+)
 from fascicle.reporting.indices import SHOWN, index_name
 from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.scene import scene
@@ -64,6 +74,7 @@ def report(
     out: Path | str | None = None,
     progress: Progress | None = None,
     figures: Sequence[str] = (),
+    against: str = OWN_BEAT,
 ) -> list[Path]:
     """Write a study and what scenarios do in its networks as one HTML file.
 
@@ -80,6 +91,8 @@ def report(
     figures : sequence of str
         Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the study's folder
         ``figures``.
+    against : str
+        The scenario that the others are compared with, if not the own beat.
 
     Returns
     -------
@@ -89,14 +102,21 @@ def report(
     Raises
     ------
     InputError
-        If the study has no network, or a scenario is not there or does not fit its heart.
+        If the study has no network, a scenario is not there or does not fit its heart, or `against`
+        is none of them.
     """
     check_population(fitted)
     check_kinds(figures)
+    scenarios = with_own_beat(as_scenarios(scenarios))
+    if against not in scenarios:
+        raise InputError(
+            f"'{against}', which others are to be compared with, is none of the scenarios "
+            f"{', '.join(scenarios)}"
+        )
     networks = fitted.networks(progress)
     predicted = predict(fitted, scenarios, progress, networks)
     out = Path(out) if out is not None else fitted.folder / "report.html"
-    return write_report(fitted, networks, predicted, out, figures)
+    return write_report(fitted, networks, predicted, out, figures, against)
 
 
 def write_report(
@@ -153,7 +173,7 @@ def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
         "rows": [_row(name, found) for name, found in predicted.items()],
         "convergence": _convergence(fitted),
         "inputs": _inputs(fitted),
-        "command": _command(fitted, predicted),
+        "command": _command(fitted, predicted, against),
     }
 
 
@@ -206,9 +226,17 @@ def _of_target(provenance: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {value}" for name, value in provenance.items() if name != "source")
 
 
-def _command(fitted: FittedStudy, predicted: Mapping[str, Predicted]) -> str:
-    asked = "".join(f" --scenario {name}" for name in predicted if name != OWN_BEAT)
-    return f"fascicle report {fitted.folder.name}{asked}"
+def _command(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> str:
+    """The command that makes the page again, with files of scenarios where they were."""
+    known = {str(path) for path in library().values()}
+    words = ["fascicle", "report", str(fitted.folder)]
+    for name, found in predicted.items():
+        source = found.scenario.source
+        if name != OWN_BEAT:
+            words += ["--scenario", name if source is None or source in known else source]
+    if against != OWN_BEAT:
+        words += ["--against", against]
+    return shlex.join(words)
 
 
 def _template() -> Any:
