@@ -128,6 +128,12 @@ def test_there_are_no_others(sites, name):
     assert "\n" not in str(caught.value)
 
 
+def test_more_stimuli_than_anybody_has():
+    many = (Stimulus(0.0, site="rv apex"),) * 1001
+    with pytest.raises(InputError, match="1001 stimuli; give 1000 at most"):
+        Scenario(many)
+
+
 class TestInScenarios:
     def test_a_name_is_the_same_as_its_position(self, default_model):
         place = default_model.sites.position("rv apex")
@@ -149,6 +155,31 @@ class TestInScenarios:
         assert (away <= 8).sum() > 3
         np.testing.assert_allclose(paced.activation[away <= 8], 3.0)
         assert (paced.activation[away > 8] > 3.0).all()
+
+    def test_rays_from_what_is_captured_go_as_far_as_from_junctions(self, default_model):
+        """From every captured vertex to every other one there would be hundreds of times as many.
+
+        What that changes: where a ray of more than 20 mm would have been a little faster.
+        """
+        stimuli = (
+            Stimulus(0.0, site="mid inferior epicardium", radius=8.0),
+            Stimulus(5.0, site="rv apex", radius=6.0),
+        )
+        case = Scenario(stimuli, silent=("lv", "rv"))
+        located = case.located(default_model.sites)
+        assert located.owners[:2].tolist() == [0, 1]
+        assert set(located.owners[2:]) == {0, 1}
+        each = Scenario(
+            tuple(replace(stimulus, around=None) for stimulus in located.stimuli),
+            silent=("lv", "rv"),
+        )
+        far, near = (
+            default_model.simulate(EXAMPLE_PARAMETERS, c).activation for c in (each, case)
+        )
+        later = near - far
+        assert later.min() > -1e-9
+        assert 0 < later.max() < 3
+        assert later.mean() < 0.05
 
     def test_a_radius_in_a_tree_fires_its_nodes(self, default_model):
         paced = default_model.simulate(

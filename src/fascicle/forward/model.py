@@ -215,7 +215,8 @@ class ForwardModel:
         conduction = self.conduction.with_values(values)
         tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
         if len(scenario.points):  # rays to every vertex are too many to keep for several networks
-            coupling = attach(tissue.myocardium, trees, scenario.points)
+            own = int((scenario.owners == np.arange(len(scenario.points))).sum())
+            coupling = attach(tissue.myocardium, trees, scenario.points, own)
             scenario.check_stimuli(coupling.stimuli.distances)
         else:
             coupling = tissue.attach(trees)

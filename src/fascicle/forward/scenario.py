@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import HIS_TIME, SIDES, check, checked, quantity
 from fascicle.forward.eikonal.activation import HisBundle
@@ -20,6 +20,7 @@ from fascicle.purkinje.tree import PurkinjeTree
 
 FURTHEST_STIMULUS = 5.0  # mm; a stimulus further from the tissue, or from its tree, is a mistake
 LARGEST_RADIUS = 20.0  # mm, that a stimulus captures
+MOST_STIMULI = 1000  # of a scenario; rays from each to every vertex take their time
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,9 @@ class Stimulus:
     part : str, optional
         Of the tree, if only nodes of its ``"bundle"``, ``"fascicle 1"``, … can be fired; branches
         may lie nearer.
+    around : int, optional
+        Of tissue that another stimulus captures, that one's number among those of the tissue;
+        `Scenario.located` sets it.
     """
 
     time: float
@@ -49,6 +53,7 @@ class Stimulus:
     site: str | None = None
     radius: float = 0.0
     part: str | None = None
+    around: int | None = None
 
     def __post_init__(self) -> None:
         if (self.position is None) == (self.site is None):
@@ -224,6 +229,9 @@ class Scenario:
             value = getattr(self, name)
             if value is not None:
                 checked({name: value})
+        given = sum(stimulus.around is None for stimulus in self.stimuli)
+        if given > MOST_STIMULI:
+            raise InputError(f"{given} stimuli; give {MOST_STIMULI} at most")
         for slowing in self.slowings:
             if not 0 <= slowing.speed < np.inf:
                 raise InputError(
@@ -232,7 +240,7 @@ class Scenario:
                 )
 
     def located(self, sites: Sites) -> Scenario:
-        """The same with positions for the names of sites, and all that is fired at once.
+        """The same with positions for the names of sites; then comes all that they capture.
 
         Raises
         ------
@@ -242,25 +250,29 @@ class Scenario:
         if not any(s.site is not None or s.radius > 0 for s in self.stimuli):
             return self
         found: list[Stimulus] = []
+        captured: list[Stimulus] = []
+        number, vertices = -1, sites.heart.vertices
         for stimulus in self.stimuli:
             place = stimulus.position
             if stimulus.site is not None:
                 place = sites.position(stimulus.site)
             found.append(replace(stimulus, position=place, site=None))
+            number += stimulus.tree is None
             if stimulus.tree is None and stimulus.radius > 0:
-                vertices = sites.heart.vertices
                 near = np.linalg.norm(vertices - np.asarray(place), axis=1) <= stimulus.radius
-                found += [Stimulus(stimulus.time, (x, y, z)) for x, y, z in vertices[near].tolist()]
-        return replace(self, stimuli=tuple(found))
+                captured += [
+                    Stimulus(stimulus.time, (x, y, z), around=number)
+                    for x, y, z in vertices[near].tolist()
+                ]
+        return replace(self, stimuli=(*found, *captured))
 
-    def first_points(self, sites: Sites) -> list[int]:
-        """Where each stimulus of the tissue begins among the points of what is `located`."""
-        counts = [
-            len(replace(self, stimuli=(stimulus,)).located(sites).points)
-            for stimulus in self.stimuli
-            if stimulus.tree is None
-        ]
-        return np.cumsum([0, *counts[:-1]]).tolist() if counts else []
+    @property
+    def owners(self) -> Integers:
+        """The stimulus of the tissue, by its number, that each of the `points` belongs to."""
+        of_tissue = [s for s in self.stimuli if s.tree is None]
+        return np.array(
+            [k if s.around is None else s.around for k, s in enumerate(of_tissue)], dtype=np.int64
+        )
 
     @property
     def first_stimulus(self) -> float | None:

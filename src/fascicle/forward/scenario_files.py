@@ -234,31 +234,24 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     except ValidationError as error:
         raise InputError(f"{path}: {_complaint(error, values)}; see docs/files.md") from None
     try:
-        trees = tuple((_read_tree(tree, path.parent), tree.time) for tree in content.tree)
-        his = His(**dict(content.his)) if content.his is not None else None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    scenario = Scenario(
-        stimuli=_stimuli(path, content.stimulus),
-        slowings=tuple(Slowing(**dict(s)) for s in content.slowing),
-        silent=tuple(content.silent),
-        orthodromic_delay=content.delay.orthodromic,
-        antidromic_delay=content.delay.antidromic,
-        trees=trees,
-        his=his,
-        source=str(path),
-        description=content.description,
-        reference=content.reference,
-    )
-    regions = (Region(**dict(region), source=str(path)) for region in content.region)
-    return scenario, tuple(regions)
-
-
-def _stimuli(path: Path, tables: list[_Stimulus]) -> tuple[Stimulus, ...]:
-    try:
-        return tuple(Stimulus(**table.model_dump(exclude_none=True)) for table in tables)
+        scenario = Scenario(
+            stimuli=tuple(
+                Stimulus(**table.model_dump(exclude_none=True)) for table in content.stimulus
+            ),
+            slowings=tuple(Slowing(**dict(s)) for s in content.slowing),
+            silent=tuple(content.silent),
+            orthodromic_delay=content.delay.orthodromic,
+            antidromic_delay=content.delay.antidromic,
+            trees=tuple((_read_tree(tree, path.parent), tree.time) for tree in content.tree),
+            his=His(**dict(content.his)) if content.his is not None else None,
+            source=str(path),
+            description=content.description,
+            reference=content.reference,
+        )
     except InputError as error:
         raise InputError(f"{path}: {error}; see docs/files.md") from None
+    regions = (Region(**dict(region), source=str(path)) for region in content.region)
+    return scenario, tuple(regions)
 
 
 def scenario_text(scenario: Scenario) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.arrays import Booleans, Floats, Singles
+from fascicle.core.arrays import Booleans, Floats, Integers, Singles
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
@@ -225,8 +225,8 @@ def simulate_scenarios(
     for name, scenario in scenarios.items():
         report, beats, found = stage_progress(progress, name + of), [], []
         try:
-            firsts = scenario.first_points(sites)
-            each_network = partial(_simulate, problem, territories, scenario, firsts)
+            owners = scenario.located(sites).owners
+            each_network = partial(_simulate, problem, territories, scenario, owners)
             for beat, values in in_threads(each_network, networks, problem.workers):
                 beats.append(beat)
                 found.append(values)
@@ -242,7 +242,7 @@ def _simulate(
     problem: Problem,
     territories: Territories,
     scenario: Scenario,
-    firsts: Sequence[int],
+    owners: Integers,
     network: Network,
 ) -> tuple[PredictedBeat, dict[str, float]]:
     simulation = problem.model.activate(
@@ -253,9 +253,7 @@ def _simulate(
     length, response = leads.shape[1] + 2 * RINGING, problem.target.response
     values = indices(replace(simulation, leads=leads), territories, scenario.first_stimulus)
     filtered = placed(leads, -RINGING, length, response)
-    captured = simulation.coupled.captured
-    if len(firsts):
-        captured = np.logical_or.reduceat(captured, firsts)
+    captured = np.bincount(owners, simulation.coupled.captured) > 0
     return PredictedBeat.of(simulation, leads, filtered, captured), values
 
 

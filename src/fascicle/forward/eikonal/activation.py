@@ -145,7 +145,10 @@ class Activation:
 
 
 def attach(
-    myocardium: Myocardium, trees: Sequence[PurkinjeTree], points: Floats | None = None
+    myocardium: Myocardium,
+    trees: Sequence[PurkinjeTree],
+    points: Floats | None = None,
+    sources: int | None = None,
 ) -> Coupling:
     """Find where trees and stimuli meet the myocardium.
 
@@ -157,13 +160,17 @@ def attach(
         Any number of trees; junctions are moved to the nearest point of the tissue's surface.
     points : (s, 3) array, optional
         Stimuli in the myocardium (mm); those outside are moved to its surface.
+    sources : int, optional
+        From so many of the first rays go to every vertex; from the others, which a stimulus
+        captures around itself, as far as from junctions. Without: from all.
     """
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
     leaves = np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
     located = myocardium.on_surface(leaves)
     neighbourhood = _neighbourhood(located, located.triangles, myocardium)
     if len(stimuli):
-        there, around_them = _locate_stimuli(myocardium, stimuli)
+        sources = len(stimuli) if sources is None else sources
+        there, around_them = _locate_stimuli(myocardium, stimuli, sources)
         located = LocatedPoints._make(map(np.concatenate, zip(located, there, strict=True)))
         neighbourhood = neighbourhood.joined_with(around_them)
     nodes = _starts([len(tree.nodes) for tree in trees])
@@ -358,14 +365,18 @@ def _neighbourhood(
 
 
 def _locate_stimuli(
-    myocardium: Myocardium, points: Floats
+    myocardium: Myocardium, points: Floats, sources: int
 ) -> tuple[LocatedPoints, SiteNeighbourhood]:
     """Find points in the myocardium and what is around them; those of last time are kept."""
-    key = points.tobytes()
+    key = points.tobytes(), sources
     found = myocardium.last_stimuli.get(key)
     if found is None:
         located = myocardium.inside(points)
-        found = located, _neighbourhood(located, None, myocardium)
+        own = LocatedPoints._make(values[:sources] for values in located)
+        others = LocatedPoints._make(values[sources:] for values in located)
+        nowhere = np.full(len(others.elements), -1)  # in no triangle: their rays are traced
+        around = _neighbourhood(own, None, myocardium)
+        found = located, around.joined_with(_neighbourhood(others, nowhere, myocardium))
         myocardium.last_stimuli.clear()
         myocardium.last_stimuli[key] = found
     return found

@@ -90,7 +90,9 @@ class Myocardium:
     surface: Integers
     owner: Integers
     tree: igl.AABB
-    last_stimuli: dict[bytes, tuple[LocatedPoints, SiteNeighbourhood]] = field(default_factory=dict)
+    last_stimuli: dict[tuple[bytes, int], tuple[LocatedPoints, SiteNeighbourhood]] = field(
+        default_factory=dict
+    )
 
     def on_surface(self, points: Floats) -> LocatedPoints:
         """Nearest points of the tissue's surface to `points` of shape (n, 3) in mm."""

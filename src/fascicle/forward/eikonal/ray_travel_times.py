@@ -160,8 +160,9 @@ def find_neighbourhood(
     positions, elements : (j, 3) and (j,) arrays
         Where the sites lie (mm), and the tetrahedron of each, -1 where there is none.
     triangles : (j,) array or None
-        The boundary triangle that each lies in: times are read from the table, and traced as far
-        as it reaches where it does not have the triangle. Without: all are traced, to every vertex.
+        The boundary triangle that each lies in, -1 for none: times are read from the table, and
+        traced as far as it reaches where it does not have the triangle. Without: all are traced, to
+        every vertex.
     mesh, table : EikonalMesh, TravelTimeTable
         The myocardium, and the ray travel times from its endocardia.
     """
@@ -172,7 +173,8 @@ def find_neighbourhood(
     rows, opposite = np.full(count, -1, np.int32), np.zeros(count, np.int8)
     reach = longest = np.inf
     if triangles is not None:
-        rows, opposite = table.row[triangles], table.opposite[triangles]
+        rows = np.where(triangles >= 0, table.row[triangles], np.int32(-1))
+        opposite = table.opposite[triangles]
         reach, longest = table.reach, table.longest
     room = np.where(rows >= 0, table.start[rows + 1] - table.start[rows], len(mesh.vertices))
     off = np.flatnonzero((rows < 0) & (elements >= 0))
