@@ -173,9 +173,7 @@ class TestInScenarios:
             tuple(replace(stimulus, around=None) for stimulus in located.stimuli),
             silent=("lv", "rv"),
         )
-        far, near = (
-            default_model.simulate(EXAMPLE_PARAMETERS, c).activation for c in (each, case)
-        )
+        far, near = (default_model.simulate(EXAMPLE_PARAMETERS, c).activation for c in (each, case))
         later = near - far
         assert later.min() > -1e-9
         assert 0 < later.max() < 3

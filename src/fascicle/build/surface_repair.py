@@ -18,6 +18,7 @@ from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_part
 from fascicle.heart.validate import check_units
 from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.measures import closed_volume, loop_length, turned_outwards
+from fascicle.mesh.meshing import signals_restored
 from fascicle.mesh.topology import (
     boundary_loops,
     boundary_triangles,
@@ -189,7 +190,7 @@ def _boundary_of_filling(surface: LabelledSurface) -> LabelledSurface:
     """Fill it once, and refuse a boundary that is no better; the caller says of which surface."""
     import pytetwild
 
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), signals_restored():
         # it leaves a file (__tracked_surface.stl) where it runs
         vertices, tetrahedra = pytetwild.tetrahedralize(
             np.ascontiguousarray(surface.vertices, dtype=np.float64),

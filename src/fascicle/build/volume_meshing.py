@@ -16,7 +16,14 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import closed_volume
-from fascicle.mesh.meshing import NOTHING, Interface, as_float64, as_int32, tetrahedralise
+from fascicle.mesh.meshing import (
+    NOTHING,
+    Interface,
+    as_float64,
+    as_int32,
+    signals_restored,
+    tetrahedralise,
+)
 from fascicle.mesh.topology import boundary_triangles, places_in
 
 # Vertices in a cube with the edge length's side (measured: 2.0 at 1 mm, 2.2 at 2 mm, 2.4 at 3 mm on
@@ -140,7 +147,8 @@ def remeshed_inside(
     mesh.set_vertices(as_float64(vertices))
     mesh.set_tetrahedra(as_int32(tetrahedra))
     mesh.set_triangles(as_int32(surface.triangles), as_int32(surface.labels))
-    mesh.remesh(**options, nosurf=1, verbose=-1)
+    with signals_restored():
+        mesh.remesh(**options, nosurf=1, verbose=-1)
     refined = np.array(mesh.get_tetrahedra(), dtype=np.int64)
     labelled, labels = mesh.get_triangles_with_refs()
     boundary, _ = boundary_triangles(refined)

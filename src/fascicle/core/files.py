@@ -18,6 +18,7 @@ from fascicle.core.errors import InputError
 
 CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
+_UNFINISHED: set[Path] = set()  # temporary files and folders that are being written
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -39,12 +40,14 @@ def atomic_path(path: Path) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
         os.close(handle)
         temporary = Path(name)
+        _UNFINISHED.add(temporary)
         try:
             yield temporary
             temporary.chmod(0o644)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+            _UNFINISHED.discard(temporary)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -78,6 +81,7 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
     folder = folder.resolve()  # a link stays a link
     with _full_disk_named(folder):
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        _UNFINISHED.add(temporary)
         try:
             yield temporary
             temporary.chmod(0o755)
@@ -88,6 +92,16 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
             os.replace(temporary, folder)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+            _UNFINISHED.discard(temporary)
+
+
+def remove_unfinished() -> None:
+    """Remove what is being written, for a process that is about to end without unwinding."""
+    for path in list(_UNFINISHED):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 class _DiskFullError(InputError):

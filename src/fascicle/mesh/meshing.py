@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from tempfile import TemporaryFile
@@ -88,7 +90,7 @@ def tetrahedralise(
         index = mesh.Add(netgen.FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
         mesh.AddElements(dim=2, index=index, data=as_int32(triangles + count), base=0)
         count += len(vertices)
-    with _kept_quiet() as printed:
+    with signals_restored(), _kept_quiet() as printed:
         try:
             mesh.GenerateVolumeMesh(netgen.MeshingParameters(**parameters))
         except netgen.NgException as error:
@@ -107,6 +109,20 @@ def tetrahedralise(
             f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
         )
     return vertices, tetrahedra, elements["index"].astype(np.int64)
+
+
+@contextmanager
+def signals_restored() -> Iterator[None]:
+    """Listen to Ctrl-C again after Mmg or fTetWild, which take Python's handlers away.
+
+    While they run, a signal ends the process at once.
+    """
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, signal.getsignal(number))
 
 
 @contextmanager
@@ -152,7 +168,8 @@ def remeshed_triangles(
     # triangles are set twice, as only the second call takes their labels
     mesh = mmgpy.MmgMeshS(as_float64(vertices), as_int32(triangles))
     mesh.set_triangles(as_int32(triangles), as_int32(labels))
-    mesh.remesh(**options, verbose=-1)
+    with signals_restored():
+        mesh.remesh(**options, verbose=-1)
     new, new_labels = mesh.get_triangles_with_refs()
     return (
         np.array(mesh.get_vertices(), dtype=float),

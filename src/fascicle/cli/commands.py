@@ -1,0 +1,460 @@
+"""The commands: read arguments, call the package, print."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fascicle.cli.arguments import (
+    HeartArgument,
+    OutOption,
+    StudyArgument,
+    explicit,
+    settings_options,
+    with_scenario,
+)
+from fascicle.cli.hearts import heart_app
+from fascicle.cli.printing import (
+    print_comparison,
+    print_demo,
+    print_fit,
+    print_gains,
+    print_prediction,
+    print_simulation,
+    print_sweep,
+    print_template,
+)
+from fascicle.cli.quantities import FixOption, FreeOption, fixed_values, wanted_parameters
+from fascicle.cli.quantities import parameters as parameters_command
+from fascicle.cli.recordings import print_analysis
+from fascicle.cli.recordings import target as target_command
+from fascicle.core.errors import InputError
+from fascicle.study.settings import FitSettings
+
+if TYPE_CHECKING:
+    from fascicle.forward.model import ForwardModel
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="Learn a patient's Purkinje network, with its uncertainty, from a heart model and an "
+    "ordinary 12-lead ECG, and predict from it what pacing would do.\n\n"
+    "The usual way: **heart build** from an anatomy, make a **target** of a recording, **fit**, "
+    "then **predict** and **report**. **demo** does it all on a packaged heart and a real ECG.",
+)
+app.add_typer(heart_app, name="heart")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from fascicle import __version__
+
+        print(f"fascicle {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """See the help of `app`; the version is printed before any command runs."""
+
+
+@app.command()
+def simulate(
+    heart: HeartArgument,
+    out: OutOption,
+    params: Annotated[
+        Path | None, typer.Option(help="TOML file with the twelve parameters.")
+    ] = None,
+    lv_tree: Annotated[
+        Path | None, typer.Option(help="LV tree of your own: VTU/VTP lines.")
+    ] = None,
+    rv_tree: Annotated[
+        Path | None, typer.Option(help="RV tree of your own: VTU/VTP lines.")
+    ] = None,
+    cv: Annotated[float | None, typer.Option(help="Speed in the trees (m/s).")] = None,
+    root_time: Annotated[
+        float | None, typer.Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
+    ] = None,
+    fix: FixOption = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            help="Name ('fascicle scenarios' lists them), or TOML file with stimuli, blocked or "
+            "slow segments, junction delays, scar, more trees (docs/files.md)."
+        ),
+    ] = None,
+) -> None:
+    """Run the forward model: activation map, trees, ECG, and what fired what.
+
+    From parameters (an example network if none are given; --cv, --root-time and --fix override
+    them; 'fascicle parameters' lists what there is), or from two trees that you bring. A scenario
+    adds what is beyond the heart's own beat:
+
+    ```toml
+    silent = ["lv"]                # trees whose root does not fire
+
+    [[stimulus]]                   # pacing site in the myocardium (mm, ms)
+    position = [73.4, -56.2, -39.1]
+    time = 0.0
+
+    [[slowing]]
+    tree = "rv"
+    part = "bundle"                # or "fascicle 1", "fascicle 2", or a sphere
+    speed = 0.0                    # factor on the speed; 0 blocks
+    ```
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.compile_kernels import compile_kernels
+    from fascicle.forward.model import ForwardModel
+    from fascicle.forward.scenario_files import find_scenario, read_scenario
+    from fascicle.forward.simulation_files import simulate_inputs, write_simulation
+    from fascicle.heart.conduction import Conduction
+    from fascicle.heart.folder import load_heart
+
+    overrides = fixed_values(fix, cv=cv, root_time=root_time)
+    case, regions = read_scenario(find_scenario(scenario)) if scenario is not None else (None, ())
+    loaded = load_heart(heart)
+    with TerminalProgress() as progress:
+
+        def make_model() -> ForwardModel:
+            compile_kernels(progress)
+            return ForwardModel(loaded, Conduction.of(loaded, regions), progress=progress)
+
+        simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
+    if scenario is not None:
+        inputs["scenario"] = str(scenario)
+    summary = write_simulation(loaded, simulation, out, inputs)
+    print_simulation(simulation, summary)
+    print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
+
+
+app.command(name="target")(target_command)
+app.command(name="parameters")(parameters_command)
+
+
+@app.command()
+@settings_options(
+    FitSettings,
+    first=(
+        "method",
+        "effective",
+        "evaluations",
+        "bank",
+        "gain_sd",
+        "seed",
+        "workers",
+        "fewest_junctions",
+    ),
+    panel="The paper's method",
+    also={"free_gain": "--gain"},
+)
+def fit(
+    context: typer.Context,
+    heart: HeartArgument,
+    targets: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="TARGET[:SCENARIO]...",
+            help="Target made by 'fascicle target', with the scenario file (TOML) that it was "
+            "recorded in if it was not the intrinsic beat; or several of one heart.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
+    settings_file: Annotated[
+        Path | None, typer.Option("--settings", help="TOML file of settings and parameters.")
+    ] = None,
+    free: FreeOption = None,
+    fix: FixOption = None,
+    **settings: Any,
+) -> None:
+    """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
+
+    Of several recordings, such as of the intrinsic beat and paced from a known site
+    ('fascicle fit HEART intrinsic.nc rv-paced.nc:rv.toml --out STUDY'), all must be explained by
+    the same networks; how much the others narrow what the first leaves open is said.
+
+    The posterior is sampled in two independent runs; the first line of the result says whether they
+    agree, and whether the model explains the recording.
+
+    Every evaluation is kept as soon as it is done. Interrupt it whenever you like; the same command
+    goes on where it stopped.
+
+    What is learnt, and with which priors, may also stand in a settings file ('fascicle parameters'
+    lists what there is):
+
+    ```toml
+    effective = 500
+
+    [parameters]
+    cv = 2.5                                                      # fixed
+    alpha = { prior = "log-normal", median = 0.07, sd = 0.2 }
+    root_time = { lower = -120.0, upper = 0.0 }                   # uniform
+    endocardial_speed = "free"
+    endocardial_layer = 1.5
+    ```
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.study.fit import fit as run_fit
+    from fascicle.study.space import PARAMETERS, read_settings
+
+    given = read_settings(settings_file) if settings_file is not None else {}
+    learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
+    given |= explicit(context, settings)
+    with _resumable(out), TerminalProgress() as progress:
+        recordings: list[Any] = [with_scenario(target) for target in targets]
+        fitted = run_fit(heart, recordings, out, parameters=learnt, progress=progress, **given)
+    print_fit(fitted)
+    print(f"study in {out}; figures: fascicle report {out}")
+
+
+@app.command()
+def predict(
+    study: StudyArgument,
+    out: OutOption,
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
+            "given several times. Without one: his-pacing, both roots fired together."
+        ),
+    ] = None,
+) -> None:
+    """Predict pacings, blocks and ectopic beats with every network of the population.
+
+    Each is set beside the heart's own beat: QRS duration, activation times, dyssynchrony, QRS area
+    and more (docs/predictions.md), twelve-lead ECGs as the recorder would have them, activation
+    maps. Intervals are those of the networks, so of what the ECG leaves open.
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.prediction.scenarios import predict as predict_scenarios
+    from fascicle.prediction.scenarios import prior_networks, simulate_scenarios
+    from fascicle.reporting.prediction import write_prediction
+    from fascicle.study.fit import load_study
+    from fascicle.study.population import Posterior
+
+    scenarios, prior = read_scenarios(scenario or ["his-pacing"]), None
+    with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
+        predicted = predict_scenarios(fitted, scenarios, progress)
+        write_prediction(fitted, predicted, out)
+        if isinstance(fitted.population, Posterior) and fitted.population.converged:
+            networks = prior_networks(fitted.problem, progress)
+            prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")
+    print(f"result                 {fitted.verdict}")
+    print_prediction(predicted, prior)
+    print(f"prediction in {out}")
+
+
+@app.command()
+def compare(
+    study: StudyArgument,
+    first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
+    second: Annotated[str, typer.Argument(help="The one it is compared with.")],
+    index: Annotated[
+        str, typer.Option(help="Index whose gain is explained; less is better.")
+    ] = "total_activation_time",
+    threshold: Annotated[
+        float, typer.Option(help="Gain that matters, in the unit of the index.")
+    ] = 0.0,
+) -> None:
+    """Say how probably one scenario is better than another, by how much, and what leaves it open.
+
+    Every network of the population decides for itself; 'intrinsic' is the heart's own beat. All
+    indices are shown, since they may disagree.
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.prediction.comparison import PACED, check_index
+    from fascicle.prediction.scenarios import predict as predict_scenarios
+    from fascicle.study.fit import load_study
+
+    check_index(index)
+    wanted = read_scenarios([first, second])
+    with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
+        measured = read_scenarios([PACED]) | wanted
+        predicted = predict_scenarios(fitted, measured, progress)
+    print(f"result                 {fitted.verdict}")
+    print_comparison(list(wanted), predicted, index, threshold, fitted.population.values)
+
+
+@app.command()
+def sweep(
+    study: StudyArgument,
+    scenario: Annotated[str, typer.Argument(help="Scenario to vary, by name or file.")],
+    out: OutOption,
+    delay: Annotated[
+        str | None,
+        typer.Option(help="Delays of the last stimulus after the first: first:last:step (ms)."),
+    ] = None,
+    layer: Annotated[
+        str | None,
+        typer.Option(
+            "--segments",
+            help="Move the last stimulus of the tissue over all 17 segments of the left ventricle, "
+            "under this layer: endocardium or epicardium.",
+        ),
+    ] = None,
+    radius: Annotated[
+        str | None,
+        typer.Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm)."),
+    ] = None,
+    index: Annotated[str, typer.Option(help="Index to draw.")] = "total_activation_time",
+    networks: Annotated[int, typer.Option(min=2, help="Networks of the population to use.")] = 60,
+) -> None:
+    """Vary a delay, a site or a capture radius in networks of the population.
+
+    Biventricular pacing with the left side up to 60 ms before and after the right one:
+
+        fascicle sweep STUDY biventricular-pacing --delay=-60:60:10 --out SWEEP
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.prediction.comparison import check_index
+    from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
+    from fascicle.reporting.sweep import write_sweep
+    from fascicle.study.fit import load_study
+
+    check_index(index)
+    (case,) = read_scenarios([scenario]).values()
+    ways = {delays: delay, segments: layer, radii: radius}
+    asked = [(vary, how) for vary, how in ways.items() if how is not None]
+    if len(asked) != 1:
+        raise InputError("give one of --delay, --segments and --radius: what is to vary")
+    ((vary, how),) = asked
+    family = vary(case, how)
+    with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
+        swept = simulate_sweep(fitted, family, networks, progress)
+        write_sweep(fitted, swept, index, out)
+    print(f"result                 {fitted.verdict}")
+    print_sweep(swept, index)
+    print(f"sweep in {out}")
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that come with fascicle, for `predict` and `simulate`."""
+    from fascicle.forward.scenario_files import library, read_scenario
+
+    for name, path in library().items():
+        case, _ = read_scenario(path)
+        print(f"{name:<34}{case.description}")
+
+
+@app.command()
+def report(
+    study: StudyArgument,
+    scenario: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
+            "given several times. Without one: three pacings."
+        ),
+    ] = None,
+    against: Annotated[
+        str, typer.Option(help="The one of them that all are compared with, such as a block.")
+    ] = "intrinsic",
+    out: Annotated[
+        Path | None, typer.Option("--out", help="HTML file; report.html in the study.")
+    ] = None,
+    figures: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Also write the figures into the study's folder, as png, svg or pdf; may be given "
+            "several times."
+        ),
+    ] = None,
+) -> None:
+    """Write what a study found as one HTML file that opens offline.
+
+    First the answer in words; then the recorded and the predicted ECG, a heart to turn with the
+    activation of every scenario, the scenarios compared, parameters, convergence, inputs.
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.scenario_files import read_scenarios
+    from fascicle.reporting.page.page import PACINGS
+    from fascicle.reporting.page.page import report as write_report
+    from fascicle.reporting.study import check_kinds
+    from fascicle.study.fit import load_study
+
+    kinds, wanted = figures or [], read_scenarios(scenario or PACINGS)
+    check_kinds(kinds)
+    with TerminalProgress() as progress:
+        fitted = load_study(study, progress)
+        page, *drawn = write_report(fitted, wanted, out, progress, kinds, against)
+    print(f"result                 {fitted.verdict}")
+    for path in (*drawn, page.resolve().as_uri()):
+        print(path)
+
+
+@app.command()
+def template(
+    out: Annotated[Path, typer.Option("--out", help="Picture to write (PNG, PDF, SVG).")] = Path(
+        "template.png"
+    ),
+) -> None:
+    """Draw the action potentials that ECGs are computed from, and print their measures.
+
+    They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
+    """
+    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.reporting.figures import check_picture, save
+    from fascicle.reporting.template import template_figure
+
+    check_picture(out)
+    with TerminalProgress() as progress:
+        figure, measures = template_figure(progress)
+    save(figure, out)
+    print_template(measures)
+    print(f"picture: {out}")
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
+    free_gain: Annotated[
+        bool, typer.Option(help="Scale each simulated ECG: heart and body are not the patient's.")
+    ] = True,
+) -> None:
+    """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
+    from fascicle.cli.demo import BLOCK, demo_recording, run_demo
+    from fascicle.cli.terminal_progress import TerminalProgress
+
+    print("heart      packaged idealised adult heart")
+    print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
+    with _resumable(out), TerminalProgress() as progress:
+        analysis, fitted, predicted = run_demo(out, progress, free_gain=free_gain)
+    print_analysis(analysis)
+    print_fit(fitted)
+    print_prediction(predicted)
+    print_gains(predicted, BLOCK)
+    print_demo(out)
+
+
+@contextmanager
+def _resumable(out: Path) -> Iterator[None]:
+    """Say on Ctrl-C that nothing is lost; 130 is what shells expect then."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(
+            f"interrupted; what was evaluated is kept in {out}, and the same command goes on",
+            file=sys.stderr,
+        )
+        raise typer.Exit(130) from None

@@ -1,0 +1,93 @@
+"""Ctrl-C and SIGTERM: they end the program within two seconds, with nothing half-written.
+
+Python tells of a signal between two of its own instructions only, which may be minutes away while
+compiled code runs. A thread hears of it at once, and ends the process if that does not end by
+itself.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import NoReturn
+
+from fascicle.core.files import remove_unfinished
+
+GRACE = 1.5  # s, in which what is running may end by itself
+
+
+@dataclass
+class Interruption:
+    """Whether the program was asked to end.
+
+    Attributes
+    ----------
+    number : int, optional
+        The signal that asked for it.
+    over : Event
+        Set when the program has ended by itself.
+    """
+
+    number: int | None = None
+    over: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def asked(self) -> bool:
+        """Whether it was."""
+        return self.number is not None
+
+    @property
+    def status(self) -> int:
+        """Exit status that a shell gives to it."""
+        return 128 + (signal.SIGINT if self.number is None else self.number)
+
+    def interrupt(self, number: int, frame: FrameType | None) -> NoReturn:
+        """End what the main thread does, as Ctrl-C does in Python."""
+        self.number = number
+        raise KeyboardInterrupt
+
+    def terminate(self, number: int, frame: FrameType | None) -> NoReturn:
+        """End what the main thread does, so that temporary files are removed."""
+        self.number = number
+        sys.exit(self.status)
+
+    def watch(self, reader: int) -> None:
+        """End the process `GRACE` after a signal whose number comes through a pipe."""
+        while (told := os.read(reader, 1)) != b"":
+            if told[0] in (signal.SIGINT, signal.SIGTERM) and not self.over.wait(GRACE):
+                remove_unfinished()
+                os._exit(128 + told[0])
+
+
+@contextmanager
+def ended_promptly() -> Iterator[Interruption]:
+    """End the process within two seconds when it is asked to while the block runs.
+
+    Ctrl-C stays ignored where it is, as in a shell's background job.
+    """
+    interruption = Interruption()
+    handlers = {signal.SIGTERM: interruption.terminate, signal.SIGINT: interruption.interrupt}
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        del handlers[signal.SIGINT]
+    before = {number: signal.signal(number, each) for number, each in handlers.items()}
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    thread = threading.Thread(target=interruption.watch, args=(reader,), daemon=True)
+    thread.start()
+    try:
+        yield interruption
+    finally:
+        interruption.over.set()
+        signal.set_wakeup_fd(woken)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(writer)
+        thread.join()
+        os.close(reader)
