@@ -99,6 +99,28 @@ def test_a_moved_study_goes_on_with_what_it_holds(study, tmp_path):
         np.testing.assert_array_equal(again.population.values[name], values)
 
 
+DAMAGE = {
+    "target.nc": lambda path: path.write_bytes(path.read_bytes()[:-2000]),
+    "heart/mesh.vtu": lambda path: path.write_bytes(path.read_bytes()[:50_000]),
+    "heart/heart.toml": lambda path: path.write_text("name = 3"),
+    "heart/electrodes.csv": lambda path: path.unlink(),
+    "scenario.toml": lambda path: path.write_text("silent = ['rv']"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_copies_are_restored(study, target, tmp_path, name):
+    """What a study keeps of its heart and recording, when it is fitted again."""
+    copied = shutil.copytree(study.folder, tmp_path / "copied")
+    DAMAGE[name](copied / name)
+    with pytest.raises(fascicle.InputError):
+        load_study(copied)
+    fascicle.fit("default", target, copied, **BUDGET)
+    again = load_study(copied)
+    for parameter, values in study.population.values.items():
+        np.testing.assert_array_equal(again.population.values[parameter], values)
+
+
 def test_a_study_of_another_target_is_refused(study, target):
     other = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
     with pytest.raises(fascicle.InputError, match=r"holds a study with another target"):

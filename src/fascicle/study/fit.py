@@ -115,7 +115,7 @@ def fit(
     _check_scenarios(problem)
     with study_lock(folder):
         study = Study.create_or_resume(folder, config, progress)
-        if not (folder / HEART).exists():
+        if not _holds(folder / HEART, heart):
             write_heart(heart, folder / HEART)
         write_recordings(folder, recordings)
         if config.method == "posterior":
@@ -156,6 +156,14 @@ def _check_scenarios(problem: Problem) -> None:
         for point in prior_points(len(each.space), FEWEST):
             if isinstance(each.simulate([point])[0], Simulation):
                 break
+
+
+def _holds(folder: Path, heart: Heart) -> bool:
+    """Whether a folder holds a heart, undamaged."""
+    try:
+        return load_heart(folder).digest == heart.digest
+    except InputError:
+        return False
 
 
 def _hashes(recordings: Sequence[Recording]) -> dict[str, Any]:

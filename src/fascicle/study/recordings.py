@@ -72,23 +72,34 @@ def _recording(given: Given) -> Recording:
 
 
 def write_recordings(folder: Path, recordings: Sequence[Recording]) -> None:
-    """Keep recordings in a study's folder, where they are not kept yet."""
+    """Keep recordings in a study's folder, where they are not kept yet, or are damaged."""
     for number, recording in enumerate(recordings, 1):
         target, scenario = _paths(folder, number)
-        if not target.exists():
-            write_target(recording.target, target)
-        if recording.scenario is not None and not scenario.exists():
+        if _kept(target, scenario) == recording.digests:
+            continue
+        write_target(recording.target, target)
+        if recording.scenario is not None:
             write_text(scenario, scenario_text(recording.scenario))
+        else:
+            scenario.unlink(missing_ok=True)
+
+
+def _kept(target: Path, scenario: Path) -> tuple[str, str] | None:
+    """Digests of what is kept, if it can be read."""
+    try:
+        return _read(target, scenario).digests
+    except InputError:
+        return None
+
+
+def _read(target: Path, scenario: Path) -> Recording:
+    there = read_scenario(scenario)[0] if scenario.exists() else None
+    return Recording(read_target(target), there)
 
 
 def read_recordings(folder: Path, count: int) -> list[Recording]:
     """Read what `write_recordings` has written."""
-    found = []
-    for number in range(1, count + 1):
-        target, scenario = _paths(folder, number)
-        there = read_scenario(scenario)[0] if scenario.exists() else None
-        found.append(Recording(read_target(target), there))
-    return found
+    return [_read(*_paths(folder, number)) for number in range(1, count + 1)]
 
 
 def _paths(folder: Path, number: int) -> tuple[Path, Path]:
