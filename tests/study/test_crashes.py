@@ -15,7 +15,7 @@ import pytest
 
 from fascicle import cli
 from fascicle.core.errors import InputError
-from fascicle.study.evaluations import DamagedStoreError
+from fascicle.study.evaluations import DamagedStoreError, Database
 from fascicle.study.interruption import interrupted_afterwards
 from fascicle.study.lock import HOLDER, LOCK
 from fascicle.study.study import CHECKED, Study
@@ -236,11 +236,37 @@ def test_a_page_of_rubbish(study, whole, seed):
     repaired(study, whole)
 
 
-def test_most_of_the_file(study, whole):
+@pytest.mark.parametrize("share", [0.7, 0.9, 0.97, 0.99, 0.999])
+def test_most_of_the_file(study, whole, share):
     content = (study / STORE).read_bytes()
-    (study / STORE).write_bytes(content[: int(0.7 * len(content))])
+    (study / STORE).write_bytes(content[: int(share * len(content))])
+    with pytest.raises(DamagedStoreError, match=r"; run 'fascicle fit'"):
+        Study.open(study).records()
     stored, total = repaired(study, whole)
     assert 0 < stored < total
+
+
+def test_damage_is_said_in_one_line_wherever_it_is(study):
+    """Also in texts, which then are no UTF-8, and where pages and tables are described."""
+    rng = np.random.default_rng(0)
+    whole = np.frombuffer((study / STORE).read_bytes(), dtype=np.uint8)
+    said = set()
+    for trial in range(120):
+        content = whole.copy()
+        reach = len(content) if trial % 2 else 4 * 4096
+        content[rng.integers(reach, size=10)] = rng.integers(256, size=10)
+        (study / STORE).write_bytes(content)
+        database = Database(study / STORE)
+        for read in (database.check, database.records, database.prepare):
+            try:
+                read()
+            except DamagedStoreError as error:
+                said.add(str(error))
+        database.mend()
+        database.check()
+    assert len(said) > 5
+    assert any("utf-8" in each or "UTF-8" in each for each in said)
+    assert all(each.isprintable() for each in said)
 
 
 @pytest.mark.parametrize("content", [b"not a database" * 100, b""])

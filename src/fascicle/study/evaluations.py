@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import atomic_path
 from fascicle.inference.evaluation import Evaluation, Objective
 from fascicle.study.interruption import interrupted_afterwards
@@ -49,6 +49,8 @@ NOT_ITS_CONTENT = (  # errors of SQLite that are not about what is in the file
     sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY,
 )  # fmt: skip
+# of a damaged file; the second of texts in it, also in what SQLite says of it
+UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)
 SMALLEST_ROW = 32  # bytes in the file, less than any row takes
 TABLES = {
     "evaluations": "stage TEXT NOT NULL, point BLOB NOT NULL, loss REAL, "
@@ -90,7 +92,7 @@ class Database:
         with self._transaction() as connection:
             (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
             if verdict != "ok":
-                raise DamagedStoreError(f"{self.path}: {verdict}")
+                raise DamagedStoreError(f"{self.path}: {one_line(verdict)}; {MENDED}")
             for name in TABLES:
                 for row in connection.execute(f"SELECT * FROM {name}"):
                     self._checked(row)
@@ -184,10 +186,10 @@ class Database:
                 connection.execute("PRAGMA synchronous = FULL")
                 with connection:
                     yield connection
-        except sqlite3.DatabaseError as error:
+        except UNREADABLE as error:
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)
             if code & 0xFF not in NOT_ITS_CONTENT:  # the lowest byte is the primary code
-                raise DamagedStoreError(f"{self.path}: {error}; {MENDED}") from error
+                raise DamagedStoreError(f"{self.path}: {one_line(error)}; {MENDED}") from error
             raise InputError(
                 f"{self.path}: {error}; see that the disk has space, that the file can be written, "
                 "and that nothing else uses it; the same command then goes on"
@@ -203,7 +205,7 @@ def _readable(path: Path, table: str) -> Iterator[Row]:
             try:
                 query = f"SELECT * FROM {table} WHERE rowid = ?"
                 row = connection.execute(query, (number,)).fetchone()
-            except sqlite3.DatabaseError:
+            except UNREADABLE:
                 continue
             if row is not None and _sound(row):
                 yield row[:-1]
