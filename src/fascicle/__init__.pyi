@@ -1,6 +1,7 @@
 # The public names: for type checkers, and for `__init__.py`, which loads each when it is used.
 from . import plot as plot
 from .core.errors import InputError as InputError
+from .core.files import outside_allowed as outside_allowed
 from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES

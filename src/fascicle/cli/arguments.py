@@ -17,7 +17,7 @@ HeartArgument = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
 
-Command = TypeVar("Command", bound=Callable[..., None])
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def settings_options(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +20,9 @@ from fascicle.cli.arguments import (
     with_scenario,
 )
 from fascicle.cli.hearts import heart_app
+from fascicle.cli.output import Result, every_command
 from fascicle.cli.printing import (
+    comparison_result,
     print_comparison,
     print_demo,
     print_fit,
@@ -41,7 +44,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     help="Learn a patient's Purkinje network, with its uncertainty, from a heart model and an "
@@ -73,6 +75,7 @@ def _options(
 
 
 @app.command()
+@every_command
 def simulate(
     heart: HeartArgument,
     out: OutOption,
@@ -97,7 +100,7 @@ def simulate(
             "slow segments, junction delays, scar, more trees (docs/files.md)."
         ),
     ] = None,
-) -> None:
+) -> Result:
     """Run the forward model: activation map, trees, ECG, and what fired what.
 
     From parameters (an example network if none are given; --cv, --root-time and --fix override
@@ -140,13 +143,15 @@ def simulate(
     summary = write_simulation(loaded, simulation, out, inputs)
     print_simulation(simulation, summary)
     print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
+    return {"folder": out} | summary
 
 
-app.command(name="target")(target_command)
-app.command(name="parameters")(parameters_command)
+app.command(name="target")(every_command(target_command))
+app.command(name="parameters")(every_command(parameters_command))
 
 
 @app.command()
+@every_command
 @settings_options(
     FitSettings,
     first=(
@@ -180,7 +185,7 @@ def fit(
     free: FreeOption = None,
     fix: FixOption = None,
     **settings: Any,
-) -> None:
+) -> Result:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
 
     Of several recordings, such as of the intrinsic beat and paced from a known site
@@ -219,9 +224,11 @@ def fit(
         fitted = run_fit(heart, recordings, out, parameters=learnt, progress=progress, **given)
     print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")
+    return _written(out)
 
 
 @app.command()
+@every_command
 def predict(
     study: StudyArgument,
     out: OutOption,
@@ -232,7 +239,7 @@ def predict(
             "given several times. Without one: his-pacing, both roots fired together."
         ),
     ] = None,
-) -> None:
+) -> Result:
     """Predict pacings, blocks and ectopic beats with every network of the population.
 
     Each is set beside the heart's own beat: QRS duration, activation times, dyssynchrony, QRS area
@@ -258,9 +265,11 @@ def predict(
     print(f"result                 {fitted.verdict}")
     print_prediction(predicted, prior)
     print(f"prediction in {out}")
+    return _written(out)
 
 
 @app.command()
+@every_command
 def compare(
     study: StudyArgument,
     first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
@@ -271,7 +280,7 @@ def compare(
     threshold: Annotated[
         float, typer.Option(help="Gain that matters, in the unit of the index.")
     ] = 0.0,
-) -> None:
+) -> Result:
     """Say how probably one scenario is better than another, by how much, and what leaves it open.
 
     Every network of the population decides for itself; 'intrinsic' is the heart's own beat. All
@@ -290,10 +299,14 @@ def compare(
         measured = read_scenarios([PACED]) | wanted
         predicted = predict_scenarios(fitted, measured, progress)
     print(f"result                 {fitted.verdict}")
-    print_comparison(list(wanted), predicted, index, threshold, fitted.population.values)
+    names, parameters = list(wanted), fitted.population.values
+    print_comparison(names, predicted, index, threshold, parameters)
+    found = comparison_result(names, predicted, index, threshold, parameters)
+    return {"verdict": fitted.verdict} | found
 
 
 @app.command()
+@every_command
 def sweep(
     study: StudyArgument,
     scenario: Annotated[str, typer.Argument(help="Scenario to vary, by name or file.")],
@@ -316,7 +329,7 @@ def sweep(
     ] = None,
     index: Annotated[str, typer.Option(help="Index to draw.")] = "total_activation_time",
     networks: Annotated[int, typer.Option(min=2, help="Networks of the population to use.")] = 60,
-) -> None:
+) -> Result:
     """Vary a delay, a site or a capture radius in networks of the population.
 
     Biventricular pacing with the left side up to 60 ms before and after the right one:
@@ -345,19 +358,23 @@ def sweep(
     print(f"result                 {fitted.verdict}")
     print_sweep(swept, index)
     print(f"sweep in {out}")
+    return _written(out)
 
 
 @app.command()
-def scenarios() -> None:
+@every_command
+def scenarios() -> Result:
     """List the scenarios that come with fascicle, for `predict` and `simulate`."""
     from fascicle.forward.scenario_files import library, read_scenario
 
-    for name, path in library().items():
-        case, _ = read_scenario(path)
-        print(f"{name:<34}{case.description}")
+    found = {name: read_scenario(path)[0].description for name, path in library().items()}
+    for name, description in found.items():
+        print(f"{name:<34}{description}")
+    return found
 
 
 @app.command()
+@every_command
 def report(
     study: StudyArgument,
     scenario: Annotated[
@@ -380,7 +397,7 @@ def report(
             "several times."
         ),
     ] = None,
-) -> None:
+) -> Result:
     """Write what a study found as one HTML file that opens offline.
 
     First the answer in words; then the recorded and the predicted ECG, a heart to turn with the
@@ -401,14 +418,16 @@ def report(
     print(f"result                 {fitted.verdict}")
     for path in (*drawn, page.resolve().as_uri()):
         print(path)
+    return {"verdict": fitted.verdict, "page": page, "figures": drawn}
 
 
 @app.command()
+@every_command
 def template(
     out: Annotated[Path, typer.Option("--out", help="Picture to write (PNG, PDF, SVG).")] = Path(
         "template.png"
     ),
-) -> None:
+) -> Result:
     """Draw the action potentials that ECGs are computed from, and print their measures.
 
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
@@ -423,15 +442,17 @@ def template(
     save(figure, out)
     print_template(measures)
     print(f"picture: {out}")
+    return {"picture": out, "measures": measures}
 
 
 @app.command()
+@every_command
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
     free_gain: Annotated[
         bool, typer.Option(help="Scale each simulated ECG: heart and body are not the patient's.")
     ] = True,
-) -> None:
+) -> Result:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
     from fascicle.cli.demo import BLOCK, demo_recording, run_demo
     from fascicle.cli.terminal_progress import TerminalProgress
@@ -445,6 +466,14 @@ def demo(
     print_prediction(predicted)
     print_gains(predicted, BLOCK)
     print_demo(out)
+    parts = ("study", "pacings")
+    return {"folder": out, "page": out / "report.html"} | {p: _written(out / p) for p in parts}
+
+
+def _written(folder: Path) -> Result:
+    """The summary that a command has just written into its folder."""
+    content: Result = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return content
 
 
 @contextmanager

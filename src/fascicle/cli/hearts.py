@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from fascicle.cli import heart_options as options
 from fascicle.cli.arguments import HeartArgument, OutOption
+from fascicle.cli.output import Result, every_command
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ heart_app = typer.Typer(
 
 
 @heart_app.command("build")
+@every_command
 def heart_build(
     anatomy: options.AnatomyArgument = None,
     out: options.NamedOutOption = None,
@@ -51,7 +53,7 @@ def heart_build(
     lv_direction: options.SeedOption = None,
     rv_root: options.SeedOption = None,
     rv_direction: options.SeedOption = None,
-) -> None:
+) -> Result:
     """Build a heart folder from an anatomy: mesh, fibres, seeds, torso, electrodes, lead fields.
 
     One closed surface, with or without labels; separate surfaces; a segmentation; or a mesh of
@@ -96,12 +98,14 @@ def heart_build(
         )
     for note in built.notes:
         print(note)
-    _write_and_check(built.heart, folder)
+    found = _write_and_check(built.heart, folder)
     if built.anatomy.guessed:
         _draw_labels(built.anatomy.mesh, folder)
+    return found | {"notes": built.notes}
 
 
 @heart_app.command("import")
+@every_command
 def heart_import(
     mesh: Annotated[Path, typer.Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
     fibres: Annotated[Path, typer.Option(help="Fibres, one vector a point or a tetrahedron.")],
@@ -119,7 +123,7 @@ def heart_import(
     lv_direction: options.SeedOption = None,
     rv_root: options.SeedOption = None,
     rv_direction: options.SeedOption = None,
-) -> None:
+) -> Result:
     """Make a heart folder of finished parts: mesh, fibres, endocardia, electrodes.
 
     Surfaces may be VTK, VTP, OBJ, STL, PLY or Gmsh. Fibres are matched by position, so their
@@ -152,17 +156,19 @@ def heart_import(
         heart, notes = in_body(heart, labelled_mesh(heart), body, progress)
     for note in notes:
         print(note)
-    _write_and_check(heart, out, {"lv": lv_endocardium, "rv": rv_endocardium})
+    found = _write_and_check(heart, out, {"lv": lv_endocardium, "rv": rv_endocardium})
+    return found | {"notes": notes}
 
 
 @heart_app.command("check")
+@every_command
 def heart_check(
     heart: HeartArgument,
     picture: Annotated[
         Path | None,
         typer.Option(help="Picture to write (PNG, PDF, SVG); otherwise check.png in the folder."),
     ] = None,
-) -> None:
+) -> Result:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
     from fascicle.heart.folder import PICTURE, load_heart
     from fascicle.reporting.figures import check_picture
@@ -173,11 +179,12 @@ def heart_check(
     charts = _growable_charts(loaded, {"lv": heart, "rv": heart})
     if picture is None and Path(heart).is_dir():  # the packaged heart has no place for one
         picture = Path(heart) / PICTURE
-    _check(loaded, charts, picture)
+    return _check(loaded, charts, picture)
 
 
 @heart_app.command("refine")
-def heart_refine(heart: HeartArgument, out: OutOption) -> None:
+@every_command
+def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     """Cut every tetrahedron of a heart into eight, and say what that costs.
 
     Activation times, and the ECG with them, have an error that halves with the edge length; see
@@ -192,7 +199,7 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> None:
     coarse = load_heart(heart)
     with TerminalProgress() as progress:
         finer = refined(coarse, progress)
-    _write_and_check(finer, out)
+    found = _write_and_check(finer, out)
     hearts = coarse, load_heart(out)  # what is prepared for it is then kept beside it
     with TerminalProgress() as progress:
         costs = [_forward_run_time(each, progress) for each in hearts]
@@ -204,9 +211,11 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> None:
     print(f"{'':<18} {'before':>9} {'after':>9}")
     for what, (before, after) in rows.items():
         print(f"{what:<18} {before:>9} {after:>9}")
+    return found | {"forward_run_ms": dict(zip(("before", "after"), costs, strict=True))}
 
 
 @heart_app.command("bank")
+@every_command
 def heart_bank(
     heart: HeartArgument,
     networks: Annotated[
@@ -218,7 +227,7 @@ def heart_bank(
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Simulations at a time; one a core.")
     ] = None,
-) -> None:
+) -> Result:
     """Simulate networks of the prior once, so that fits of this heart are done sooner.
 
     The bank is kept in the heart's folder and serves every recording, as long as the fit learns the
@@ -231,9 +240,11 @@ def heart_bank(
     with TerminalProgress() as progress:
         folder = make_bank(heart, networks, workers=workers, progress=progress)
     print(f"bank in {folder}")
+    return {"bank": folder}
 
 
 @heart_app.command("export")
+@every_command
 def heart_export(
     heart: HeartArgument,
     out: OutOption,
@@ -241,25 +252,27 @@ def heart_export(
         Literal["opencarp", "gmsh", "vtu"],
         typer.Option("--format", help="openCARP in µm, Gmsh and VTU in mm."),
     ] = "opencarp",
-) -> None:
+) -> Result:
     """Write a heart for other software: mesh, fibres, sheets, regions, endocardia, electrodes."""
     from fascicle.build.export import export_heart
     from fascicle.heart.folder import load_heart
 
     export_heart(load_heart(heart), out, kind)
     print(f"written to {out}")
+    return {"folder": out, "format": kind}
 
 
 def _write_and_check(
     heart: Heart, folder: Path, sources: Mapping[str, object] | None = None
-) -> None:
+) -> dict[str, Any]:
     """Write a heart folder with its picture in it, and print what it holds."""
     from fascicle.heart.folder import PICTURE, write_heart
 
     charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
-    _check(heart, charts, folder / PICTURE)
+    found = _check(heart, charts, folder / PICTURE)
     print(f"heart written to {folder}")
+    return {"folder": folder} | found
 
 
 def _forward_run_time(heart: Heart, progress: Progress) -> float | None:
@@ -283,7 +296,7 @@ def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
     )
 
 
-def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> None:
+def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> dict[str, Any]:
     from fascicle.build.check import check_heart
     from fascicle.reporting.check import check_figure
     from fascicle.reporting.figures import save
@@ -299,6 +312,13 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> N
         print(f"picture: {picture}")
     count = len(found.warnings)
     print(f"{count} warning{'s' * (count > 1)}" if count else "no problem found")
+    found_rows = dict(found.rows)
+    return {
+        "heart": heart.name,
+        "found": found_rows,
+        "warnings": found.warnings,
+        "picture": picture,
+    }
 
 
 def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:

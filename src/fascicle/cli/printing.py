@@ -176,6 +176,43 @@ def print_comparison(
         print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
 
 
+def comparison_result(
+    names: Sequence[str],
+    predicted: Mapping[str, Predicted],
+    index: str,
+    threshold: float,
+    parameters: Mapping[str, Floats],
+) -> dict[str, Any]:
+    """What `print_comparison` prints, as a program wants it."""
+    from fascicle.prediction.comparison import COMPARED, compare
+
+    one, other = (predicted[name] for name in names)
+    compared = {name: compare(one, other, name) for name in COMPARED}
+    chosen = compared[index]
+    return {
+        "scenarios": list(names),
+        "networks": len(one.beats),
+        "indices": {
+            name: {
+                "unit": found.unit,
+                "probability": found.probability(),
+                "mean_gain": found.expected,
+                "gain_5_95_%": found.interval,
+            }
+            for name, found in compared.items()
+        },
+        "index": index,
+        "threshold": threshold,
+        "probability": chosen.probability(threshold),
+        "standard_error": chosen.standard_error(threshold),
+        "left_open_by": dict(chosen.left_open_by(parameters)),
+        "would_help": [
+            {"scenario": scenario, "index": what, "share": share}
+            for scenario, what, share in chosen.would_help(predicted)
+        ],
+    }
+
+
 def print_sweep(swept: Swept, index: str) -> None:
     """Print an index of every scenario of a sweep, and how often each is the best."""
     import numpy as np

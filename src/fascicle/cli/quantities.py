@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from fascicle.cli.output import Result
 from fascicle.core.errors import InputError
 
 FixOption = Annotated[
@@ -66,7 +67,7 @@ def wanted_parameters(free: Sequence[str] | None, fix: Sequence[str] | None) -> 
     return {**dict.fromkeys(free or (), FREE), **fixed}
 
 
-def parameters() -> None:
+def parameters() -> Result:
     """List every quantity of the model: unit, default, range that is searched, meaning.
 
     Any of them can be fixed in `simulate` and `fit` (--fix NAME=VALUE), and learnt (--free NAME)
@@ -94,6 +95,16 @@ def parameters() -> None:
     rich.print(table)
     print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
     print(f"Fascicles are numbered 1 to at most {MOST_FASCICLES}; regions by their labels.")
+    return [
+        {
+            "name": known.name,
+            "unit": known.unit,
+            "default": known.default,
+            "searched": None if known.whole else known.searched,
+            "meaning": known.meaning,
+        }
+        for known in QUANTITIES.values()
+    ]
 
 
 def _repeats(name: str) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fascicle.cli.output import Result
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def target(
     lowpass: Lowpass = None,
     notch: Notch = None,
     recorder_lowpass: RecorderLowpass = None,
-) -> None:
+) -> Result:
     """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
 
     Beats are found, sorted by shape and aligned; those of the commonest shape (class A) make the
@@ -152,6 +153,7 @@ def target(
     print_analysis(analysis)
     _line("target", str(out))
     _line("picture", str(picture))
+    return {"target": out, "picture": picture} | _result(analysis)
 
 
 def _corrected(
@@ -222,6 +224,31 @@ def print_analysis(analysis: Analysis) -> None:
                 f"at {beat.time:.2f} s, class {beat.label}: {beat.why_unused}",
             )
     _print_target(analysis.target)
+
+
+def _result(analysis: Analysis) -> dict[str, object]:
+    """What is printed of a target, as a program wants it."""
+    target = analysis.target
+    return {
+        "beats_used": len(target.beats),
+        "beats_found": len(analysis.beats),
+        "heart_rate_bpm": target.heart_rate,
+        "qrs_onset_ms": target.qrs_onset,
+        "qrs_offset_ms": target.qrs_offset,
+        "qrs_duration_ms": target.qrs_duration,
+        "noise_mV": target.noise,
+        "filters": [str(one) for one in target.filters],
+        "checks": {
+            finding.check.name: {
+                "value": finding.value,
+                "limit": finding.check.limit,
+                "unit": finding.check.unit,
+                "severity": finding.severity.value,
+            }
+            for finding in analysis.findings
+        },
+        "warnings": target.provenance.get("warnings", "").splitlines(),
+    }
 
 
 def _print_target(target: Target) -> None:

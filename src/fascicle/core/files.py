@@ -9,16 +9,18 @@ import tempfile
 import tomllib
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import platformdirs
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, printable
 
 CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
 _UNFINISHED: set[Path] = set()  # temporary files and folders that are being written
+_OUTSIDE_ALLOWED = ContextVar("files may name files outside their folder", default=False)
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -203,6 +205,45 @@ def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
             f"{path}: cannot read '{suffix or 'no suffix'}' as {purpose}; "
             f"use one of {', '.join(formats)}"
         )
+
+
+@contextmanager
+def outside_allowed() -> Iterator[None]:
+    """Let files name files outside their own folder while the block runs.
+
+    Hearts, scenarios and images that come from others are then trusted: whatever they name is read.
+
+    Examples
+    --------
+    >>> import fascicle
+    >>> with fascicle.outside_allowed():
+    ...     heart = fascicle.load_heart("default")
+    """
+    token = _OUTSIDE_ALLOWED.set(True)
+    try:
+        yield
+    finally:
+        _OUTSIDE_ALLOWED.reset(token)
+
+
+def named_by(file: Path, name: str) -> Path:
+    """Path of a file that another file names, from that one's folder.
+
+    Raises
+    ------
+    InputError
+        If it lies outside that folder, also by a link, unless that is allowed
+        (`outside_allowed`): a file from somebody else must not choose what is read here.
+    """
+    if "\0" in name:
+        raise InputError(f"{file}: names '{printable(name)}', which is no file; correct the name")
+    path, folder = file.parent / name, file.parent.resolve()
+    if not _OUTSIDE_ALLOWED.get() and folder not in path.resolve().parents:
+        raise InputError(
+            f"{file}: names '{printable(name)}', which lies outside its folder; copy that file "
+            "into the folder, or allow it with --allow-outside (Python: fascicle.outside_allowed())"
+        )
+    return path
 
 
 def read_toml(path: Path, remedy: str) -> dict[str, Any]:

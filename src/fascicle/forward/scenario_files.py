@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file, read_toml
+from fascicle.core.files import check_file, named_by, read_toml
 from fascicle.forward.scenario import LARGEST_RADIUS, His, Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
@@ -242,7 +242,7 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
             silent=tuple(content.silent),
             orthodromic_delay=content.delay.orthodromic,
             antidromic_delay=content.delay.antidromic,
-            trees=tuple((_read_tree(tree, path.parent), tree.time) for tree in content.tree),
+            trees=tuple((_read_tree(tree, path), tree.time) for tree in content.tree),
             his=His(**dict(content.his)) if content.his is not None else None,
             source=str(path),
             description=content.description,
@@ -284,9 +284,9 @@ def scenario_text(scenario: Scenario) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _read_tree(table: _Tree, folder: Path) -> PurkinjeTree:
+def _read_tree(table: _Tree, scenario: Path) -> PurkinjeTree:
     root = np.array(table.root)
-    tree = read_tree(folder / table.file, table.name, root)
+    tree = read_tree(named_by(scenario, str(table.file)), table.name, root)
     distance = float(np.linalg.norm(tree.nodes[tree.root] - root))
     if distance > FURTHEST_ROOT:
         raise InputError(

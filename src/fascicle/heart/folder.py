@@ -19,6 +19,7 @@ from fascicle.core.files import (
     atomic_folder,
     check_folder,
     check_nothing_lost,
+    named_by,
     read_toml,
     user_cache,
 )
@@ -104,26 +105,26 @@ def load_heart(path: Path | str) -> Heart:
             folder.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=folder)
     folder = Path(path)
-    manifest = _read_manifest(folder)
+    manifest, path = _read_manifest(folder), folder / MANIFEST
     surfaces = {"lv": manifest.lv_endocardium, "rv": manifest.rv_endocardium}
     seeds = {"lv": manifest.lv, "rv": manifest.rv}
-    mesh = read_mesh(folder / manifest.mesh, "mesh")
+    mesh = read_mesh(named_by(path, manifest.mesh), "mesh")
     heart = assemble_heart(
         mesh=mesh,
         fibres=None,
         surfaces={
-            side: read_mesh(folder / file, f"{side.upper()} endocardium")
+            side: read_mesh(named_by(path, file), f"{side.upper()} endocardium")
             for side, file in surfaces.items()
         },
         seeds={side: (points.root, points.direction) for side, points in seeds.items()},
-        electrodes=folder / manifest.electrodes,
+        electrodes=named_by(path, manifest.electrodes),
         name=manifest.name,
     )
     torso = None
     if manifest.torso is not None:
-        torso = read_torso(folder / manifest.torso, heart.vertices)
+        torso = read_torso(named_by(path, manifest.torso), heart.vertices)
     lead_fields = _lead_fields(mesh, manifest.lead_fields)
-    values = _patient_values(folder / MANIFEST, manifest.values, heart)
+    values = _patient_values(path, manifest.values, heart)
     return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields, values=values)
 
 

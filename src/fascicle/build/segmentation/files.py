@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fascicle.build.segmentation.image import Segmentation
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file
+from fascicle.core.files import check_file, named_by
 
 LONGEST = 200  # characters of what a reader says
 NRRD_FORMATS = (".nrrd", ".nhdr")
@@ -137,6 +137,9 @@ def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
     with _refusing_damage(path, nrrd.NRRDError):
         header = nrrd.read_header(str(path))
         shape = tuple(int(n) for n in header["sizes"])
+    data_file = header.get("datafile", header.get("data file"))  # as the reader looks for it
+    if data_file is not None:
+        check_file(named_by(path, data_file), (Path(data_file).suffix.lower(),), "voxels")
     _check_shape(path, shape)
     affine = _nrrd_affine(path, header)
     space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
