@@ -152,7 +152,8 @@ def run(monkeypatch, capfd):
     """Run `fascicle ...` in this process; what VTK prints by itself is captured too."""
     from fascicle.cli import main
 
-    # a slow machine takes more than a second to prepare a heart, and then says so
+    # a slow machine takes seconds to prepare a heart, and then says so
+    monkeypatch.setattr("fascicle.cli.terminal_progress.FIRST", 600.0)
     monkeypatch.setattr("fascicle.forward.eikonal.ray_travel_times.SILENCE", 600.0)
 
     def call(*arguments):

@@ -256,7 +256,7 @@ def test_pacing_together_undoes_a_delay(study):
 
 
 def test_report(study, monkeypatch, capsys):
-    asked = ["report", study.folder, "--scenario", "his-pacing", "--figures", "png"]
+    asked = ["report", study.folder, "--scenario", "his-pacing", "--format", "png"]
     assert run(monkeypatch, *asked) == 0
     verdict, *figures, page = capsys.readouterr().out.split("\n")[:-1]
     assert study.verdict in verdict
@@ -304,11 +304,11 @@ def test_gains_are_those_that_were_drawn(study):
 
 def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
     asked = ["report", study.folder, "--scenario", "his-pacing", "--out", tmp_path / "r.html"]
-    assert run(monkeypatch, *asked, "--figures", "jpg") == 2
+    assert run(monkeypatch, *asked, "--format", "jpg") == 2
     error = "error: figures cannot be drawn as 'jpg'; use png, pdf, svg\n"
     assert capsys.readouterr().err == error
     assert not (tmp_path / "r.html").exists()
-    assert run(monkeypatch, *asked, "--figures", "svg", "--figures", "pdf") == 0
+    assert run(monkeypatch, *asked, "--format", "svg", "--format", "pdf") == 0
     figures = study.folder / "figures"
     assert b"<svg" in (figures / "heart.svg").read_bytes()[:2000]
     assert (figures / "recording.pdf").read_bytes().startswith(b"%PDF")

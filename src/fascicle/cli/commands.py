@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,6 +35,7 @@ from fascicle.cli.quantities import FixOption, FreeOption, fixed_values, wanted_
 from fascicle.cli.quantities import parameters as parameters_command
 from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
+from fascicle.cli.studies import study_app, written_summary
 from fascicle.core.errors import InputError
 from fascicle.study.settings import FitSettings
 
@@ -52,6 +52,7 @@ app = typer.Typer(
     "then **predict** and **report**. **demo** does it all on a packaged heart and a real ECG.",
 )
 app.add_typer(heart_app, name="heart")
+app.add_typer(study_app, name="study")
 
 
 def _print_version(wanted: bool) -> None:
@@ -224,7 +225,7 @@ def fit(
         fitted = run_fit(heart, recordings, out, parameters=learnt, progress=progress, **given)
     print_fit(fitted)
     print(f"study in {out}; figures: fascicle report {out}")
-    return _written(out)
+    return written_summary(out)
 
 
 @app.command()
@@ -265,7 +266,7 @@ def predict(
     print(f"result                 {fitted.verdict}")
     print_prediction(predicted, prior)
     print(f"prediction in {out}")
-    return _written(out)
+    return written_summary(out)
 
 
 @app.command()
@@ -358,7 +359,7 @@ def sweep(
     print(f"result                 {fitted.verdict}")
     print_sweep(swept, index)
     print(f"sweep in {out}")
-    return _written(out)
+    return written_summary(out)
 
 
 @app.command()
@@ -393,8 +394,9 @@ def report(
     figures: Annotated[
         list[str] | None,
         typer.Option(
-            help="Also write the figures into the study's folder, as png, svg or pdf; may be given "
-            "several times."
+            "--format",
+            help="Also write the figures into the folder figures beside it, as png, svg or pdf; "
+            "may be given several times.",
         ),
     ] = None,
 ) -> Result:
@@ -467,13 +469,9 @@ def demo(
     print_gains(predicted, BLOCK)
     print_demo(out)
     parts = ("study", "pacings")
-    return {"folder": out, "page": out / "report.html"} | {p: _written(out / p) for p in parts}
-
-
-def _written(folder: Path) -> Result:
-    """The summary that a command has just written into its folder."""
-    content: Result = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    return content
+    return {"folder": out, "page": out / "report.html"} | {
+        p: written_summary(out / p) for p in parts
+    }
 
 
 @contextmanager

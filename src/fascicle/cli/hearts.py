@@ -170,15 +170,18 @@ def heart_check(
     ] = None,
 ) -> Result:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
+    from fascicle.core.files import check_writable
     from fascicle.heart.folder import PICTURE, load_heart
     from fascicle.reporting.figures import check_picture
 
     if picture is not None:
         check_picture(picture)
     loaded = load_heart(heart)
-    charts = _growable_charts(loaded, {"lv": heart, "rv": heart})
     if picture is None and Path(heart).is_dir():  # the packaged heart has no place for one
         picture = Path(heart) / PICTURE
+    if picture is not None:
+        check_writable(picture, "--picture")
+    charts = _growable_charts(loaded, {"lv": heart, "rv": heart})
     return _check(loaded, charts, picture)
 
 

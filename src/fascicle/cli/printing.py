@@ -257,7 +257,7 @@ def print_demo(out: Path) -> None:
         ("study/population.nc", "the networks' parameters and predicted ECGs (ArviZ)"),
         ("study/networks", "their trees, for ParaView"),
         ("study/activation.vtu", "activation of the best network, mean and spread over all"),
-        ("study/figures", "ECG, pair plot, activation map, convergence"),
+        ("figures", "ECG, pair plot, activation map, convergence"),
         ("pacings", "what three pacings would do for a left bundle branch block"),
     ):
         print(f"  {name:<21} {what}")

@@ -36,7 +36,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     InputError
         If nothing can be written there, or the disk is full.
     """
-    _make_parent(path)
+    check_writable(path)
     prefix = f".{path.stem.lstrip('.')}."
     with _full_disk_named(path):
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
@@ -144,18 +144,31 @@ def check_folder(folder: Path) -> None:
         raise InputError(
             f"{folder}: is the folder you are in, or holds it; give a folder of its own (--out)"
         )
-    _make_parent(folder.resolve())
+    check_writable(folder.resolve())
 
 
-def _make_parent(path: Path) -> None:
-    """Make the folder that is to hold `path`, or say why that cannot be."""
+def check_writable(path: Path, option: str = "--out") -> None:
+    """Make the folder that is to hold `path`, or say why that cannot be.
+
+    Parameters
+    ----------
+    path : Path
+        What is to be written.
+    option : str
+        How the user gives it another place.
+
+    Raises
+    ------
+    InputError
+        If nothing can be written there.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not os.access(path.parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose another place (--out)"
+            f"{path}: cannot be written ({error.strerror}); choose another place ({option})"
         ) from None
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import write_text
+from fascicle.core.files import check_writable, write_text
 from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import library
@@ -89,8 +89,8 @@ def report(
     progress : Progress, optional
         Called after each network that is simulated.
     figures : sequence of str
-        Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the study's folder
-        ``figures``.
+        Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the folder ``figures``
+        beside it.
     against : str
         The scenario that the others are compared with, if not the own beat.
 
@@ -113,9 +113,10 @@ def report(
             f"'{against}', which others are to be compared with, is none of the scenarios "
             f"{', '.join(scenarios)}"
         )
+    out = Path(out) if out is not None else fitted.folder / "report.html"
+    check_writable(out)
     networks = fitted.networks(progress)
     predicted = predict(fitted, scenarios, progress, networks)
-    out = Path(out) if out is not None else fitted.folder / "report.html"
     return write_report(fitted, networks, predicted, out, figures, against)
 
 
@@ -153,7 +154,7 @@ def write_report(
         "viewer": _file("viewer.js"),
     }
     write_text(out, _template().render(content))
-    return [out, *write_figures(drawn, fitted.folder / "figures", figures)]
+    return [out, *write_figures(drawn, out.parent / "figures", figures)]
 
 
 def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> dict[str, Any]:

@@ -1,0 +1,249 @@
+"""What every command takes: --quiet, --json, --log, --allow-outside; progress in plain lines."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fascicle.cli.output import Output, _plain
+from fascicle.cli.terminal_progress import TerminalProgress
+
+COMMANDS = (
+    "simulate", "target", "parameters", "fit", "predict", "compare", "sweep", "scenarios", "report",
+    "template", "demo", "heart build", "heart import", "heart check", "heart refine", "heart bank",
+    "heart export", "study show", "study compare",
+)  # fmt: skip
+STAMP = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d "
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_options_of_every_command(run, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "100")
+    said = run(*command.split(), "--help").out
+    for option in ("--quiet", "--json", "--log", "--allow-outside"):
+        assert option in said
+
+
+def test_there_are_no_other_commands():
+    import typer.main
+
+    from fascicle.cli.commands import app
+
+    root = typer.main.get_command(app)
+    found = []
+    for name, command in root.commands.items():
+        inner = getattr(command, "commands", None)
+        found += [name] if inner is None else [f"{name} {each}" for each in inner]
+    assert sorted(found) == sorted(COMMANDS)
+
+
+@pytest.fixture(scope="module")
+def heart(tmp_path_factory, default_heart):
+    from fascicle.heart.folder import write_heart
+
+    folder = tmp_path_factory.mktemp("hearts") / "heart"
+    write_heart(default_heart, folder)
+    return folder
+
+
+def test_json_is_all_that_is_printed(run, heart, tmp_path):
+    out = tmp_path / "s"
+    ended = run("simulate", heart, "--out", out, "--json")
+    assert ended.well
+    found = json.loads(ended.out)
+    written = json.loads((out / "summary.json").read_text())
+    assert found == {"folder": str(out)} | written
+    assert json.loads(run("scenarios", "--json").out)["his-pacing"]
+    names = [each["name"] for each in json.loads(run("parameters", "--json").out)]
+    assert "cv" in names
+    assert json.loads(run("heart", "check", heart, "--json").out)["warnings"] == []
+
+
+def test_quiet_is_silent(run, heart, tmp_path):
+    ended = run("simulate", heart, "--out", tmp_path / "s", "--quiet")
+    assert (ended.status, ended.out, ended.err) == (0, "", "")
+    assert (tmp_path / "s" / "ecg.csv").exists()
+
+
+def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
+    log = tmp_path / "a.log"
+    shown = run("simulate", heart, "--out", tmp_path / "s", "--log", log).out
+    refused(["simulate", heart, "--out", tmp_path / "t", "--cv", "-1", "--log", log], "--cv")
+    lines = log.read_text().splitlines()
+    assert all(re.match(STAMP, line) for line in lines)
+    said = [re.sub(STAMP, "", line, count=1) for line in lines]
+    assert said[0].startswith("fascicle simulate ")
+    assert said[1 : 1 + len(shown.splitlines())] == shown.splitlines()
+    assert said[-1].startswith("error: --cv")
+
+
+def test_log_that_cannot_be_written(refused, tmp_path):
+    refused(["scenarios", "--log", tmp_path], tmp_path, "--log")
+
+
+def test_plain_json():
+    found = _plain(
+        {"a": np.array([1.0, np.nan]), 2: np.float32(0.5), "p": Path("x"), "t": (1, "b")}
+    )
+    assert found == {"a": [1.0, None], "2": 0.5, "p": "x", "t": [1, "b"]}
+
+
+class TestProgress:
+    """Without a terminal."""
+
+    @pytest.fixture
+    def progress(self, monkeypatch, tmp_path):
+        monkeypatch.setattr("fascicle.cli.terminal_progress.FIRST", 0.05)
+        monkeypatch.setattr("fascicle.cli.terminal_progress.EVERY", 0.2)
+        path = tmp_path / "screen"
+        with path.open("w") as screen:
+            monkeypatch.setattr(
+                "fascicle.cli.terminal_progress.current_output", lambda: Output(screen)
+            )
+            with TerminalProgress() as progress:
+                yield progress, path.read_text
+
+    def test_lines_appear_while_it_runs(self, progress):
+        report, said = progress
+        for done in range(11):
+            report("sampling", done, 10, "all well")
+            time.sleep(0.05)
+        lines = said().splitlines()
+        assert 3 <= len(lines) <= 5  # the first, at most two between, the last
+        assert re.fullmatch(r"\d\d:\d\d:\d\d sampling \d/10, 0 s.*: all well", lines[0])
+        assert "0 s left" in lines[1]
+        assert "sampling 10/10" in lines[-1]
+
+    def test_a_stage_that_says_nothing_is_named(self, progress):
+        report, said = progress
+        report("compilation", 0, 1, "")
+        time.sleep(0.2)
+        assert "compiling (first run) 0/1" in said()
+
+    def test_what_is_done_soon_is_not_spoken_of(self, progress):
+        report, said = progress
+        for done in range(3):
+            report("preparation", done, 2, "")
+        time.sleep(0.1)
+        assert said() == ""
+
+
+class TestOutside:
+    """A file from somebody else does not choose what is read."""
+
+    @pytest.fixture
+    def secret(self, tmp_path):
+        path = tmp_path / "elsewhere" / "secret.csv"
+        path.parent.mkdir()
+        path.write_text("token,abc123\n")
+        return path
+
+    @pytest.mark.parametrize("how", ["..", "absolute", "link", "null"])
+    @pytest.mark.parametrize("part", ["electrodes", "mesh", "lv_endocardium"])
+    def test_of_a_heart(self, run, refused, heart, secret, tmp_path, how, part):
+        copied = tmp_path / "h"
+        shutil.copytree(heart, copied)
+        (copied / "linked.csv").symlink_to(secret)
+        named = {
+            "..": "../elsewhere/secret.csv", "absolute": str(secret), "link": "linked.csv",
+            "null": "a\\\\u0000b",
+        }[how]  # fmt: skip
+        manifest = copied / "heart.toml"
+        text = re.sub(rf'(?m)^{part} = ".*"', f'{part} = "{named}"', manifest.read_text())
+        manifest.write_text(text)
+        words = "no file" if how == "null" else "outside its folder"
+        for command in (["heart", "check", copied], ["simulate", copied, "--out", tmp_path / "s"]):
+            said = refused(command, manifest, words)
+            assert "abc123" not in said
+        if how != "null":
+            ended = run("heart", "check", copied, "--allow-outside")
+            assert "outside its folder" not in ended.err
+            assert ended.status == 2  # it is read, and is no electrodes and no mesh
+
+    def test_what_is_allowed_works(self, run, heart, tmp_path):
+        copied = tmp_path / "h"
+        shutil.copytree(heart, copied)
+        shutil.move(copied / "electrodes.csv", tmp_path / "electrodes.csv")
+        (copied / "electrodes.csv").symlink_to(tmp_path / "electrodes.csv")
+        assert run("heart", "check", copied).status == 2
+        assert run("heart", "check", copied, "--allow-outside").status == 0
+
+    def test_a_heart_by_a_link_is_a_heart(self, run, heart, tmp_path):
+        (tmp_path / "linked").symlink_to(heart)
+        assert run("heart", "check", tmp_path / "linked").status == 0
+
+    def test_of_a_scenario(self, refused, heart, secret, tmp_path):
+        (tmp_path / "s").mkdir()
+        scenario = tmp_path / "s" / "s.toml"
+        scenario.write_text(
+            '[[tree]]\nname = "band"\nfile = "../elsewhere/secret.vtu"\n'
+            "time = 0\nroot = [0, 0, 0]\n"
+        )
+        secret.rename(secret.with_suffix(".vtu"))
+        command = ["simulate", heart, "--out", tmp_path / "o", "--scenario", scenario]
+        refused(command, scenario, "outside its folder")
+
+    def test_of_a_segmentation(self, run, refused, secret, tmp_path):
+        import nrrd
+
+        folder = tmp_path / "s"
+        folder.mkdir()
+        path = folder / "a.nhdr"
+        labels = np.zeros((4, 4, 4), np.uint8)
+        nrrd.write(str(path), labels, {"encoding": "raw", "space": "LPS",
+                                       "space directions": np.eye(3)})  # fmt: skip
+        shutil.move(folder / "a.raw", tmp_path / "elsewhere" / "a.raw")
+        path.write_text(path.read_text().replace("a.raw", "../elsewhere/a.raw"))
+        said = refused(["heart", "build", path, "--out", tmp_path / "h"], path)
+        assert "outside its folder" in said
+        ended = run("heart", "build", path, "--out", tmp_path / "h", "--allow-outside")
+        assert "outside its folder" not in ended.err
+
+    def test_message_shows_nothing_of_what_is_refused(self, refused, heart, tmp_path):
+        copied = tmp_path / "h"
+        shutil.copytree(heart, copied)
+        (copied / "heart.toml").unlink()
+        (tmp_path / "shadow").write_text("root:$6$secret:1\n")
+        (copied / "heart.toml").symlink_to(tmp_path / "shadow")
+        assert "secret" not in refused(["heart", "check", copied], "heart.toml")
+
+
+@pytest.fixture
+def read_only(monkeypatch):
+    """Make folders look as if nobody may write there: root, as which tests may run, always may."""
+    closed = []
+    really = os.access
+
+    def access(path, mode):
+        return really(path, mode) and not (mode & os.W_OK and Path(path) in closed)
+
+    monkeypatch.setattr("fascicle.core.files.os.access", access)
+    return closed.append
+
+
+def test_heart_check_of_a_folder_that_cannot_be_written(run, refused, heart, read_only, tmp_path):
+    copied = tmp_path / "heart"
+    shutil.copytree(heart, copied)
+    read_only(copied)
+    refused(["heart", "check", copied], copied, "choose another place (--picture)")
+    picture = tmp_path / "a.png"
+    assert run("heart", "check", copied, "--picture", picture).well
+    assert picture.exists()
+
+
+def test_completion(run):
+    environment = os.environ | {
+        "_FASCICLE_COMPLETE": "complete_bash", "COMP_WORDS": "fascicle sc", "COMP_CWORD": "1",
+    }  # fmt: skip
+    program = Path(sys.executable).with_name("fascicle")
+    ended = subprocess.run([program], env=environment, capture_output=True, text=True)
+    assert ended.stdout.split() == ["scenarios"]
