@@ -22,4 +22,4 @@ def test_the_demonstration_ends_with_a_report_of_three_pacings(run, tmp_path, mo
     assert {path.name for path in (tmp_path / "demo" / "pacings").iterdir() if path.is_dir()} == {
         "intrinsic", "left-bundle-branch-block", *names,
     }  # fmt: skip
-    assert (tmp_path / "demo" / "study" / "figures" / "ecg.png").exists()
+    assert (tmp_path / "demo" / "figures" / "ecg.png").exists()

@@ -301,7 +301,7 @@ class TestParameters:
         refuse(f"parameter '{name}' is {value:.4g} m", "; give ", **{name: value})
 
     def test_too_many_digits(self, refuse):
-        refuse("parameter 'cv' is inf", cv="1" + "0" * 400)
+        refuse("parameter 'cv' is a whole number of 401 digits", cv="1" + "0" * 400)
         refuse("; write lines like", cv="1" + "0" * 5000)
 
     @pytest.mark.parametrize(

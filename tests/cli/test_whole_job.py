@@ -309,7 +309,7 @@ def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == error
     assert not (tmp_path / "r.html").exists()
     assert run(monkeypatch, *asked, "--format", "svg", "--format", "pdf") == 0
-    figures = study.folder / "figures"
+    figures = tmp_path / "figures"
     assert b"<svg" in (figures / "heart.svg").read_bytes()[:2000]
     assert (figures / "recording.pdf").read_bytes().startswith(b"%PDF")
 
@@ -363,7 +363,7 @@ def test_another_heart_in_the_folder_is_refused(study, tmp_path):
         load_study(tmp_path / "s")
 
 
-@pytest.mark.parametrize("setting", [{"initial": 1}, {"tolerance": 0.0}, {"stepz": 5}])
+@pytest.mark.parametrize("setting", [{"initial": 1}, {"tolerance": 0}, {"stepz": 5}])
 def test_impossible_settings_are_refused_in_one_line(target, tmp_path, setting):
     name, value = next(iter(setting.items()))
     with pytest.raises(fascicle.InputError, match=f"'{name}' is {value}: ") as caught:

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fascicle.core.quantities import QUANTITIES, Quantity, quantity
+from fascicle.core.quantities import INFINITE, QUANTITIES, Quantity, quantity
+from fascicle.core.ranges import RANGES, digits
 
 PAGE = Path(__file__).parents[2] / "docs" / "quantities.md"
 
 
 def row(known: Quantity) -> str:
     def shown(pair):
-        return " to ".join(f"{value:.4g}" for value in pair)
+        return " to ".join(map(digits, pair))
 
     cells = (
         f"`{known.name}`",
         known.unit,
         "" if known.default is None else f"{known.default:.4g}",
         "" if known.whole else shown(known.searched),
-        shown(known.possible),
+        shown(known.possible) + (", or inf" if known.name in INFINITE else ""),
         known.meaning,
         known.changes.value,
     )
@@ -30,3 +31,9 @@ def test_page_is_the_table():
     expected = [row(known) for known in (*shown, quantity("region_1_conductivity"))]
     lines = PAGE.read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if line.startswith("| `")] == expected
+
+
+def test_the_other_table_is_there_too():
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    for name, known in RANGES.items():
+        assert f"| {name} | {known} | {known.meaning} |" in lines

@@ -220,7 +220,7 @@ class TestInScenarios:
         [
             ("time = 0", "case.toml: stimulus at 0.0 ms: give either a position or a site"),
             ("time = 0\nsite = 3", "stimulus 1: 'site' is 3; it must be the name of a site"),
-            ("time = 0\nsite = 'rv apex'\nradius = 50", "radius' is 50; .* 0 to 20 .mm"),
+            ("time = 0\nsite = 'rv apex'\nradius = 50", "radius' is 50; .* 0 to 20 mm"),
         ],
     )
     def test_wrong_files_are_refused(self, text, message, tmp_path):

@@ -37,6 +37,7 @@ from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
 from fascicle.cli.studies import study_app, written_summary
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import within
 from fascicle.study.settings import FitSettings
 
 if TYPE_CHECKING:
@@ -294,6 +295,7 @@ def compare(
     from fascicle.study.fit import load_study
 
     check_index(index)
+    within("threshold", threshold, "--threshold")
     wanted = read_scenarios([first, second])
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)

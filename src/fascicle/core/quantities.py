@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import numbers
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import digits, number
 
 SIDES = ("lv", "rv")
 MOST_FASCICLES = 4  # a side
@@ -45,7 +45,7 @@ class Quantity:
     default : float
         Its value where nothing else is said; None where it must be said, or follows from others.
     possible : (float, float)
-        Least and largest value that is not a mistake.
+        Least and largest value that is not a mistake; those of `INFINITE` may be that, too.
     searched : (float, float)
         Range of its uniform prior where it is learnt and nothing else is said.
     meaning : str
@@ -155,11 +155,11 @@ def _of_conduction() -> Iterator[Quantity]:
         "factor on the speeds in that layer", tissue,
     )  # fmt: skip
     yield Quantity(
-        "orthodromic_delay", "ms", 0.0, (0.0, math.inf), (0.0, 10.0),
+        "orthodromic_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
         "delay of the junctions from tree to myocardium; inf blocks", times,
     )  # fmt: skip
     yield Quantity(
-        "antidromic_delay", "ms", 0.0, (0.0, math.inf), (0.0, 10.0),
+        "antidromic_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
         "the same, from myocardium to tree", times,
     )  # fmt: skip
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
@@ -298,29 +298,17 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
 def check(known: Quantity, value: Any) -> float:
     """One number as a float, if it is possible for this quantity; see `checked`."""
     name, unit = known.name, "" if known.unit == "1" else f" {known.unit}"
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InputError(f"parameter '{name}' is {_shown(value)}; give a number")
-    number = _float(value)
+    found = number(value, f"parameter '{name}'")
     low, high = known.possible
-    if not low <= number <= high or (math.isinf(number) and name not in INFINITE):
+    if not low <= found <= high and not (found == math.inf and name in INFINITE):
+        other = ", or inf" if name in INFINITE else ""
         raise InputError(
-            f"parameter '{name}' is {number:.4g}{unit}; give {low:.4g} to {high:.4g}{unit}"
+            f"parameter '{name}' is {digits(found)}{unit}; give {digits(low)} to "
+            f"{digits(high)}{unit}{other}"
         )
-    if known.whole and number != int(number):
-        raise InputError(f"parameter '{name}' is {number:.4g}; give a whole number")
-    return number
-
-
-def _float(value: numbers.Real) -> float:
-    try:
-        return float(value)
-    except OverflowError:  # a whole number of hundreds of digits
-        return math.inf
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:40]}…"
+    if known.whole and found != int(found):
+        raise InputError(f"parameter '{name}' is {found:.4g}; give a whole number")
+    return found
 
 
 def body_values(values: Mapping[str, float]) -> dict[str, float]:

@@ -14,12 +14,12 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import HIS_TIME, SIDES, check, checked, quantity
+from fascicle.core.ranges import check_position, check_text, within
 from fascicle.forward.eikonal.activation import HisBundle
 from fascicle.heart.sites import Sites
 from fascicle.purkinje.tree import PurkinjeTree
 
 FURTHEST_STIMULUS = 5.0  # mm; a stimulus further from the tissue, or from its tree, is a mistake
-LARGEST_RADIUS = 20.0  # mm, that a stimulus captures
 MOST_STIMULI = 1000  # of a scenario; rays from each to every vertex take their time
 
 
@@ -61,17 +61,15 @@ class Stimulus:
                 f"stimulus at {self.time} ms: give either a position or a site, not "
                 f"{'none' if self.site is None else 'both'}"
             )
-        if not np.isfinite([self.time, *(self.position or ())]).all():
-            raise InputError(
-                f"stimulus at {self.position}, at {self.time} ms: time and position must be finite"
-            )
+        within("time", self.time, "stimulus: its time")
+        if self.position is not None:
+            check_position(self.position, f"stimulus at {self.time:g} ms: its position")
+        for name in ("tree", "site", "part"):
+            if getattr(self, name) is not None:
+                check_text(getattr(self, name), f"stimulus at {self.time:g} ms: its {name}")
         if self.part is not None and self.tree is None:
             raise InputError(f"stimulus at {self.time} ms: its part '{self.part}' is of no tree")
-        if not 0 <= self.radius <= LARGEST_RADIUS:
-            raise InputError(
-                f"stimulus at {self.time} ms: radius {self.radius:g} mm; give 0 to "
-                f"{LARGEST_RADIUS:g} mm"
-            )
+        within("capture radius", self.radius, f"stimulus at {self.time:g} ms: its radius")
 
     @property
     def place(self) -> tuple[float, float, float]:
@@ -104,6 +102,17 @@ class Slowing:
     part: str | None = None
     centre: tuple[float, float, float] | None = None
     radius: float | None = None
+
+    def __post_init__(self) -> None:
+        check_text(self.tree, "slowing: its tree")
+        where = f"slowing of the {self.tree} tree"
+        within("speed factor", self.speed, f"{where}: speed, a factor,")
+        if self.part is not None:
+            check_text(self.part, f"{where}: its part")
+        if self.centre is not None:
+            check_position(self.centre, f"{where}: its centre")
+        if self.radius is not None:
+            within("radius", self.radius, f"{where}: its radius")
 
     def segments(self, tree: PurkinjeTree) -> Booleans:
         """Which segments of its tree it slows, each by the node it ends in."""
@@ -153,17 +162,13 @@ class His:
     right: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.time is not None and not self.time > -np.inf:
-            raise InputError(f"His bundle: it fires at {self.time} ms; give a time, or inf")
+        if self.time is not None:
+            within("firing time", self.time, "His bundle: its time")
         if self.root_time is not None:
             check(quantity("root_time"), self.root_time)
         for side in ("left", "right"):
-            factor = getattr(self, side)
-            if not 0 <= factor < np.inf:
-                raise InputError(
-                    f"His bundle: {side} is {factor:g}, a factor on the speed of that branch; "
-                    "give 0 (block) or more"
-                )
+            what = f"His bundle: {side}, a factor on the speed of that branch,"
+            within("speed factor", getattr(self, side), what)
 
     def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
         """When it fires the left and the right root (ms), and what joins them.
@@ -232,12 +237,8 @@ class Scenario:
         given = sum(stimulus.around is None for stimulus in self.stimuli)
         if given > MOST_STIMULI:
             raise InputError(f"{given} stimuli; give {MOST_STIMULI} at most")
-        for slowing in self.slowings:
-            if not 0 <= slowing.speed < np.inf:
-                raise InputError(
-                    f"slowing of the {slowing.tree} tree: speed {slowing.speed:g} is a factor; "
-                    "give 0 (block) or more"
-                )
+        for name in self.silent:
+            check_text(name, "a silent tree")
 
     def located(self, sites: Sites) -> Scenario:
         """The same with positions for the names of sites; then comes all that they capture.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,65 +13,63 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, Valid
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, named_by, read_toml
-from fascicle.forward.scenario import LARGEST_RADIUS, His, Scenario, Slowing, Stimulus
+from fascicle.core.quantities import check, quantity
+from fascicle.core.ranges import RANGES, shown
+from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree
 
 FURTHEST_ROOT = 5.0  # mm; a root further from the free ends of its tree is a mistake
-# What lies outside is a slip of units, and would make an ECG of hours
-LATEST = 10_000.0  # ms
-SLOWEST, FASTEST = 0.01, 100.0  # factors on speed; on conductivity their squares
-LONGEST_VALUE = 60  # characters of a wrong value that are shown
 
 
-def _zero_or_between(least: float, most: float) -> Callable[[float], float]:
-    def check(value: float) -> float:
-        if value != 0 and not least <= value <= most:
+def _within(name: str) -> AfterValidator:
+    """Check a number against its range, whose message `NEEDED` has."""
+
+    def possible(value: float) -> float:
+        if value not in RANGES[name]:
             raise ValueError
         return value
 
-    return check
-
-
-def _time_or_never(value: float) -> float:
-    if not -LATEST <= value <= LATEST and value != math.inf:
-        raise ValueError
-    return value
+    return AfterValidator(possible)
 
 
 def _delay_or_block(value: float) -> float:
-    if not 0 <= value <= LATEST and value != math.inf:
-        raise ValueError
-    return value
+    try:
+        return check(quantity("orthodromic_delay"), value)
+    except InputError:  # `NEEDED` says it
+        raise ValueError from None
 
 
 Number = Annotated[float, Strict()]
-Point = tuple[Number, Number, Number]
-Time = Annotated[Number, Field(ge=-LATEST, le=LATEST)]
-Radius = Annotated[Number, Field(gt=0)]
-CaptureRadius = Annotated[Number, Field(ge=0, le=LARGEST_RADIUS)]
-SpeedFactor = Annotated[Number, AfterValidator(_zero_or_between(SLOWEST, FASTEST))]
-ConductivityFactor = Annotated[Number, AfterValidator(_zero_or_between(SLOWEST**2, FASTEST**2))]
+Coordinate = Annotated[Number, _within("coordinate")]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Time = Annotated[Number, _within("time")]
+Radius = Annotated[Number, _within("radius")]
+CaptureRadius = Annotated[Number, _within("capture radius")]
+SpeedFactor = Annotated[Number, _within("speed factor")]
+ConductivityFactor = Annotated[Number, _within("conductivity factor")]
 Delay = Annotated[Number, AfterValidator(_delay_or_block)]
-TimeOrNever = Annotated[Number, AfterValidator(_time_or_never)]
+TimeOrNever = Annotated[Number, _within("firing time")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]  # files are named after it
 
-POINT = "a point [x, y, z] (mm)"
-TIME = f"a number from {-LATEST:g} to {LATEST:g} (ms)"
-DELAY = f"a number from 0 to {LATEST:g} (ms), or inf (block)"
-FACTOR = f"a factor: 0 (block), or {SLOWEST:g} to {FASTEST:g}"
+POINT = f"a point [x, y, z], each {RANGES['coordinate']}"
+TIME = f"a number from {RANGES['time']}"
+DELAY = "a number from 0 to {:g} ms, or inf (block)".format(
+    quantity("orthodromic_delay").possible[1]
+)
+FACTOR = f"a factor: {RANGES['speed factor']} (block)"
 NEEDED = {
     "time": TIME,
     "position": POINT,
     "centre": POINT,
     "root": POINT,
-    "radius": "a number above 0 (mm)",
+    "radius": f"a number from {RANGES['radius']}",
     "tree": "the name of a tree, in quotes",
     "site": "the name of a site, in quotes, such as 'rv apex'",
     "part": "'bundle', 'fascicle 1', 'fascicle 2', …",
     "speed": FACTOR,
-    "conductivity": f"a factor: 0 (scar), or {SLOWEST**2:g} to {FASTEST**2:g}",
+    "conductivity": f"a factor: {RANGES['conductivity factor']} (scar)",
     "label": "a whole number",
     "name": "made of letters, digits, '-' and '_'",
     "file": "a path in quotes",
@@ -89,8 +86,8 @@ NEEDED = {
 }
 # what a key must be in one table, where it differs
 NEEDED_IN = {
-    ("his", "time"): f"{TIME}, or inf (it does not fire)",
-    ("stimulus", "radius"): f"a number from 0 to {LARGEST_RADIUS:g} (mm)",
+    ("his", "time"): f"a number from {RANGES['firing time']} (it does not fire)",
+    ("stimulus", "radius"): f"a number from {RANGES['capture radius']}",
 }
 
 
@@ -318,6 +315,4 @@ def _complaint(error: ValidationError, values: dict[str, Any]) -> str:
     needed = needed if needed is not None else f"in double brackets: [[{key}]]"
     if key not in found:
         return f"{where}'{key}' is missing; it must be {needed}"
-    value = repr(found[key])
-    shown = value if len(value) <= LONGEST_VALUE else value[:LONGEST_VALUE] + " …"
-    return f"{where}'{key}' is {shown}; it must be {needed}"
+    return f"{where}'{key}' is {shown(found[key])}; it must be {needed}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,6 +11,7 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import checked, region_labels
+from fascicle.core.ranges import check_position, within
 from fascicle.heart.heart import Heart
 
 # α² G is (cm/ms)²; speeds here are in mm/ms
@@ -48,6 +48,15 @@ class Region:
     radius: float | None = None
     source: str | None = field(default=None, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        if self.centre is not None:
+            check_position(self.centre, "region: its centre")
+        if self.label is not None:
+            within("label", self.label, "region: its label")
+        within("conductivity factor", self.conductivity, f"{self.name}: conductivity, a factor,")
+        if self.radius is not None:
+            within("radius", self.radius, f"{self.name}: its radius")
+
     def elements(self, heart: Heart) -> Booleans:
         """Which tetrahedra belong to it, shape (m,).
 
@@ -59,10 +68,6 @@ class Region:
         given = [value is not None for value in (self.label, self.centre, self.radius)]
         if given not in ([True, False, False], [False, True, True]):
             raise InputError(f"{self.name}: give either a label, or a centre and a radius")
-        if not 0 <= self.conductivity < np.inf:
-            raise InputError(
-                f"{self.name}: conductivity {self.conductivity:g} is a factor; give 0 or more"
-            )
         if self.label is not None:
             if heart.regions is None:
                 raise InputError(
@@ -140,8 +145,7 @@ class Conduction:
     def __post_init__(self) -> None:
         for name in CONDUCTIVITIES:
             value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise InputError(f"conductivity '{name}' is {value} mS/cm; it must be positive")
+            within("conductivity", value, f"conductivity '{name}'")
         given = {name: getattr(self, name) for name in SPEEDS}
         checked({name: value for name, value in given.items() if value is not None})
 

@@ -14,7 +14,10 @@ from fascicle.kernels.arrays import NODE, Tree
 from fascicle.kernels.jit import allocating_kernel
 
 GROWN = -1  # status: the tree is complete
+TOO_LARGE = -2  # status: it has more nodes, or ends, than any heart
 GRID = 64  # cells per side of the hash that finds nearest nodes
+MOST_NODES = 200_000  # a hundred times those of a heart; more take minutes
+MOST_SPROUTS = 20_000  # of a generation; each end becomes a junction, with rays to the tissue
 ROOM = 8192  # nodes there is room for before the array must grow
 DIAMETER = 2.0  # of the disk: nothing in it is further away
 SOME_LEFT = 1e-300  # mm; what is left of a walk that meets the base on its last step
@@ -279,7 +282,7 @@ def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, chart):
     Returns
     -------
     status : int
-        GROWN, or which stretch left the endocardium: 0 the bundle, k fascicle k.
+        GROWN, TOO_LARGE, or which stretch left the endocardium: 0 the bundle, k fascicle k.
     missing : float
         How much of that stretch could not be laid (mm).
     nodes : array of NODE
@@ -306,6 +309,8 @@ def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, chart):
     label = fascicles + 1
     for _ in range(rules.generations):
         sprouts = 2 * len(tips)
+        if tree.size > MOST_NODES or sprouts > MOST_SPROUTS:
+            return TOO_LARGE, 0.0, tree.nodes[: tree.size]
         tree, tips, heading = _sprout(tips, heading, label, rules, tree, chart)
         label += sprouts
         if len(tips) == 0:

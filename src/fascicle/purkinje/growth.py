@@ -175,6 +175,12 @@ def grow_tree(
         ),
         chart,
     )
+    if status == growth.TOO_LARGE:
+        raise InputError(
+            f"the {side.upper()} tree grows to more than {growth.MOST_NODES} nodes, or "
+            f"{growth.MOST_SPROUTS} ends at a time; choose fewer generations or segments, a larger "
+            "clearance or longer branches"
+        )
     nodes = growth.lift(grown, chart)
     if status == growth.GROWN:
         return PurkinjeTree(

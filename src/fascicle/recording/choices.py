@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import number, within
 from fascicle.recording.resampling import MAINS
 
 SHORTEST_WINDOW = 20.0  # ms
-LOWPASS_RANGE = (40.0, 450.0)  # Hz; lower ones smear the QRS, higher ones do nothing
-RECORDER_RANGE = (20.0, 1000.0)  # Hz; lower ones leave no QRS
-LARGEST_NOISE = 1.0  # mV
 
 
 @dataclass(frozen=True)
@@ -55,19 +52,21 @@ class Choices:
 
     def __post_init__(self) -> None:
         for name, value in (("onset", self.onset), ("offset", self.offset)):
-            if value is not None and not math.isfinite(value):
-                raise InputError(
-                    f"QRS window: {name} is {value} ms; give a number of ms from the R peak"
-                )
+            if value is not None:
+                within("QRS end", value, f"QRS window: {name}, from the R peak,")
         if self.onset is not None and self.offset is not None:
             check_window(self.onset, self.offset, "--onset and --offset")
         if self.beats is not None and self.beat_class is not None:
             raise InputError("--beats names beats of whatever class; give it or --class, not both")
-        _check_within("noise", self.noise, (1e-4, LARGEST_NOISE), "mV")
-        _check_within("low-pass", self.lowpass, LOWPASS_RANGE, "Hz")
-        _check_within("recorder's low-pass", self.recorder_lowpass, RECORDER_RANGE, "Hz")
-        if self.notch is not None and self.notch not in MAINS:
-            raise InputError(f"notch filter at {self.notch:g} Hz; mains have 50 or 60 Hz")
+        for name, value in (
+            ("noise", self.noise),
+            ("low-pass", self.lowpass),
+            ("recorder's low-pass", self.recorder_lowpass),
+        ):
+            if value is not None:
+                within(name, value, name)
+        if self.notch is not None and number(self.notch, "notch filter") not in MAINS:
+            raise InputError(f"notch filter at {self.notch:.4g} Hz; mains have 50 or 60 Hz")
 
     def described(self) -> dict[str, str]:
         """Text of every decision that was taken, for the provenance."""
@@ -100,9 +99,3 @@ def check_window(onset: float, offset: float, source: str) -> None:
             f"{source}: QRS window {onset:g} to {offset:g} ms; the offset must be at least "
             f"{SHORTEST_WINDOW:g} ms after the onset (both in ms from the R peak)"
         )
-
-
-def _check_within(name: str, value: float | None, limits: tuple[float, float], unit: str) -> None:
-    low, high = limits
-    if value is not None and not low <= value <= high:
-        raise InputError(f"{name} is {value:g} {unit}; give {low:g} to {high:g} {unit}")

@@ -10,6 +10,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
+from fascicle.core.ranges import within
 from fascicle.recording.recording import Recording, derive_limb_leads
 
 DIGITS_PER_MILLIVOLT = 1000.0  # 1 uV a digit, the commonest gain of digital recorders
@@ -22,8 +23,10 @@ def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
     Raises
     ------
     InputError
-        When the file does not state the gain of every lead, or all have one.
+        When the file does not state the gain of every lead, all have one, or this one is
+        impossible.
     """
+    within("gain of the file", digits_per_millivolt, "the gain that leads share")
     gains, kept = recording.digits_per_millivolt, recording.measured_leads
     rows = [LEADS.index(lead) for lead in kept]
     if gains is None or not np.isfinite(gains[rows]).all():

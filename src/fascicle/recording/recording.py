@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,10 +11,9 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, LIMB_LEADS, limb_leads_from
+from fascicle.core.ranges import RANGES, check_array, number
 
 CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
-LOWEST_RATE = 250.0  # Hz; below it the QRS is not resolved
-HIGHEST_RATE = 100_000.0  # Hz; above it the unit of the rate is wrong
 SHORTEST = 0.4  # s; less does not hold a beat
 _OVERLAP = 0.1  # s by which leads recorded one group after another may overlap
 LONGEST, MOST_SAMPLES = 1800.0, 5_000_000  # s and of each lead; they bound the memory it takes
@@ -80,6 +78,7 @@ class Recording:
                 f"leads in the order {', '.join(LEADS)}"
             )
         check_extent(signal.shape[1], self.sampling_rate, self.source)
+        check_array("potential", signal, f"{self.source}: a sample (is its unit right?)")
         if not self.recorded.any():
             raise InputError(f"{self.source}: no lead holds a sample; give another recording")
         _check_gaps(signal, self.spans, self.sampling_rate, self.source)
@@ -143,11 +142,12 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
     source : str
         What the message begins with.
     """
-    if not math.isfinite(sampling_rate) or not LOWEST_RATE <= sampling_rate <= HIGHEST_RATE:
+    rate, possible = number(sampling_rate, f"{source}: sampling rate"), RANGES["sampling rate"]
+    if rate not in possible:
         raise InputError(
-            f"{source}: sampling rate is {sampling_rate:g} Hz; at least {LOWEST_RATE:g} Hz is "
-            f"needed to see the QRS, and {HIGHEST_RATE:g} Hz is the most; correct it, or export "
-            "the recording at its full rate"
+            f"{source}: sampling rate is {rate:.4g} Hz; at least {possible.low:g} Hz is needed to "
+            f"see the QRS, and {possible.high:g} Hz is the most; correct it, or export the "
+            "recording at its full rate"
         )
     seconds = samples / sampling_rate
     if seconds < SHORTEST:

@@ -14,6 +14,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_bytes
 from fascicle.core.leads import LEADS
+from fascicle.core.ranges import RANGES, shown
 from fascicle.recording.covariance import residual_covariance
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.target import SAMPLING_STEP, Target
@@ -249,15 +250,22 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
     leads = tuple(str(lead) for lead in dataset["lead"].to_numpy())
     if leads != LEADS:
         yield f"leads are {', '.join(leads)}, not the standard 12"
-    finite = np.isfinite(beats.transpose("lead", "beat", "time").to_numpy()).reshape(len(LEADS), -1)
+    values = beats.transpose("lead", "beat", "time").to_numpy().reshape(len(LEADS), -1)
+    finite = np.isfinite(values)
+    largest = float(np.abs(np.where(finite, values, 0)).max(initial=0))
     if not finite.any() or not (finite.all(axis=1) | ~finite.any(axis=1)).all():
         yield "beats are not finite"
+    possible = RANGES["potential"]
+    if largest not in possible:
+        yield f"beats reach {largest:.4g} mV, possible are {possible}"
     if not np.allclose(np.diff(time), SAMPLING_STEP):  # false for NaN, too
         yield f"time does not run in steps of {SAMPLING_STEP:g} ms"
     for name in (name for name in _NUMBERS if name in attributes):
         value = attributes[name]
         if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
-            yield f"{name} is {value!r}, not a number"
+            yield f"{name} is {shown(value)}, not a number"
+    if _NOISE in attributes and attributes[_NOISE] not in RANGES["noise"]:
+        yield f"{_NOISE} is {attributes[_NOISE]:.4g}, possible are {RANGES['noise']}"
     try:
         _filters_from(attributes[_FILTERS])
     except ValueError:

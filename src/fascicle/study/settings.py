@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import shown
 from fascicle.inference.abc.settings import AbcSettings
 
 Method = Literal["posterior", "paper"]
@@ -26,32 +27,36 @@ OF_THE_PAPER = (
 class FitSettings(AbcSettings):
     """The settings of `fascicle.fit`, and the options of ``fascicle fit``."""
 
-    initial: int = Field(default=250, ge=2, description="Latin hypercube points.")
-    steps: int = Field(default=300, ge=0, description="Bayesian-optimisation steps.")
+    initial: int = Field(default=250, ge=2, le=100_000, description="Latin hypercube points.")
+    steps: int = Field(default=300, ge=0, le=100_000, description="Bayesian-optimisation steps.")
     refit_every: int = Field(
         default=10,
         ge=1,
+        le=100_000,
         description="Steps after which the surrogate's hyper-parameters are fitted again; in the "
         "paper at every step (1). It knows every evaluation at once.",
     )
     effective: int = Field(
-        default=300, ge=20, description="Effective sample size, and networks to draw."
+        default=300, ge=20, le=100_000, description="Effective sample size, and networks to draw."
     )
     evaluations: int = Field(
         default=24_000,
         ge=200,
+        le=10_000_000,
         description="Simulations at most, beside those of the bank; where they are too few, the "
         "result says so.",
     )
     bank: int = Field(
         default=8000,
         ge=100,
+        le=1_000_000,
         description="Networks of the prior to begin with. 'fascicle heart bank' simulates them "
         "once for all recordings of a heart.",
     )
     gain_sd: float = Field(
         default=0.3,
         ge=0,
+        le=3,
         description="Standard deviation of the gain of the simulated ECG about 1; 0 fixes it.",
     )
     method: Method = Field(
@@ -66,9 +71,10 @@ class FitSettings(AbcSettings):
     fewest_junctions: int = Field(
         default=0,
         ge=0,
+        le=100_000,
         description="A network with a tree of fewer junctions does not count as one.",
     )
-    seed: int = Field(default=0, ge=0, description="Of all random numbers.")
+    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Of all random numbers.")
     free_gain: bool = Field(
         default=False,
         description="Scale each simulated ECG by its best gain, one for all leads, before it is "
@@ -105,7 +111,7 @@ def valid_settings(given: Mapping[str, Any]) -> FitSettings:
         return FitSettings(**given)
     except ValidationError as error:
         name, value, message = first_problem(error)
-        raise InputError(f"'{name}' is {value!r}: {message.lower()}") from None
+        raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
 
 
 def first_problem(error: ValidationError) -> tuple[str, Any, str]:

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, printable
+from fascicle.core.ranges import RANGES
 from fascicle.recording.readers.names import same_unit
-from fascicle.recording.recording import LOWEST_RATE
 
 MOST_WORDS = 1000  # entries of a text or a small array beside the signals
 
@@ -135,10 +135,10 @@ def declared_rate(entries: Sequence[Entry], path: Path) -> float | None:
         if entry.words:
             match = _RATE_TEXT.fullmatch(entry.words[0]) if len(entry.words) == 1 else None
             number = float(match[1]) if match is not None else math.nan
-        if not number >= LOWEST_RATE:
+        if not number >= RANGES["sampling rate"].low:
             raise InputError(
                 f"{path}: sampling rate '{entry.name}' is {entry.shown}; state one rate in Hz, of "
-                f"at least {LOWEST_RATE:g}"
+                f"at least {RANGES['sampling rate'].low:g}"
             )
         declared[number] = entry
     if len(declared) > 1:
