@@ -66,6 +66,10 @@ def test_dicom(outside, run):
     target = read_target(outside / "mein Ziel ♥.nc")
     assert 60 < target.qrs_duration < 130
     assert f"{len(target.beats)} used at" in ended.out
+    assert "ms about R (all leads together)" in ended.out
+    (line,) = (line for line in ended.out.splitlines() if line.startswith("global QRS"))
+    assert line.split()[2] == f"{target.global_qrs_duration:.0f}"
+    assert "(outermost leads, as clinics measure it)" in line
     assert sorted(path.suffix for path in outside.iterdir()) == [".nc", ".png"]
     assert (outside / "mein Ziel ♥.png").read_bytes().startswith(b"\x89PNG")
     assert "Einthoven" in ended.out

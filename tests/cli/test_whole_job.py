@@ -66,6 +66,14 @@ def test_study_folder_holds_what_is_promised(study):
     assert {"activation", "activation_mean", "activation_sd"} <= set(activation.point_data)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] == study.verdict
+    target = study.problem.target
+    for name, recorded in (
+        ("qrs_duration_ms", target.qrs_duration),
+        ("global_qrs_duration_ms", target.global_qrs_duration),
+    ):
+        assert summary[name]["recorded"] == recorded
+        assert 30 < summary[name]["networks"]["median"] < 250
+    assert summary["qrs_duration_ms"] != summary["global_qrs_duration_ms"]
     assert summary["what_the_ecg_says"] == {}  # nothing, of what has not converged
     agreeing = replace(study, population=replace(study.population, converged=True))
     said = _posterior_summary(agreeing)["what_the_ecg_says"]

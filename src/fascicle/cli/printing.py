@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
     """Print times, what fired what, and what was never reached."""
     print(f"total activation time  {simulation.total_activation_time:.1f} ms")
-    print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
+    print(f"QRS duration           {simulation.qrs_duration:.0f} ms (all leads together)")
+    outermost = f"{simulation.global_qrs_duration:.0f} ms (outermost leads, as clinics measure it)"
+    print(f"global QRS duration    {outermost}")
     for side, tree in summary["trees"].items():
         backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
         print(
@@ -50,10 +52,23 @@ def print_fit(fitted: FittedStudy) -> None:
         print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print(f"best                   {best}")
+    _print_durations(fitted)
     if isinstance(population, Posterior):
         _print_posterior(population, fitted)
     else:
         _print_population(population)
+
+
+def _print_durations(fitted: FittedStudy) -> None:
+    target, best = fitted.problem.target, fitted.best_network.simulation
+    for name, recorded, simulated, what in (
+        ("QRS duration", target.qrs_duration, best.qrs_duration, "all leads together"),
+        (
+            "global QRS duration", target.global_qrs_duration, best.global_qrs_duration,
+            "outermost leads, as clinics measure it; takes no part in the fit",
+        ),
+    ):  # fmt: skip
+        print(f"{name:<22} {recorded:.0f} ms recorded, {simulated:.0f} ms in the best ({what})")
 
 
 def _evaluations(fitted: FittedStudy) -> str:

@@ -13,9 +13,8 @@ from fascicle.recording.choices import Choices
 from fascicle.recording.classes import HALF_WIDTH, cut, detrended, noise_energy, sort_by_shape
 from fascicle.recording.detection import magnitude, r_peaks
 from fascicle.recording.recording import Recording
-from fascicle.recording.resampling import TARGET_RATE, filtered, resample
+from fascicle.recording.resampling import SAMPLING_STEP, TARGET_RATE, filtered, resample
 from fascicle.recording.spikes import find_spikes, remove_spikes
-from fascicle.recording.target import SAMPLING_STEP
 from fascicle.recording.window import qrs_window
 
 SAME_TIME = 0.9  # share of a stretch that another covers, if it is of the same group or longer

@@ -17,7 +17,8 @@ from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import Filter
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
-from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.target import Target
 from fascicle.recording.window import qrs_window, smoothing_against_ringing, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
@@ -78,6 +79,7 @@ def target_from_beats(
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
         filters=filters,
+        earliest_onset=float(aligned.time[aligned.not_before]) if aligned.not_before else None,
     )
     warnings = _warnings(recording, target, beats, label, choices, findings)
     if not warnings:
