@@ -176,6 +176,7 @@ def test_predict(study, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     names = ["intrinsic", "his-pacing", "slow-left", "biventricular-pacing"]
     assert [line.split()[0] for line in printed.splitlines()[2:6]] == names
+    assert "window QRS (ms)       global QRS (ms)" in printed.splitlines()[1]
     table = pd.read_csv(tmp_path / "p" / "indices.csv")
     assert table["scenario"].unique().tolist() == names
     assert len(table) == len(names) * len(study.population)
@@ -219,6 +220,7 @@ def test_compare(study, monkeypatch, capsys):
         lines[1] == f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     )
     shown = {line[:24].strip(): float(line[24:38]) for line in lines[3:-2]}
+    assert {"window QRS duration", "global QRS duration"} <= shown.keys()
     assert shown["LV activation time"] > 0.9
     assert all(0 <= probability <= 1 for probability in shown.values())
     assert lines[-2].startswith("total activation time: a gain of more than 2 ms has probability ")
