@@ -236,6 +236,9 @@ def _result(analysis: Analysis) -> dict[str, object]:
         "qrs_onset_ms": target.qrs_onset,
         "qrs_offset_ms": target.qrs_offset,
         "qrs_duration_ms": target.qrs_duration,
+        "global_qrs_onset_ms": target.global_qrs[0],
+        "global_qrs_offset_ms": target.global_qrs[1],
+        "global_qrs_duration_ms": target.global_qrs_duration,
         "noise_mV": target.noise,
         "filters": [str(one) for one in target.filters],
         "checks": {
