@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.core.parameters import read_parameters
+from fascicle.recording.resampling import SAMPLING_STEP
 from fascicle.recording.synthetic import smooth_noise
-from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.target import Target
 from fascicle.recording.window import qrs_window
 from fascicle.reporting.figures import save
 from fascicle.reporting.pairs import pair_figure

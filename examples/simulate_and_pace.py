@@ -21,7 +21,7 @@ own = model.simulate(fascicle.EXAMPLE_PARAMETERS)
 assert isinstance(own, fascicle.Simulation), own.reason
 v1 = own.ecg.sel(lead="V1")  # xarray, mV over ms
 print(f"V1 from {float(v1.min()):.2f} to {float(v1.max()):.2f} mV")
-print(f"QRS {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")
+print(f"QRS window {own.qrs_duration:.0f} ms, activation {own.total_activation_time:.0f} ms")
 
 # %% [markdown]
 # Scenarios change what happens, not the network: its trees are handed on. `fascicle scenarios`
@@ -42,7 +42,7 @@ simulated = {
 }
 for name, found in simulated.items():
     print(
-        f"{name:<26} QRS {found.qrs_duration:3.0f} ms, activation "
+        f"{name:<26} QRS window {found.qrs_duration:3.0f} ms, activation "
         f"{found.total_activation_time:3.0f} ms"
     )
 
@@ -56,7 +56,7 @@ pacing = scenarios["left-bundle-pacing"]
 with_block = replace(pacing, his=replace(pacing.his, left=0.0))
 paced = model.activate(own.trees, scenario=with_block, **learnt)
 blocked = simulated["left-bundle-branch-block"]
-print(f"paced, with the block: QRS {paced.qrs_duration:.0f} ms")
+print(f"paced, with the block: QRS window {paced.qrs_duration:.0f} ms")
 assert blocked.qrs_duration > own.qrs_duration + 10
 assert simulated["left-bundle-pacing"].qrs_duration + 10 < paced.qrs_duration
 assert paced.qrs_duration < blocked.qrs_duration

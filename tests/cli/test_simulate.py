@@ -13,6 +13,8 @@ import pyvista as pv
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.folder import load_heart
+from fascicle.recording.global_window import global_qrs_window
+from fascicle.recording.window import qrs_window
 
 FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "sites.csv", "summary.json"]
 
@@ -79,6 +81,12 @@ class TestOutputs:
         summary = json.loads((simulated / "summary.json").read_text())
         activation = pv.read(simulated / "activation.vtu")["activation"]
         assert summary["total_activation_time_ms"] == pytest.approx(np.ptp(activation), abs=1e-3)
+        leads = read_ecg(simulated)[1][:, 1:].T
+        for name, found in (
+            ("qrs_duration_ms", qrs_window(leads, 1.0)),
+            ("global_qrs_duration_ms", global_qrs_window(leads, 1.0)),
+        ):
+            assert summary[name] == pytest.approx(found[1] - found[0], abs=1)
         assert summary["inputs"]["parameters"]["root_time"] == -12.5
         assert summary["trees"]["lv"]["nodes"] == pv.read(simulated / "lv_tree.vtu").n_points
         assert summary["trees"]["rv"]["junctions"] > 1

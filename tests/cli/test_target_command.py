@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import re
 
@@ -66,9 +67,23 @@ def test_dicom(outside, run):
     target = read_target(outside / "mein Ziel ♥.nc")
     assert 60 < target.qrs_duration < 130
     assert f"{len(target.beats)} used at" in ended.out
+    assert "ms about R (all leads together)" in ended.out
+    (line,) = (line for line in ended.out.splitlines() if line.startswith("global QRS"))
+    assert line.split()[2] == f"{target.global_qrs_duration:.0f}"
+    assert "(outermost leads, as clinics measure it)" in line
     assert sorted(path.suffix for path in outside.iterdir()) == [".nc", ".png"]
     assert (outside / "mein Ziel ♥.png").read_bytes().startswith(b"\x89PNG")
     assert "Einthoven" in ended.out
+
+
+def test_both_durations_as_json(outside, run):
+    recording = get_testdata_file("waveform_ecg.dcm", download=False)
+    ended = run("target", recording, "--out", outside / "t.nc", "--json")
+    assert ended.status == 0
+    said, target = json.loads(ended.out), read_target(outside / "t.nc")
+    assert said["qrs_duration_ms"] == target.qrs_duration
+    assert said["global_qrs_duration_ms"] == target.global_qrs_duration
+    assert (said["global_qrs_onset_ms"], said["global_qrs_offset_ms"]) == target.global_qrs
 
 
 def test_csv_and_window_of_ones_own(outside, tmp_path, run):

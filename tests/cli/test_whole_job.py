@@ -66,6 +66,14 @@ def test_study_folder_holds_what_is_promised(study):
     assert {"activation", "activation_mean", "activation_sd"} <= set(activation.point_data)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] == study.verdict
+    target = study.problem.target
+    for name, recorded in (
+        ("qrs_duration_ms", target.qrs_duration),
+        ("global_qrs_duration_ms", target.global_qrs_duration),
+    ):
+        assert summary[name]["recorded"] == recorded
+        assert 30 < summary[name]["networks"]["median"] < 250
+    assert summary["qrs_duration_ms"] != summary["global_qrs_duration_ms"]
     assert summary["what_the_ecg_says"] == {}  # nothing, of what has not converged
     agreeing = replace(study, population=replace(study.population, converged=True))
     said = _posterior_summary(agreeing)["what_the_ecg_says"]
@@ -168,6 +176,7 @@ def test_predict(study, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     names = ["intrinsic", "his-pacing", "slow-left", "biventricular-pacing"]
     assert [line.split()[0] for line in printed.splitlines()[2:6]] == names
+    assert "window QRS (ms)       global QRS (ms)" in printed.splitlines()[1]
     table = pd.read_csv(tmp_path / "p" / "indices.csv")
     assert table["scenario"].unique().tolist() == names
     assert len(table) == len(names) * len(study.population)
@@ -211,6 +220,7 @@ def test_compare(study, monkeypatch, capsys):
         lines[1] == f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     )
     shown = {line[:24].strip(): float(line[24:38]) for line in lines[3:-2]}
+    assert {"window QRS duration", "global QRS duration"} <= shown.keys()
     assert shown["LV activation time"] > 0.9
     assert all(0 <= probability <= 1 for probability in shown.values())
     assert lines[-2].startswith("total activation time: a gain of more than 2 ms has probability ")

@@ -21,6 +21,7 @@ from fascicle.prediction.indices import (
     segment_times,
     vectorcardiogram,
 )
+from fascicle.recording.global_window import global_qrs_window
 from fascicle.recording.window import qrs_window
 
 LENGTH, SPEED = 180.0, 0.9  # mm, mm/ms: a plane front takes 200 ms
@@ -118,6 +119,8 @@ class TestEcg:
         assert found["v6_v1_interpeak_interval"] == pytest.approx(33.0)
         first, last = qrs_window(leads, 1.0)
         assert found["qrs_duration"] == last - first
+        outermost = global_qrs_window(leads, 1.0)
+        assert found["global_qrs_duration"] == outermost[1] - outermost[0]
         assert found["qrs_from_stimulus"] == pytest.approx(last - 20 + 15)
 
     def test_what_is_not_there_is_not_a_number(self, flat, territories):

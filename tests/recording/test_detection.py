@@ -121,3 +121,23 @@ def test_magnitude_uses_the_leads_that_are_there():
     assert complete_leads(signal) == [1, 2, 6]
     with pytest.raises(ValueError, match="no lead is complete"):
         complete_leads(np.full((12, 3), np.nan))
+
+
+TALL = [("sinus", 6), ("sinus", 8), ("pauses", 0), ("pauses", 2), ("pauses", 8)]
+
+
+@pytest.mark.parametrize(("rhythm", "seed"), TALL)
+def test_t_waves_as_high_as_the_qrs_are_no_beats(rhythm, seed):
+    """They pass the threshold: without a look at their shape, nearly each would be a beat."""
+    signal, truth = sinus(seed=[seed, 7], rhythm=rhythm, tall_t=8.0)
+    assert_all_found(signal, truth, tolerance=0.06)
+
+
+@pytest.mark.parametrize("heart_rate", [50, 75, 100])
+@pytest.mark.parametrize("tall_t", [0.0, 1.0, 2.0])
+def test_early_slow_ectopic_beats_stay(heart_rate, tall_t):
+    """In bigeminy they alternate with the others as T waves would."""
+    for seed in range(4):
+        signal, truth = sinus(seed=seed, rhythm="bigeminy", heart_rate=heart_rate, tall_t=tall_t)
+        assert {"normal", "ectopic"} == set(truth.kinds)
+        assert_all_found(signal, truth, tolerance=0.06)

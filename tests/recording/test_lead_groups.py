@@ -118,3 +118,17 @@ def test_surplus_beats_of_a_group_are_not_used():
     used = sum(beat.used for beat in analysis.beats)
     assert used == 4 * len(analysis.target.beats)
     assert analysis.target.onset_sd > 10  # the standard deviation of the alignment is in it
+
+
+@pytest.mark.parametrize("rhythm", ["fibrillation", "pauses"])
+def test_no_beat_is_there_twice(rhythm):
+    """A high T wave has the R peak of the QRS beside it."""
+    for seed in range(12):
+        recording, truth = synthetic_recording(
+            np.random.default_rng([seed, 7]), Synthesis(rhythm=rhythm, tall_t=8.0, noise_db=20.0)
+        )
+        (group,) = lead_groups(recording, Choices())
+        assert group.intervals[1:].min() > 120
+        assert len(group.labels) == len(group.peaks)
+        away = np.abs(truth.r_times[:, None] - group.times).min(axis=1)
+        assert away.max() < 0.1

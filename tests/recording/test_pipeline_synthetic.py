@@ -123,6 +123,27 @@ def test_majority_of_odd_beats_is_reported():
     assert "only 8 of 12 beats are of class A" in target.provenance["warnings"]
 
 
+def test_beats_that_alternate_may_be_twice_as_many_as_there_are():
+    """Ectopic beats, and T waves as steep as a QRS, which no rule tells from them."""
+    bigeminy, times = ecg(ectopic=range(1, 12, 2))
+    target = make_target(Recording(bigeminy, 500.0, "bigeminy"))
+    assert target.provenance["beats_found"] == str(len(times))
+    assert "beats of two classes alternate" in target.provenance["warnings"]
+    assert "are of class A" not in target.provenance["warnings"]
+    rate = 500.0
+    t = np.arange(round(10 * rate)) * 1000 / rate
+    signal = 0.004 * np.random.default_rng(0).normal(size=(12, len(t)))
+    steep_t = np.random.default_rng(5).normal(size=(9, 1))
+    for centre in np.arange(400.0, t[-1], 1000.0):
+        wave = steep_t * hump(t - centre, 250, 350)
+        signal += lead_matrix() @ (beat(t - centre, tall_t=0) + wave)
+    doubled = make_target(Recording(signal, rate, "doubled"))
+    assert doubled.heart_rate == pytest.approx(120, rel=0.05)
+    assert "twice as many were found as there are" in doubled.provenance["warnings"]
+    chosen = make_target(Recording(signal, rate, "doubled"), beats=(3, 5, 7))
+    assert "alternate" not in chosen.provenance.get("warnings", "")
+
+
 def test_alignment_is_better_than_a_sample():
     signal, _ = ecg(rate=1000.0)
     target = make_target(Recording(signal, 1000.0, "synthetic"))

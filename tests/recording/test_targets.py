@@ -38,6 +38,7 @@ def test_round_trip_is_exact(target, tmp_path):
     assert (again.qrs_onset, again.qrs_offset, again.heart_rate) == (-41.5, 62.0, 71.25)
     assert (again.onset_sd, again.offset_sd, again.noise) == (3.5, 4.25, None)
     assert again.provenance == target.provenance
+    assert (again.earliest_onset, again.global_qrs) == (None, target.global_qrs)
     assert again.beats.dtype == np.float64
 
 
@@ -59,6 +60,10 @@ def test_file_explains_itself(target, tmp_path):
     )
     assert all("long_name" in variable.attrs for variable in dataset.variables.values())
     assert dataset.attrs["qrs_duration_ms"] == 103.5
+    ends = tuple(dataset.attrs[f"global_qrs_{end}_ms"] for end in ("onset", "offset"))
+    assert ends == target.global_qrs
+    assert dataset.attrs["global_qrs_duration_ms"] == ends[1] - ends[0]
+    assert "earliest_onset_ms" not in dataset.attrs
     assert dataset.attrs["qrs_onset_sd_ms"] == 3.5
     assert dataset.attrs["heart_rate_bpm"] == 71.25
     assert dataset.attrs["provenance_source"] == "rec.hea"
@@ -93,6 +98,25 @@ def test_single_beat_and_unused_leads_come_back(target, tmp_path):
     dataset = xr.load_dataset(tmp_path / "one.nc", engine="h5netcdf")
     assert (dataset["standard_deviation"].sel(lead="I") == 0.03).all()
     assert dataset["standard_deviation"].sel(lead="V2").isnull().all()
+
+
+def test_end_of_a_spike_comes_back(target, tmp_path):
+    paced = replace(target, earliest_onset=-33.0)
+    write_target(paced, tmp_path / "paced.nc")
+    again = read_target(tmp_path / "paced.nc")
+    assert again.earliest_onset == -33.0
+    assert again.global_qrs[0] >= -33.0
+
+
+def test_file_of_before_the_global_qrs(target, tmp_path):
+    """It has no such attributes; the global QRS is found when it is asked for."""
+    path = tmp_path / "target.nc"
+    write_target(target, path)
+    dataset = xr.load_dataset(path, engine="h5netcdf")
+    for name in [name for name in dataset.attrs if name.startswith("global_qrs")]:
+        del dataset.attrs[name]
+    dataset.to_netcdf(tmp_path / "old.nc", engine="h5netcdf")
+    assert read_target(tmp_path / "old.nc").global_qrs == target.global_qrs
 
 
 def test_failed_write_leaves_the_old_file(target, tmp_path, monkeypatch):

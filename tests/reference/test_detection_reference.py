@@ -7,7 +7,9 @@ import pytest
 
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
+from fascicle.recording.choices import Choices
 from fascicle.recording.detection import r_peaks
+from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
@@ -144,3 +146,20 @@ def test_beats_among_t_waves_as_tall_as_the_qrs():
     )
     assert found / (found + missed) >= 0.98
     assert found / (found + false) >= 0.98
+
+
+def test_beats_among_t_waves_higher_than_the_qrs():
+    """At 50 to 110 beats per minute; faster ones run into one another."""
+    total = np.zeros(3)
+    for rhythm in RHYTHMS:
+        for seed in range(100, 120):
+            recording, truth = synthetic_recording(
+                np.random.default_rng([seed, 11]),
+                Synthesis(rhythm=rhythm, tall_t=6.0, noise_db=20.0),
+            )
+            (group,) = lead_groups(recording, Choices())
+            total += outcome(group.times, truth)
+    found, missed, false = total
+    assert found + missed > 1900
+    assert found / (found + missed) >= 0.99
+    assert found / (found + false) >= 0.99

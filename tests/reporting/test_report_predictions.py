@@ -14,7 +14,8 @@ from fascicle.reporting.sweep import bulls_eye_figure, curve_figure
 @pytest.mark.parametrize(
     ("index", "name"),
     [
-        ("qrs_duration", "QRS duration"),
+        ("qrs_duration", "window QRS duration"),
+        ("global_qrs_duration", "global QRS duration"),
         ("lv_rv_delay", "LV-RV delay"),
         ("total_activation_time", "total activation time"),
         ("rv_activation_time", "RV activation time"),

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
     """Print times, what fired what, and what was never reached."""
     print(f"total activation time  {simulation.total_activation_time:.1f} ms")
-    print(f"QRS duration           {simulation.qrs_duration:.0f} ms")
+    print(f"window QRS duration    {simulation.qrs_duration:.0f} ms (all leads together)")
+    outermost = f"{simulation.global_qrs_duration:.0f} ms (outermost leads, as clinics measure it)"
+    print(f"global QRS duration    {outermost}")
     for side, tree in summary["trees"].items():
         backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
         print(
@@ -50,10 +52,23 @@ def print_fit(fitted: FittedStudy) -> None:
         print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print(f"best                   {best}")
+    _print_durations(fitted)
     if isinstance(population, Posterior):
         _print_posterior(population, fitted)
     else:
         _print_population(population)
+
+
+def _print_durations(fitted: FittedStudy) -> None:
+    target, best = fitted.problem.target, fitted.best_network.simulation
+    for name, recorded, simulated, what in (
+        ("window QRS duration", target.qrs_duration, best.qrs_duration, "all leads together"),
+        (
+            "global QRS duration", target.global_qrs_duration, best.global_qrs_duration,
+            "outermost leads, as clinics measure it; takes no part in the fit",
+        ),
+    ):  # fmt: skip
+        print(f"{name:<22} {recorded:.0f} ms recorded, {simulated:.0f} ms in the best ({what})")
 
 
 def _evaluations(fitted: FittedStudy) -> str:
@@ -103,15 +118,20 @@ def print_prediction(
 
     from fascicle.study.verdict import prediction_statement
 
-    shown = {"qrs_duration": "QRS duration (ms)", "total_activation_time": "total activation (ms)"}
-    print(f"{'scenario':<32}" + "".join(f"{name:<26}" for name in shown.values()))
+    shown = {
+        "qrs_duration": "window QRS (ms)",
+        "global_qrs_duration": "global QRS (ms)",
+        "total_activation_time": "total activation (ms)",
+    }
+    print(f"{'scenario':<32}" + "".join(f"{name:<22}" for name in shown.values()))
     for name, found in predicted.items():
         cells = []
         for index in shown:
             low, middle, high = np.percentile(found.indices[index], [5, 50, 95])
             cells.append(f"{middle:.0f} ({low:.0f} to {high:.0f})")
-        print(f"{name:<32}" + "".join(f"{cell:<26}" for cell in cells))
-    print("medians (90 % of the networks)")
+        print(f"{name:<32}" + "".join(f"{cell:<22}" for cell in cells))
+    print("medians (90 % of the networks); window QRS: all leads together, global QRS: outermost")
+    print("leads, as clinics measure it")
     _print_capture(predicted)
     for name, known in (prior or {}).items():
         for index, title in shown.items():

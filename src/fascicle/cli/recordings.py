@@ -236,6 +236,9 @@ def _result(analysis: Analysis) -> dict[str, object]:
         "qrs_onset_ms": target.qrs_onset,
         "qrs_offset_ms": target.qrs_offset,
         "qrs_duration_ms": target.qrs_duration,
+        "global_qrs_onset_ms": target.global_qrs[0],
+        "global_qrs_offset_ms": target.global_qrs[1],
+        "global_qrs_duration_ms": target.global_qrs_duration,
         "noise_mV": target.noise,
         "filters": [str(one) for one in target.filters],
         "checks": {
@@ -265,7 +268,14 @@ def _print_target(target: Target) -> None:
     _line(
         "QRS",
         f"{target.qrs_duration:.0f} ± {width_sd:.0f} ms, from {target.qrs_onset:.0f} ± "
-        f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R",
+        f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R "
+        "(all leads together)",
+    )
+    first, last = target.global_qrs
+    _line(
+        "global QRS",
+        f"{target.global_qrs_duration:.0f} ms, from {first:.0f} to {last:.0f} ms about R "
+        "(outermost leads, as clinics measure it)",
     )
     if target.noise is not None:
         _line("noise", f"{target.noise:.3g} mV, as stated")

@@ -14,6 +14,7 @@ from fascicle.core.leads import LEADS
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.recording.global_window import global_qrs_window
 from fascicle.recording.window import qrs_window
 
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
@@ -80,8 +81,17 @@ class Simulation:
 
     @property
     def qrs_duration(self) -> float:
-        """QRS duration (ms), found in the ECG by the rule that finds it in recordings."""
+        """QRS duration (ms), found in the ECG by the rule that finds it in recordings.
+
+        That of the window that all leads together decide; clinics measure `global_qrs_duration`.
+        """
         onset, offset = qrs_window(self.leads, STEP)
+        return (offset - onset) * STEP
+
+    @property
+    def global_qrs_duration(self) -> float:
+        """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
+        onset, offset = global_qrs_window(self.leads, STEP)
         return (offset - onset) * STEP
 
 

@@ -175,6 +175,7 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
         "heart_sha256": heart.digest,
         "inputs": inputs,
         "qrs_duration_ms": simulation.qrs_duration,
+        "global_qrs_duration_ms": simulation.global_qrs_duration,
         "total_activation_time_ms": round(simulation.total_activation_time, 3),
         "unreached_vertices": int(simulation.unreached.sum()),
         "unreached_volume_ml": round(unreached_volume(heart, simulation), 4),

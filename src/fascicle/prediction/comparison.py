@@ -16,8 +16,9 @@ from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 # Indices of which less is better; of a delay between the sides, less either way
 COMPARED = (
-    "qrs_duration", "total_activation_time", "lv_activation_time", "rv_activation_time",
-    "activation_time_90", "activation_time_95", "lv_rv_delay", "lv_dyssynchrony", "qrs_area",
+    "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_activation_time",
+    "rv_activation_time", "activation_time_90", "activation_time_95", "lv_rv_delay",
+    "lv_dyssynchrony", "qrs_area",
 )  # fmt: skip
 SIGNED = ("lv_rv_delay",)
 INTERVAL = (5, 95)  # percentiles

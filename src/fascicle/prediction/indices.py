@@ -21,6 +21,7 @@ from fascicle.recording.window import qrs_window
 
 INDICES = {
     "qrs_duration": "ms",
+    "global_qrs_duration": "ms",
     "qrs_from_stimulus": "ms",
     "total_activation_time": "ms",
     "lv_activation_time": "ms",
@@ -173,6 +174,7 @@ def _of_ecg(simulation: Simulation, stimulus: float | None) -> dict[str, float]:
     since = np.nan if stimulus is None else simulation.onset + onset * STEP - stimulus
     return {
         "qrs_duration": (offset - onset) * STEP,
+        "global_qrs_duration": simulation.global_qrs_duration,
         "qrs_from_stimulus": since + (offset - onset) * STEP,
         "v6_r_wave_peak_time": since + v6,
         "v6_v1_interpeak_interval": v1 - v6,

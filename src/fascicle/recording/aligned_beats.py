@@ -11,7 +11,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.recording.classes import LARGEST_SHIFT, cut, detrended
 from fascicle.recording.detection import magnitude
 from fascicle.recording.lead_groups import LeadGroup
-from fascicle.recording.target import SAMPLING_STEP
+from fascicle.recording.resampling import SAMPLING_STEP
 from fascicle.recording.window import qrs_window, spatial_velocity
 
 BEFORE, AFTER = 250.0, 450.0  # ms around R

@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
 from fascicle.recording.resampling import block_means
+from fascicle.recording.t_waves import t_waves
 
 BASELINE_WIDTH = 0.2  # s; standard deviation of the Gaussian that is taken as baseline
 
@@ -56,7 +57,8 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
 
     As Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) do for one lead: a band-pass, the
     slope, its mean over about a QRS, and a threshold a fifth of the way from the level between
-    the beats to that of the beats. Three things differ, because all leads and all beats are there
+    the beats to that of the beats; T waves above it are told by their steepness and what follows
+    (`fascicle.recording.t_waves`). Three things differ, because all leads and all beats are there
     from the beginning. The slopes of the leads, each in units of its usual QRS and limited, are
     averaged, weighted by how well they agree with the other leads, without the quarter of the leads
     that moves most at that instant: a bad electrode neither makes beats nor hides them. The highest
@@ -91,8 +93,9 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     weights = _agreement(slopes[moving], rate)
     weighted = weights[:, None] * slopes[moving]
     kept = len(weighted) - int(TRIMMED * len(weighted))
-    marks = _beats(np.partition(weighted, kept - 1, axis=0)[:kept].mean(axis=0), rate)
+    slope = np.partition(weighted, kept - 1, axis=0)[:kept].mean(axis=0)
     level = leads[moving][weights >= DISAGREEING * weights.max()]
+    marks = _beats(slope, level, rate)
     level = level - gaussian_filter1d(level, BASELINE_WIDTH * rate, axis=-1, mode="nearest")
     peaks = _tops(np.sqrt(np.mean(level**2, axis=0)), marks, rate)
     return np.asarray(peaks * factor + factor // 2, dtype=np.int64)
@@ -135,16 +138,24 @@ def _merged(slopes: Floats, rate: float) -> Floats:
     return np.asarray(gaussian_filter1d(slopes, MERGING * rate, axis=-1, mode="constant"))
 
 
-def _beats(slope: Floats, rate: float) -> Integers:
-    """Samples about which all leads are steep."""
+def _beats(slope: Floats, leads: Floats, rate: float) -> Integers:
+    """Samples about which all leads are steep, without those of T waves."""
     from scipy.signal import find_peaks
 
     merged = _merged(slope, rate)
     # A beat at the very end of the recording has its top there.
     found = find_peaks(np.pad(merged, 1), distance=REFRACTORY * rate)[0] - 1
+    usual = float(_usual_height(merged, rate)) / 2
+    beats = _high(merged, found, usual)
+    # T waves among the beats lower the threshold, so it settles anew without them.
+    return _high(merged, np.setdiff1d(found, t_waves(beats, leads, rate)), usual)
+
+
+def _high(merged: Floats, found: Integers, usual: float) -> Integers:
+    """Those of the humps that pass the threshold between the levels between beats and of beats."""
     height = merged[found]
     between = np.median(merged)
-    beat = height > _usual_height(merged, rate) / 2
+    beat = height > usual
     for _ in range(ROUNDS):
         beat = height > between + THRESHOLD * (np.median(height[beat]) - between)
     return np.asarray(found[beat])

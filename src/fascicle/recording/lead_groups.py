@@ -13,12 +13,12 @@ from fascicle.recording.choices import Choices
 from fascicle.recording.classes import HALF_WIDTH, cut, detrended, noise_energy, sort_by_shape
 from fascicle.recording.detection import magnitude, r_peaks
 from fascicle.recording.recording import Recording
-from fascicle.recording.resampling import TARGET_RATE, filtered, resample
+from fascicle.recording.resampling import SAMPLING_STEP, TARGET_RATE, filtered, resample
 from fascicle.recording.spikes import find_spikes, remove_spikes
-from fascicle.recording.target import SAMPLING_STEP
 from fascicle.recording.window import qrs_window
 
 SAME_TIME = 0.9  # share of a stretch that another covers, if it is of the same group or longer
+ONE_BEAT = 120.0  # ms; R peaks so near to each other are of one beat
 SHORTEST_RHYTHM = 1.5  # s; less is one beat, as recorders print it
 CUT = 40.0  # ms; of a QRS that is nearer to an end of the recording, half is missing
 EARLY = 0.85  # of the usual interval; a beat that comes sooner is premature
@@ -206,17 +206,30 @@ def _name_classes(
 ) -> tuple[Integers, tuple[str, ...]]:
     """R peaks in the order of time, and the label of each beat's class.
 
-    A is the class with the most beats, and of equally many the one with the narrower QRS.
+    A is the class with the most beats, and of equally many the one with the narrower QRS. A wave
+    that was found beside its QRS moves to the R peak of that, and is no beat of its own.
     """
-    numbers = range(classes.max() + 1)
-    for number in numbers:
-        peaks[classes == number] += _to_r_peak(signal, peaks[classes == number])
-    peaks = np.clip(peaks, 0, signal.shape[1] - 1)
-    order = np.argsort(peaks, kind="stable")
-    peaks, classes = peaks[order], classes[order]
+    moved = peaks.copy()
+    for number in np.unique(classes):
+        moved[classes == number] += _to_r_peak(signal, peaks[classes == number])
+    moved = np.clip(moved, 0, signal.shape[1] - 1)
+    kept = _beats_of_their_own(moved, np.abs(moved - peaks))
+    peaks, classes = moved[kept], classes[kept]
+    numbers = np.unique(classes).tolist()
     rank = {k: (-(classes == k).sum(), _rough_width(signal, peaks[classes == k])) for k in numbers}
     names = {k: _name(place) for place, k in enumerate(sorted(numbers, key=rank.__getitem__))}
     return peaks, tuple(names[k] for k in classes)
+
+
+def _beats_of_their_own(peaks: Integers, moved: Integers) -> Integers:
+    """Which peaks are kept, in the order of time: of those of one beat, that which moved least."""
+    kept: list[int] = []
+    for k in np.argsort(peaks, kind="stable"):
+        if kept and (peaks[k] - peaks[kept[-1]]) * SAMPLING_STEP < ONE_BEAT:
+            kept[-1] = k if moved[k] < moved[kept[-1]] else kept[-1]
+        else:
+            kept.append(k)
+    return np.array(kept, dtype=np.int64)
 
 
 def _name(place: int) -> str:

@@ -18,6 +18,7 @@ from fascicle.recording.analysis import Analysis, Beat, BeatClass
 from fascicle.recording.beat_selection import by_name, select_beats
 from fascicle.recording.choices import Choices
 from fascicle.recording.lead_groups import LeadGroup, lead_groups
+from fascicle.recording.motion import NoQrsError
 from fascicle.recording.passed_filters import passed_filters
 from fascicle.recording.quality.check import check_leads, check_recording
 from fascicle.recording.quality.finding import Finding, Severity
@@ -25,7 +26,6 @@ from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import TARGET_RATE
 from fascicle.recording.target import Target
 from fascicle.recording.target_from_beats import target_from_beats
-from fascicle.recording.window import NoQrsError
 
 LARGEST_QRS, SMALLEST_QRS = 20.0, 0.05  # mV peak to peak; outside, the unit is wrong
 LEAST_SIGNAL = 0.5  # energy of the median beat over that of the noise between beats

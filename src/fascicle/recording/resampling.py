@@ -8,8 +8,8 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.recording.filters import applied_filters, apply
-from fascicle.recording.target import SAMPLING_STEP
 
+SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
 TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
 SIMPLE, FINEST = 1000, 20_000  # largest denominators of the ratio of the two rates
 LARGEST_DRIFT = 0.5  # ms by which the last sample may be off, before the finer ratio is taken

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats
-from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.target import Target
 
 NOISE_CORRELATION = 4.0  # ms
 REPETITIONS = 10  # as many beats as an ordinary 10 s recording has

@@ -10,8 +10,9 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.recording.filters import Filter, combined_gain
-
-SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
+from fascicle.recording.global_window import global_qrs_window
+from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.window import smoothing_against_ringing
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Target:
     time : (n_time,) array
         Time from the R peak (ms), every `SAMPLING_STEP`.
     qrs_onset, qrs_offset : float
-        QRS window (ms from the R peak).
+        QRS window (ms from the R peak), which all leads together decide.
     heart_rate : float, optional
         Beats per minute; None where a single beat does not tell.
     provenance : dict
@@ -37,6 +38,8 @@ class Target:
         Standard deviation of every sample (mV), stated by the user; needed for a single beat.
     filters : tuple of Filter
         What the beats have passed, as far as it is known; a simulation must pass the same.
+    earliest_onset : float, optional
+        End of the pacing spike (ms from the R peak), before which no QRS begins; None without one.
     """
 
     beats: Floats
@@ -49,6 +52,7 @@ class Target:
     offset_sd: float = 0.0
     noise: float | None = None
     filters: tuple[Filter, ...] = ()
+    earliest_onset: float | None = None
 
     @cached_property
     def used(self) -> Booleans:
@@ -79,8 +83,27 @@ class Target:
 
     @property
     def qrs_duration(self) -> float:
-        """Length of the QRS window (ms)."""
+        """Length of the QRS window (ms); clinics measure `global_qrs_duration`."""
         return self.qrs_offset - self.qrs_onset
+
+    @cached_property
+    def global_qrs(self) -> tuple[float, float]:
+        """Ends of the global QRS, that of the outermost leads (ms from the R peak).
+
+        Always found in the mean beat, wherever the window is; see
+        `fascicle.recording.global_window`.
+        """
+        first = self.time[0] if self.earliest_onset is None else self.earliest_onset
+        not_before = int(np.searchsorted(self.time, first))
+        smoothing = smoothing_against_ringing(self.filters)
+        onset, offset = global_qrs_window(self.mean, SAMPLING_STEP, not_before, smoothing)
+        return float(self.time[onset]), float(self.time[offset])
+
+    @property
+    def global_qrs_duration(self) -> float:
+        """From the onset of the QRS in the outermost leads to its offset there (ms)."""
+        onset, offset = self.global_qrs
+        return offset - onset
 
     @property
     def qrs_samples(self) -> slice:

@@ -17,7 +17,8 @@ from fascicle.core.leads import LEADS
 from fascicle.core.ranges import RANGES, shown
 from fascicle.recording.covariance import residual_covariance
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
-from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.target import Target
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,6 +32,8 @@ _REMAKE = "make the target again with 'fascicle target'"
 _FILTERS = "filters"  # an attribute that holds a list as JSON
 _NOISE = "stated_noise_mV"  # an attribute only where the user has stated the noise
 _RATE = "heart_rate_bpm"  # an attribute only where more than one beat was recorded
+_EARLIEST = "earliest_onset_ms"  # an attribute only of paced beats
+_OPTIONAL = (_NOISE, _RATE, _EARLIEST)
 _NUMBERS = {  # attribute of the file: field of the target
     "qrs_onset_ms": "qrs_onset",
     "qrs_offset_ms": "qrs_offset",
@@ -38,6 +41,7 @@ _NUMBERS = {  # attribute of the file: field of the target
     "qrs_offset_sd_ms": "offset_sd",
     _RATE: "heart_rate",
     _NOISE: "noise",
+    _EARLIEST: "earliest_onset",
 }
 _SHAPES = {FilterKind.LOW_PASS: "order", FilterKind.NOTCH: "quality"}
 COVARIANCE_COMMENT = (
@@ -173,8 +177,12 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
         "format_version": FORMAT_VERSION,
         "software": f"fascicle {version('fascicle')}",
         "comment": (
-            "The QRS lasts from qrs_onset_ms to qrs_offset_ms, counted from the R peak (time 0); "
-            "their standard deviations are 0 where the user has given them. Attributes that begin "
+            "The QRS window, which all leads together decide and fits see, lasts from "
+            "qrs_onset_ms to qrs_offset_ms, counted from the R peak (time 0); their standard "
+            "deviations are 0 where the user has given them. The global QRS, from the onset in "
+            "the outermost leads to the offset there, as clinics measure it, lasts from "
+            "global_qrs_onset_ms to global_qrs_offset_ms. 'earliest_onset_ms', of paced beats, is "
+            "the end of the pacing spike. Attributes that begin "
             "with 'provenance_' say where the beats came from and what was chosen. 'filters' lists "
             "(as JSON) what the potentials have passed: the kind of each filter, its frequency "
             "(cut-off, or middle of a notch), the order of a low-pass (Butterworth) or the quality "
@@ -183,6 +191,9 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
         ),
         _FILTERS: _filters_text(target.filters),
         "qrs_duration_ms": float(target.qrs_duration),
+        "global_qrs_onset_ms": target.global_qrs[0],
+        "global_qrs_offset_ms": target.global_qrs[1],
+        "global_qrs_duration_ms": target.global_qrs_duration,
         **{key: float(value) for key, value in numbers.items() if value is not None},
         **{_PREFIX + key: text.decode() for key, text in texts.items()},
     }
@@ -238,7 +249,7 @@ def _problems(dataset: xr.Dataset) -> Iterator[str]:
     if number != FORMAT_VERSION:
         yield f"target of format version {number}, this fascicle reads {FORMAT_VERSION}"
     missing = [name for name in ("beats", "lead", "time") if name not in dataset.variables]
-    needed = [name for name in (*_NUMBERS, _FILTERS) if name not in (_NOISE, _RATE)]
+    needed = [name for name in (*_NUMBERS, _FILTERS) if name not in _OPTIONAL]
     missing += [name for name in needed if name not in attributes]
     if missing:
         yield f"damaged target without {', '.join(missing)}"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,11 +19,14 @@ from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import Filter
 from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
-from fascicle.recording.target import SAMPLING_STEP, Target
+from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.target import Target
 from fascicle.recording.window import qrs_window, smoothing_against_ringing, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
 LARGEST_END_SD = 40.0  # ms
+ALTERNATING = 0.8  # of all pairs of neighbours, if beats of two classes take turns
+FEWEST_ALTERNATING = 4  # beats
 NOISY = 0.2  # beat-to-beat spread over QRS height
 
 
@@ -78,6 +83,7 @@ def target_from_beats(
         offset_sd=offset_sd if choices.offset is None else 0.0,
         noise=choices.noise,
         filters=filters,
+        earliest_onset=float(aligned.time[aligned.not_before]) if aligned.not_before else None,
     )
     warnings = _warnings(recording, target, beats, label, choices, findings)
     if not warnings:
@@ -186,7 +192,12 @@ def _warnings(
     if len(target.beats) == 2:
         warnings.append("two beats show little of how beats vary; give a longer recording")
     alike = sum(beat.label == label for beat in beats)
-    if alike < FEW_ALIKE * len(beats) and choices.beats is None:
+    if choices.beats is None and _alternate(beats):
+        warnings.append(
+            "beats of two classes alternate: every second one is ectopic, or twice as many were "
+            "found as there are, with T waves among them; look at the picture (--class chooses)"
+        )
+    elif choices.beats is None and alike < FEW_ALIKE * len(beats):
         warnings.append(
             f"only {alike} of {len(beats)} beats are of class {label}; look at the rhythm"
         )
@@ -198,3 +209,11 @@ def _warnings(
             "height; the recording is noisy"
         )
     return warnings
+
+
+def _alternate(beats: Sequence[Beat]) -> bool:
+    """Whether nearly every second beat is of one class, and the others of another."""
+    two = {label for label, _ in Counter(beat.label for beat in beats).most_common(2)}
+    changes = [{one.label, following.label} == two for one, following in pairwise(beats)]
+    enough = len(two) == 2 and len(beats) >= FEWEST_ALTERNATING
+    return enough and sum(changes) >= ALTERNATING * len(changes)

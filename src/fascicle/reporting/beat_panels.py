@@ -28,6 +28,7 @@ MOST_DRAWN = 100  # beats; of more, evenly many over the recording
 FEW = 15  # beats that are drawn with a stronger line
 WINDOW, UNCERTAIN = "#EFEFEF", "#C9C9C9"
 BAND_OPACITY = 0.25
+GLOBAL_END: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.7, "linestyle": (0, (4, 3))}
 
 
 def draw_beats(panels: Sequence[Axes], target: Target) -> None:
@@ -39,7 +40,8 @@ def draw_beats(panels: Sequence[Axes], target: Target) -> None:
         In the order of `fascicle.core.leads.LEADS`.
     target : Target
         Its beats are thin lines (at most `MOST_DRAWN` of them), its mean a thick one, on a band of
-        one standard deviation each way; the window is shaded, its ends with theirs.
+        one standard deviation each way; the window is shaded, its ends with theirs, and broken
+        lines are the ends of the global QRS.
     """
     start = max(target.qrs_onset - EARLIER, float(target.time[0]))
     stop = min(target.qrs_offset + LATER, float(target.time[-1]))
@@ -83,6 +85,7 @@ def panel_handles(target: Target) -> list[tuple[Any, str]]:  # Matplotlib has no
     handles.append((Patch(facecolor=WINDOW, edgecolor=style.BLACK, linewidth=0.6), "QRS window"))
     if target.onset_sd > 0 or target.offset_sd > 0:
         handles.append((Patch(color=UNCERTAIN, linewidth=0), "its ends ± 1 SD"))
+    handles.append((Line2D([], [], **GLOBAL_END), "global QRS (outermost leads)"))
     return handles
 
 
@@ -106,6 +109,8 @@ def _draw_window(axes: Axes, target: Target) -> None:
         if spread > 0:
             axes.axvspan(end - spread, end + spread, color=UNCERTAIN, linewidth=0, zorder=0.3)
         axes.axvline(end, color=style.BLACK, linewidth=0.7, zorder=1.5)
+    for end in target.global_qrs:
+        axes.axvline(end, zorder=1.5, **GLOBAL_END)
 
 
 def _draw_lead(axes: Axes, target: Target, lead: int, mean: Floats, spread: Floats) -> None:

@@ -117,7 +117,10 @@ def _measures_text(analysis: Analysis) -> str:
     onset, offset = style.whole(target.qrs_onset), style.whole(target.qrs_offset)
     heart_rate = target.heart_rate
     rate = f"{heart_rate:.0f} beats/min" if heart_rate is not None else "heart rate unknown"
-    qrs = f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R"
+    qrs = (
+        f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R "
+        f"(global {target.global_qrs_duration:.0f} ms)"
+    )
     used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
     beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
     if used != count:

@@ -122,12 +122,15 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
 
 
 def _prediction(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
-    """QRS duration and total activation time of a scenario, and what it gains."""
+    """QRS durations and total activation time of a scenario, and what it gains."""
     found, other = predicted[name], predicted[against]
     beat = "the own beat" if against == OWN_BEAT else against
-    qrs = _interval(found.indices["qrs_duration"])
+    window, qrs = (_interval(found.indices[f"{one}qrs_duration"]) for one in ("", "global_"))
     total = _interval(found.indices["total_activation_time"])
-    sentence = f"QRS duration {qrs} ms, total activation time {total} ms"
+    sentence = (
+        f"QRS duration {qrs} ms in the outermost leads, as clinics measure it, and {window} ms in "
+        f"all leads together; total activation time {total} ms"
+    )
     if name in (against, OWN_BEAT):
         return f"{sentence}."
     pairs = (found, other), (other, found)

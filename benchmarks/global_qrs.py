@@ -1,0 +1,229 @@
+"""Both QRS durations against manual marks in every lead: the window and the global QRS.
+
+    python -m benchmarks.global_qrs FOLDER
+    python -m benchmarks.global_qrs --simulated 60
+
+FOLDER holds recordings of the Lobachevsky University Electrocardiography Database (LUDB): for each
+N.hea the annotations N.i to N.v6, marked by cardiologists, lead by lead. Leads of one record share
+one gain, whatever its header says. Marked ends are, for each lead, the median over the beats of its
+marks from the found R peak, and of the leads the earliest onset and the latest offset.
+
+Printed are, for records of odd and of even number apart, mean and standard deviation (over the
+records) of found less marked onset, offset and duration (ms): of the window that all leads together
+decide (`fascicle.recording.window`, which losses and likelihoods see), and of the global QRS
+(`fascicle.recording.global_window`), that of the outermost leads. Then the records in which not as
+many beats were found as are marked, counted from the first marked wave to the last, and those that
+were refused.
+
+With `--simulated` the same is printed against the first and the last activation of so many ECGs
+simulated with random networks, without noise and as the mean of ten beats with noise, by
+`benchmarks.qrs_window`. Run from the root of the repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fascicle
+from benchmarks.qrs_window import simulated, simulations
+from fascicle.core.errors import InputError
+from fascicle.core.leads import LEADS
+from fascicle.recording.analysis import Analysis
+from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
+from fascicle.recording.detection import r_peaks
+from fascicle.recording.global_window import global_qrs_window
+from fascicle.recording.recording import Recording
+from fascicle.recording.resampling import resample
+from fascicle.recording.target import Target
+from fascicle.recording.window import qrs_window
+
+Array = NDArray[np.float64]
+
+SAME_BEAT = 200.0  # ms; marks of several leads closer than this belong to one beat
+REACH = 40  # ms by which a detected R peak may be off that of the target
+FEWEST = 2  # beats that a lead must be marked in
+RATIOS = (20.0, 25.0, 30.0, 40.0)  # dB, of one beat
+BEATS = 10
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Manual marks of one record (ms from its beginning).
+
+    Attributes
+    ----------
+    qrs : mapping of lead to (n_beats, 3) array
+        Onset, peak and offset of every QRS marked in it.
+    first, last : float
+        First and last mark of any wave in any lead.
+    """
+
+    qrs: dict[str, Array]
+    first: float
+    last: float
+
+    @property
+    def beats(self) -> int:
+        """How many QRS complexes are marked, in whichever leads."""
+        peaks = np.sort(np.concatenate([each[:, 1] for each in self.qrs.values()]))
+        return int(1 + (np.diff(peaks) > SAME_BEAT).sum())
+
+    def ends(self, r_times: Array) -> tuple[float, float] | None:
+        """Onset and offset in the outermost leads (ms from R); None where too few are marked."""
+        of_leads = [ends for marks in self.qrs.values() if (ends := _median_ends(marks, r_times))]
+        if not of_leads:
+            return None
+        onsets, offsets = np.array(of_leads).T
+        return float(onsets.min()), float(offsets.max())
+
+
+def _median_ends(marks: Array, r_times: Array) -> tuple[float, float] | None:
+    """Median onset and offset of one lead (ms from R); None of one marked in too few beats."""
+    nearest = r_times[np.argmin(np.abs(marks[:, 1, None] - r_times), axis=1)]
+    near = np.abs(marks[:, 1] - nearest) < SAME_BEAT
+    if near.sum() < FEWEST:
+        return None
+    onset, _, offset = np.median(marks[near] - nearest[near, None], axis=0)
+    return float(onset), float(offset)
+
+
+def manual_marks(stem: Path) -> Marks:
+    """Read the twelve annotation files of a record."""
+    import wfdb
+
+    qrs, every = {}, []
+    for lead in LEADS:
+        found = wfdb.rdann(str(stem), lead.lower())
+        times, symbols = 1000.0 * found.sample / found.fs, found.symbol
+        every += list(times)
+        qrs[lead] = np.array(
+            [
+                times[k : k + 3]
+                for k in range(len(symbols) - 2)
+                if symbols[k : k + 3] == ["(", "N", ")"]
+            ]
+        ).reshape(-1, 3)
+    return Marks(qrs, min(every), max(every))
+
+
+def r_times(recording: Recording, target: Target) -> Array:
+    """Times (ms) at which time 0 of the target's mean QRS lies in the recording."""
+    signal = resample(recording.signal, recording.sampling_rate)
+    rows, inside = np.flatnonzero(target.used), target.qrs_samples
+    shape = (target.qrs - target.qrs.mean(axis=1, keepdims=True))[rows]
+    width, begin = shape.shape[1], int(target.time[inside.start])
+    found = []
+    for peak in r_peaks(signal, 1000.0):
+        near = range(peak + begin - REACH, peak + begin + REACH + 1)
+        starts = [start for start in near if 0 <= start < signal.shape[1] - width]
+        if starts:
+            scores = [np.sum(signal[rows, start : start + width] * shape) for start in starts]
+            found.append(float(starts[int(np.argmax(scores))] - begin))
+    return np.array(found)
+
+
+def read_record(header: Path) -> Recording:
+    """A record with one gain for all leads."""
+    recording = fascicle.read_recording(header)
+    gains = recording.digits_per_millivolt
+    if gains is None or np.ptp(gains) == 0:
+        return recording
+    return share_gain(recording, DIGITS_PER_MILLIVOLT)
+
+
+def records(folder: Path) -> Iterator[Path]:
+    """Headers of the records with annotations, by number."""
+    headers = [path for path in folder.glob("*.hea") if path.stem.isdecimal()]
+    found = [path for path in headers if path.with_suffix(".v6").exists()]
+    yield from sorted(found, key=lambda path: int(path.stem))
+
+
+def errors(analysis: Analysis, marks: Marks) -> Array | None:
+    """Found less marked onset, offset and duration (ms), of the window and of the global QRS."""
+    target = analysis.target
+    marked = marks.ends(r_times(analysis.recording, target))
+    if marked is None:
+        return None
+    window = np.array([target.qrs_onset, target.qrs_offset]) - marked
+    outermost = np.array(target.global_qrs) - marked
+    return np.array([[*each, each[1] - each[0]] for each in (window, outermost)])
+
+
+def errors_of_both(beat: Array, ends: tuple[float, float]) -> Array:
+    """Found less true onset, offset and duration (ms) of a beat (12, n), as `errors` gives them."""
+    found = np.array([qrs_window(beat, 1.0), global_qrs_window(beat, 1.0)]) - ends
+    return np.column_stack([found, found[:, 1] - found[:, 0]])
+
+
+def report(label: str, off: Array) -> None:
+    """Print a table of errors (n, 2, 3), ms."""
+    print(f"{label}, n = {len(off)}: found less true (ms), mean ± standard deviation")
+    print(f"{'':<28}{'onset':<16}{'offset':<16}{'duration':<16}")
+    for row, name in enumerate(("window, all leads together", "global QRS, outermost leads")):
+        cells = [f"{each.mean():6.1f} ±{each.std():5.1f}" for each in off[:, row].T]
+        print(f"{name:<28}" + "".join(f"{cell:<16}" for cell in cells))
+
+
+def on_simulations(count: int) -> None:
+    """Print errors on simulated ECGs, without noise and with it."""
+    rng = np.random.default_rng(0)
+    complexes = simulations(rng, count)
+    off = []
+    for qrs in complexes:
+        reached = qrs.activation[np.isfinite(qrs.activation)] - qrs.onset
+        off.append(errors_of_both(qrs.leads, (reached.min(), reached.max())))
+    report("without noise", np.array(off))
+    for ratio in RATIOS:
+        cases = [simulated(rng, qrs, ratio, BEATS) for qrs in complexes]
+        off = [errors_of_both(case.beats.mean(axis=0), (case.onset, case.offset)) for case in cases]
+        report(f"{ratio:g} dB, {BEATS} beats", np.array(off))
+
+
+def on_records(folder: Path) -> None:
+    """Print errors on records with manual marks, and where beats were missed or invented."""
+    off: dict[int, Array] = {}
+    miscounted, refused = [], []
+    for header in records(folder):
+        marks = manual_marks(header.with_suffix(""))
+        try:
+            analysis = fascicle.analyse(read_record(header))
+        except InputError as error:
+            refused.append(str(error))
+            continue
+        times = 1000.0 * np.array([beat.time for beat in analysis.beats])
+        found = int(((times >= marks.first) & (times <= marks.last)).sum())
+        if found != marks.beats:
+            miscounted.append(f"{header.stem}: {found} beats found, {marks.beats} marked")
+        found_errors = errors(analysis, marks)
+        if found_errors is None:
+            refused.append(f"{header.stem}: no lead is marked in {FEWEST} beats")
+        else:
+            off[int(header.stem)] = found_errors
+    for half, parity in (("odd numbers", 1), ("even numbers", 0)):
+        chosen = [off[number] for number in off if number % 2 == parity]
+        if chosen:
+            report(half, np.array(chosen))
+    report("all", np.array(list(off.values())))
+    for title, lines in (("other counts of beats", miscounted), ("refused", refused)):
+        print(f"{title}: {len(lines)}", *lines, sep="\n  ")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, nargs="?", help="records and annotations of LUDB")
+    parser.add_argument("--simulated", type=int, metavar="N", help="ECGs of so many networks")
+    arguments = parser.parse_args()
+    if arguments.folder is not None:
+        on_records(arguments.folder)
+    if arguments.simulated is not None:
+        on_simulations(arguments.simulated)
+
+
+if __name__ == "__main__":
+    main()
