@@ -254,7 +254,7 @@ def hum(signal):
         (("--beats", "77"), "there is no beat 77"),
         (("--beats", "4-x"), "give numbers such as 3 or 1-4,7"),
         (("--exclude-beat", "0"), "there is no beat 0"),
-        (("--beats", "3"), "state its noise, such as --noise"),
+        (("--beats", "3"), "state its noise by --noise"),
         (("--noise", "0.04"), "--noise is for a single beat"),
         (("--noise", "-1", "--beats", "3"), "noise is -1 mV"),
         (("--leads", "I,II,V9"), "lead 'V9' is unknown"),

@@ -203,7 +203,7 @@ def with_gap(signal):
         (lambda s: (np.tile(s, 200), 500.0), "2000 s long; cut it to 1800 s"),
         (lambda s: (np.full_like(s, np.nan), 500.0), "no lead holds a sample"),
         (lambda s: (s[:11], 500.0), r"shape \(11, 5000\)"),
-        (lambda s: (s[:, :800], 500.0), "a single beat .*--noise 0.04"),
+        (lambda s: (s[:, :800], 500.0), "a single beat .*--noise 0.03 is a guess"),
         (lambda s: (1000 * s, 500.0), "spans .* mV in one beat"),
     ],
 )

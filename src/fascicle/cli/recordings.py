@@ -6,8 +6,9 @@ import math
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -124,6 +125,7 @@ def target(
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
+    from fascicle.recording.unsaid import asked_at_once
     from fascicle.reporting.figures import save
     from fascicle.reporting.recording import recording_figure
 
@@ -143,9 +145,15 @@ def target(
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
         wanted = None if leads is None else _leads(leads)
-        read = read_recording(recording, leads=wanted, sampling_rate=sampling_rate, unit=unit)
-        progress("recording", 1, 3, "beats")
-        analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
+
+        def analysed(noise: float | None, **said: Any) -> Analysis:
+            read = read_recording(recording, leads=wanted, **said)
+            progress("recording", 1, 3, "beats")
+            corrected = _corrected(read, gain, invert or (), swap or ())
+            return analyse(corrected, replace(choices, noise=noise))
+
+        said = {"noise": noise, "sampling_rate": sampling_rate, "unit": unit}
+        analysis = asked_at_once(analysed, str(recording), **said)
         progress("recording", 2, 3, "picture")
         save(recording_figure(analysis), picture)
         write_target(analysis.target, out)

@@ -21,6 +21,7 @@ from fascicle.recording.quality.finding import Finding, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.resampling import SAMPLING_STEP
 from fascicle.recording.target import Target
+from fascicle.recording.unsaid import noise_unsaid
 from fascicle.recording.window import qrs_window, smoothing_against_ringing, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
@@ -100,9 +101,9 @@ def _heart_rate(beats: Sequence[Beat]) -> float | None:
 def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
     """Ask for the noise of a single beat, and only of one."""
     if count == 1 and choices.noise is None:
-        raise InputError(
+        raise noise_unsaid(
             f"{source}: a single beat (class {label}) does not show how beats vary; state its "
-            "noise, such as --noise 0.04 (mV), or give a recording with more beats of one shape"
+            "noise by --noise (mV), or give a recording with more beats of one shape"
         )
     if count > 1 and choices.noise is not None:
         raise InputError(

@@ -14,6 +14,7 @@ from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
 from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
+from fascicle.recording.unsaid import unit_unsaid
 
 _ROUNDING = 1e-6  # relative, by which two spellings of one sampling rate may differ
 
@@ -220,7 +221,7 @@ def _in_millivolts(
     gains = np.full(len(LEADS), np.nan)
     for lead, channel in leads.items():
         row = LEADS.index(lead)
-        scale = _scale(channel, lead, source, options)
+        scale = _scale(channel, lead, source, options, leads)
         with np.errstate(over="ignore"):  # what is infinite is refused as a gap
             signal[row] = scale * channel.values
         if channel.digits_per_millivolt is not None:
@@ -228,7 +229,9 @@ def _in_millivolts(
     return signal, gains
 
 
-def _scale(channel: Channel, lead: str, source: str, options: ReadOptions) -> float:
+def _scale(
+    channel: Channel, lead: str, source: str, options: ReadOptions, leads: Mapping[str, Channel]
+) -> float:
     """Return the mV of one unit of a channel."""
     declared = None if channel.unit is None else printable(channel.unit)
     if declared is not None and options.unit is not None and not same_unit(declared, options.unit):
@@ -240,8 +243,11 @@ def _scale(channel: Channel, lead: str, source: str, options: ReadOptions) -> fl
     scale = None if unit is None else millivolts(unit)
     if scale is None:
         found = "the file names none" if unit is None else f"'{unit}'"
-        raise InputError(
+        message = (
             f"{source}: unknown unit of lead {lead} ({found}); known are nV, uV, mV and V, give it "
             "in the file or by --unit"
         )
+        if unit is not None:
+            raise InputError(message)
+        raise unit_unsaid(message, [each.values for each in leads.values() if each.unit is None])
     return scale

@@ -14,6 +14,7 @@ from fascicle.recording.readers.metadata import declared_rate
 from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.readers.table_text import Column, Table, lead_or_rhythm, open_table
 from fascicle.recording.recording import check_extent
+from fascicle.recording.unsaid import rate_unsaid, time_unit_unsaid
 
 _TIMES = ("time", "t", "timestamp", "elapsed time")
 _COUNTERS = (  # of samples; the last is what pandas calls a column without a name
@@ -59,9 +60,10 @@ def read_table(path: Path, options: ReadOptions) -> RawRecording:
         )
     rate = _agreed_rate(table, options, evidence)
     if rate is None:
-        raise InputError(
+        raise rate_unsaid(
             f"{path}: no time column among {table.shown}; add one named time_ms or time_s, or "
-            "give the rate in Hz by --sampling-rate"
+            "give the rate in Hz by --sampling-rate",
+            values.shape[1],
         )
     channels = [
         Channel(column.name, row, table.unit_of(column), column.lead)
@@ -184,9 +186,10 @@ def _scale(table: Table, column: Column, times: Floats, options: ReadOptions) ->
         return column.per_second
     rate = _agreed_rate(table, options)
     if rate is None:
-        raise InputError(
+        raise time_unit_unsaid(
             f"{table.path}: unknown unit of the time column '{printable(column.name)}'; name it "
-            "time_ms or time_s, or give the sampling rate in Hz by --sampling-rate"
+            "time_ms or time_s, or give the sampling rate in Hz by --sampling-rate",
+            _step(times),
         )
     step = _step(times)
     for scale in (1.0, 1e3, rate):
