@@ -3,7 +3,7 @@
 >>> import fascicle
 >>> heart = fascicle.load_heart("default")
 >>> model = fascicle.ForwardModel(heart)
->>> outcome = model.simulate(fascicle.EXAMPLE_PARAMETERS)
+>>> outcome = model.simulate(fascicle.example_parameters(model))
 >>> outcome.ecg.dims
 ('lead', 'time')
 """

@@ -5,6 +5,7 @@ from .core.files import outside_allowed as outside_allowed
 from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
+from .forward.example import example_parameters as example_parameters
 from .forward.model import ForwardModel as ForwardModel
 from .forward.scenario import His as His
 from .forward.scenario import Scenario as Scenario

@@ -19,6 +19,7 @@ from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
 from fascicle.core.quantities import checked
+from fascicle.forward.example import example_parameters
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
@@ -48,7 +49,7 @@ def simulate_inputs(
         Makes the model; called once the parameters are known to be good, as a large heart takes a
         while.
     params : Path, optional
-        Parameter file; without it and without trees, the example parameters.
+        Parameter file; without it and without trees, the example network, scaled to the heart.
     lv_tree, rv_tree : Path, optional
         Files of trees, both or none.
     overrides : mapping of name to float, optional
@@ -69,10 +70,10 @@ def simulate_inputs(
     """
     overrides = checked(overrides if overrides is not None else {})
     if lv_tree is None and rv_tree is None:
-        parameters = read_parameters(params) if params is not None else dict(EXAMPLE_PARAMETERS)
-        parameters |= overrides
+        given = read_parameters(params) if params is not None else None
         source = str(params) if params is not None else "example parameters"
         model = make_model()
+        parameters = (given if given is not None else example_parameters(model)) | overrides
         with _naming(scenario):
             _check_trees(scenario, model)
             outcome = model.simulate(parameters, scenario)

@@ -1,0 +1,57 @@
+"""The example network, scaled to any heart."""
+
+from __future__ import annotations
+
+import math
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS
+from fascicle.forward.model import ForwardModel
+from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
+
+SHORTER = 0.9  # of what fits
+SHORTEST = 0.1  # mm
+MOST_TRIES = 40
+
+
+def example_parameters(model: ForwardModel) -> dict[str, float]:
+    """Parameters of a network with a plausible ECG, that grows on the heart of a model.
+
+    Lengths are those of `fascicle.EXAMPLE_PARAMETERS` times the root of the endocardium's area over
+    that of the packaged heart, for which they were found; what then leaves the endocardium is
+    shortened, and so is a bundle whose tree has few junctions.
+
+    Raises
+    ------
+    InputError
+        If no such network is found.
+
+    Examples
+    --------
+    >>> import fascicle
+    >>> model = fascicle.ForwardModel(fascicle.load_heart("default"))
+    >>> fascicle.example_parameters(model) == fascicle.EXAMPLE_PARAMETERS
+    True
+    """
+    found = dict(EXAMPLE_PARAMETERS)
+    for endocardium in model.heart.endocardia:
+        side = endocardium.side
+        factor = round(math.sqrt(endocardium.area / EXAMPLE_AREAS[side]), 2)
+        for name in found:
+            if name.startswith(f"{side}_") and "length" in name:
+                found[name] *= factor
+    for _ in range(MOST_TRIES):
+        grown = model.grow(found)
+        if isinstance(grown, InvalidTree):
+            part = "initial_length" if grown.branch == 0 else f"fascicle_length_{grown.branch}"
+            found[f"{grown.side}_{part}"] = max(SHORTER * grown.grown, SHORTEST)
+            continue
+        sparse = [tree.side for tree in grown if len(tree.junctions) < FEW_JUNCTIONS]
+        if not sparse:
+            return found
+        for side in sparse:  # it ends close to the base, where there is no room for branches
+            found[f"{side}_initial_length"] *= SHORTER
+    raise InputError(
+        f"{model.heart.name}: no example network was found that fits; choose other roots and "
+        "directions for the bundles, or give parameters"
+    )
