@@ -267,3 +267,28 @@ class TestCompilation:
                 thread.join(2.0)
         assert threading.active_count() <= before
         assert reports == []
+
+
+def test_a_copy_of_a_heart_is_not_prepared_again(built, heart, tmp_path):
+    conduction, template = Conduction(), Upstroke()
+    first = prepare(heart, conduction, template)
+    (kept(heart)[0].parent / ".half.npz").write_text("being written")
+    copied = replace(heart, folder=tmp_path / "copy")
+    copied.folder.mkdir()
+    preparation.share_prepared(heart, copied.folder)
+    preparation.share_prepared(heart, copied.folder)  # as a study that goes on does
+    assert_same(prepare(copied, conduction, template), first)
+    assert len(built) == 1
+    assert [file.name for file in kept(copied)] == [kept(heart)[1].name]
+
+
+def test_what_cannot_be_linked_is_left(heart, tmp_path, monkeypatch):
+    prepare(heart, Conduction(), Upstroke())
+
+    def refuse(*_):
+        raise OSError(18, "another disk")
+
+    monkeypatch.setattr(os, "link", refuse)
+    (tmp_path / "copy").mkdir()
+    preparation.share_prepared(heart, tmp_path / "copy")
+    assert not any((tmp_path / "copy" / DISPOSABLE).iterdir())

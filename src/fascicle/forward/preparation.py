@@ -113,6 +113,21 @@ def cache_file(heart: Heart, conduction: Conduction, form: int, ending: str) -> 
     return heart.folder / DISPOSABLE / f"{key}.{ending}"
 
 
+def share_prepared(heart: Heart, copy: Path) -> None:
+    """Give a copy of a heart's folder what is prepared in the original, as links to the same files.
+
+    Where links cannot be made, as between two disks, the copy is prepared when it is first used.
+    """
+    if heart.folder is None or not (heart.folder / DISPOSABLE).is_dir():
+        return
+    with suppress(OSError):
+        (copy / DISPOSABLE).mkdir(exist_ok=True)
+        for file in (heart.folder / DISPOSABLE).iterdir():
+            finished = file.is_file() and not file.name.startswith(".")
+            if finished and not (copy / DISPOSABLE / file.name).exists():
+                os.link(file, copy / DISPOSABLE / file.name)
+
+
 def build(
     heart: Heart,
     conduction: Conduction,

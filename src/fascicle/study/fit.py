@@ -13,6 +13,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
@@ -117,6 +118,7 @@ def fit(
         study = Study.create_or_resume(folder, config, progress)
         if not _holds(folder / HEART, heart):
             write_heart(heart, folder / HEART)
+        share_prepared(heart, folder / HEART)
         write_recordings(folder, recordings)
         if config.method == "posterior":
             problem = _with_likelihoods(problem, config, heart, progress)
