@@ -61,7 +61,8 @@ def test_json_is_all_that_is_printed(run, heart, tmp_path):
     assert ended.well
     found = json.loads(ended.out)
     written = json.loads((out / "summary.json").read_text())
-    assert found == {"folder": str(out)} | written
+    pictures = [str(out / f"{name}.png") for name in ("ecg", "activation")]
+    assert found == {"folder": str(out), "pictures": pictures} | written
     assert json.loads(run("scenarios", "--json").out)["his-pacing"]
     names = [each["name"] for each in json.loads(run("parameters", "--json").out)]
     assert "cv" in names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,16 @@ from fascicle.heart.folder import load_heart
 from fascicle.recording.global_window import global_qrs_window
 from fascicle.recording.window import qrs_window
 
-FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "sites.csv", "summary.json"]
+FILES = [
+    "activation.png",
+    "activation.vtu",
+    "ecg.csv",
+    "ecg.png",
+    "lv_tree.vtu",
+    "rv_tree.vtu",
+    "sites.csv",
+    "summary.json",
+]
 
 
 def read_ecg(folder):
@@ -373,3 +383,34 @@ class TestOut:
         arguments = ["simulate", small_heart, "--params", parameters(), "--out", small_heart]
         refused(arguments, "which would be lost")
         assert {p.name: p.read_bytes() for p in small_heart.iterdir() if p.is_file()} == before
+
+
+def test_pictures_in_other_formats_take_the_place_of_the_first(run, tmp_path):
+    out = tmp_path / "s"
+    assert run("simulate", "default", "--out", out).status == 0
+    assert (out / "ecg.png").read_bytes().startswith(b"\x89PNG")
+    ended = run("simulate", "default", "--out", out, "--format", "svg")
+    assert ended.status == 0
+    assert f"pictures: {out}/ecg.svg, {out}/activation.svg" in ended.out
+    assert b"<svg" in (out / "activation.svg").read_bytes()[:2000]
+    assert not (out / "ecg.png").exists()
+
+
+def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, default_heart):
+    from fascicle.reporting import simulation as drawing
+
+    drawn = {}
+
+    def keep(figure, path):
+        drawn[path.name] = figure
+        return path
+
+    simulation = default_model.simulate(EXAMPLE_PARAMETERS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drawing, "save", keep)
+        drawing.draw_simulation(default_heart, simulation, Path(), "png")
+    figure = drawn["ecg.png"]
+    assert "0 ms" in figure.get_suptitle()
+    for index, lead in enumerate(LEADS):  # in three rows and four columns
+        (line,) = figure.axes[4 * (index % 3) + index // 3].get_lines()[-1:]
+        np.testing.assert_allclose(line.get_ydata(), simulation.ecg.sel(lead=lead))

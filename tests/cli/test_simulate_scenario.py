@@ -11,7 +11,10 @@ import pyvista as pv
 
 from fascicle.heart.folder import load_heart
 
-FILES = ["activation.vtu", "ecg.csv", "lv_tree.vtu", "rv_tree.vtu", "sites.csv", "summary.json"]
+FILES = [
+    "activation.png", "activation.vtu", "ecg.csv", "ecg.png", "lv_tree.vtu", "rv_tree.vtu",
+    "sites.csv", "summary.json",
+]  # fmt: skip
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 from pydantic import BaseModel
@@ -16,6 +16,10 @@ HeartArgument = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
+
+FormatOption = Annotated[
+    Literal["png", "svg", "pdf"], typer.Option("--format", help="Of the pictures.")
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

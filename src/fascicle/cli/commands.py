@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fascicle.cli.arguments import (
+    FormatOption,
     HeartArgument,
     OutOption,
     StudyArgument,
@@ -102,6 +103,7 @@ def simulate(
             "slow segments, junction delays, scar, more trees (docs/files.md)."
         ),
     ] = None,
+    kind: FormatOption = "png",
 ) -> Result:
     """Run the forward model: activation map, trees, ECG, and what fired what.
 
@@ -129,6 +131,7 @@ def simulate(
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
     from fascicle.heart.conduction import Conduction
     from fascicle.heart.folder import load_heart
+    from fascicle.reporting.simulation import draw_simulation
 
     overrides = fixed_values(fix, cv=cv, root_time=root_time)
     case, regions = read_scenario(find_scenario(scenario)) if scenario is not None else (None, ())
@@ -143,9 +146,11 @@ def simulate(
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     summary = write_simulation(loaded, simulation, out, inputs)
+    pictures = draw_simulation(loaded, simulation, out, kind)
     print_simulation(simulation, summary)
     print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
-    return {"folder": out} | summary
+    print(f"pictures: {', '.join(map(str, pictures))}")
+    return {"folder": out, "pictures": pictures} | summary
 
 
 app.command(name="target")(every_command(target_command))
@@ -241,6 +246,7 @@ def predict(
             "given several times. Without one: his-pacing, both roots fired together."
         ),
     ] = None,
+    kind: FormatOption = "png",
 ) -> Result:
     """Predict pacings, blocks and ectopic beats with every network of the population.
 
@@ -260,7 +266,7 @@ def predict(
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
         predicted = predict_scenarios(fitted, scenarios, progress)
-        write_prediction(fitted, predicted, out)
+        write_prediction(fitted, predicted, out, kind)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
             networks = prior_networks(fitted.problem, progress)
             prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fascicle.cli.arguments import FormatOption
 from fascicle.cli.output import Result
 from fascicle.core.errors import InputError
 
@@ -100,6 +101,7 @@ def target(
     lowpass: Lowpass = None,
     notch: Notch = None,
     recorder_lowpass: RecorderLowpass = None,
+    kind: FormatOption = "png",
 ) -> Result:
     """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
 
@@ -129,7 +131,7 @@ def target(
     from fascicle.reporting.figures import save
     from fascicle.reporting.recording import recording_figure
 
-    picture = _picture_beside(out, recording)
+    picture = _picture_beside(out, recording, kind)
     choices = Choices(
         onset=onset,
         offset=offset,
@@ -317,11 +319,11 @@ def _line(what: str, text: str) -> None:
     print(f"{what:<{_WIDTH}}{text}")
 
 
-def _picture_beside(out: Path, recording: Path) -> Path:
+def _picture_beside(out: Path, recording: Path, kind: str) -> Path:
     """Name of the page; both it and the target must be fit to be written."""
     if not out.name:
         raise InputError(f"{out}: is no file name; give a target's, such as target.nc")
-    picture = out.with_suffix(".png")
+    picture = out.with_suffix(f".{kind}")
     if picture == out:
         raise InputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
     for path in (out, picture):

@@ -30,6 +30,9 @@ from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
 from fascicle.torso.variation.conductor import InvalidBody
 
+PICTURES = [  # of what the folder holds; whoever writes it may draw them
+    f"{what}.{kind}" for what in ("ecg", "activation") for kind in ("png", "svg", "pdf")
+]
 FURTHEST_JUNCTION = 5.0  # mm; a leaf further from the tissue is no junction
 
 
@@ -209,7 +212,7 @@ def write_simulation(
         The folder.
     """
     content = summary(heart, simulation, inputs)
-    with atomic_folder(folder) as temporary:
+    with atomic_folder(folder, disposable=PICTURES) as temporary:
         write_activation(temporary / "activation.vtu", heart, simulation)
         for tree, times in zip(simulation.trees, simulation.coupled.trees, strict=True):
             write_tree(temporary / f"{tree.side}_tree.vtu", tree, times)

@@ -20,7 +20,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.prediction.indices import INDICES
 from fascicle.prediction.scenarios import OWN_BEAT, Predicted, qrs_aligned
-from fascicle.reporting.figures import save
+from fascicle.reporting.figures import FORMATS, save
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.results import FittedStudy
@@ -28,7 +28,9 @@ from fascicle.study.results import FittedStudy
 INTERVAL = (5, 50, 95)  # percentiles
 
 
-def write_prediction(fitted: FittedStudy, predicted: Mapping[str, Predicted], out: Path) -> None:
+def write_prediction(
+    fitted: FittedStudy, predicted: Mapping[str, Predicted], out: Path, kind: str = "png"
+) -> None:
     """Write what scenarios do in a population.
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
@@ -44,16 +46,24 @@ def write_prediction(fitted: FittedStudy, predicted: Mapping[str, Predicted], ou
         What `fascicle.predict` found.
     out : Path
         Folder to write.
+    kind : str
+        Of the pictures: ``"png"``, ``"svg"`` or ``"pdf"``.
     """
     heart, own = fitted.problem.model.heart, predicted[OWN_BEAT]
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, disposable=_pictures(predicted)) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
         content = {"verdict": fitted.verdict} | {n: _summary(p, own) for n, p in predicted.items()}
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        save(index_figure({n: p.indices for n, p in predicted.items()}), folder / "indices.png")
+        save(index_figure({n: p.indices for n, p in predicted.items()}), folder / f"indices.{kind}")
         for name, found in predicted.items():
-            _write_scenario(folder / name, found, heart)
-            save(scenario_ecg_figure(predicted, name), folder / name / "ecg.png")
+            _write_scenario(folder / name, found, heart, kind)
+            save(scenario_ecg_figure(predicted, name), folder / name / f"ecg.{kind}")
+
+
+def _pictures(predicted: Mapping[str, Predicted]) -> list[str]:
+    """Names of the pictures of an earlier prediction, in whatever format."""
+    stems = ["indices", *(f"{n}/{what}" for n in predicted for what in ("ecg", "activation"))]
+    return [stem + suffix for stem in stems for suffix in FORMATS]
 
 
 def index_table(predicted: Mapping[str, Predicted]) -> str:
@@ -110,13 +120,13 @@ def _since_first(times: Singles) -> Floats:
     return np.where(np.isfinite(since), since, np.nan)
 
 
-def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
+def _write_scenario(folder: Path, found: Predicted, heart: Heart, kind: str) -> None:
     maps = found.maps() | {
         f"activation_{which}": _since_first(found.beats[k].activation)
         for which, k in found.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
-    save(scenario_activation_figure(heart, found), folder / "activation.png")
+    save(scenario_activation_figure(heart, found), folder / f"activation.{kind}")
     time, ecgs = qrs_aligned(found)
     array = xr.DataArray(
         ecgs, {"lead": list(LEADS), "time": time}, ("network", "lead", "time"), "ecg",

@@ -1,0 +1,46 @@
+"""One simulation, drawn: its ECG and its activation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fascicle.core.leads import LEADS
+from fascicle.forward.simulation import Simulation
+from fascicle.heart.heart import Heart
+from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.figures import save
+from fascicle.reporting.hearts import ActivationRow, activation_figure
+from fascicle.reporting.style import VERMILION
+
+
+def draw_simulation(heart: Heart, simulation: Simulation, folder: Path, kind: str) -> list[Path]:
+    """Write ``ecg`` and ``activation`` into a simulation's folder.
+
+    Parameters
+    ----------
+    heart, simulation : Heart, Simulation
+        What was simulated.
+    folder : Path
+        Where to.
+    kind : str
+        Of the files: ``"png"``, ``"svg"`` or ``"pdf"``.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    ecg = simulation.ecg.sel(lead=list(LEADS))
+    time, leads = ecg["time"].to_numpy(), ecg.to_numpy()[None]
+    group = EcgGroup("simulated", "network", time, leads, VERMILION)
+    trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
+    row = ActivationRow(
+        f"{simulation.total_activation_time:.0f} ms", np.asarray(simulation.activation), trees
+    )
+    title = "Simulated ECG; the root that fires first does so at 0 ms"
+    return [
+        save(ecg_figure([group], title), folder / f"ecg.{kind}"),
+        save(activation_figure(heart, [row]), folder / f"activation.{kind}"),
+    ]
