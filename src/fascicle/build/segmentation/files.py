@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import bz2
+import contextlib
 import gzip
+import io
+import math
 import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.build.segmentation.image import Segmentation
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 
 LONGEST = 200  # characters of what a reader says
 NRRD_FORMATS = (".nrrd", ".nhdr")
-LARGEST = 1 << 30  # voxels; four times a CT of the whole thorax at 0.5 mm
-LARGEST_LABEL = 1 << 31
+LARGEST = 1 << 28  # voxels; a CT of the whole thorax at 0.5 mm, or 512 x 512 x 1024
+LARGEST_CONTENT = 3 << 29  # bytes, unpacked; 512 x 512 x 600 voxels of 8 bytes take 1.3 GB
+NRRD_UNPACKERS: dict[str, Any] = {
+    "gzip": gzip.open, "gz": gzip.open, "bzip2": bz2.open, "bz2": bz2.open,
+}  # fmt: skip
+NRRD_SKIPS = ("byteskip", "byte skip", "lineskip", "line skip")
 # What the readers raise for files that are cut short, scrambled, or not what their name says
 DAMAGED = (
     OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError,
@@ -106,9 +114,10 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
         with ImageOpener(path) as file:
             header = type(image.header).from_fileobj(file, check=False)
         shape = tuple(int(n) for n in image.shape)
+        dtype = image.get_data_dtype()
     if not isinstance(image, nibabel.Nifti1Image | nibabel.Nifti2Image):
         raise InputError(f"{path}: not a NIfTI file inside; convert it to NIfTI")
-    _check_shape(path, shape)
+    _check_size(path, shape, dtype)
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
     if not (np.isfinite(spacing).all() and (spacing > 0).all()):
         listed = ", ".join(f"{value:g}" for value in spacing)
@@ -134,16 +143,52 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
 def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
     import nrrd
 
-    with _refusing_damage(path, nrrd.NRRDError):
-        header = nrrd.read_header(str(path))
+    with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file:
+        header = nrrd.read_header(file)
         shape = tuple(int(n) for n in header["sizes"])
-    _check_shape(path, shape)
+        dtype = _nrrd_type(header)
+    _check_size(path, shape, dtype)
     affine = _nrrd_affine(path, header)
     space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
-    with _refusing_damage(path, nrrd.NRRDError), warnings.catch_warnings():
+    with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        values, _ = nrrd.read(str(path))
+        header = nrrd.read_header(file)  # the data follow
+        if header["encoding"] in NRRD_UNPACKERS:
+            values = _unpacked(path, header, file, dtype)
+        else:
+            values = nrrd.read_data(header, file, str(path))
     return values, affine, space
+
+
+def _nrrd_type(header: dict[str, Any]) -> np.dtype[Any]:
+    """Type of the voxels: that of an array which the reader makes without any."""
+    import nrrd
+
+    none = {"encoding": "raw", "sizes": np.zeros(3, dtype=np.int64), "dimension": 3}
+    fields = {name: header[name] for name in ("type", "endian") if name in header}
+    return nrrd.read_data(none | fields, io.BytesIO()).dtype  # type: ignore[no-any-return]
+
+
+def _unpacked(
+    path: Path, header: dict[str, Any], attached: BinaryIO, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    """Unpack as many bytes as an NRRD file states; nrrd would unpack all there are."""
+    skipped = [name for name in NRRD_SKIPS if header.get(name)]
+    if skipped:
+        raise ValueError(f"compressed data with '{skipped[0]}'")
+    data_file = header.get("datafile", header.get("data file"))
+    shape = [int(n) for n in header["sizes"]]
+    content = np.zeros(math.prod(shape) * dtype.itemsize, dtype=np.uint8)
+    with contextlib.ExitStack() as stack:
+        file = attached
+        if data_file is not None:
+            file = stack.enter_context((path.parent / data_file).open("rb"))
+        stream = stack.enter_context(NRRD_UNPACKERS[header["encoding"]](file))
+        found = stream.readinto(content)
+        if found < content.size or stream.read(1):
+            holds = f"holds {found}" if found < content.size else "more follow"
+            raise ValueError(f"{content.size} bytes announced, {holds}")
+    return content.view(dtype).reshape(shape, order="F")
 
 
 def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
@@ -186,8 +231,10 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     return affine
 
 
-def _check_shape(path: Path, shape: tuple[int, ...]) -> None:
-    """Refuse what is not a volume, before memory is taken for it."""
+def _check_size(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    """Refuse what is not a volume of numbers, before memory is taken for it."""
+    if dtype.kind not in "iubf":
+        raise InputError(f"{path}: voxels of type {dtype}; give whole numbers as labels")
     written = " × ".join(str(n) for n in shape)
     if len(shape) != 3:
         raise InputError(
@@ -199,18 +246,26 @@ def _check_shape(path: Path, shape: tuple[int, ...]) -> None:
             f"{path}: {written} voxels; give a label map of the heart (2 voxels or more along each "
             f"axis, at most {LARGEST} in all)"
         )
+    if math.prod(shape) * dtype.itemsize > LARGEST_CONTENT:
+        raise InputError(
+            f"{path}: {written} voxels of type {dtype} take more than "
+            f"{LARGEST_CONTENT / 2**30:g} GB; save labels as numbers of 8 or 16 bits"
+        )
 
 
-def _whole_numbers(path: Path, values: NDArray[Any]) -> Integers:
-    if values.dtype.kind in "iub":
-        return values.astype(np.int64)
-    if values.dtype.kind != "f":
-        raise InputError(f"{path}: voxels of type {values.dtype}; give whole numbers as labels")
-    broken = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= LARGEST_LABEL)
+def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.integer[Any]]:
+    """Labels, in a type no larger than in the file: a map may have hundreds of millions."""
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if values.dtype.kind in "iu":
+        return values.astype(values.dtype.newbyteorder("="))
+    with np.errstate(invalid="ignore"):
+        labels = values.astype(np.int32)
+    broken = labels != values  # so is what is not finite, or too large
     if broken.any():
         raise InputError(
             f"{path}: {int(broken.sum())} of {values.size} voxels are not whole numbers (first: "
             f"{values[broken][0]:g}); give the label map, not the image or a probability, and "
             "resample with nearest neighbours"
         )
-    return values.astype(np.int64)
+    return labels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ class Segmentation:
         If the voxels have no size, or their axes are not at right angles.
     """
 
-    labels: Integers
+    labels: NDArray[np.integer[Any]]
     affine: Floats
     name: str = "segmentation"
     space: str = ""
