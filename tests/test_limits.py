@@ -15,7 +15,6 @@ import sys
 import zlib
 
 import numpy as np
-import pytest
 import scipy.io
 
 MOST = 0.7  # GB, with the libraries; what follows asks for 3 GB and more

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 
@@ -49,7 +50,8 @@ def endless(path):
 
 def printing(path):
     os.write(1, b"rubbish" * 1000)
-    print("rubbish", flush=True)
+    sys.stdout.write("rubbish")
+    sys.stdout.flush()
     return 1
 
 

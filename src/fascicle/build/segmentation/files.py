@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from fascicle.build.segmentation.image import Segmentation
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.files import check_file
 
-LONGEST = 200  # characters of what a reader says
 NRRD_FORMATS = (".nrrd", ".nhdr")
 LARGEST = 1 << 28  # voxels; a CT of the whole thorax at 0.5 mm, or 512 x 512 x 1024
 LARGEST_CONTENT = 3 << 29  # bytes, unpacked; 512 x 512 x 600 voxels of 8 bytes take 1.3 GB
@@ -86,30 +85,39 @@ def read_segmentation(path: Path | str) -> Segmentation:
 
 @contextmanager
 def _refusing_damage(path: Path, *errors: type[Exception]) -> Iterator[None]:
-    """Say in one line what a reader found wrong."""
+    """Say in one line what a reader found wrong, and nothing else that it has to say."""
     refused: tuple[type[Exception], ...] = (*DAMAGED, *errors)
     try:
-        yield
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
     except refused as error:
-        found = " ".join(str(error).split())[:LONGEST] or type(error).__name__
         raise InputError(
-            f"{path}: damaged, truncated or mislabelled ({found}); export or copy it again"
+            f"{path}: damaged, truncated or mislabelled ({one_line(error)}); export or copy it "
+            "again"
         ) from None
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Keep nibabel from logging: it mends headers on reading, and a missing spacing becomes 1."""
+    from nibabel.imageglobals import logger
+
+    logged, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = logged
 
 
 def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
     import nibabel
     from nibabel.filebasedimages import ImageFileError
-    from nibabel.imageglobals import LoggingOutputSuppressor
     from nibabel.openers import ImageOpener
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    # nibabel mends headers on reading, and says so in the log: a missing spacing becomes 1
-    with (
-        _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError),
-        LoggingOutputSuppressor(),
-    ):
+    with _unlogged(), _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
         image = nibabel.load(path)
         with ImageOpener(path) as file:
             header = type(image.header).from_fileobj(file, check=False)
@@ -136,8 +144,7 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
     with _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
         values = np.asanyarray(image.dataobj)
     affine = np.array(image.affine, dtype=np.float64)
-    affine[:3] *= NIFTI_UNITS[unit]
-    return values, affine, "RAS"
+    return values, _scaled(affine, NIFTI_UNITS[unit]), "RAS"
 
 
 def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
@@ -150,8 +157,7 @@ def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
     _check_size(path, shape, dtype)
     affine = _nrrd_affine(path, header)
     space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
-    with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file:
         header = nrrd.read_header(file)  # the data follow
         if header["encoding"] in NRRD_UNPACKERS:
             values = _unpacked(path, header, file, dtype)
@@ -164,7 +170,8 @@ def _nrrd_type(header: dict[str, Any]) -> np.dtype[Any]:
     """Type of the voxels: that of an array which the reader makes without any."""
     import nrrd
 
-    none = {"encoding": "raw", "sizes": np.zeros(3, dtype=np.int64), "dimension": 3}
+    encoding = "raw" if header["encoding"] in NRRD_UNPACKERS else header["encoding"]
+    none = {"encoding": encoding, "sizes": np.zeros(3, dtype=np.int64), "dimension": 3}
     fields = {name: header[name] for name in ("type", "endian") if name in header}
     return nrrd.read_data(none | fields, io.BytesIO()).dtype  # type: ignore[no-any-return]
 
@@ -196,7 +203,7 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     space = str(header.get("space", "3D-right-handed")).lower()
     if space not in SPACES:  # in a left-handed one the heart would be mirrored
         raise InputError(
-            f"{path}: space '{space}' is unknown or left-handed; export the map in "
+            f"{path}: space '{printable(space)}' is unknown or left-handed; export the map in "
             "left-posterior-superior or right-anterior-superior"
         )
     directions, spacings = header.get("space directions"), header.get("spacings")
@@ -227,8 +234,13 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     }
     if len(units) > 1 or not units <= NRRD_UNITS.keys():
         raise InputError(f"{path}: space units {sorted(units)} are not of length; write it in mm")
-    affine[:3] *= NRRD_UNITS[units.pop()] if units else 1.0
-    return affine
+    return _scaled(affine, NRRD_UNITS[units.pop()] if units else 1.0)
+
+
+def _scaled(affine: Floats, millimetres: float) -> Floats:
+    """The affine in mm; what becomes infinite is refused as a size of voxels."""
+    with np.errstate(over="ignore"):
+        return np.vstack([affine[:3] * millimetres, affine[3:]])
 
 
 def _check_size(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
