@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -327,9 +328,6 @@ def small_heart() -> Heart:
     )  # fmt: skip
 
 
-SMALL_NETWORK = {"lv_initial_length": 30.0, "rv_initial_length": 30.0}
-
-
 def hearts() -> list[Seed]:
     """Heart folders, with meshes in text and compressed."""
     from fascicle.heart.folder import write_heart
@@ -352,3 +350,187 @@ def _as_text(files: dict[str, bytes], folder: Path) -> None:
         if path.suffix in (".vtu", ".vtp"):
             path.write_bytes(content)
             _write_xml(path, pv.read(path), "ascii")
+
+
+def parameters() -> dict[str, float]:
+    """Of a network that fits the small heart."""
+    from fascicle.core.parameters import EXAMPLE_PARAMETERS
+
+    lengths = {f"{side}_initial_length": 30.0 for side in ("lv", "rv")}
+    lengths |= {f"{side}_fascicle_length_{k}": 15.0 for side in ("lv", "rv") for k in (1, 2)}
+    return EXAMPLE_PARAMETERS | lengths
+
+
+def parameter_files() -> list[Seed]:
+    """Parameters of a network."""
+    text = "".join(f"{name} = {value}\n" for name, value in parameters().items())
+    more = "his_time = 40.0\nalpha = 0.07\nregion_1_conductivity = 0.5\nbranch_length = 8.0\n"
+    return _each({"a.toml": text.encode(), "b.toml": (text + more).encode()})
+
+
+SETTINGS = """effective = 100
+evaluations = 2000
+bank = 500
+workers = 1
+seed = 3
+gain_sd = 0.2
+method = "posterior"
+
+[parameters]
+cv = 2.5
+alpha = { prior = "log-normal", median = 0.07, sd = 0.2 }
+root_time = { lower = -120.0, upper = 0.0 }
+endocardial_speed = "free"
+endocardial_layer = 1.5
+lv_fascicles = 2
+region_1_conductivity = { prior = "uniform", lower = 0.0, upper = 0.5 }
+"""
+
+
+def settings_files() -> list[Seed]:
+    """Settings of a fit."""
+    return _each({"settings.toml": SETTINGS.encode()})
+
+
+SCENARIO = """description = "everything"
+delay.orthodromic = 2.0
+delay.antidromic = inf
+
+[his]
+time = 0.0
+root_time = -10.0
+left = 0.5
+right = 1.0
+
+[[stimulus]]
+time = 3.5
+position = [0.0, 40.0, 40.0]
+radius = 2.0
+
+[[stimulus]]
+time = 10.0
+site = "rv apex"
+
+[[stimulus]]
+time = 0.0
+position = [80.0, 40.0, 55.0]
+tree = "rv"
+part = "bundle"
+
+[[slowing]]
+tree = "lv"
+part = "fascicle 1"
+speed = 0.5
+
+[[slowing]]
+tree = "rv"
+speed = 0.0
+centre = [80.0, 40.0, 40.0]
+radius = 10.0
+
+[[region]]
+conductivity = 0.25
+label = 1
+
+[[region]]
+conductivity = 0.0
+centre = [40.0, 40.0, 40.0]
+radius = 15.0
+"""
+OWN_TREE = """silent = ["rv"]
+
+[[tree]]
+name = "own"
+file = "tree.vtp"
+time = 0.0
+root = [30.0, 0.0, 0.0]
+"""
+
+
+def scenarios() -> list[Seed]:
+    """Scenarios, one with a tree of its own."""
+    from fascicle.forward.scenario_files import library
+
+    shipped = {path.name: path.read_bytes() for path in library().values()}
+    tree = _written(_write_meshes)["tree-ascii.vtp"]
+    whole = {"own.toml": OWN_TREE.encode(), "tree.vtp": tree}
+    own = _each({"a.toml": SCENARIO.encode()})
+    return [*own * 20, *[Seed(whole, "own.toml", tuple(whole))] * 10, *_each(shipped)]
+
+
+def trees() -> list[Seed]:
+    """Trees of lines."""
+    return [seed for seed in meshes() if seed.main.startswith("tree")]
+
+
+def electrodes() -> list[Seed]:
+    """The nine electrodes as CSV and JSON."""
+    from fascicle.heart.electrodes import write_electrodes
+
+    places = np.random.default_rng(0).normal(0, 100, (9, 3)).round(2)
+
+    def write(folder: Path) -> None:
+        write_electrodes(folder / "a.csv", places)
+        write_electrodes(folder / "a.json", places)
+
+    return _each(_written(write))
+
+
+@cache
+def _study_files() -> dict[str, bytes]:
+    """What `load_study` reads of studies by both methods, with the small heart."""
+    import fascicle
+    from fascicle.heart.folder import write_heart
+    from fascicle.recording.synthetic import smooth_noise
+    from fascicle.recording.target import Target
+
+    known = parameters()
+
+    def write(folder: Path) -> None:
+        write_heart(small_heart(), folder / "heart")
+        heart = fascicle.load_heart(folder / "heart")
+        simulated = fascicle.ForwardModel(heart).simulate(known)
+        clean = np.pad(simulated.leads, ((0, 0), (80, 80)))
+        time = np.arange(clean.shape[1]) - 80 + simulated.onset
+        beats = clean + smooth_noise(np.random.default_rng(0), (3, *clean.shape), 0.02)
+        last = float(np.nanmax(simulated.activation))
+        target = Target(beats, time, simulated.first_activation, last, 60.0, {"from": "it"}, 4.0, 5)
+        fixed = {name: value for name, value in known.items() if name != "cv"}
+        few = {"paper": {"initial": 6, "steps": 1, "samples": 2, "draws": 2000},
+               "posterior": {"bank": 100, "evaluations": 200, "effective": 20}}  # fmt: skip
+        for method, settings in few.items():
+            fascicle.fit(
+                heart, target, folder / method, parameters=fixed, method=method, workers=1,
+                **settings,
+            )  # fmt: skip
+
+    files = _written(write)
+    unread = ("networks/", "activation.vtu", "summary.json", ".study.lock")
+    return {
+        name: content for name, content in files.items()
+        if not any(part in name for part in unread) and not name.startswith("heart")
+    }  # fmt: skip
+
+
+def studies() -> list[Seed]:
+    """Finished studies, by both methods."""
+    files = _study_files()
+    return [
+        Seed(own, method, tuple(own))
+        for method in ("paper", "posterior")
+        if (own := {name: files[name] for name in files if name.startswith(f"{method}/")})
+    ]
+
+
+def targets() -> list[Seed]:
+    """A target."""
+    return _each({"target.nc": _study_files()["paper/target.nc"]})
+
+
+def results() -> list[Seed]:
+    """Networks of both methods."""
+    files = _study_files()
+    return _each({
+        name.replace("/", "-"): content for name, content in files.items()
+        if name.endswith((".nc",)) and "target" not in name
+    })  # fmt: skip
