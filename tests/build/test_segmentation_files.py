@@ -75,6 +75,14 @@ def test_labels_and_positions_come_back_as_they_stand(tmp_path, labels, name):
     assert found.name == str(tmp_path / name)
 
 
+@pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2", "ASCII"])
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, ">i4", np.float32])
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nhdr"])
+def test_every_encoding_of_nrrd(tmp_path, labels, encoding, kind, name):
+    found = read_segmentation(write_nrrd(tmp_path / name, labels.astype(kind), encoding=encoding))
+    np.testing.assert_array_equal(found.labels, labels)
+
+
 @pytest.mark.parametrize(
     ("space", "known_as"),
     [("LPS", "LPS"), ("right-anterior-superior", "RAS"), ("RAS", "RAS"), ("3D-right-handed", "")],

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fascicle.build.volume_meshing import available_memory
 from fascicle.core.errors import InputError
+from fascicle.core.memory import available_memory
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +11,7 @@ from fascicle.build.surface_remeshing import remeshed_surface
 from fascicle.build.wall_thickness import check_edge_length, wall_thickness
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.memory import available_memory
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.mesh.measures import closed_volume
@@ -98,18 +97,6 @@ def check_memory(surface: LabelledSurface, edge_length: float) -> None:
             f"{vertices:.2g} vertices, for which meshing needs {needed / 1e9:.1f} GB and "
             f"{free / 1e9:.1f} GB are free; give {np.ceil(fitting * 100) / 100:.2f} mm or more"
         )
-
-
-def available_memory() -> float:
-    """Memory that programs may still take (bytes); infinite where the system does not say."""
-    meminfo = Path("/proc/meminfo")
-    if meminfo.exists():  # Linux, which counts what its caches would give back
-        for line in meminfo.read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return float(line.split()[1]) * 1024
-    if "SC_PHYS_PAGES" in getattr(os, "sysconf_names", {}):
-        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    return float("inf")
 
 
 def _refined(

@@ -14,6 +14,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_bytes
 from fascicle.core.leads import LEADS
+from fascicle.core.netcdf import load_netcdf
 from fascicle.core.ranges import RANGES, shown
 from fascicle.recording.covariance import residual_covariance
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
@@ -68,15 +69,13 @@ def read_target(path: str | Path) -> Target:
     InputError
         When there is no such file or it is not a target.
     """
-    import xarray as xr
-
     path = Path(path)
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "no such file"
         raise InputError(f"{path}: {what}; make a target with 'fascicle target'")
     try:
-        dataset = xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        dataset = load_netcdf(path)
+    except InputError as error:
         raise InputError(
             f"{path}: not a readable netCDF file; make a target with 'fascicle target'"
         ) from error

@@ -15,6 +15,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import LEADS
+from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
 from fascicle.recording.target import Target
 from fascicle.study.population import PaperPopulation, Population, Posterior
@@ -186,16 +187,10 @@ def read_population(path: Path) -> Population:
     InputError
         If the file is missing or holds something else.
     """
-    import xarray as xr
-
     if not path.is_file():
         raise InputError(f"{path}: no such file; finish the study with 'fascicle fit'")
-
-    def group(name: str) -> xr.Dataset:
-        return xr.load_dataset(path, group=name, engine="h5netcdf")
-
     try:
-        posterior, stats = group("posterior"), group("sample_stats")
+        posterior, stats = load_netcdf(path, "posterior"), _statistics(path)
         names = [str(name) for name in posterior.data_vars]
         values = {name: posterior[name].to_numpy().ravel() for name in names}
         losses = stats["loss"].to_numpy().ravel()
@@ -209,7 +204,7 @@ def read_population(path: Path) -> Population:
             losses,
             best,
             best_loss,
-            _log_likelihoods(group("log_likelihood")),
+            _log_likelihoods(load_netcdf(path, "log_likelihood")),
             log_evidences=np.asarray(stats.attrs["log_evidences"]),
             effective=np.asarray(stats.attrs["effective"]),
             evaluations=np.asarray(stats.attrs["evaluations"]),
@@ -232,9 +227,7 @@ def _log_likelihoods(stored: xr.Dataset) -> Floats:
 
 def _first_alone(path: Path) -> dict[str, Floats]:
     """Draws from the posterior of the first of several recordings."""
-    import xarray as xr
-
-    stored = xr.load_dataset(path, group=FIRST_ALONE, engine="h5netcdf")
+    stored = load_netcdf(path, FIRST_ALONE)
     return {str(name): values.to_numpy() for name, values in stored.data_vars.items()}
 
 
@@ -253,6 +246,4 @@ def read_checks(path: Path) -> Checks | None:
 
 
 def _statistics(path: Path) -> xr.Dataset:
-    import xarray as xr
-
-    return xr.load_dataset(path, group="sample_stats", engine="h5netcdf")
+    return load_netcdf(path, "sample_stats")

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import bz2
+import contextlib
 import gzip
+import io
+import math
 import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.build.segmentation.image import Segmentation
-from fascicle.core.arrays import Floats, Integers
-from fascicle.core.errors import InputError
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.files import check_file, named_by
 
-LONGEST = 200  # characters of what a reader says
 NRRD_FORMATS = (".nrrd", ".nhdr")
-LARGEST = 1 << 30  # voxels; four times a CT of the whole thorax at 0.5 mm
-LARGEST_LABEL = 1 << 31
+LARGEST = 1 << 28  # voxels; a CT of the whole thorax at 0.5 mm, or 512 x 512 x 1024
+LARGEST_CONTENT = 3 << 29  # bytes, unpacked; 512 x 512 x 600 voxels of 8 bytes take 1.3 GB
+NRRD_UNPACKERS: dict[str, Any] = {
+    "gzip": gzip.open, "gz": gzip.open, "bzip2": bz2.open, "bz2": bz2.open,
+}  # fmt: skip
+NRRD_SKIPS = ("byteskip", "byte skip", "lineskip", "line skip")
 # What the readers raise for files that are cut short, scrambled, or not what their name says
 DAMAGED = (
     OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError,
@@ -78,37 +85,47 @@ def read_segmentation(path: Path | str) -> Segmentation:
 
 @contextmanager
 def _refusing_damage(path: Path, *errors: type[Exception]) -> Iterator[None]:
-    """Say in one line what a reader found wrong."""
+    """Say in one line what a reader found wrong, and nothing else that it has to say."""
     refused: tuple[type[Exception], ...] = (*DAMAGED, *errors)
     try:
-        yield
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
     except refused as error:
-        found = " ".join(str(error).split())[:LONGEST] or type(error).__name__
         raise InputError(
-            f"{path}: damaged, truncated or mislabelled ({found}); export or copy it again"
+            f"{path}: damaged, truncated or mislabelled ({one_line(error)}); export or copy it "
+            "again"
         ) from None
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """Keep nibabel from logging: it mends headers on reading, and a missing spacing becomes 1."""
+    from nibabel.imageglobals import logger
+
+    logged, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = logged
 
 
 def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
     import nibabel
     from nibabel.filebasedimages import ImageFileError
-    from nibabel.imageglobals import LoggingOutputSuppressor
     from nibabel.openers import ImageOpener
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    # nibabel mends headers on reading, and says so in the log: a missing spacing becomes 1
-    with (
-        _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError),
-        LoggingOutputSuppressor(),
-    ):
+    with _unlogged(), _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
         image = nibabel.load(path)
         with ImageOpener(path) as file:
             header = type(image.header).from_fileobj(file, check=False)
         shape = tuple(int(n) for n in image.shape)
+        dtype = image.get_data_dtype()
     if not isinstance(image, nibabel.Nifti1Image | nibabel.Nifti2Image):
         raise InputError(f"{path}: not a NIfTI file inside; convert it to NIfTI")
-    _check_shape(path, shape)
+    _check_size(path, shape, dtype)
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
     if not (np.isfinite(spacing).all() and (spacing > 0).all()):
         listed = ", ".join(f"{value:g}" for value in spacing)
@@ -127,26 +144,61 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
     with _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
         values = np.asanyarray(image.dataobj)
     affine = np.array(image.affine, dtype=np.float64)
-    affine[:3] *= NIFTI_UNITS[unit]
-    return values, affine, "RAS"
+    return values, _scaled(affine, NIFTI_UNITS[unit]), "RAS"
 
 
 def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
     import nrrd
 
-    with _refusing_damage(path, nrrd.NRRDError):
-        header = nrrd.read_header(str(path))
+    with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file:
+        header = nrrd.read_header(file)
         shape = tuple(int(n) for n in header["sizes"])
+        dtype = _nrrd_type(header)
     data_file = header.get("datafile", header.get("data file"))  # as the reader looks for it
     if data_file is not None:
         check_file(named_by(path, data_file), (Path(data_file).suffix.lower(),), "voxels")
-    _check_shape(path, shape)
+    _check_size(path, shape, dtype)
     affine = _nrrd_affine(path, header)
     space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
-    with _refusing_damage(path, nrrd.NRRDError), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        values, _ = nrrd.read(str(path))
+    with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file:
+        header = nrrd.read_header(file)  # the data follow
+        if header["encoding"] in NRRD_UNPACKERS:
+            values = _unpacked(path, header, file, dtype)
+        else:
+            values = nrrd.read_data(header, file, str(path))
     return values, affine, space
+
+
+def _nrrd_type(header: dict[str, Any]) -> np.dtype[Any]:
+    """Type of the voxels: that of an array which the reader makes without any."""
+    import nrrd
+
+    encoding = "raw" if header["encoding"] in NRRD_UNPACKERS else header["encoding"]
+    none = {"encoding": encoding, "sizes": np.zeros(3, dtype=np.int64), "dimension": 3}
+    fields = {name: header[name] for name in ("type", "endian") if name in header}
+    return nrrd.read_data(none | fields, io.BytesIO()).dtype  # type: ignore[no-any-return]
+
+
+def _unpacked(
+    path: Path, header: dict[str, Any], attached: BinaryIO, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    """Unpack as many bytes as an NRRD file states; nrrd would unpack all there are."""
+    skipped = [name for name in NRRD_SKIPS if header.get(name)]
+    if skipped:
+        raise ValueError(f"compressed data with '{skipped[0]}'")
+    data_file = header.get("datafile", header.get("data file"))
+    shape = [int(n) for n in header["sizes"]]
+    content = np.zeros(math.prod(shape) * dtype.itemsize, dtype=np.uint8)
+    with contextlib.ExitStack() as stack:
+        file = attached
+        if data_file is not None:
+            file = stack.enter_context((path.parent / data_file).open("rb"))
+        stream = stack.enter_context(NRRD_UNPACKERS[header["encoding"]](file))
+        found = stream.readinto(content)
+        if found < content.size or stream.read(1):
+            holds = f"holds {found}" if found < content.size else "more follow"
+            raise ValueError(f"{content.size} bytes announced, {holds}")
+    return content.view(dtype).reshape(shape, order="F")
 
 
 def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
@@ -154,7 +206,7 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     space = str(header.get("space", "3D-right-handed")).lower()
     if space not in SPACES:  # in a left-handed one the heart would be mirrored
         raise InputError(
-            f"{path}: space '{space}' is unknown or left-handed; export the map in "
+            f"{path}: space '{printable(space)}' is unknown or left-handed; export the map in "
             "left-posterior-superior or right-anterior-superior"
         )
     directions, spacings = header.get("space directions"), header.get("spacings")
@@ -185,12 +237,19 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     }
     if len(units) > 1 or not units <= NRRD_UNITS.keys():
         raise InputError(f"{path}: space units {sorted(units)} are not of length; write it in mm")
-    affine[:3] *= NRRD_UNITS[units.pop()] if units else 1.0
-    return affine
+    return _scaled(affine, NRRD_UNITS[units.pop()] if units else 1.0)
 
 
-def _check_shape(path: Path, shape: tuple[int, ...]) -> None:
-    """Refuse what is not a volume, before memory is taken for it."""
+def _scaled(affine: Floats, millimetres: float) -> Floats:
+    """The affine in mm; what becomes infinite is refused as a size of voxels."""
+    with np.errstate(over="ignore"):
+        return np.vstack([affine[:3] * millimetres, affine[3:]])
+
+
+def _check_size(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    """Refuse what is not a volume of numbers, before memory is taken for it."""
+    if dtype.kind not in "iubf":
+        raise InputError(f"{path}: voxels of type {dtype}; give whole numbers as labels")
     written = " × ".join(str(n) for n in shape)
     if len(shape) != 3:
         raise InputError(
@@ -202,18 +261,26 @@ def _check_shape(path: Path, shape: tuple[int, ...]) -> None:
             f"{path}: {written} voxels; give a label map of the heart (2 voxels or more along each "
             f"axis, at most {LARGEST} in all)"
         )
+    if math.prod(shape) * dtype.itemsize > LARGEST_CONTENT:
+        raise InputError(
+            f"{path}: {written} voxels of type {dtype} take more than "
+            f"{LARGEST_CONTENT / 2**30:g} GB; save labels as numbers of 8 or 16 bits"
+        )
 
 
-def _whole_numbers(path: Path, values: NDArray[Any]) -> Integers:
-    if values.dtype.kind in "iub":
-        return values.astype(np.int64)
-    if values.dtype.kind != "f":
-        raise InputError(f"{path}: voxels of type {values.dtype}; give whole numbers as labels")
-    broken = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) >= LARGEST_LABEL)
+def _whole_numbers(path: Path, values: NDArray[Any]) -> NDArray[np.integer[Any]]:
+    """Labels, in a type no larger than in the file: a map may have hundreds of millions."""
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if values.dtype.kind in "iu":
+        return values.astype(values.dtype.newbyteorder("="))
+    with np.errstate(invalid="ignore"):
+        labels = values.astype(np.int32)
+    broken = labels != values  # so is what is not finite, or too large
     if broken.any():
         raise InputError(
             f"{path}: {int(broken.sum())} of {values.size} voxels are not whole numbers (first: "
             f"{values[broken][0]:g}); give the label map, not the image or a probability, and "
             "resample with nearest neighbours"
         )
-    return values.astype(np.int64)
+    return labels

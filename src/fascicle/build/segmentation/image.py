@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,19 +45,19 @@ class Segmentation:
         If the voxels have no size, or their axes are not at right angles.
     """
 
-    labels: Integers
+    labels: NDArray[np.integer[Any]]
     affine: Floats
     name: str = "segmentation"
     space: str = ""
 
     def __post_init__(self) -> None:
-        axes = self.affine[:3, :3]
-        if not np.isfinite(self.affine).all() or (self.spacing <= 0).any():
+        spacing, axes = self.spacing, self.affine[:3, :3]
+        if not (np.isfinite(self.affine).all() and np.isfinite(spacing).all() and spacing.all()):
             raise InputError(
-                f"{self.name}: the voxels have no size (spacing {_listed(self.spacing)} mm); "
+                f"{self.name}: the voxels have no size (spacing {_listed(spacing)} mm); "
                 "write the voxel spacing, in mm, into the file"
             )
-        unit = axes / self.spacing
+        unit = axes / spacing
         shear = float(np.abs(unit.T @ unit - np.eye(3)).max())
         if shear > LARGEST_SHEAR:
             raise InputError(
@@ -67,7 +68,8 @@ class Segmentation:
     @property
     def spacing(self) -> Floats:
         """Distance of neighbouring voxel centres along each index (mm)."""
-        return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
+        with np.errstate(over="ignore", invalid="ignore"):  # it may not be finite, in a file
+            return np.asarray(np.linalg.norm(self.affine[:3, :3], axis=0))
 
     @property
     def voxel_volume(self) -> float:
@@ -283,4 +285,4 @@ def _remove_small_components(
 
 
 def _listed(numbers: Floats | tuple[int, ...]) -> str:
-    return ", ".join(f"{number:.3g}" if number % 1 else f"{int(number)}" for number in numbers)
+    return ", ".join(f"{n}" if isinstance(n, int) else f"{n:.3g}" for n in numbers)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,21 @@ class MeshFile:
     others: dict[str, int] = field(default_factory=dict)
     has_polylines: bool = False
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """All but the path, as a child process can hand it over."""
+        return {name: value for name, value in vars(self).items() if name != "path"}
+
+    @classmethod
+    def of_parts(cls, path: Path, parts: dict[str, Any]) -> MeshFile:
+        """What was taken apart by `parts`, with texts as keys and lists where tuples were."""
+        numbered = {
+            name: {int(kind): value for kind, value in parts[name].items()}
+            for name in ("cells", "cell_data")
+        }
+        groups = {name: tuple(group) for name, group in parts["groups"].items()}
+        return cls(path, **(parts | numbered | {"groups": groups}))
 
     def cell_array(self, kind: int, name: str) -> Floats | None:
         """Values of an array on cells of one kind, if there is one of that name."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
+from fascicle.core.isolated import read_isolated
 from fascicle.mesh.formats.gmsh22 import is_gmsh22, read_gmsh22
 from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile, damaged
 from fascicle.mesh.formats.meshio_files import read_meshio
@@ -39,12 +41,10 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     if path.suffix.lower() in OPENCARP_FORMATS:
         return read_opencarp_mesh(path, purpose)
     _check_complete(path)
-    if path.suffix.lower() in VTK_FORMATS:
-        mesh = read_vtk(path)
-    elif path.suffix.lower() == ".msh" and is_gmsh22(content := path.read_bytes()):
+    if path.suffix.lower() == ".msh" and is_gmsh22(content := path.read_bytes()):
         mesh = read_gmsh22(path, content)
     else:
-        mesh = read_meshio(path)
+        mesh = MeshFile.of_parts(path, read_isolated(read_by_library, path))
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
@@ -59,6 +59,12 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
                 f"{path}: cells refer to points that are not there; export or copy it again"
             )
     return mesh
+
+
+def read_by_library(path: Path) -> dict[str, Any]:
+    """Parts of a mesh file that a library reads, which may crash."""
+    read = read_vtk if path.suffix.lower() in VTK_FORMATS else read_meshio
+    return read(path).parts
 
 
 def _check_complete(path: Path) -> None:

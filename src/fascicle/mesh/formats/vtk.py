@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
+from fascicle.core.isolated import Limits
 from fascicle.mesh.formats.mesh_file import (
     LINE,
     POLY_LINE,
@@ -25,38 +26,76 @@ from fascicle.mesh.formats.mesh_file import (
 )
 
 VERTICES, STRIP, POLYGON = 2, 6, 7  # VTK's numbers of cells that are not used
+XML_FORMATS = (".vtu", ".vtp")
+STATED = re.compile(rb'NumberOf(Points|Cells|Verts|Lines|Strips|Polys)\s*=\s*"\s*(\d+)')
+SMALLEST_ITEM = 8  # bytes; a point takes 12 at least, a cell 9
+LONGEST_NUMBER = 20  # digits
 OTHER_NAMES = {POLYGON: "polygons", STRIP: "triangle strips"}
 
 
 def read_vtk(path: Path) -> MeshFile:
-    """Read a VTK, VTU, VTP, OBJ or STL file by VTK's own reader."""
-    import pyvista as pv
+    """Read a VTK, VTU, VTP, OBJ or STL file by VTK's own reader.
 
+    It may crash, or take any amount of memory: call it by `fascicle.core.isolated`. Nothing here
+    imports PyVista, so that a child process starts 0.1 s sooner.
+    """
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    _check_stated_counts(path)
     reader = _vtk_reader(path)
     with _vtk_complaints() as complaints:
         reader.Update()
-        output = reader.GetOutput()
-    if complaints or output is None:
+        data = reader.GetOutput()
+    if complaints or data is None:
         raise damaged(path, complaints[0] if complaints else "nothing could be read")
-    data: Any = pv.wrap(output)
-    if not isinstance(data, pv.PolyData | pv.UnstructuredGrid):
+    if not (data.IsA("vtkPolyData") or data.IsA("vtkUnstructuredGrid")):
         raise InputError(
-            f"{path}: holds a {type(data).__name__}, not a mesh of triangles, tetrahedra or "
-            "lines; export it as an unstructured grid or polydata"
+            f"{path}: holds a {data.GetClassName().removeprefix('vtk')}, not a mesh of triangles, "
+            "tetrahedra or lines; export it as an unstructured grid or polydata"
         )
     try:
         cells, index, others = _cells(*_listed(data))
+        cell_arrays = _named_arrays(data.GetCellData())
         cell_data = {
-            kind: {name: np.asarray(data.cell_data[name])[rows] for name in data.cell_data}
+            kind: {name: values[rows] for name, values in cell_arrays.items()}
             for kind, rows in index.items()
         }
     except (IndexError, ValueError):
         raise damaged(path, "its list of cells contradicts itself") from None
-    point_data = {name: np.asarray(data.point_data[name]) for name in data.point_data}
-    points = np.asarray(data.points, dtype=float)
+    positions = data.GetPoints()  # None in a file that holds none
+    points = np.empty((0, 3)) if positions is None else vtk_to_numpy(positions.GetData())
     lines = index.get(LINE, np.empty(0))
     has_polylines = np.unique(lines).size < lines.size
-    return MeshFile(path, points, cells, point_data, cell_data, others, has_polylines)
+    return MeshFile(
+        path, points.astype(float), cells, _named_arrays(data.GetPointData()), cell_data, others,
+        has_polylines,
+    )  # fmt: skip
+
+
+def _check_stated_counts(path: Path) -> None:
+    """Refuse an XML file that states more points or cells than a file of its size may hold."""
+    if path.suffix.lower() not in XML_FORMATS:
+        return  # others state sizes too, but VTK compares them with the file, or memory is limited
+    most = Limits.of(path).memory / SMALLEST_ITEM
+    for what, number in STATED.findall(path.read_bytes()):
+        if len(number) > LONGEST_NUMBER or int(number) > most:
+            raise InputError(
+                f"{path}: states {number[:LONGEST_NUMBER].decode()} {what.decode().lower()}, and a "
+                f"file of {path.stat().st_size / 2**20:.3g} MB may hold {most:.2g}; it is damaged, "
+                "export it again"
+            )
+
+
+def _named_arrays(fields: Any) -> dict[str, NDArray[Any]]:
+    """Arrays of numbers by their names."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    arrays = {}
+    for k in range(fields.GetNumberOfArrays()):
+        array = fields.GetArray(k)  # None for one of texts
+        if array is not None and array.GetName() is not None:
+            arrays[str(array.GetName())] = vtk_to_numpy(array)
+    return arrays
 
 
 def _vtk_reader(path: Path) -> Any:
@@ -117,7 +156,7 @@ def _listed(data: Any) -> tuple[Integers, Integers, Integers]:
     """VTK's number of the kind of each cell (m,), where its points start (m + 1,), all points."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    is_grid = hasattr(data, "celltypes")
+    is_grid = data.IsA("vtkUnstructuredGrid")
     lists = {0: data.GetCells()} if is_grid else {
         VERTICES: data.GetVerts(), POLY_LINE: data.GetLines(),
         POLYGON: data.GetPolys(), STRIP: data.GetStrips(),
@@ -132,7 +171,17 @@ def _listed(data: Any) -> tuple[Integers, Integers, Integers]:
     kind, size = np.concatenate(kinds), np.concatenate(sizes)
     kind[(kind == POLYGON) & (size == 3)] = TRIANGLE
     start = np.concatenate([[0], np.cumsum(size)])
-    return np.asarray(data.celltypes) if is_grid else kind, start, np.concatenate(points)
+    return _kinds(data) if is_grid else kind, start, np.concatenate(points)
+
+
+def _kinds(grid: Any) -> Integers:
+    """VTK's number of the kind of each cell of an unstructured grid."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkVersion
+
+    version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
+    kinds = grid.GetCellTypes() if version >= (9, 6) else grid.GetCellTypesArray()
+    return np.empty(0, np.int64) if kinds is None else vtk_to_numpy(kinds).astype(np.int64)
 
 
 def _cells(

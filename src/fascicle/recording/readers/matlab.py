@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,14 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.errors import printable
-from fascicle.recording.readers.content import kind_of_content, refuse_damaged
+from fascicle.core.errors import InputError, printable
+from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content, refuse_damaged
 from fascicle.recording.readers.hdf5 import read_hdf5
 from fascicle.recording.readers.metadata import MOST_WORDS, Entry, entry_of, key_of
 from fascicle.recording.readers.named_arrays import Array, Group, raw_recording_of
 from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions
 
 _DEEPEST = 3  # structures within structures
+_HEADER = 128  # bytes
+_COMPRESSED = 15  # type of a data element
+_PIECE = 2**16  # bytes, which unpack to 64 MB at most
 
 
 def read_matlab(path: Path, options: ReadOptions) -> RawRecording:
@@ -32,12 +38,39 @@ def read_matlab(path: Path, options: ReadOptions) -> RawRecording:
         return read_hdf5(path, options)
     with path.open("rb") as file:
         kind = "MATLAB 4" if 0 in file.read(4) else "MATLAB 5"  # MATLAB 4 has no header
+    if kind == "MATLAB 5":
+        _check_unpacked_size(path)
     with refuse_damaged(path, kind, MatReadError, UserWarning), warnings.catch_warnings():
         warnings.filterwarnings("error", message="Duplicate variable|Unreadable variable")
         variables = loadmat(path, appendmat=False)
         named = {name: value for name, value in variables.items() if not name.startswith("__")}
         groups = list(_groups("", named, []))
     return raw_recording_of(groups, path, options, kind)
+
+
+def _check_unpacked_size(path: Path) -> None:
+    """Refuse a MATLAB 5 file whose compressed variables are larger than any recording.
+
+    scipy unpacks all of them at once. The file is a header and data elements, each with its type
+    and size (MathWorks, MAT-File Format, "Level 5"). They are unpacked here piece by piece, since
+    the size that a variable states may be wrong.
+    """
+    unpacked = 0
+    with path.open("rb") as file, refuse_damaged(path, "MATLAB 5"):
+        order = "<" if file.read(_HEADER).endswith(b"IM") else ">"
+        while len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != _COMPRESSED:
+                file.seek(size, os.SEEK_CUR)
+                continue
+            unpacker = zlib.decompressobj()
+            for start in range(0, size, _PIECE):
+                unpacked += len(unpacker.decompress(file.read(min(_PIECE, size - start))))
+                if unpacked > LARGEST_FILE:
+                    raise InputError(
+                        f"{path}: its variables take more than {LARGEST_FILE / 2**20:.0f} MB when "
+                        "unpacked; save a part of the recording, 10 s are enough"
+                    )
 
 
 def _groups(where: str, variables: Mapping[str, Any], around: Sequence[Entry]) -> Iterator[Group]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -91,6 +92,17 @@ class RawRecording:
     format: str
     filters: Filters = field(default_factory=Filters)
     provenance: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """The same as dictionaries, lists and arrays, as a child process can hand it over."""
+        return vars(self) | {"channels": [*map(vars, self.channels)], "filters": vars(self.filters)}
+
+    @classmethod
+    def of_parts(cls, parts: dict[str, Any]) -> RawRecording:
+        """What was taken apart by `parts`."""
+        channels = [Channel(**channel) for channel in parts["channels"]]
+        return cls(**(parts | {"channels": channels, "filters": Filters(**parts["filters"])}))
 
 
 def narrowest_passband(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from fascicle.core.errors import InputError
+from fascicle.core.isolated import read_isolated
 from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content, sha256_of
-from fascicle.recording.readers.isolated import read_isolated
-from fascicle.recording.readers.raw_recording import ReadOptions, assemble
+from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions, assemble
 from fascicle.recording.recording import Recording
 
 # The module and function that read each kind of file; loaded when used.
@@ -80,11 +81,10 @@ def read_recording(
     path = _existing_file(Path(path))
     options = ReadOptions(sampling_rate, unit)
     kind = _kind_of(path)
-    module, function = _READERS[kind]
     if kind in _ISOLATED:
-        raw = read_isolated(path, options, module, function)
+        raw = RawRecording.of_parts(read_isolated(read_parts, path, kind=kind, **asdict(options)))
     else:
-        raw = getattr(import_module(f"{__package__}.{module}"), function)(path, options)
+        raw = _read(path, kind, options)
     recording = assemble(raw, str(path), options, leads)
     notes = {"source_sha256": sha256_of([path])}
     if leads is not None:
@@ -94,6 +94,17 @@ def read_recording(
     if unit is not None:
         notes["choice_unit"] = unit
     return replace(recording, provenance=recording.provenance | notes)
+
+
+def read_parts(path: Path, kind: str, **options: Any) -> dict[str, Any]:
+    """Parts of the raw recording in a file whose library may crash."""
+    return _read(path, kind, ReadOptions(**options)).parts
+
+
+def _read(path: Path, kind: str, options: ReadOptions) -> RawRecording:
+    module, function = _READERS[kind]
+    raw: RawRecording = getattr(import_module(f"{__package__}.{module}"), function)(path, options)
+    return raw
 
 
 def _existing_file(path: Path) -> Path:

@@ -1,0 +1,7 @@
+"""Damaged files of every kind that is read, and wrong arguments: what becomes of each.
+
+    python -m benchmarks.fuzzing [KIND ...] [--number 20000] [--first 0]
+
+Prints for each kind how many inputs were read, how many were refused in one line, and everything
+else: errors of other kinds, more than 10 s, more than 2 GB.
+"""

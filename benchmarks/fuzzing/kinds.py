@@ -1,0 +1,138 @@
+"""What is damaged, and what then reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.fuzzing import seeds
+from benchmarks.fuzzing.seeds import Seed
+
+if TYPE_CHECKING:
+    from fascicle.forward.model import ForwardModel
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Files of one kind.
+
+    Attributes
+    ----------
+    seeds : function
+        Makes whole ones.
+    read : function
+        Of the path of what is read; anything it raises but InputError is a failure.
+    """
+
+    seeds: Callable[[], list[Seed]]
+    read: Callable[[Path], Any]
+
+
+def _mesh(path: Path) -> Any:
+    from fascicle.mesh.formats.read import read_mesh
+
+    return read_mesh(path)
+
+
+def _segmentation(path: Path) -> Any:
+    from fascicle.build.segmentation.files import read_segmentation
+
+    return read_segmentation(path)
+
+
+def _recording(path: Path) -> Any:
+    from fascicle import read_recording
+
+    return read_recording(path)
+
+
+def _tree(path: Path) -> Any:
+    from fascicle.purkinje.tree_files import read_tree
+
+    return read_tree(path, "lv", np.zeros(3))
+
+
+def _electrodes(path: Path) -> Any:
+    from fascicle.heart.electrodes import read_electrodes
+
+    return read_electrodes(path)
+
+
+def _heart(path: Path) -> Any:
+    from fascicle import ForwardModel, load_heart
+
+    return ForwardModel(load_heart(path)).simulate(seeds.parameters())
+
+
+@cache
+def _small_model() -> ForwardModel:
+    from fascicle.forward.model import ForwardModel
+
+    return ForwardModel(seeds.small_heart())
+
+
+def _scenario(path: Path) -> Any:
+    from fascicle.forward.model import ForwardModel
+    from fascicle.forward.scenario_files import read_scenario
+    from fascicle.heart.conduction import Conduction
+
+    scenario, regions = read_scenario(path)
+    model = _small_model()
+    if regions:
+        model = ForwardModel(model.heart, Conduction.of(model.heart, regions))
+    return model.simulate(seeds.parameters(), scenario)
+
+
+def _parameters(path: Path) -> Any:
+    from fascicle.core.parameters import read_parameters
+
+    return _small_model().simulate(read_parameters(path))
+
+
+def _settings(path: Path) -> Any:
+    from fascicle.study.settings import checked_settings
+    from fascicle.study.space import PARAMETERS, read_settings, study_space
+
+    given = read_settings(path)
+    wanted = given.pop(PARAMETERS, {})
+    settings = checked_settings(given)
+    return study_space(settings.method, wanted, _small_model().heart)
+
+
+def _target(path: Path) -> Any:
+    from fascicle import read_target
+
+    return read_target(path)
+
+
+def _result(path: Path) -> Any:
+    from fascicle.study.population_files import read_checks, read_gains, read_population
+
+    return read_population(path), read_checks(path), read_gains(path)
+
+
+def _study(path: Path) -> Any:
+    from fascicle import load_study
+
+    return load_study(path)
+
+
+KINDS = {
+    "meshes": Kind(seeds.meshes, _mesh),
+    "trees": Kind(seeds.trees, _tree),
+    "segmentations": Kind(seeds.segmentations, _segmentation),
+    "electrodes": Kind(seeds.electrodes, _electrodes),
+    "hearts": Kind(seeds.hearts, _heart),
+    "recordings": Kind(seeds.recordings, _recording),
+    "targets": Kind(seeds.targets, _target),
+    "parameters": Kind(seeds.parameter_files, _parameters),
+    "settings": Kind(seeds.settings_files, _settings),
+    "scenarios": Kind(seeds.scenarios, _scenario),
+    "results": Kind(seeds.results, _result),
+    "studies": Kind(seeds.studies, _study),
+}

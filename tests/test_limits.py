@@ -1,0 +1,143 @@
+"""Files that state or unpack to more than any mesh, segmentation or recording has.
+
+Each is read in a process of its own, so that the memory it takes can be seen.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import os
+import struct
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+import scipy.io
+
+MOST = 0.7  # GB, with the libraries; what follows asks for 3 GB and more
+READ = """
+import json, resource, sys
+from fascicle.build.segmentation.files import read_segmentation
+from fascicle.core import isolated
+from fascicle.core.errors import InputError
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.recording.readers.read import read_recording
+try:
+    eval(sys.argv[1])(sys.argv[2])
+    message = ""
+except InputError as error:
+    message = str(error)
+while isolated._idle:
+    isolated._idle.pop().end()
+kinds = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+peak = max(resource.getrusage(kind).ru_maxrss for kind in kinds)
+print(json.dumps([message, peak / 2**20]))
+"""
+
+
+def refused(function, path):
+    """The message with which a file is refused by a process that stays small."""
+    done = subprocess.run(
+        [sys.executable, "-c", READ, function, str(path)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    message, peak = json.loads(done.stdout)
+    assert message.startswith(f"{path}: ")
+    assert message.isprintable()
+    assert peak < MOST
+    assert not done.stderr
+    return message
+
+
+def zeros(total, size=2**22):
+    """A VTK array of that many zeros as base64: one block many times, as XML files have them."""
+    packed = zlib.compress(bytes(size))
+    head = struct.pack("<3Q", total // size, size, 0) + struct.pack("<Q", len(packed)) * (
+        total // size
+    )
+    return (base64.b64encode(head) + base64.b64encode(packed * (total // size))).decode()
+
+
+def vtu(points, positions, form):
+    cells = "".join(
+        f'<DataArray type="{kind}" Name="{name}" format="ascii">{values}</DataArray>'
+        for name, kind, values in (
+            ("connectivity", "Int64", "0 1 2 3"), ("offsets", "Int64", 4), ("types", "UInt8", 10),
+        )
+    )  # fmt: skip
+    return (
+        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
+        'header_type="UInt64" compressor="vtkZLibDataCompressor"><UnstructuredGrid>'
+        f'<Piece NumberOfPoints="{points}" NumberOfCells="1"><Points>'
+        f'<DataArray type="Float64" NumberOfComponents="3" format="{form}">{positions}</DataArray>'
+        f"</Points><Cells>{cells}</Cells></Piece></UnstructuredGrid></VTKFile>"
+    )
+
+
+def test_mesh_that_states_more_points_than_it_can_hold(tmp_path):
+    path = tmp_path / "a.vtu"
+    path.write_text(vtu(9_000_000_000_000, "0 0 0", "ascii"))
+    assert "states 9000000000000 points" in refused("read_mesh", path)
+
+
+def test_mesh_that_unpacks_to_more_than_it_may(tmp_path):
+    path = tmp_path / "a.vtu"
+    points = 2**27
+    path.write_text(vtu(points, zeros(24 * points), "binary"))
+    assert path.stat().st_size < 5 * 2**20
+    assert "GB of memory, the limit for a file of" in refused("read_mesh", path)
+
+
+def test_legacy_mesh_that_states_more_points_than_it_can_hold(tmp_path):
+    path = tmp_path / "a.vtk"
+    head = "# vtk DataFile Version 3.0\na\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
+    path.write_text(f"{head}POINTS 900000000000 double\n" + "0" * 100)
+    refused("read_mesh", path)
+
+
+def test_recording_that_unpacks_to_more_than_it_may(tmp_path):
+    """A variable of 3 GB of zeros in 3 MB."""
+    path = tmp_path / "a.mat"
+    samples = 400_000_000
+    scipy.io.savemat(path, {"V1": np.zeros((1, 1000))})
+    content = path.read_bytes().replace(struct.pack("<2i", 1, 1000), struct.pack("<2i", 1, samples))
+    content = content.replace(struct.pack("<2I", 9, 8000), struct.pack("<2I", 9, 8 * samples))
+    variable = content[128:136][:4] + struct.pack("<I", 8 * samples + 56) + content[136:-8000]
+    packer = zlib.compressobj()
+    head = packer.compress(variable) + packer.flush(zlib.Z_FULL_FLUSH)
+    block = packer.compress(bytes(2**20)) + packer.flush(zlib.Z_FULL_FLUSH)
+    packed = head + block * (8 * samples // 2**20)
+    path.write_bytes(content[:128] + struct.pack("<2I", 15, len(packed)) + packed)
+    assert "unpack" in refused("read_recording", path)
+
+
+def nrrd_header(sizes):
+    return (
+        "NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\n"
+        f"sizes: {sizes}\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nencoding: gzip\n\n"
+    ).encode()
+
+
+def test_segmentation_that_unpacks_to_more_than_it_states(tmp_path):
+    path = tmp_path / "a.nrrd"
+    block = gzip.compress(bytes(2**24))
+    path.write_bytes(nrrd_header("256 256 256") + block * 200)  # one member after the other
+    assert "more follow" in refused("read_segmentation", path)
+
+
+def test_segmentation_that_holds_less_than_it_states(tmp_path):
+    path = tmp_path / "a.nrrd"
+    path.write_bytes(nrrd_header("1024 512 512") + gzip.compress(bytes(2**24)))
+    assert "holds 16777216" in refused("read_segmentation", path)
+
+
+def test_segmentation_of_more_voxels_than_any_has(tmp_path):
+    path = tmp_path / "a.nrrd"
+    path.write_bytes(nrrd_header("1024 1024 1024") + gzip.compress(bytes(2**10)))
+    assert "at most 268435456" in refused("read_segmentation", path)
