@@ -183,5 +183,5 @@ def write_response(path: Path, response: BodyResponse) -> None:
 
 def read_response(path: Path) -> BodyResponse:
     """Read what `write_response` wrote."""
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return BodyResponse(**{name: file[name] for name in file.files})

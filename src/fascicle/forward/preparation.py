@@ -221,7 +221,7 @@ def load(
         What it was prepared for, if that was not written, too.
     """
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         for key in file.files:
             part, name = key.split(".")
             value = file[key]

@@ -181,7 +181,10 @@ def _sheets(mesh: MeshFile) -> Floats | None:
     values = mesh.cell_array(TETRAHEDRON, SHEET)
     if values is None:
         return None
-    check_fibres(f"{mesh.path} ('{SHEET}')", values)
+    name = f"{mesh.path} ('{SHEET}')"
+    if values.ndim != 2 or values.shape[1] != 3:
+        raise InputError(f"{name}: sheets must be vectors of three numbers; correct or remove it")
+    check_fibres(name, values)
     return values
 
 

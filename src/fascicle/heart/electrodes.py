@@ -13,7 +13,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, write_text
 from fascicle.core.leads import ELECTRODES
-from fascicle.core.ranges import check_position
+from fascicle.core.ranges import check_position, shown
 
 
 def read_electrodes(path: Path | str) -> Floats:
@@ -90,7 +90,9 @@ def _position(path: Path, name: str, values: list[object]) -> list[float]:
     if any(isinstance(value, bool) for value in values):
         position = []
     if len(position) != 3 or not all(map(math.isfinite, position)):
-        raise InputError(f"{path}: electrode {name} is at {values}; give three finite numbers (mm)")
+        raise InputError(
+            f"{path}: electrode {name} is at {shown(values)}; give three finite numbers (mm)"
+        )
     check_position(position, f"{path}: electrode {name}")
     return position
 

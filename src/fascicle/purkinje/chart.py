@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import igl
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import MatrixRankWarning, spsolve
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -79,7 +80,7 @@ def build_chart(endocardium: Endocardium) -> Chart:
         points = _mean_value_map(vertices, triangles, loop, circle)
     elif stretch(_metric(points, vertices, triangles)).max() > STRETCHED:
         points = _less_stretched(points, vertices, triangles, loop, circle)
-    folded = np.flatnonzero(signed_areas(points, triangles) <= 0)
+    folded = np.flatnonzero(~(signed_areas(points, triangles) > 0))  # NaN among them
     if folded.size:
         raise InputError(
             f"{endocardium.side.upper()} endocardium: {folded.size} triangles fold when mapped to "
@@ -144,7 +145,9 @@ def _mean_value_map(
     points[loop] = circle
     total = sp.diags(np.asarray(weights.sum(axis=1)).ravel())
     matrix = (total - weights).tocsr()[inner]
-    points[inner] = spsolve(matrix[:, inner].tocsc(), -matrix[:, loop] @ circle)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MatrixRankWarning)  # what is then NaN counts as folded
+        points[inner] = spsolve(matrix[:, inner].tocsc(), -matrix[:, loop] @ circle)
     return points
 
 

@@ -172,7 +172,10 @@ class Bank:
 
     def _read(self, number: int) -> dict[str, Any]:
         try:
-            with np.load(self.file(number), allow_pickle=False) as file:
+            with (
+                self.file(number).open("rb") as stream,
+                np.load(stream, allow_pickle=False) as file,
+            ):
                 return {name: file[name] for name in file.files}
         except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise InputError(

@@ -88,7 +88,7 @@ class StudyConfig(FitSettings):
     heart: str
     target: str
     other_targets: tuple[str, ...] = ()
-    scenarios: tuple[str, ...] = ("",)
+    scenarios: tuple[str, ...] = Field(default=("",), min_length=1)
     space: tuple[Parameter, ...] = Field(min_length=1)
     fixed: dict[str, float] = Field(default_factory=dict)
     growth: dict[str, float]

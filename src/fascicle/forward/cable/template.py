@@ -202,7 +202,7 @@ def stored_template(cell: str) -> CableTemplate:
     """
     path = user_cache() / f"template-{_key(cell)}.npz"
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return CableTemplate(cell, file["times"], file["potentials"], float(file["speed"]))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         made = template_of(simulate_cable(cell), cell)  # not there, or damaged

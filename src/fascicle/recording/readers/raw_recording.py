@@ -234,7 +234,7 @@ def _in_millivolts(
     for lead, channel in leads.items():
         row = LEADS.index(lead)
         scale = _scale(channel, lead, source, options, leads)
-        with np.errstate(over="ignore"):  # what is infinite is refused as a gap
+        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
             signal[row] = scale * channel.values
         if channel.digits_per_millivolt is not None:
             gains[row] = channel.digits_per_millivolt
