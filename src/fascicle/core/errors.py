@@ -7,13 +7,17 @@ class InputError(ValueError):
     """Something the user gave cannot be used.
 
     The message is one line that names the file, the thing, the value found and what to do. The
-    command line prints it and exits with status 2. Anything else that is raised is a bug.
+    command line prints it and exits with status 2. Anything else that is raised is a bug. What is
+    not printable in it, such as a line break in the name of a file, is written out.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 def printable(text: str) -> str:
     """Return a text of a file with line breaks and the like written out, fit for a message."""
-    return text if text.isprintable() else ascii(text)[1:-1]
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def one_line(error: object) -> str:

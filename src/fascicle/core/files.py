@@ -16,6 +16,7 @@ from typing import Any
 import platformdirs
 
 from fascicle.core.errors import InputError, printable
+from fascicle.core.ranges import shown
 
 CACHE_VARIABLE = "FASCICLE_CACHE"  # environment variable with another folder for the cache
 DISPOSABLE = ".fascicle-cache"  # what is in a folder of this name can be computed again
@@ -184,6 +185,32 @@ def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
 
 
 PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
+
+
+def as_path(value: object, what: str) -> Path:
+    """A path as it was given, if it can be one.
+
+    Parameters
+    ----------
+    value : path
+        What was given.
+    what : str
+        What lies there, for the message.
+
+    Raises
+    ------
+    InputError
+        If it is no path, or one that no file system takes.
+    """
+    if not isinstance(value, str | os.PathLike) or "\0" in str(value):
+        raise InputError(f"{what} is {shown(value)}; give a path")
+    path = Path(value)
+    try:
+        path.exists()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{shown(str(path))}: {reason} ({what}); check the path") from None
+    return path
 
 
 def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:

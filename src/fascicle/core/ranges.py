@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
 
 LONGEST = 40  # characters of what is no number that are shown
+LONGEST_TEXT = 200  # characters of a name
 
 
 @dataclass(frozen=True)
@@ -172,11 +172,10 @@ def check_array(name: str, values: Floats, what: str) -> None:
         within(name, finite[np.abs(finite).argmax()], what)
 
 
-def check_text(value: Any, what: str, known: Sequence[str] = ()) -> None:
-    """Refuse what is no text, or none of those that are known."""
-    if not isinstance(value, str) or (known and value not in known):
-        wanted = f"one of {', '.join(known)}" if known else "a text"
-        raise InputError(f"{what} is {shown(value)}; give {wanted}")
+def check_text(value: Any, what: str) -> None:
+    """Refuse what is no text that fits into a line."""
+    if not isinstance(value, str) or not value.isprintable() or len(value) > LONGEST_TEXT:
+        raise InputError(f"{what} is {shown(value)}; give a text, of one line")
 
 
 def digits(value: float) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file, named_by, read_toml
+from fascicle.core.files import as_path, check_file, named_by, read_toml
 from fascicle.core.quantities import check, quantity
 from fascicle.core.ranges import RANGES, shown
 from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
@@ -200,7 +200,7 @@ def read_scenarios(names: Sequence[str | Path]) -> dict[str, Scenario]:
     """
     found: dict[str, Scenario] = {}
     for name in names:
-        path = find_scenario(str(name))
+        path = find_scenario(str(as_path(name, "scenario")))
         scenario, regions = read_scenario(path)
         if regions:
             raise InputError(

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import (
+    as_path,
     atomic_folder,
     check_folder,
     check_nothing_lost,
@@ -97,14 +98,15 @@ def load_heart(path: Path | str) -> Heart:
     InputError
         If anything about it would make the physics wrong; the message names file and remedy.
     """
-    if str(path) == DEFAULT_HEART and not Path(path).exists():
+    given = as_path(path, "heart")
+    if str(path) == DEFAULT_HEART and not given.exists():
         with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as packaged:
             heart = load_heart(packaged)
         folder = user_cache() / "default_heart"  # a package is no place to write to
         with suppress(OSError):  # nor is every home; then nothing is kept
             folder.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=folder)
-    folder = Path(path)
+    folder = given
     manifest, path = _read_manifest(folder), folder / MANIFEST
     surfaces = {"lv": manifest.lv_endocardium, "rv": manifest.rv_endocardium}
     seeds = {"lv": manifest.lv, "rv": manifest.rv}

@@ -29,6 +29,7 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file, write_text
+from fascicle.core.ranges import check_array
 from fascicle.mesh.formats import opencarp
 from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
 from fascicle.mesh.formats.read import read_mesh
@@ -182,6 +183,7 @@ def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats
 def _segments(mesh: MeshFile) -> tuple[Integers, Floats]:
     segments = mesh.require(LINE, "lines")
     ends = mesh.points[segments]
+    check_array("coordinate", ends, f"{mesh.path}: a coordinate")
     chords = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     given = mesh.cell_data.get(LINE, {}).get("length")
     if given is None:

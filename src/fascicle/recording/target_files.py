@@ -12,7 +12,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import write_bytes
+from fascicle.core.files import as_path, write_bytes
 from fascicle.core.leads import LEADS
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.ranges import RANGES, shown
@@ -69,7 +69,7 @@ def read_target(path: str | Path) -> Target:
     InputError
         When there is no such file or it is not a target.
     """
-    path = Path(path)
+    path = as_path(path, "target")
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "no such file"
         raise InputError(f"{path}: {what}; make a target with 'fascicle target'")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError
+from fascicle.core.files import as_path
 from fascicle.core.progress import Progress
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
@@ -217,7 +218,7 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
         If the folder is not a study, the study is not finished, or its forward model is not the
         present one.
     """
-    folder = Path(folder)
+    folder = as_path(folder, "study")
     study = Study.open(folder)
     result = folder / RESULT[study.config.method]
     population = read_population(result)

@@ -99,8 +99,8 @@ def checked_settings(given: Mapping[str, Any]) -> FitSettings:
     foreign = [name for name in other if name in given]
     if foreign:
         raise InputError(
-            f"'{foreign[0]}' is {given[foreign[0]]!r}: the method '{settings.method}' has no such "
-            "setting; leave it out, or choose the other method"
+            f"'{foreign[0]}' is {shown(given[foreign[0]])}: the method '{settings.method}' has no "
+            "such setting; leave it out, or choose the other method"
         )
     return settings
 

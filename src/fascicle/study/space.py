@@ -19,6 +19,7 @@ from fascicle.core.quantities import (
     checked,
     region_labels,
 )
+from fascicle.core.ranges import shown
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
@@ -89,10 +90,10 @@ def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
     whole: dict[str, Any] = {}
     for name, value in wanted.items():
         if name in GROUPS:
-            if value != FREE:
+            if not (isinstance(value, str) and value == FREE):
                 raise InputError(
-                    f"parameter '{name}' is {value!r}: a group of quantities can only be 'free'; "
-                    f"give its quantities one by one: {', '.join(GROUPS[name][:2])}, ..."
+                    f"parameter '{name}' is {shown(value)}: a group of quantities can only be "
+                    f"'free'; give its quantities one by one: {', '.join(GROUPS[name][:2])}, ..."
                 )
             whole |= dict.fromkeys(GROUPS[name], FREE)
     return whole | {name: value for name, value in wanted.items() if name not in GROUPS}
@@ -110,14 +111,13 @@ def _chosen(name: str, value: Any) -> Parameter | float:
             f"parameter '{name}': unknown key '{unknown[0]}'; known: {', '.join(PRIOR_KEYS)}"
         )
     priors = get_args(Prior)
-    if value.get("prior", "uniform") not in priors:
-        raise InputError(
-            f"parameter '{name}': prior is {value['prior']!r}; known: {', '.join(priors)}"
-        )
+    prior = value.get("prior", "uniform")
+    if not isinstance(prior, str) or prior not in priors:
+        raise InputError(f"parameter '{name}': prior is {shown(prior)}; known: {', '.join(priors)}")
     for key in value.keys() - {"prior"}:
         number = value[key]
         if isinstance(number, bool) or not isinstance(number, (int, float)):
-            raise InputError(f"parameter '{name}': '{key}' is {number!r}; give a number")
+            raise InputError(f"parameter '{name}': '{key}' is {shown(number)}; give a number")
     return free(name, **value)
 
 

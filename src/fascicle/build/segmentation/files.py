@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from fascicle.build.segmentation.image import Segmentation
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError, one_line, printable
+from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import check_file, named_by
+from fascicle.core.ranges import shown
 
 NRRD_FORMATS = (".nrrd", ".nhdr")
 LARGEST = 1 << 28  # voxels; a CT of the whole thorax at 0.5 mm, or 512 x 512 x 1024
@@ -206,7 +207,7 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
     space = str(header.get("space", "3D-right-handed")).lower()
     if space not in SPACES:  # in a left-handed one the heart would be mirrored
         raise InputError(
-            f"{path}: space '{printable(space)}' is unknown or left-handed; export the map in "
+            f"{path}: space {shown(space)} is unknown or left-handed; export the map in "
             "left-posterior-superior or right-anterior-superior"
         )
     directions, spacings = header.get("space directions"), header.get("spacings")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fascicle.core.errors import InputError
+from fascicle.core.files import as_path
 from fascicle.core.isolated import read_isolated
 from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content, sha256_of
 from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions, assemble
@@ -78,7 +79,7 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    path = _existing_file(Path(path))
+    path = _existing_file(as_path(path, "recording"))
     options = ReadOptions(sampling_rate, unit)
     kind = _kind_of(path)
     if kind in _ISOLATED:
