@@ -410,7 +410,7 @@ def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, d
         patch.setattr(drawing, "save", keep)
         drawing.draw_simulation(default_heart, simulation, Path(), "png")
     figure = drawn["ecg.png"]
-    assert "0 ms" in figure.get_suptitle()
+    assert figure.get_supxlabel() == "time (ms; 0: firing of the first root)"
     for index, lead in enumerate(LEADS):  # in three rows and four columns
         (line,) = figure.axes[4 * (index % 3) + index // 3].get_lines()[-1:]
         np.testing.assert_allclose(line.get_ydata(), simulation.ecg.sel(lead=lead))

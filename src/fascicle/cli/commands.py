@@ -229,9 +229,10 @@ def fit(
     with _resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
         fitted = run_fit(heart, recordings, out, parameters=learnt, progress=progress, **given)
-    print_fit(fitted)
+    summary = written_summary(out)
+    print_fit(fitted, summary)
     print(f"study in {out}; figures: fascicle report {out}")
-    return written_summary(out)
+    return summary
 
 
 @app.command()
@@ -472,7 +473,7 @@ def demo(
     with _resumable(out), TerminalProgress() as progress:
         analysis, fitted, predicted = run_demo(out, progress, free_gain=free_gain)
     print_analysis(analysis)
-    print_fit(fitted)
+    print_fit(fitted, written_summary(out / "study"))
     print_prediction(predicted)
     print_gains(predicted, BLOCK)
     print_demo(out)

@@ -38,8 +38,16 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
         )
 
 
-def print_fit(fitted: FittedStudy) -> None:
-    """Print whether to trust a study, how well its networks match, and what the ECG determines."""
+def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
+    """Print whether to trust a study, how well its networks match, and what the ECG determines.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    summary : mapping
+        Its summary.json.
+    """
     from fascicle.study.population import Posterior
 
     population = fitted.population
@@ -51,24 +59,42 @@ def print_fit(fitted: FittedStudy) -> None:
         first = fitted.best_initial_loss
         print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
-    print(f"best                   {best}")
-    _print_durations(fitted)
+    print(f"best network           {best}")
+    _print_agreement(summary)
     if isinstance(population, Posterior):
         _print_posterior(population, fitted)
     else:
         _print_population(population)
 
 
-def _print_durations(fitted: FittedStudy) -> None:
-    target, best = fitted.problem.target, fitted.best_network.simulation
-    for name, recorded, simulated, what in (
-        ("window QRS duration", target.qrs_duration, best.qrs_duration, "all leads together"),
-        (
-            "global QRS duration", target.global_qrs_duration, best.global_qrs_duration,
-            "outermost leads, as clinics measure it; takes no part in the fit",
-        ),
+def _print_agreement(summary: Mapping[str, Any]) -> None:
+    """Print how the mean of the networks' ECGs agrees with the recorded QRS."""
+    from fascicle.core.leads import LEADS
+
+    if "explained_power" not in summary:  # of a study that was fitted before it was measured
+        return
+    explained, correlation = summary["explained_power"], summary["correlation"]
+    leads = [lead for lead in LEADS if explained[lead] is not None]
+    print(
+        f"mean of the networks   {explained['all']:.0%} of the QRS explained, correlation "
+        f"{correlation['all']:.2f} over all leads"
+    )
+    print(f"{'':<22}" + "".join(f"{lead:>6}" for lead in leads))
+    for name, values, form in (
+        ("  explained", explained, ".0%"), ("  correlation", correlation, ".2f"),
     ):  # fmt: skip
-        print(f"{name:<22} {recorded:.0f} ms recorded, {simulated:.0f} ms in the best ({what})")
+        print(f"{name:<22}" + "".join(f"{values[lead]:>6{form}}" for lead in leads))
+    for key, name, unit, what in (
+        ("qrs_duration_ms", "window QRS duration", "ms", "; all leads together"),
+        ("global_qrs_duration_ms", "global QRS duration", "ms", "; outermost leads, not fitted"),
+        ("axis_degrees", "frontal axis", "degrees", ""),
+    ):
+        if key in summary:
+            of = summary[key]["networks"]
+            print(
+                f"{name:<22} recorded {summary[key]['recorded']:.0f} {unit}, networks "
+                f"{of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f}){what}"
+            )
 
 
 def _evaluations(fitted: FittedStudy) -> str:

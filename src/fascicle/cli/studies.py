@@ -44,8 +44,9 @@ def study_show(study: StudyArgument) -> Result:
         name = "recording" if len(fitted.problem.recordings) == 1 else f"recording {number}"
         print(f"{name:<22} {Path(recording.target.provenance.get('source', 'in memory')).name}")
     print(f"method                 {fitted.study.config.method}, seed {fitted.study.config.seed}")
-    print_fit(fitted)
-    return written_summary(study)
+    summary = written_summary(study)
+    print_fit(fitted, summary)
+    return summary
 
 
 @study_app.command("compare")

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+LONGEST = 900  # characters of a message; a longer one quotes a damaged file
+
 
 class InputError(ValueError):
     """Something the user gave cannot be used.
 
     The message is one line that names the file, the thing, the value found and what to do. The
     command line prints it and exits with status 2. Anything else that is raised is a bug. What is
-    not printable in it, such as a line break in the name of a file, is written out.
+    not printable in it, such as a line break in the name of a file, is written out, and what is too
+    long is cut.
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message))
+        text = printable(message)
+        super().__init__(text if len(text) <= LONGEST else f"{text[:LONGEST]}…")
 
 
 def printable(text: str) -> str:

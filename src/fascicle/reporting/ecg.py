@@ -19,7 +19,7 @@ from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
 
 SIZE = (10.0, 6.2)  # inch
-NAME_PLACE = (0.03, 0.95)  # of the axes
+NAME_PLACE, NOTE_PLACE = (0.03, 0.95), (0.98, 0.95)  # of the axes
 FINE_BOX, COARSE_BOX, TALL = 0.5, 1.0, 8.0  # mV; from a range of `TALL` on, boxes are coarse
 BOX_MARGIN = 0.1  # of a box, at least, above and below
 MOST_FINE_LINES = 50  # small boxes of time that are drawn
@@ -68,7 +68,13 @@ class EcgGroup:
         return f"{self.name} ({shown})"
 
 
-def ecg_figure(groups: Sequence[EcgGroup], title: str | None = None) -> Figure:
+def ecg_figure(
+    groups: Sequence[EcgGroup],
+    title: str | None = None,
+    notes: Sequence[str] = (),
+    time_zero: str = "",
+    caption: str = "",
+) -> Figure:
     """Draw groups of 12-lead ECGs over one another in the clinical 3 × 4 layout.
 
     Parameters
@@ -77,6 +83,12 @@ def ecg_figure(groups: Sequence[EcgGroup], title: str | None = None) -> Figure:
         Drawn in this order, each with its own time axis.
     title : str, optional
         Heading.
+    notes : sequence of str, optional
+        One a lead, written beside its name.
+    time_zero : str, optional
+        What happens at time 0.
+    caption : str, optional
+        Written below.
 
     Returns
     -------
@@ -91,6 +103,9 @@ def ecg_figure(groups: Sequence[EcgGroup], title: str | None = None) -> Figure:
         for group in groups:
             _draw_lead(axes, group, index)
         style.write_in(axes, *NAME_PLACE, lead, va="top", fontweight="bold")
+        if notes:
+            size = style.TICK_SIZE
+            style.write_in(axes, *NOTE_PLACE, notes[index], va="top", ha="right", fontsize=size)
     _set_scales(panels.flat, groups)
     figure.legend(
         [_handle(group) for group in groups],
@@ -98,7 +113,9 @@ def ecg_figure(groups: Sequence[EcgGroup], title: str | None = None) -> Figure:
         loc="outside upper right", ncols=len(groups), **style.LEGEND_STYLE,
     )  # fmt: skip
     style.set_title(figure, title)
-    figure.supxlabel("time (ms)", fontsize=style.LABEL_SIZE)
+    zero = f"; 0: {time_zero}" if time_zero else ""
+    below = f"\n{caption}" if caption else ""
+    figure.supxlabel(f"time (ms{zero}){below}", fontsize=style.LABEL_SIZE)
     figure.supylabel("potential (mV)", fontsize=style.LABEL_SIZE)
     return figure
 

@@ -39,8 +39,10 @@ def draw_simulation(heart: Heart, simulation: Simulation, folder: Path, kind: st
     row = ActivationRow(
         f"{simulation.total_activation_time:.0f} ms", np.asarray(simulation.activation), trees
     )
-    title = "Simulated ECG; the root that fires first does so at 0 ms"
     return [
-        save(ecg_figure([group], title), folder / f"ecg.{kind}"),
+        save(
+            ecg_figure([group], "Simulated ECG", time_zero="firing of the first root"),
+            folder / f"ecg.{kind}",
+        ),
         save(activation_figure(heart, [row]), folder / f"activation.{kind}"),
     ]

@@ -24,6 +24,7 @@ from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.priors import prior_figure
 from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.reporting.target import target_figure
+from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
@@ -152,7 +153,27 @@ def recorded_ecg_figure(
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
     groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, share)]
-    return ecg_figure(groups, f"Recorded QRS and {len(networks)} networks")
+    found = agreement(problem.target, networks)
+    notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
+    title = f"Recorded QRS and {len(networks)} networks"
+    return ecg_figure(groups, title, notes, "R peak", _caption(found))
+
+
+def _caption(found: Agreement) -> str:
+    """What the mean of the networks explains, and durations and axis, recorded and predicted."""
+    said = [f"mean explains {found.explained_over_all:.0%}, r {found.correlation_over_all:.2f}"]
+    for name, words, unit in (
+        ("qrs_duration_ms", "QRS window", " ms"),
+        ("global_qrs_duration_ms", "global", " ms"),
+        ("axis_degrees", "axis", "°"),
+    ):
+        if name in found.recorded:
+            low, middle, high = found.percentiles(name)
+            said.append(
+                f"{words} {found.recorded[name]:.0f}{unit}, predicted {middle:.0f} "
+                f"({low:.0f} to {high:.0f})"
+            )
+    return "; ".join(said)
 
 
 def _of_scenarios(predicted: Mapping[str, Predicted]) -> dict[str, Drawing]:

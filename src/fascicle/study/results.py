@@ -17,13 +17,12 @@ from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
-from fascicle.forward.simulation import Simulation
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.purkinje.tree_files import write_tree
-from fascicle.recording.target import Target
+from fascicle.study.agreement import agreement
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import RESULT, Population, Posterior
 from fascicle.study.population_files import write_population
@@ -430,7 +429,7 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
         "fixed_parameters": dict(fitted.problem.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
-        **_durations(fitted.problem.target, [network.simulation for network in networks]),
+        **agreement(fitted.problem.target, networks).content(),
         "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
@@ -445,18 +444,6 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
             }
         ),
     }
-
-
-def _durations(target: Target, simulated: Sequence[Simulation]) -> dict[str, object]:
-    """Both QRS durations (ms), recorded and of the networks; the first takes part in fits."""
-    window = np.array([one.qrs_duration for one in simulated])
-    outermost = np.array([one.global_qrs_duration for one in simulated])
-    return {
-        "qrs_duration_ms": {"recorded": target.qrs_duration, "networks": spread(window)},
-        "global_qrs_duration_ms": {
-            "recorded": target.global_qrs_duration, "networks": spread(outermost),
-        },
-    }  # fmt: skip
 
 
 def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:

@@ -19,7 +19,7 @@ from fascicle.core.quantities import (
     checked,
     region_labels,
 )
-from fascicle.core.ranges import shown
+from fascicle.core.ranges import number, shown
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
@@ -114,11 +114,10 @@ def _chosen(name: str, value: Any) -> Parameter | float:
     prior = value.get("prior", "uniform")
     if not isinstance(prior, str) or prior not in priors:
         raise InputError(f"parameter '{name}': prior is {shown(prior)}; known: {', '.join(priors)}")
-    for key in value.keys() - {"prior"}:
-        number = value[key]
-        if isinstance(number, bool) or not isinstance(number, (int, float)):
-            raise InputError(f"parameter '{name}': '{key}' is {shown(number)}; give a number")
-    return free(name, **value)
+    numbers = {
+        key: number(value[key], f"parameter '{name}': '{key}'") for key in value if key != "prior"
+    }
+    return free(name, **{**value, **numbers})
 
 
 def _check_fascicles(names: set[str], counts: Mapping[str, int]) -> None:

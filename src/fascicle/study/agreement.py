@@ -1,0 +1,116 @@
+"""How the networks' ECGs agree with the recorded QRS, lead by lead and over all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.leads import LEADS, LIMB_LEADS
+from fascicle.recording.target import Target
+from fascicle.study.predictive import frontal_axis
+from fascicle.study.problem import Network
+
+INTERVAL = (5, 50, 95)  # percentiles
+OVER_ALL = "all"
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Of the mean of the networks' ECGs with the recorded mean beat, within the QRS window.
+
+    Attributes
+    ----------
+    explained, correlation : (12,) arrays
+        Of each lead: explained power, 1 − Σ(recorded − predicted)² / Σ recorded²; Pearson's
+        correlation. NaN where a lead is not used.
+    explained_over_all, correlation_over_all : float
+        The same over all leads together.
+    recorded, predicted : dict of str to float, and to (n,) array
+        Window and global QRS duration (ms) and frontal axis (degrees): recorded, and of each
+        network. Axes are within half a turn of the recorded one.
+    """
+
+    explained: Floats
+    correlation: Floats
+    explained_over_all: float
+    correlation_over_all: float
+    recorded: dict[str, float]
+    predicted: dict[str, Floats]
+
+    def percentiles(self, name: str) -> tuple[float, float, float]:
+        """5th percentile, median and 95th over the networks of what `recorded` holds."""
+        low, middle, high = np.percentile(self.predicted[name], INTERVAL)
+        return float(low), float(middle), float(high)
+
+    def content(self) -> dict[str, Any]:
+        """All of it for a summary; None for leads that are not used."""
+
+        def by_lead(values: Floats, over_all: float) -> dict[str, float | None]:
+            found = {
+                lead: round(float(v), 4) if np.isfinite(v) else None
+                for lead, v in zip(LEADS, values, strict=True)
+            }
+            return found | {OVER_ALL: round(over_all, 4)}
+
+        content: dict[str, Any] = {
+            "explained_power": by_lead(self.explained, self.explained_over_all),
+            "correlation": by_lead(self.correlation, self.correlation_over_all),
+        }
+        for name, value in self.recorded.items():
+            shares = (round(share, 1) for share in self.percentiles(name))
+            networks = dict(zip(("5 %", "median", "95 %"), shares, strict=True))
+            content[name] = {"recorded": round(value, 1), "networks": networks}
+        return content
+
+
+def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
+    """Measure how networks agree with a recording.
+
+    Parameters
+    ----------
+    target : Target
+        The recording.
+    networks : sequence of Network
+        Simulated in its scenario.
+    """
+    window = target.qrs_samples
+    recorded = np.where(target.used[:, None], target.mean[:, window], np.nan)
+    predicted = np.mean([network.predicted[:, window] for network in networks], axis=0)
+    used = target.used
+    left = ((recorded - predicted) ** 2).sum(axis=1)
+    power = (recorded**2).sum(axis=1)
+    correlation = np.full(len(LEADS), np.nan)
+    pairs = zip(recorded[used], predicted[used], strict=True)
+    correlation[used] = [_correlation(*pair) for pair in pairs]
+    simulations = [network.simulation for network in networks]
+    found = {
+        "qrs_duration_ms": [each.qrs_duration for each in simulations],
+        "global_qrs_duration_ms": [each.global_qrs_duration for each in simulations],
+    }
+    known = {
+        "qrs_duration_ms": target.qrs_duration,
+        "global_qrs_duration_ms": target.global_qrs_duration,
+    }
+    if used[: len(LIMB_LEADS)].all():
+        axis = known["axis_degrees"] = frontal_axis(recorded)
+        turns = [frontal_axis(network.predicted[:, window]) - axis for network in networks]
+        found["axis_degrees"] = [axis + (turn + 180) % 360 - 180 for turn in turns]
+    return Agreement(
+        1 - left / power,
+        correlation,
+        float(1 - left[used].sum() / power[used].sum()),
+        _correlation(recorded[used].ravel(), predicted[used].ravel()),
+        known,
+        {name: np.array(values, dtype=float) for name, values in found.items()},
+    )
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    """Pearson's; 0 where one does not change."""
+    one, other = one - one.mean(), other - other.mean()
+    size = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum() / size) if size else 0.0
