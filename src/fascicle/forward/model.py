@@ -109,6 +109,9 @@ class ForwardModel:
         self._first_body = Lock()
         self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
 
+    def __repr__(self) -> str:
+        return f"ForwardModel({self.heart.name}, {len(self.heart.vertices)} vertices)"
+
     def grow(self, parameters: Mapping[str, float]) -> tuple[PurkinjeTree, ...] | InvalidTree:
         """Grow both trees, left first, or say which one does not fit.
 

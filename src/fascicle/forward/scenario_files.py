@@ -276,8 +276,8 @@ def scenario_text(scenario: Scenario) -> str:
             lines.append(f"\n[[{table}]]")
             for key, value in vars(item).items():
                 if value is not None:
-                    shown = [float(x) for x in value] if isinstance(value, tuple) else value
-                    lines.append(f"{key} = {shown!r}")
+                    written = [float(x) for x in value] if isinstance(value, tuple) else value
+                    lines.append(f"{key} = {written!r}")
     return "\n".join(lines) + "\n"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.forward.ecg.electrocardiogram import STEP
@@ -43,6 +44,8 @@ class Simulation:
     activation: Floats
     trees: tuple[PurkinjeTree, ...]
     coupled: Activation
+
+    __repr__ = brief
 
     @cached_property
     def ecg(self) -> xr.DataArray:

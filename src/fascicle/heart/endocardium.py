@@ -8,6 +8,7 @@ import igl
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import enclosed_volume, triangle_areas
 from fascicle.mesh.topology import boundary_loops, unique_edges
@@ -36,6 +37,8 @@ class Endocardium:
     root: int
     direction: int
     valves: Booleans | None = None
+
+    __repr__ = brief
 
     @property
     def area(self) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.brief import brief
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.torso import LeadFields, Torso
 from fascicle.mesh.measures import edge_lengths, signed_volumes
@@ -65,6 +66,8 @@ class Heart:
     lead_fields: LeadFields | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     folder: Path | None = None
+
+    __repr__ = brief
 
     @property
     def endocardia(self) -> Iterator[Endocardium]:

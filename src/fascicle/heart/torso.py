@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.read import read_mesh
@@ -44,6 +45,8 @@ class Torso:
     tetrahedra: Integers
     tissues: Integers
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class LeadFields:
@@ -62,6 +65,8 @@ class LeadFields:
     values: Floats
     key: str
     torso: str
+
+    __repr__ = brief
 
 
 def write_torso(path: Path, torso: Torso) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from fascicle.core.arrays import Floats
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.prediction.indices import INDICES
 from fascicle.prediction.scenarios import OWN_BEAT, Predicted
@@ -53,6 +54,8 @@ class Comparison:
     unit: str
     gains: Floats
     effective: float
+
+    __repr__ = brief
 
     def probability(self, threshold: float = 0.0) -> float:
         """How probable it is that the first gains more than a threshold; of ties, half counts."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers, Singles
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
@@ -58,6 +59,8 @@ class PredictedBeat:
     trees: tuple[tuple[PurkinjeTree, Singles], ...]
     captured: Booleans
 
+    __repr__ = brief
+
     @classmethod
     def of(
         cls, simulation: Simulation, leads: Floats, filtered: Floats, captured: Booleans
@@ -88,6 +91,8 @@ class Predicted:
     beats: Sequence[PredictedBeat]
     indices: Mapping[str, Floats]
     effective: float = np.inf
+
+    __repr__ = brief
 
     def extremes(self) -> dict[str, int]:
         """Networks with the least, the median and the largest total activation time."""

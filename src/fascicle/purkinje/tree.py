@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.brief import brief
 
 # A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
 # of `NETWORK_SPACE`, the packaged heart's trees have a median of 280 (left) and 345 (right)
@@ -41,6 +42,8 @@ class PurkinjeTree:
     parents: Integers
     lengths: Floats
     labels: Integers | None = None
+
+    __repr__ = brief
 
     @property
     def root(self) -> int:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from fascicle.core.arrays import Floats
+from fascicle.core.brief import brief
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
@@ -116,3 +117,5 @@ class Analysis:
     findings: tuple[Finding, ...]
     target: Target
     chosen: str
+
+    __repr__ = brief

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.core.ranges import RANGES, check_array, number
@@ -68,6 +69,8 @@ class Recording:
     digits_per_millivolt: Floats | None = None
     derived: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal, dtype=np.float64)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.brief import brief
 from fascicle.recording.filters import Filter, combined_gain
 from fascicle.recording.global_window import global_qrs_window
 from fascicle.recording.resampling import SAMPLING_STEP
@@ -53,6 +54,8 @@ class Target:
     noise: float | None = None
     filters: tuple[Filter, ...] = ()
     earliest_onset: float | None = None
+
+    __repr__ = brief
 
     @cached_property
     def used(self) -> Booleans:

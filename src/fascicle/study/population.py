@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.brief import brief
 from fascicle.core.parameters import ParameterSpace
 from fascicle.inference.abc.rejection import Sampling
 from fascicle.inference.evaluation import Evaluation
@@ -41,6 +42,8 @@ class Population:
     best: Mapping[str, float]
     best_loss: float
 
+    __repr__ = brief
+
     def __len__(self) -> int:
         return len(self.losses)
 
@@ -65,6 +68,8 @@ class PaperPopulation(Population):
     """
 
     distances: Floats
+
+    __repr__ = brief
 
     @classmethod
     def of(cls, space: ParameterSpace, sampling: Sampling) -> PaperPopulation:
@@ -106,6 +111,8 @@ class Posterior(Population):
     means_apart: Mapping[str, float]
     converged: bool
     first_alone: Mapping[str, Floats] | None = None
+
+    __repr__ = brief
 
     @property
     def effective_size(self) -> float:

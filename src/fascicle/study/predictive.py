@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.brief import brief
 from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
 from fascicle.forward.likelihood import MARGIN, QrsLikelihood
 from fascicle.forward.loss import placed
@@ -81,6 +82,8 @@ class Prediction:
     shifts: Floats
     discrepancies: Floats
     checks: Checks
+
+    __repr__ = brief
 
 
 def predict_recording(

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.brief import brief
 from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.quantities import SIDES
@@ -52,6 +53,8 @@ class Network:
     under_qrs: float
     gain: float
     drawn_gain: float | None = None
+
+    __repr__ = brief
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,8 @@ class Problem:
     bank: Bank | None = None
     scenario: Scenario | None = None
     others: tuple[Problem, ...] = ()
+
+    __repr__ = brief
 
     @property
     def recordings(self) -> tuple[Problem, ...]:

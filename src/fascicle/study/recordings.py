@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.files import write_text
 from fascicle.forward.scenario import Scenario
@@ -33,6 +34,8 @@ class Recording:
 
     target: Target
     scenario: Scenario | None = None
+
+    __repr__ = brief
 
     @property
     def digests(self) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
@@ -65,6 +66,8 @@ class FittedStudy:
     population: Population
     checks: Checks | None = None
     gains: Floats | None = None
+
+    __repr__ = brief
 
     @property
     def folder(self) -> Path:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.brief import brief
 from fascicle.forward.eikonal.myocardium import LocatedPoints, Myocardium
 from fascicle.forward.eikonal.ray_travel_times import (
     SiteNeighbourhood,
@@ -132,6 +133,8 @@ class Activation:
     captured: Booleans
     junction_distances: tuple[Floats, ...]
     his: float
+
+    __repr__ = brief
 
     def with_clock(self, speed: float) -> Activation:
         """The same on a clock that runs `speed` times as fast: all times divided by it."""
