@@ -414,3 +414,10 @@ def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, d
     for index, lead in enumerate(LEADS):  # in three rows and four columns
         (line,) = figure.axes[4 * (index % 3) + index // 3].get_lines()[-1:]
         np.testing.assert_allclose(line.get_ydata(), simulation.ecg.sel(lead=lead))
+
+
+def test_nothing_but_a_heart_is_needed(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("simulate", "default").status == 0
+    assert sorted(p.name for p in (tmp_path / "simulation").iterdir()) == sorted(FILES)
+    assert run("simulate", "default").status == 0  # and again

@@ -2,6 +2,7 @@
 
 import html
 import json
+import os
 import re
 import shutil
 import sqlite3
@@ -289,6 +290,19 @@ def test_report(study, monkeypatch, capsys):
     scenarios = json.loads(content[1])["scenarios"]
     assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
     assert all(warning in html.unescape(text) for warning in study.warnings)
+
+
+def test_a_report_where_nothing_can_be_written_says_what_helps(study, monkeypatch, capsys):
+    really = os.access
+
+    def closed(path, mode):  # root, as which tests may run, may write everywhere
+        return really(path, mode) and not (mode & os.W_OK and path == study.folder)
+
+    monkeypatch.setattr("fascicle.core.files.os.access", closed)
+    assert run(monkeypatch, "report", study.folder) == 2
+    error = capsys.readouterr().err
+    assert f"{study.folder / 'report.html'}: cannot be written" in error
+    assert "choose another place (--out)" in error
 
 
 def test_a_report_against_another_scenario(study, tmp_path, monkeypatch, capsys):

@@ -81,7 +81,7 @@ def _options(
 @every_command
 def simulate(
     heart: HeartArgument,
-    out: OutOption,
+    out: OutOption = Path("simulation"),
     params: Annotated[
         Path | None, typer.Option(help="TOML file with the twelve parameters.")
     ] = None,
