@@ -13,6 +13,24 @@ from benchmarks.fuzzing.kinds import KINDS
 NUMBER = 500
 
 
+# among 20,000 of each kind, those that had ended otherwise once
+FOUND = {
+    "meshes": (10134, 14186, 17744),
+    "trees": (1776, 2430, 2700),
+    "recordings": (10020, 12619, 18136),
+    "settings": (917, 1767, 1913),
+    "segmentations": (1583, 7800, 8226, 19776),
+    "electrodes": (900, 3839, 12260),
+}
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_damage_that_was_found(name, tmp_path):
+    for number in FOUND[name]:
+        (outcome,) = outcomes(name, range(number, number + 1), tmp_path)
+        assert not outcome.failure
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_damaged_files(name, tmp_path):
     failures, refused = [], 0

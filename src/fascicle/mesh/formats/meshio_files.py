@@ -30,6 +30,7 @@ def read_meshio(path: Path) -> MeshFile:
     except (
         meshio.ReadError, ValueError, LookupError, ArithmeticError, AssertionError, OSError,
         EOFError, TypeError, AttributeError, RuntimeError, MemoryError, struct.error,
+        NameError,  # of what its Gmsh reader has not met in the file
     ) as error:  # fmt: skip
         raise damaged(path, one_line(error)) from None
     if "not closed" in printed.getvalue():  # of a section of a Gmsh file
