@@ -52,3 +52,19 @@ def test_a_narrow_last_stage_is_named_inside_the_figure():
 def test_a_perfect_fit_does_not_break_the_log_axis():
     low, high = convergence_figure(np.array([0.0, 0.4]), STAGES[:2]).axes[0].get_ylim()
     assert 0 < low < 0.4 < high
+
+
+def test_the_log_axis_can_be_read():
+    """Plain numbers, two at least, however narrow the range is."""
+    for losses in (LOSSES, np.array([0.63, 0.97, 5.2] * 3)[: len(STAGES)]):
+        figure = convergence_figure(losses, STAGES)
+        figure.canvas.draw()
+        axes = figure.axes[0]
+        low, high = axes.get_ylim()
+        shown = [
+            label.get_text()
+            for label in axes.yaxis.get_ticklabels(which="both")
+            if label.get_text() and low <= label.get_position()[1] <= high
+        ]
+        assert len(shown) >= 2
+        assert all(text == f"{float(text):g}" for text in shown)

@@ -99,3 +99,18 @@ def test_single_beat_has_a_line_and_no_band():
     figure = figure_of(ecgs(5), ecgs(1))
     assert len(panel(figure, "V1").collections) == 1
     assert figure.legends[0].get_texts()[0].get_text() == "recorded (1 beat)"
+
+
+def test_notes_time_zero_and_caption():
+    groups = [EcgGroup("predicted", "network", TIME, ecgs(3), "#D55E00")]
+    notes = [f"r {k / 12:.2f}" for k in range(12)]
+    figure = ecg_figure(groups, "Title", notes, "R peak", "mean explains 95%")
+    for index, lead in enumerate(LEADS):
+        assert [text.get_text() for text in panel(figure, lead).texts] == [lead, notes[index]]
+    assert figure.get_supxlabel() == "time (ms; 0: R peak)\nmean explains 95%"
+    figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    for text in figure.findobj(lambda each: hasattr(each, "get_text") and each.get_text()):
+        box = text.get_window_extent(renderer)
+        assert box.x0 >= -1
+        assert box.x1 <= figure.bbox.width + 1

@@ -8,7 +8,7 @@ from itertools import groupby
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from fascicle.core.arrays import Floats
 from fascicle.reporting import style
@@ -41,6 +41,9 @@ def convergence_figure(losses: Floats, stages: Sequence[str]) -> Figure:
     figure = new_figure(*SIZE)
     axes = figure.subplots()
     axes.set_yscale("log", nonpositive="clip")  # a loss of exactly 0 lands on the lower edge
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(*_limits(losses[losses > 0]))
     axes.set_xlim(0.5, len(losses) + 0.5)
     _draw_stages(axes, stages)

@@ -25,9 +25,10 @@ from fascicle.reporting.priors import prior_figure
 from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.reporting.target import target_figure
 from fascicle.study.agreement import Agreement, agreement
-from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
+
+SHARE = 0.9  # of beats and of networks, in bands: ranges of unequal numbers cannot be compared
 
 
 class Drawing(NamedTuple):
@@ -146,13 +147,11 @@ def recorded_ecg_figure(
     problem = fitted.problem.recordings[recording]
     if networks is None:
         networks = fitted.networks(recording=recording)
-    # the paper shows the range of its 30
-    share = 0.9 if isinstance(fitted.population, Posterior) else 1.0
     window = problem.target.qrs_samples
     time = problem.target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
-    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE)
-    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, share)]
+    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE, SHARE)
+    groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, SHARE)]
     found = agreement(problem.target, networks)
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
