@@ -1,4 +1,5 @@
 import numpy as np
+from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
@@ -104,13 +105,16 @@ def test_single_beat_has_a_line_and_no_band():
 def test_notes_time_zero_and_caption():
     groups = [EcgGroup("predicted", "network", TIME, ecgs(3), "#D55E00")]
     notes = [f"r {k / 12:.2f}" for k in range(12)]
-    figure = ecg_figure(groups, "Title", notes, "R peak", "mean explains 95%")
+    caption = (
+        "mean explains 83%, r 0.92; QRS window 177 ms, predicted 126 (121 to 139); global 191 ms, "
+        "predicted 132 (128 to 145); axis -129°, predicted -128 (-160 to -100)"
+    )
+    figure = ecg_figure(groups, "Title", notes, "R peak", caption)
     for index, lead in enumerate(LEADS):
         assert [text.get_text() for text in panel(figure, lead).texts] == [lead, notes[index]]
-    assert figure.get_supxlabel() == "time (ms; 0: R peak)\nmean explains 95%"
+    assert figure.get_supxlabel() == f"time (ms; 0: R peak)\n{caption}"
     figure.canvas.draw()
-    renderer = figure.canvas.get_renderer()
-    for text in figure.findobj(lambda each: hasattr(each, "get_text") and each.get_text()):
-        box = text.get_window_extent(renderer)
-        assert box.x0 >= -1
-        assert box.x1 <= figure.bbox.width + 1
+    (below,) = [t for t in figure.findobj(Text) if caption in t.get_text()]
+    box = below.get_window_extent(figure.canvas.get_renderer())
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.width

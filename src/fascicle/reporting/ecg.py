@@ -115,7 +115,8 @@ def ecg_figure(
     style.set_title(figure, title)
     zero = f"; 0: {time_zero}" if time_zero else ""
     below = f"\n{caption}" if caption else ""
-    figure.supxlabel(f"time (ms{zero}){below}", fontsize=style.LABEL_SIZE)
+    size = style.TICK_SIZE if caption else style.LABEL_SIZE
+    figure.supxlabel(f"time (ms{zero}){below}", fontsize=size)
     figure.supylabel("potential (mV)", fontsize=style.LABEL_SIZE)
     return figure
 
