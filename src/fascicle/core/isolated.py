@@ -35,7 +35,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 
 MEMORY, MEMORY_PER_BYTE = 3 * 2**29, 64  # bytes of address space, and more for each of the file
-SECONDS, SECONDS_PER_BYTE = 5.0, 1e-6  # of computing, likewise
+SECONDS, SECONDS_PER_BYTE = 3.0, 1e-6  # of computing, likewise
 BUSY = 5.0  # on a busy machine so many times the seconds of computing may pass
 DYING = 5.0  # s in which a child that has closed its output is gone
 LARGE = 64 * 2**20  # bytes; a file that leaves a child with more memory than is worth keeping
