@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -144,6 +145,15 @@ def test_interruption_ends_the_child(path):
     with pytest.raises(KeyboardInterrupt):
         read_isolated(asleep, path)
     assert read_isolated(process, path) != before
+
+
+def test_a_relative_path_begins_where_this_process_is(tmp_path, monkeypatch):
+    """Also when the child was started elsewhere."""
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.bin").write_bytes(name.encode())
+        monkeypatch.chdir(tmp_path / name)
+        assert read_isolated(size, Path("a.bin")) == len(name)
 
 
 def test_child_that_is_gone_is_replaced(path):

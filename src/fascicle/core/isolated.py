@@ -85,7 +85,7 @@ def read_isolated(reader: Callable[..., Any], path: Path, **options: Any) -> Any
     limits = Limits.of(path)
     request = {
         "module": reader.__module__, "reader": reader.__name__, "path": str(path),
-        "options": options, "limits": asdict(limits),
+        "options": options, "limits": asdict(limits), "folder": os.getcwd(),
     }  # fmt: skip
     child = _idle_child()
     try:
@@ -263,6 +263,7 @@ def _serve() -> None:
         os.dup2(2, 1)  # what libraries print must not get into the answers
         while line := sys.stdin.buffer.readline():
             request = json.loads(line)
+            os.chdir(request["folder"])  # where a relative path of the parent's begins
             _limit_resources(**request["limits"])
             _write(answers, _answer_to(request))
             answers.flush()
