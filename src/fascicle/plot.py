@@ -18,7 +18,11 @@ from fascicle.recording.target import Target
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.priors import prior_figure
-from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
+from fascicle.reporting.scenario import (
+    scenario_activation_figure,
+    scenario_ecg_figure,
+    spread_figure,
+)
 from fascicle.reporting.study import loss_figure, recorded_ecg_figure
 from fascicle.reporting.target import target_figure
 from fascicle.study.results import FittedStudy
@@ -53,17 +57,33 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
     return _axes(scenario_ecg_figure(predicted, name))
 
 
-def activation(heart: Heart, predicted: Predicted) -> list[Axes]:
+def activation(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
     """Activation and trees of the networks with the least, median and largest activation time.
 
     Parameters
     ----------
     heart : Heart
         That of the study (`fitted.problem.model.heart`).
-    predicted : Predicted
-        One scenario of what `fascicle.predict` returned.
+    predicted : mapping of name to Predicted
+        What `fascicle.predict` returned; the own beat's median network stands above, in the same
+        colours.
+    name : str
+        The scenario.
     """
-    return _axes(scenario_activation_figure(heart, predicted))
+    return _axes(scenario_activation_figure(heart, predicted, name))
+
+
+def activation_spread(heart: Heart, predicted: Mapping[str, Predicted]) -> list[Axes]:
+    """Standard deviation of the activation over the networks, a row a scenario.
+
+    Parameters
+    ----------
+    heart : Heart
+        That of the study (`fitted.problem.model.heart`).
+    predicted : mapping of name to Predicted
+        What `fascicle.predict` returned.
+    """
+    return _axes(spread_figure(heart, predicted))
 
 
 def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:

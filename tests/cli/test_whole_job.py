@@ -20,6 +20,7 @@ import xarray as xr
 import fascicle
 from fascicle import cli
 from fascicle.cli.demo import demo_recording
+from fascicle.core.leads import LEADS
 from fascicle.forward.loss import align
 from fascicle.heart.segments import SEGMENTS
 from fascicle.purkinje.growth import GrowthRules
@@ -275,8 +276,8 @@ def test_report(study, monkeypatch, capsys):
     verdict, *figures, page = capsys.readouterr().out.split("\n")[:-1]
     assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
-        "ecg.png", "recording.png", "activation.png", "indices.png", "priors.png", "pairs.png",
-        "convergence.png", "heart.png",
+        "ecg.png", "recording.png", "activation.png", "activation-spread.png", "indices.png",
+        "priors.png", "pairs.png", "convergence.png", "heart.png",
     ]  # fmt: skip
     for figure in figures:
         with open(figure, "rb") as file:
@@ -290,6 +291,16 @@ def test_report(study, monkeypatch, capsys):
     scenarios = json.loads(content[1])["scenarios"]
     assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
     assert all(warning in html.unescape(text) for warning in study.warnings)
+    rows = dict(re.findall(r'<tr><th>([^<]*)</th><td class="number">(.*?)</tr>', text, re.S))
+    said = json.loads((study.folder / "summary.json").read_text())
+    cells = re.findall(r"[-\d.]+%", rows["explained"])
+    assert cells == [f"{said['explained_power'][lead]:.0%}" for lead in (*LEADS, "all")]
+    cells = re.findall(r"[-\d.]+\d", rows["correlation"])
+    assert cells == [f"{said['correlation'][lead]:.2f}" for lead in (*LEADS, "all")]
+    (window,) = (row for name, row in rows.items() if name.startswith("window QRS"))
+    known = said["qrs_duration_ms"]
+    assert window.startswith(f"{known['recorded']:.0f} ms<")
+    assert f"{known['networks']['median']:.0f} (" in window
 
 
 def test_a_report_where_nothing_can_be_written_says_what_helps(study, monkeypatch, capsys):
@@ -345,10 +356,12 @@ def test_plots_in_a_notebook(study):
     """Every one draws something on axes of a figure of its own."""
     plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-pacing")
     assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
+    heart = study.problem.model.heart
     drawn = {
         "ecg": plot.ecg(study),
         "scenario_ecg": plot.scenario_ecg(predicted, "left-bundle-pacing"),
-        "activation": plot.activation(study.problem.model.heart, predicted["intrinsic"]),
+        "activation": plot.activation(heart, predicted, "left-bundle-pacing"),
+        "activation_spread": plot.activation_spread(heart, predicted),
         "indices": plot.indices(predicted),
         "pairs": plot.pairs(study),
         "priors": plot.priors(study),

@@ -27,9 +27,9 @@ def test_counts_networks():
     share = (4 * 0.25 + 0.5) / 5
     assert found.standard_error(10.0) == pytest.approx(np.sqrt(share * (1 - share) / 4))
     assert found.standard_error(-100.0) > 0  # all agree, and yet they are few
-    assert found.expected == 3.0
+    assert found.median == 2.5
     assert found.interval == pytest.approx(np.percentile([12, 5, 0, -5], [5, 95]))
-    assert str(found) == "3 ms (-4 to 11)"
+    assert str(found) == "2 ms (-4 to 11)"
     same = predicted(qrs_duration=[100.2, 99.9])
     assert str(compare(same, predicted(qrs_duration=[100.0, 99.8]), "qrs_duration")) == (
         "0 ms (0 to 0)"
@@ -53,7 +53,7 @@ def test_as_many_networks_of_another_study_are_refused():
     one, same, other = (
         predicted(grown(*tips), qrs_area=[1.0]) for tips in ((1.0, 2.0), (1.0, 2.0), (1.0, 3.0))
     )
-    assert compare(one, same, "qrs_area").expected == 0
+    assert compare(one, same, "qrs_area").median == 0
     with pytest.raises(InputError, match="1 networks cannot be compared with 1 others; predict"):
         compare(one, other, "qrs_area")
 

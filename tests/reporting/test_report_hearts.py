@@ -11,7 +11,7 @@ from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes, triangle_normals
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.reporting.hearts import VIEWS, ActivationRow, activation_figure
+from fascicle.reporting.hearts import SPREAD, VIEWS, ActivationRow, activation_figure
 from fascicle.reporting.rendering import (
     AMBIENT,
     back_to_front,
@@ -249,3 +249,18 @@ def test_a_heart_that_is_partly_silent_is_drawn_and_a_wholly_silent_one_refused(
     assert len(activation_figure(heart, [ActivationRow("blocked", activation)]).axes) == 5
     with pytest.raises(InputError, match="ever activated"):
         activation_figure(heart, [ActivationRow("none", np.full(len(activation), np.inf))])
+
+
+def test_times_since_the_first_activation_are_those_of_tissue_and_trees(heart):
+    before = rows(heart)[0]
+    activation = np.where(heart.vertices[:, 0] > 35, np.inf, before.activation)
+    row = ActivationRow("paced", activation, before.trees).since_first()
+    assert np.nanmin(row.activation) == 0.0
+    assert (np.isnan(row.activation) == (heart.vertices[:, 0] > 35)).all()
+    for (_, shifted), (_, times) in zip(row.trees, before.trees, strict=True):
+        np.testing.assert_allclose(shifted, times - before.activation.min())
+
+
+def test_other_times_are_named(heart):
+    figure = activation_figure(heart, rows(heart)[:1], SPREAD)
+    assert figure.axes[-1].get_ylabel() == "standard deviation over the networks (ms)"

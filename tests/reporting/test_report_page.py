@@ -157,6 +157,13 @@ class TestScene:
             values = decoded(field["values"], "<u2")
             np.testing.assert_array_equal(values == NONE, right)
 
+    def test_colours_mean_the_same_in_every_scenario(self, shown):
+        _, content = shown
+        one, other = (scenario["fields"] for scenario in content["scenarios"])
+        assert [field["high"] for field in one] == [field["high"] for field in other]
+        assert len({field["high"] for field in one if field["kind"] == "time"}) == 1
+        assert {field["low"] for field in one} == {0.0}
+
     def test_trees_come_back(self, shown):
         simulation, content = shown
         low, high = (np.array(content["box"][end]) for end in ("low", "high"))

@@ -61,6 +61,9 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print(f"best network           {best}")
     _print_agreement(summary)
+    for number, other in enumerate(summary.get("other_recordings", []), 2):
+        print(f"recording {number}")
+        _print_agreement(other)
     if isinstance(population, Posterior):
         _print_posterior(population, fitted)
     else:
@@ -202,7 +205,7 @@ def print_comparison(
     one, other = (predicted[name] for name in names)
     _print_capture({name: predicted[name] for name in names})
     print(f"{' against '.join(names)}, {len(one.beats)} networks")
-    print(f"{'less is better':<24}{'probability':<14}{'gain (90 % of the networks)'}")
+    print(f"{'less is better':<24}{'probability':<14}{'median gain (90 % of the networks)'}")
     for name in COMPARED:
         found = compare(one, other, name)
         print(f"{index_name(name):<24}{found.probability():<14.2f}{found}")
@@ -242,7 +245,7 @@ def comparison_result(
             name: {
                 "unit": found.unit,
                 "probability": found.probability(),
-                "mean_gain": found.expected,
+                "median_gain": found.median,
                 "gain_5_95_%": found.interval,
             }
             for name, found in compared.items()

@@ -69,9 +69,9 @@ class Comparison:
         return float(np.sqrt(share * (1 - share) / count))
 
     @property
-    def expected(self) -> float:
-        """Mean gain."""
-        return float(self.gains.mean())
+    def median(self) -> float:
+        """Median gain."""
+        return float(np.median(self.gains))
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -80,10 +80,10 @@ class Comparison:
         return float(low), float(high)
 
     def __str__(self) -> str:
-        """Mean gain with its interval, such as ``6 ms (-11 to 22)``."""
-        numbers = np.round([self.expected, *self.interval]) + 0.0  # no minus before a 0
-        mean, low, high = (f"{number:.0f}" for number in numbers)
-        return f"{mean} {self.unit} ({low} to {high})"
+        """Median gain with its interval, such as ``6 ms (-11 to 22)``."""
+        numbers = np.round([self.median, *self.interval]) + 0.0  # no minus before a 0
+        middle, low, high = (f"{number:.0f}" for number in numbers)
+        return f"{middle} {self.unit} ({low} to {high})"
 
     def left_open_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the gain's variance, in ranks, that each parameter alone goes with.

@@ -22,6 +22,7 @@ from fascicle.forward.simulation import Simulation
 from fascicle.prediction.indices import INDICES, Territories, indices
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.window import qrs_window
+from fascicle.study.activation_maps import activation_maps
 from fascicle.study.bank import prior_points
 from fascicle.study.in_threads import in_threads
 from fascicle.study.problem import Network, Problem
@@ -31,7 +32,6 @@ OWN_BEAT = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset, and after the last QRS's end
 RINGING = 40  # samples on either side, for what the recorder's filters add; at least `LEAD_IN`
 PRIOR_NETWORKS = 60
-LATEST = 0.2  # share of the vertices that count as late
 
 
 @dataclass(frozen=True)
@@ -109,23 +109,8 @@ class Predicted:
         return np.asarray(np.mean([beat.captured for beat in self.beats], axis=0))
 
     def maps(self) -> dict[str, Floats]:
-        """Activation over the networks at each vertex, from its first activation on.
-
-        Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
-        fifth. What no network reaches is NaN; elsewhere those that do reach it count.
-        """
-        times = np.array([b.activation - b.activation.min() for b in self.beats], dtype=float)
-        times[np.isinf(times)] = np.nan
-        reached = np.isfinite(times).sum(axis=0)
-        known = np.where(reached > 0, reached, np.nan)
-        mean = np.nansum(times, axis=0) / known
-        spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / known)
-        late = times >= np.nanquantile(times, 1 - LATEST, axis=1, keepdims=True)
-        return {
-            "activation_mean": mean,
-            "activation_sd": spread,
-            "probability_latest_fifth": late.sum(axis=0) / known,
-        }
+        """`activation_maps` of the networks."""
+        return activation_maps(np.array([beat.activation for beat in self.beats]))
 
 
 def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:

@@ -33,12 +33,15 @@ from fascicle.reporting.rendering import (
     paint,
     smooth_normals,
 )
+from fascicle.study.activation_maps import since_first
 
 COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
-ISOCHRONE_STEPS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # ms
+ISOCHRONE_STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # ms
 MOST_BANDS = 16
 SILENT = "#B8B8B8"  # where no activation arrives
 CAVITY = "#F1E9E4"  # endocardium behind the trees
+SINCE_FIRST = "since the first activation (ms)"
+SPREAD = "standard deviation over the networks (ms)"
 VIEWS = ("RV side", "anterior", "LV side", "base")
 SCALE_BAR = 20.0  # mm
 PANEL = 1.95  # width, inch
@@ -68,9 +71,17 @@ class ActivationRow:
     activation: Floats
     trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()
 
+    def since_first(self) -> ActivationRow:
+        """The same with times from the first activation of the heart on."""
+        first = self.activation.min()
+        trees = tuple((tree, times - first) for tree, times in self.trees)
+        return ActivationRow(self.label, since_first(self.activation), trees)
 
-def activation_figure(heart: Heart, rows: Sequence[ActivationRow]) -> Figure:
-    """Draw activations of one heart as isochrone bands, one row each.
+
+def activation_figure(
+    heart: Heart, rows: Sequence[ActivationRow], what: str = "activation (ms)"
+) -> Figure:
+    """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
     Parameters
     ----------
@@ -78,12 +89,14 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow]) -> Figure:
         The heart, in any frame.
     rows : sequence of ActivationRow
         Activations; all share the colours. Hearts share one scale in space, trees another.
+    what : str
+        The times, with their unit.
 
     Returns
     -------
     Figure
         Row by row the views of `VIEWS`, then each side's tree on its endocardium, seen from that
-        side through the near wall; last the colour bar, activation (ms), which spans the times of
+        side through the near wall; last the colour bar, named `what`, which spans the times of
         the hearts, so that earlier or later ones in the trees share its pointed ends.
     """
     views = heart_views(heart)
@@ -113,7 +126,7 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow]) -> Figure:
         ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28, shrink=0.9,
         ticks=norm.boundaries[:: 1 + len(norm.boundaries) // MOST_TIMES],
     )  # fmt: skip
-    bar.set_label("activation (ms)", fontsize=style.LABEL_SIZE)
+    bar.set_label(what, fontsize=style.LABEL_SIZE)
     bar.ax.tick_params(labelsize=style.TICK_SIZE)
     return figure
 

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from matplotlib.figure import Figure
 
-from fascicle.core.arrays import Floats, Singles
+from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
 from fascicle.heart.heart import Heart
@@ -22,7 +23,12 @@ from fascicle.prediction.indices import INDICES
 from fascicle.prediction.scenarios import OWN_BEAT, Predicted, qrs_aligned
 from fascicle.reporting.figures import FORMATS, save
 from fascicle.reporting.indices import index_figure
-from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
+from fascicle.reporting.scenario import (
+    scenario_activation_figure,
+    scenario_ecg_figure,
+    spread_figure,
+)
+from fascicle.study.activation_maps import since_first
 from fascicle.study.results import FittedStudy
 
 INTERVAL = (5, 50, 95)  # percentiles
@@ -36,7 +42,8 @@ def write_prediction(
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
     (of the networks with the least, median and largest total activation time; mean, standard
-    deviation, and how probably each vertex is among the latest fifth) and ``activation.png``.
+    deviation, and how probably each vertex is among the latest fifth), ``activation.png`` and
+    ``activation-spread.png``.
 
     Parameters
     ----------
@@ -56,13 +63,25 @@ def write_prediction(
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
         save(index_figure({n: p.indices for n, p in predicted.items()}), folder / f"indices.{kind}")
         for name, found in predicted.items():
-            _write_scenario(folder / name, found, heart, kind)
-            save(scenario_ecg_figure(predicted, name), folder / name / f"ecg.{kind}")
+            _write_scenario(folder / name, found, heart)
+            for stem, figure in _drawn(heart, predicted, name).items():
+                save(figure, folder / name / f"{stem}.{kind}")
+
+
+def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> dict[str, Figure]:
+    """Figures of a scenario; of all but the own beat beside that, on the same scales."""
+    shown = {each: predicted[each] for each in dict.fromkeys((OWN_BEAT, name))}
+    return {
+        "ecg": scenario_ecg_figure(predicted, name),
+        "activation": scenario_activation_figure(heart, predicted, name),
+        "activation-spread": spread_figure(heart, shown),
+    }
 
 
 def _pictures(predicted: Mapping[str, Predicted]) -> list[str]:
     """Names of the pictures of an earlier prediction, in whatever format."""
-    stems = ["indices", *(f"{n}/{what}" for n in predicted for what in ("ecg", "activation"))]
+    drawn = ("ecg", "activation", "activation-spread")
+    stems = ["indices", *(f"{name}/{what}" for name in predicted for what in drawn)]
     return [stem + suffix for stem in stems for suffix in FORMATS]
 
 
@@ -114,19 +133,12 @@ def _latest(numbers: Floats) -> dict[str, float]:
     return {SEGMENTS[found[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
 
 
-def _since_first(times: Singles) -> Floats:
-    """Times from the first activation on; NaN where none arrives."""
-    since = (times - times.min()).astype(float)
-    return np.where(np.isfinite(since), since, np.nan)
-
-
-def _write_scenario(folder: Path, found: Predicted, heart: Heart, kind: str) -> None:
+def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
     maps = found.maps() | {
-        f"activation_{which}": _since_first(found.beats[k].activation)
+        f"activation_{which}": since_first(found.beats[k].activation.astype(float))
         for which, k in found.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
-    save(scenario_activation_figure(heart, found), folder / f"activation.{kind}")
     time, ecgs = qrs_aligned(found)
     array = xr.DataArray(
         ecgs, {"lead": list(LEADS), "time": time}, ("network", "lead", "time"), "ecg",

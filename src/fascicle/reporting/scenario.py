@@ -10,7 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
 from fascicle.prediction.scenarios import OWN_BEAT, Predicted, qrs_aligned
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
-from fascicle.reporting.hearts import ActivationRow, activation_figure
+from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
 from fascicle.reporting.style import GREY, VERMILION
 
 BAND = 0.9  # of the networks
@@ -31,29 +31,63 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
     InputError
         If there is no such scenario.
     """
-    if name not in predicted:
-        raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")
-    own, found = predicted[OWN_BEAT], predicted[name]
+    own, found = _with_own(predicted, name)
     groups = [EcgGroup(OWN_BEAT, "network", *qrs_aligned(own), GREY, BAND)]
     if found is not own:
         groups.append(EcgGroup(name, "network", *qrs_aligned(found), VERMILION, BAND))
     return ecg_figure(groups, f"Predicted ECG of {len(found.beats)} networks")
 
 
-def scenario_activation_figure(heart: Heart, predicted: Predicted) -> Figure:
+def scenario_activation_figure(
+    heart: Heart, predicted: Mapping[str, Predicted], name: str
+) -> Figure:
     """Draw the networks with the least, median and largest total activation time.
 
     Parameters
     ----------
     heart : Heart
         That of the study.
-    predicted : Predicted
+    predicted : mapping of name to Predicted
+        The own beat among them, whose median network stands above, in the same colours.
+    name : str
         The scenario.
+
+    Raises
+    ------
+    InputError
+        If there is no such scenario.
     """
-    rows = []
-    for which, k in predicted.extremes().items():
-        beat = predicted.beats[k]
-        label = f"{which}, {predicted.indices['total_activation_time'][k]:.0f} ms"
-        trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
-        rows.append(ActivationRow(label, beat.activation.astype(float), trees))
-    return activation_figure(heart, rows)
+    own, found = _with_own(predicted, name)
+    rows = [_row(found, which, k) for which, k in found.extremes().items()]
+    if found is not own:
+        rows.insert(0, _row(own, f"{OWN_BEAT}: median", own.extremes()["median"]))
+    return activation_figure(heart, rows, SINCE_FIRST)
+
+
+def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
+    """Draw how far the networks' activations are apart, a row a scenario, in the same colours.
+
+    Parameters
+    ----------
+    heart : Heart
+        That of the study.
+    predicted : mapping of name to Predicted
+        The scenarios.
+    """
+    spreads = {name: found.maps()["activation_sd"] for name, found in predicted.items()}
+    return activation_figure(heart, [ActivationRow(*each) for each in spreads.items()], SPREAD)
+
+
+def _with_own(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:
+    """The own beat and a scenario."""
+    if name not in predicted:
+        raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")
+    return predicted[OWN_BEAT], predicted[name]
+
+
+def _row(found: Predicted, label: str, number: int) -> ActivationRow:
+    """One network, from its first activation on."""
+    beat, total = found.beats[number], found.indices["total_activation_time"][number]
+    trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
+    row = ActivationRow(f"{label}, {total:.0f} ms", beat.activation.astype(float), trees)
+    return row.since_first()

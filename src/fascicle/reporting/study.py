@@ -18,24 +18,26 @@ from fascicle.reporting.check import check_figure
 from fascicle.reporting.convergence import convergence_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.figures import FORMATS, save
-from fascicle.reporting.hearts import ActivationRow, activation_figure
+from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.priors import prior_figure
 from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.reporting.target import target_figure
+from fascicle.study.activation_maps import activation_maps
 from fascicle.study.agreement import Agreement, agreement
-from fascicle.study.problem import Network
+from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
 SHARE = 0.9  # of beats and of networks, in bands: ranges of unequal numbers cannot be compared
 
 
 class Drawing(NamedTuple):
-    """A figure, and what it shows."""
+    """A figure, what it shows, and the numbers in it, if there are."""
 
     figure: Figure
     text: str
+    agreement: Agreement | None = None
 
 
 def activation_row(label: str, simulation: Simulation) -> ActivationRow:
@@ -63,11 +65,18 @@ def drawings(
     check_population(fitted)
     problem, population = fitted.problem, fitted.population
     heart = problem.model.heart
-    best = activation_row("best network", fitted.best_network.simulation)
+    best = activation_row("best network", fitted.best_network.simulation).since_first()
+    activations = np.array([network.simulation.activation for network in networks])
+    spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
     return {
         **_of_recordings(fitted, networks),
         "activation": Drawing(
-            activation_figure(heart, [best]), "Activation by the network with the least mismatch."
+            activation_figure(heart, [best], SINCE_FIRST),
+            "Activation by the network with the least mismatch.",
+        ),
+        "activation-spread": Drawing(
+            activation_figure(heart, [spread], SPREAD),
+            f"How far the activations of {len(networks)} networks are apart.",
         ),
         **_of_scenarios(predicted),
         "priors": Drawing(
@@ -144,15 +153,18 @@ def recorded_ecg_figure(
         Its population in that recording's scenario, if simulated before.
     """
     check_population(fitted)
-    problem = fitted.problem.recordings[recording]
     if networks is None:
         networks = fitted.networks(recording=recording)
+    problem = fitted.problem.recordings[recording]
+    return _ecg(problem, networks, agreement(problem.target, networks))
+
+
+def _ecg(problem: Problem, networks: Sequence[Network], found: Agreement) -> Figure:
     window = problem.target.qrs_samples
     time = problem.target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE, SHARE)
     groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, SHARE)]
-    found = agreement(problem.target, networks)
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
     return ecg_figure(groups, title, notes, "R peak", _caption(found))
@@ -190,10 +202,13 @@ def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str
     found: dict[str, Drawing] = {}
     for number, name in enumerate(names):
         suffix = f"-{number + 1}" if number else ""
+        its = fitted.networks(recording=number) if number else networks
+        agreed = agreement(recordings[number].target, its)
         found[f"ecg{suffix}"] = Drawing(
-            recorded_ecg_figure(fitted, number, None if number else networks),
-            f"Recorded beats{name} and what the networks predict: means and bands. Time counts "
-            "from the R peak; a fine square is 40 ms.",
+            _ecg(recordings[number], its, agreed),
+            f"Recorded beats{name} and what the networks predict: means, and what 90 % of beats "
+            "and of networks span. Time counts from the R peak; a fine square is 40 ms.",
+            agreed,
         )
         found[f"recording{suffix}"] = Drawing(
             target_figure(recordings[number].target),

@@ -18,6 +18,7 @@ from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import Heart
+from fascicle.study.agreement import agreement
 from fascicle.study.bank import Bank, prior_points
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
@@ -129,16 +130,17 @@ def fit(
 
 def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
     """Simulate what was found, compare a posterior with the recording, and write it all."""
-    networks, predictions = fitted.networks(progress), []
+    networks, agreements, predictions = fitted.networks(progress), [], []
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
     for number, problem in enumerate(fitted.problem.recordings):
+        its = networks if number == 0 else fitted.networks(progress, number)
+        agreements.append(agreement(problem.target, its))
         if problem.likelihood is not None:
-            its = networks if number == 0 else fitted.networks(progress, number)
             predictions.append(predict_recording(problem, problem.likelihood, its, rng))
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
         fitted = replace(fitted, checks=checks, gains=predictions[0].gains)
-    write_results(fitted, networks, predictions)
+    write_results(fitted, networks, agreements, predictions)
     return fitted
 
 

@@ -23,7 +23,8 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.purkinje.tree_files import write_tree
-from fascicle.study.agreement import agreement
+from fascicle.study.activation_maps import activation_maps, since_first
+from fascicle.study.agreement import Agreement
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import RESULT, Population, Posterior
 from fascicle.study.population_files import write_population
@@ -326,7 +327,10 @@ def _outside_qrs(fitted: FittedStudy) -> str:
 
 
 def write_results(
-    fitted: FittedStudy, networks: Sequence[Network], predictions: Sequence[Prediction] = ()
+    fitted: FittedStudy,
+    networks: Sequence[Network],
+    agreements: Sequence[Agreement],
+    predictions: Sequence[Prediction] = (),
 ) -> None:
     """Write networks, trees, activation map and summary into the study's folder.
 
@@ -336,6 +340,8 @@ def write_results(
         The study.
     networks : sequence of Network
         Its population, simulated.
+    agreements : sequence of Agreement
+        Of the population with each recording.
     predictions : sequence of Prediction
         Of a posterior, of each recording.
     """
@@ -354,12 +360,13 @@ def write_results(
         problem.model.heart.tetrahedra,
         TETRAHEDRON,
         point_data={
-            "activation": fitted.best_network.simulation.activation,
-            "activation_mean": activations.mean(axis=0),
-            "activation_sd": activations.std(axis=0),
+            "activation": since_first(fitted.best_network.simulation.activation),
+            **activation_maps(activations),
         },
     )
-    write_text(folder / "summary.json", json.dumps(_summary(fitted, networks), indent=2) + "\n")
+    write_text(
+        folder / "summary.json", json.dumps(_summary(fitted, networks, agreements), indent=2) + "\n"
+    )
     predicted = np.stack([network.predicted for network in networks])[: len(population)]
     # last, since its presence says that the study is finished
     write_population(
@@ -417,7 +424,9 @@ def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
             write_text(temporary / name / "parameters.toml", "\n".join(lines) + "\n")
 
 
-def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, object]:
+def _summary(
+    fitted: FittedStudy, networks: Sequence[Network], agreements: Sequence[Agreement]
+) -> dict[str, object]:
     records, population = fitted.study.records(), fitted.population
     return {
         "verdict": fitted.verdict,
@@ -432,7 +441,8 @@ def _summary(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, obje
         "fixed_parameters": dict(fitted.problem.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
-        **agreement(fitted.problem.target, networks).content(),
+        **agreements[0].content(),
+        "other_recordings": [other.content() for other in agreements[1:]],
         "energy_under_the_qrs": spread(np.array([n.under_qrs for n in networks])),
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},

@@ -7,7 +7,7 @@ import io
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from PIL import Image
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_writable, write_text
+from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import library
@@ -34,11 +35,21 @@ from fascicle.reporting.indices import SHOWN, index_name
 from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figures
+from fascicle.study.agreement import Agreement
 from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
 
 RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
+# What `Agreement` measures beside the leads: name, unit
+AGREED = {
+    "qrs_duration_ms": ("window QRS duration (all leads together)", "ms"),
+    "global_qrs_duration_ms": (
+        "global QRS duration (outermost leads, as clinics measure it)",
+        "ms",
+    ),
+    "axis_degrees": ("frontal axis", "degrees"),
+}
 PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")
 
 
@@ -52,10 +63,16 @@ class Picture:
         The picture itself, as a data URL.
     text : str
         What it shows.
+    leads : list of (lead, explained power, correlation)
+        Of an ECG, in words.
+    measured : list of (name, recorded, of the networks)
+        Durations and axis of an ECG, in words.
     """
 
     source: str
     text: str
+    leads: list[tuple[str, str, str]] = field(default_factory=list)
+    measured: list[tuple[str, str, str]] = field(default_factory=list)
 
     @classmethod
     def of(cls, drawing: Drawing) -> Picture:
@@ -65,7 +82,22 @@ class Picture:
         colours = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         colours.save(content, format="PNG", optimize=True)
         encoded = base64.b64encode(content.getvalue()).decode("ascii")
-        return cls(f"data:image/png;base64,{encoded}", drawing.text)
+        numbers = () if drawing.agreement is None else _agreed(drawing.agreement)
+        return cls(f"data:image/png;base64,{encoded}", drawing.text, *numbers)
+
+
+def _agreed(found: Agreement) -> tuple[list[tuple[str, str, str]], list[tuple[str, str, str]]]:
+    """Rows of the two tables below an ECG."""
+    pairs = [*zip(LEADS, found.explained, found.correlation, strict=True)]
+    pairs.append(("all together", found.explained_over_all, found.correlation_over_all))
+    leads = [(name, f"{e:.0%}", f"{r:.2f}") for name, e, r in pairs if np.isfinite(r)]
+    measured = []
+    for key, (name, unit) in AGREED.items():
+        if key in found.recorded:
+            low, middle, high = found.percentiles(key)
+            recorded = f"{found.recorded[key]:.0f} {unit}"
+            measured.append((name, recorded, f"{middle:.0f} ({low:.0f} to {high:.0f}) {unit}"))
+    return leads, measured
 
 
 def report(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import itertools
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.heart import Heart
 from fascicle.prediction.scenarios import Predicted, PredictedBeat
 from fascicle.reporting.rendering import heart_views
+from fascicle.study.activation_maps import since_first
 
 STEPS = 65_534  # of a quantised value; the next number stands for none
 NONE = 65_535
@@ -58,44 +61,65 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
         "box": {"low": low.tolist(), "high": high.tolist()},
         "up": anterior[1].tolist(),
         "front": (-anterior[2]).tolist(),
-        "scenarios": [_scenario(n, p, shown, low, high) for n, p in predicted.items()],
+        "scenarios": _scenarios(predicted, shown, low, high),
     }
 
 
-def _scenario(
-    name: str, found: Predicted, shown: Integers, low: Floats, high: Floats
-) -> dict[str, Any]:
+def _scenarios(
+    predicted: Mapping[str, Predicted], shown: Integers, low: Floats, high: Floats
+) -> list[dict[str, Any]]:
+    """Scenarios on one scale, so that colours mean the same before and after."""
+    fields = {name: _fields(found, shown) for name, found in predicted.items()}
+    tops: dict[str, float] = {}
+    for field in itertools.chain(*fields.values()):
+        known = field.values[np.isfinite(field.values)]
+        top = float(known.max(initial=0.0))
+        tops[field.scale] = max(tops.get(field.scale, 0.0), top)
+    return [
+        {
+            "name": name,
+            "label": found.scenario.description or name,
+            "duration": tops["time"],
+            "fields": [field.encoded(tops[field.scale] or 1.0) for field in fields[name]],
+            "trees": _trees(found.beats[found.extremes()["median"]], low, high),
+        }
+        for name, found in predicted.items()
+    ]
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Values at the vertices that are shown."""
+
+    name: str
+    label: str
+    unit: str
+    kind: str
+    values: Floats
+
+    @property
+    def scale(self) -> str:
+        """Fields of one scale share their colours: all times, and else those of one name."""
+        return self.kind if self.kind == "time" else self.name
+
+    def encoded(self, top: float) -> dict[str, Any]:
+        """For JSON, between 0 and `top`."""
+        values = _quantised(self.values, 0.0, top)
+        return {**asdict(self), "low": 0.0, "high": top, "values": values}
+
+
+def _fields(found: Predicted, shown: Integers) -> list[_Field]:
     extremes, maps = found.extremes(), found.maps()
-    begin = {k: float(found.beats[k].activation.min()) for k in extremes.values()}
     fields = []
     for which in ("median", "minimum", "maximum"):
-        number = extremes[which]
-        times = found.beats[number].activation[shown].astype(float) - begin[number]
+        times = since_first(found.beats[extremes[which]].activation.astype(float))
         label = f"network of {which} total activation time"
-        fields.append(_field(f"activation_{which}", label, "ms", "time", times))
-    fields += [_field(key, label, unit, kind, maps[key][shown]) for key, label, unit, kind in MAPS]
-    median = found.beats[extremes["median"]]
-    return {
-        "name": name,
-        "label": found.scenario.description or name,
-        "duration": max(field["high"] for field in fields if field["kind"] == "time"),
-        "fields": fields,
-        "trees": _trees(median, begin[extremes["median"]], low, high),
-    }
+        fields.append(_Field(f"activation_{which}", label, "ms", "time", times[shown]))
+    return fields + [_Field(*each, maps[each[0]][shown]) for each in MAPS]
 
 
-def _field(name: str, label: str, unit: str, kind: str, values: Floats) -> dict[str, Any]:
-    known = values[np.isfinite(values)]
-    low, high = (0.0, float(known.max())) if len(known) else (0.0, 1.0)
-    encoded = _quantised(values, low, high)
-    return {
-        "name": name, "label": label, "unit": unit, "kind": kind, "low": low, "high": high,
-        "values": encoded,
-    }  # fmt: skip
-
-
-def _trees(beat: PredictedBeat, begin: float, low: Floats, high: Floats) -> list[dict[str, Any]]:
-    trees = []
+def _trees(beat: PredictedBeat, low: Floats, high: Floats) -> list[dict[str, Any]]:
+    trees, begin = [], float(beat.activation.min())
     for tree, times in beat.trees:
         ends = np.flatnonzero(tree.parents >= 0)
         since = times.astype(float) - begin

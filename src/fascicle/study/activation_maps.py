@@ -1,0 +1,42 @@
+"""Maps of activation over networks: mean, spread, and where it is late."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+
+LATEST = 0.2  # share of the vertices that count as late
+
+
+def since_first(activation: Floats) -> Floats:
+    """Activation times (..., n) from the first of each row on (ms); NaN where none arrives."""
+    first = activation.min(axis=-1, keepdims=True)
+    return np.asarray(np.where(np.isfinite(activation), activation, np.nan) - first)
+
+
+def activation_maps(activations: Floats) -> dict[str, Floats]:
+    """Activation over networks at each vertex, from the first activation of each network on.
+
+    Parameters
+    ----------
+    activations : (n_networks, n) array
+        Activation times (ms); inf where no front arrives.
+
+    Returns
+    -------
+    dict of str to (n,) array
+        Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
+        fifth. What no network reaches is NaN; elsewhere those that do reach it count.
+    """
+    times = since_first(activations.astype(float))
+    reached = np.isfinite(times).sum(axis=0)
+    known = np.where(reached > 0, reached, np.nan)
+    mean = np.nansum(times, axis=0) / known
+    spread = np.sqrt(np.nansum((times - mean) ** 2, axis=0) / known)
+    late = times >= np.nanquantile(times, 1 - LATEST, axis=1, keepdims=True)
+    return {
+        "activation_mean": mean,
+        "activation_sd": spread,
+        "probability_latest_fifth": late.sum(axis=0) / known,
+    }
