@@ -20,6 +20,7 @@ from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import simulate_scenarios
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import Target
+from fascicle.study.pool import Threads
 from fascicle.study.problem import Network, Problem
 from fascicle.study.space import study_space
 
@@ -54,7 +55,7 @@ def main() -> None:
     beats = smooth_noise(rng, (2, 12, len(time_axis)), 0.1)  # of any recording; its filters count
     target = Target(beats, time_axis, -40.0, 40.0, 60.0, {}, 4.0, 5.0)
     space, _ = study_space("posterior", {}, model.heart)
-    problem = Problem(model, target, space, workers=given.workers)
+    problem = Problem(model, target, space, pool=Threads(given.workers))
     scenarios = read_scenarios(SCENARIOS)
     begin = time.perf_counter()
     simulate_scenarios(problem, networks[:1], scenarios)

@@ -10,6 +10,7 @@ import pytest
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, combined_gain
 from fascicle.recording.target import Target
+from fascicle.study.pool import Threads
 from fascicle.study.problem import Problem
 
 NOISE = 0.02  # mV
@@ -41,7 +42,7 @@ def points(truth):
 
 def test_workers_change_nothing_but_the_speed(default_model, target, points):
     alone = Problem(default_model, target, NETWORK_SPACE)(points)
-    together = Problem(default_model, target, NETWORK_SPACE, workers=2)(points)
+    together = Problem(default_model, target, NETWORK_SPACE, pool=Threads(2))(points)
     for one, other, point in zip(alone, together, points, strict=True):
         assert one.point is point
         assert one.reason == other.reason

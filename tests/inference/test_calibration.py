@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration import LEVELS, coverage, distance, simultaneous
-from fascicle.inference.importance.sampling import importance_sample
+from fascicle.inference.importance.sampling import importance_sample, sampling
 
 TRUTHS, NOISE = 80, 0.3
 
@@ -25,12 +25,9 @@ def ranks(believed):
     for _ in range(TRUTHS):
         truth = rng.random(3)
         seen = observe(truth[None]) + NOISE * rng.standard_normal(3)
-        run = importance_sample(
-            rng,
+        (run,) = importance_sample(
             lambda p, y=seen: -0.5 * ((observe(p) - y) ** 2).sum(axis=1) / believed**2,
-            rng.random((400, 3)),
-            effective=300,
-            most=4000,
+            sampling(rng, rng.random((400, 3)), effective=300, most=4000),
         )
         draws = run.points[run.draw(rng, 199)]
         found.append(((draws < truth).sum(axis=0) + rng.random(3)) / 200)

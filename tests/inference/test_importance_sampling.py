@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fascicle.inference.importance.agreement import agreement
-from fascicle.inference.importance.sampling import FEWEST, TRUSTED, importance_sample
+from fascicle.inference.importance.sampling import FEWEST, TRUSTED, importance_sample, sampling
 
 CENTRE, SD = np.array([0.4, 0.6, 0.5]), np.array([0.05, 0.1, 0.03])
 SIZES = {"effective": 300, "most": 10_000}
@@ -22,7 +22,7 @@ def log_likelihoods(points):
 def sample(seed, likelihoods=log_likelihoods, dimension=3, **sizes):
     rng = np.random.default_rng(seed)
     prior = rng.random((500, dimension))
-    return importance_sample(rng, likelihoods, prior, **SIZES | sizes)
+    return importance_sample(likelihoods, sampling(rng, prior, **SIZES | sizes))[0]
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,7 @@ from fascicle.prediction.scenarios import (
     simulate_scenarios,
     with_own_beat,
 )
+from fascicle.study.pool import Threads
 from fascicle.study.problem import Network
 
 OF_THE_TISSUE = (
@@ -33,7 +34,7 @@ PARAMETERS = EXAMPLE_PARAMETERS | {"root_time": -50.0, "cv": 2.5}
 @pytest.fixture(scope="module")
 def problem(default_model):
     target = SimpleNamespace(response=None)
-    return SimpleNamespace(model=default_model, target=target, workers=2)
+    return SimpleNamespace(model=default_model, target=target, pool=Threads(2))
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +171,7 @@ def test_a_steep_filter_changes_the_ecg_and_no_index(problem, networks, predicte
     filtered = SimpleNamespace(
         model=problem.model,
         target=SimpleNamespace(response=lambda f: np.where(f < 0.03, 1.0, 0.0)),
-        workers=1,
+        pool=Threads(1),
     )
     found = simulate_scenarios(filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
     for name, values in found.indices.items():

@@ -19,6 +19,7 @@ from fascicle.prediction.sweeps import (
     segments,
     simulate_sweep,
 )
+from fascicle.study.pool import Threads
 from fascicle.study.problem import Network
 
 HIS = His(time=np.inf)
@@ -83,7 +84,7 @@ class TestSimulated:
         own = default_model.simulate(EXAMPLE_PARAMETERS)
         every = [Network(EXAMPLE_PARAMETERS, own, own.leads, 1.0, gain) for gain in range(1, 8)]
         problem = SimpleNamespace(
-            model=default_model, target=SimpleNamespace(response=None), workers=2
+            model=default_model, target=SimpleNamespace(response=None), pool=Threads(2)
         )
         return SimpleNamespace(
             problem=problem,

@@ -46,9 +46,7 @@ from fascicle.torso.variation.response import BodyResponse
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
 TISSUES = 2  # tissues that are kept; each takes the memory of a heart
 
-BODY_FILE = "body.npz"  # beside a model's file for other processes
-
-_Settings = tuple[Conduction, GrowthRules, ActionPotential]
+MODEL_FILE, BODY_FILE = "model.npz", "body.npz"  # of a model for other processes
 
 
 class ForwardModel:
@@ -309,34 +307,68 @@ class ForwardModel:
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))
         with TemporaryDirectory(prefix="fascicle-") as folder:
-            path = Path(folder) / "model.npz"
-            save(path, self.prepared, self.heart)
-            if bodies:
-                write_response(path.with_name(BODY_FILE), self.body(bodies).response)
-            settings = self.conduction, self.rules, self.action_potential
+            written = self.write(Path(folder), bodies)
             futures = [
-                executor.submit(_simulate_elsewhere, path, settings, network, scenario)
+                executor.submit(_simulate_elsewhere, written, network, scenario)
                 for network in networks
             ]
             return [future.result() for future in futures]
 
+    def write(self, folder: Path, bodies: Sequence[str] = ()) -> WrittenModel:
+        """Write a model into a folder, for other processes to read.
 
-# The model that this process, as a worker of another one, has read, by the file it came from
+        Parameters
+        ----------
+        folder : Path
+            Where to.
+        bodies : sequence of str
+            Quantities of the body that will be asked for.
+        """
+        save(folder / MODEL_FILE, self.prepared, self.heart)
+        if bodies:
+            write_response(folder / BODY_FILE, self.body(bodies).response)
+        return WrittenModel(folder, self.conduction, self.rules, self.action_potential)
+
+
+@dataclass(frozen=True)
+class WrittenModel:
+    """A forward model in files, and what of it is small.
+
+    Attributes
+    ----------
+    folder : Path
+        Holds the files.
+    conduction, rules, action_potential : Conduction, GrowthRules, ActionPotential
+        Of the model.
+    """
+
+    folder: Path
+    conduction: Conduction
+    rules: GrowthRules
+    action_potential: ActionPotential
+
+    def read(self) -> ForwardModel:
+        """Read the model; the one that this process has read last is remembered."""
+        model = _READ.get(self.folder)
+        if model is None:
+            heart, prepared = load(self.folder / MODEL_FILE, self.action_potential)
+            settings = self.conduction, self.rules, self.action_potential
+            model = ForwardModel(heart, *settings, prepared)
+            if (self.folder / BODY_FILE).exists():
+                model.use_body(read_response(self.folder / BODY_FILE))
+            _READ.clear()  # another thread of this worker may have read another model
+            _READ[self.folder] = model
+        return model
+
+
+# The model that this process, as a worker of another one, has read, by where it came from
 _READ: dict[Path, ForwardModel] = {}
 
 
 def _simulate_elsewhere(
-    path: Path, settings: _Settings, parameters: dict[str, float], scenario: Scenario | None
+    written: WrittenModel, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree | InvalidBody:
-    model = _READ.get(path)
-    if model is None:
-        heart, prepared = load(path, settings[-1])
-        model = ForwardModel(heart, *settings, prepared)
-        if path.with_name(BODY_FILE).exists():
-            model.use_body(read_response(path.with_name(BODY_FILE)))
-        _READ.clear()  # another thread of this worker may have read another model
-        _READ[path] = model
-    return model.simulate(parameters, scenario)
+    return written.read().simulate(parameters, scenario)
 
 
 def _grow_trees(

@@ -52,8 +52,9 @@ class Evaluation:
         return self.reason is None
 
 
-# Evaluates several points of the unit cube, in order, on as many cores as the caller allows.
-Objective = Callable[[Sequence[Floats]], list[Evaluation]]
+# Evaluates several points of the unit cube, on as many cores as the caller allows; outcomes come in
+# the order of the points, as soon as they are there.
+Objective = Callable[[Sequence[Floats]], Iterable[Evaluation]]
 
 
 def best_of(evaluations: Iterable[Evaluation]) -> Evaluation:

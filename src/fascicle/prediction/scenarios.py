@@ -24,7 +24,6 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.window import qrs_window
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.bank import prior_points
-from fascicle.study.in_threads import in_threads
 from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
@@ -199,7 +198,7 @@ def simulate_scenarios(
     Parameters
     ----------
     problem : Problem
-        Of the study: heart, target and workers.
+        Of the study: heart, target, and where to simulate.
     networks : sequence of Network
         The n networks, simulated.
     scenarios : mapping of name to Scenario
@@ -216,8 +215,8 @@ def simulate_scenarios(
         report, beats, found = stage_progress(progress, name + of), [], []
         try:
             owners = scenario.located(sites).owners
-            each_network = partial(_simulate, problem, territories, scenario, owners)
-            for beat, values in in_threads(each_network, networks, problem.workers):
+            each_network = partial(_simulate, territories, scenario, owners)
+            for beat, values in problem.pool.map(each_network, problem, networks):
                 beats.append(beat)
                 found.append(values)
                 report(len(beats), len(networks))
@@ -229,10 +228,10 @@ def simulate_scenarios(
 
 
 def _simulate(
-    problem: Problem,
     territories: Territories,
     scenario: Scenario,
     owners: Integers,
+    problem: Problem,
     network: Network,
 ) -> tuple[PredictedBeat, dict[str, float]]:
     simulation = problem.model.activate(

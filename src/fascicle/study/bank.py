@@ -10,11 +10,11 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import InvalidTree
-from fascicle.study.in_threads import in_threads
+from fascicle.study.pool import Threads
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.torso.variation.conductor import InvalidBody
@@ -203,6 +203,25 @@ class Bank:
                 return
 
 
+@dataclass(frozen=True)
+class _Prior:
+    """The prior of a heart's networks, as workers know it (`fascicle.study.pool.Question`)."""
+
+    model: ForwardModel
+    space: ParameterSpace
+    fixed: Mapping[str, float]
+    bodies: Sequence[str] = ()  # the bank's networks are in the heart's own body
+
+    def portable(self) -> _Prior:
+        return replace(self, model=cast(ForwardModel, None))
+
+    def of(self, model: ForwardModel) -> _Prior:
+        return replace(self, model=model)
+
+    def simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
+        return self.model.simulate({**self.fixed, **self.space.from_unit(point)})
+
+
 def _same(stored: Signals, simulation: Simulation) -> bool:
     leads = simulation.leads
     return stored.leads.shape == leads.shape and bool(np.allclose(stored.leads, leads, atol=SAME))
@@ -253,15 +272,11 @@ def make_bank(
     model = ForwardModel(heart, progress=progress)
     bank.check(model, space, fixed)
     report = stage_progress(progress, "bank")
-    workers = workers or os.cpu_count() or 1
+    pool = Threads(workers or os.cpu_count() or 1)
     for number in range(len(bank) // PART, -(-count // PART)):
         points = _part(len(space), number)
         outcomes: list[Simulation | InvalidTree | InvalidBody] = []
-
-        def simulate(point: Floats) -> Simulation | InvalidTree | InvalidBody:
-            return model.simulate({**fixed, **space.from_unit(point)})
-
-        for outcome in in_threads(simulate, list(points), workers):
+        for outcome in pool.map(_Prior.simulate, _Prior(model, space, fixed), list(points)):
             outcomes.append(outcome)
             report(number * PART + len(outcomes), -(-count // PART) * PART)
         bank.add(number, outcomes)

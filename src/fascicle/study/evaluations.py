@@ -302,33 +302,52 @@ class Journal:
         return stored[1].reshape(-1, self.dimension)
 
     def evaluate(
-        self, stage: Stage, points: Sequence[Floats], batch: int | None = None
+        self,
+        stage: Stage,
+        points: Sequence[Floats],
+        batch: int | None = None,
+        progress: Callable[[int], None] = lambda done: None,
     ) -> list[Evaluation]:
         """Give the outcomes at `points`, each of shape (d,).
 
-        Those that are not known are evaluated `batch` at a time, or else `workers`, and each such
-        batch is on the disk before the next begins. Ctrl-C waits for the batch.
+        Those that are not known are evaluated, and stored as soon as the next `batch` of them, or
+        else `workers`, is there. Ctrl-C waits for that.
+
+        Parameters
+        ----------
+        stage : Stage
+            That asks for them.
+        points : sequence of (d,) arrays
+            In the unit cube.
+        batch : int, optional
+            How many are stored at a time.
+        progress : callable
+            Told how many of the points are known whenever some were stored, and at the end.
         """
         keys = [_bytes(point) for point in points]
         missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.known}
         left = list(missing.values())
         size = batch or self.workers
-        for start in range(0, len(left), size):
-            with interrupted_afterwards():
-                self._compute(stage, left[start : start + size])
+        # closed at once when interrupted: what no worker has begun is not begun any more
+        with closing(outcome for outcome in self.objective(left)) as outcomes:
+            for start in range(0, len(left), size):
+                with interrupted_afterwards():
+                    self._store(stage, left[start : start + size], outcomes)
+                progress(len(points) - max(0, len(left) - start - size))
+        progress(len(points))
         # a point may have been evaluated in another stage, when there were fewer steps
         found = [replace(self.known[key], stage=stage) for key in keys]
         self.records += found
         return [record.evaluation for record in found]
 
-    def _compute(self, stage: Stage, points: Sequence[Floats]) -> None:
+    def _store(
+        self, stage: Stage, points: Sequence[Floats], outcomes: Iterator[Evaluation]
+    ) -> None:
+        """Store the next outcomes, which are those at `points`."""
         begin = time.perf_counter()
-        outcomes = self.objective(points)
+        evaluations = [replace(next(outcomes), point=point) for point in points]
         seconds = (time.perf_counter() - begin) / len(points)
-        new = [
-            Record(stage, replace(outcome, point=point), seconds)
-            for outcome, point in zip(outcomes, points, strict=True)
-        ]
+        new = [Record(stage, evaluation, seconds) for evaluation in evaluations]
         for record in new:
             _check(record.evaluation)
         self.database.append(new)

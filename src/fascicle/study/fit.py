@@ -22,6 +22,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.bank import Bank, prior_points
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
+from fascicle.study.pool import Pool, Threads
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
@@ -49,6 +50,7 @@ def fit(
     *,
     parameters: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
+    pool: Pool | None = None,
     **settings: Any,
 ) -> FittedStudy:
     """Learn the Purkinje networks that explain a target, or several of one heart.
@@ -74,6 +76,10 @@ def fit(
         `lower`, `upper`, `median`, `sd` (`fascicle.core.parameters.Parameter`).
     progress : Progress, optional
         Called with the stage, and how far it is.
+    pool : Pool, optional
+        Where networks are simulated: on `workers` threads, if nothing else is given;
+        `fascicle.Elsewhere` takes any executor, `fascicle.Cluster` a Dask scheduler. The result is
+        the same wherever.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
@@ -114,7 +120,7 @@ def fit(
         **growth_and_conduction(heart),
         **checked.model_dump(),
     )
-    problem = _problem(config, heart, recordings, progress)
+    problem = _problem(config, heart, recordings, pool, progress)
     _check_scenarios(problem)
     with study_lock(folder):
         study = Study.create_or_resume(folder, config, progress)
@@ -204,7 +210,9 @@ def _gain_sd(config: StudyConfig) -> float:
     return 0.0 if own else config.gain_sd
 
 
-def load_study(folder: Path | str, progress: Progress | None = None) -> FittedStudy:
+def load_study(
+    folder: Path | str, progress: Progress | None = None, pool: Pool | None = None
+) -> FittedStudy:
     """Read a finished study.
 
     Parameters
@@ -213,6 +221,8 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
         The study.
     progress : Progress, optional
         Called while a large heart is prepared.
+    pool : Pool, optional
+        Where networks are simulated; by default as when it was fitted, on threads.
 
     Raises
     ------
@@ -239,25 +249,29 @@ def load_study(folder: Path | str, progress: Progress | None = None) -> FittedSt
         )
     now = study.config.model_copy(update=growth_and_conduction(heart))
     check_same(folder, study.config, now)
-    problem = _problem(study.config, heart, recordings, progress)
+    problem = _problem(study.config, heart, recordings, pool, progress)
     study.check_objective(problem)
     return FittedStudy(study, problem, population, read_checks(result), read_gains(result))
 
 
 def _problem(
-    config: StudyConfig, heart: Heart, recordings: Sequence[Recording], progress: Progress | None
+    config: StudyConfig,
+    heart: Heart,
+    recordings: Sequence[Recording],
+    pool: Pool | None,
+    progress: Progress | None,
 ) -> Problem:
     """The study's problem; takes a while on a new machine or with a large new heart."""
     if progress is not None:
         compile_kernels(progress)
-    model = ForwardModel(heart, progress=progress)
+    model, pool = ForwardModel(heart, progress=progress), pool or Threads(config.workers)
     first, *others = (
         Problem(
             model,
             recording.target,
             config.parameter_space,
             config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
-            config.workers,
+            pool,
             fixed=config.fixed,
             independent_leads=config.leads == "8",
             fewest_junctions=config.fewest_junctions,

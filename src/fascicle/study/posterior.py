@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import best_of
 from fascicle.inference.importance.agreement import agreement
 from fascicle.inference.importance.sampling import Run as SamplingRun
-from fascicle.inference.importance.sampling import State, importance_sample
+from fascicle.inference.importance.sampling import State, importance_sample, sampling
 from fascicle.study.bank import prior_points
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
@@ -49,11 +51,11 @@ class Run:
 
     def population(self) -> Posterior:
         """Do all that is left, and give the result."""
-        runs = [self._sample(number, 1) for number in range(RUNS)]
+        runs = self._sample(1)
         posterior = self._posterior(runs, 1)
         if self.recordings == 1:
             return posterior
-        joint = [self._sample(number, self.recordings, run) for number, run in enumerate(runs)]
+        joint = self._sample(self.recordings, runs)
         alone = posterior.values if posterior.converged else None
         return replace(self._posterior(joint, self.recordings), first_alone=alone)
 
@@ -77,57 +79,70 @@ class Run:
         return self.journal.rng(Stage.SAMPLING, number + 2 * RUNS * (recordings > 1))
 
     def _sample(
-        self, number: int, recordings: int, begun: SamplingRun | None = None
-    ) -> SamplingRun:
-        """Make one run; how it goes depends on its number and on the seed alone."""
-        # Every second network of the prior: the runs have nothing in common.
-        prior = prior_points(len(self.space), self.settings.bank)[number::RUNS]
+        self, recordings: int, begun: Sequence[SamplingRun | None] = (None,) * RUNS
+    ) -> list[SamplingRun]:
+        """Make the runs; how each goes depends on its number and on the seed alone."""
         each = self.settings.evaluations // RUNS
-        said = [f"run {number + 1} of {RUNS}"]
-        if self.recordings > 1:
-            said[0] += ", first recording alone" if begun is None else ", all recordings"
-        done = [number * (len(prior) + each)]
-        if begun is not None:  # evaluates those points again, which are there
-            done = [RUNS * (len(prior) + each) + number * each - len(begun.points)]
+        said = _Said(recordings, self.recordings)
+        # what a run before this one might have done; its points are asked for again, and are there
+        done = [0 if begun[0] is None else self._phase - sum(len(r.points) for r in begun if r)]
 
         def log_likelihoods(points: Floats) -> Floats:
-            values = []
-            for start in range(0, len(points), BATCH):
-                part = list(points[start : start + BATCH])
-                found = self.journal.evaluate(Stage.SAMPLING, part, BATCH)
-                values += [
-                    e.log_likelihoods[:recordings].sum() if e.feasible else -np.inf for e in found
-                ]
-                done[0] += len(part)
-                self._report(done[0], ", ".join(said))
-            return np.array(values)
+            def report(count: int) -> None:
+                self._report(done[0] + count, str(said))
 
-        def report(state: State) -> None:
-            said[1:] = [
-                f"log evidence {state.log_evidence:.1f}",
-                f"effective sample {state.effective:.0f}",
-            ]
-            self._report(done[0], ", ".join(said))
+            found = self.journal.evaluate(Stage.SAMPLING, list(points), BATCH, report)
+            done[0] += len(points)
+            return np.array(
+                [e.log_likelihoods[:recordings].sum() if e.feasible else -np.inf for e in found]
+            )
 
-        run: SamplingRun = importance_sample(
-            self._rng(number, recordings),
+        return importance_sample(
             log_likelihoods,
-            prior,
-            effective=-(-self.settings.effective // RUNS),
-            most=each,
-            begun=begun,
-            progress=report,
+            *(
+                sampling(
+                    self._rng(number, recordings),
+                    # every second network of the prior: the runs have nothing in common
+                    prior_points(len(self.space), self.settings.bank)[number::RUNS],
+                    effective=-(-self.settings.effective // RUNS),
+                    most=each,
+                    begun=begun[number],
+                    progress=partial(said.hear, number),
+                )
+                for number in range(RUNS)
+            ),
         )
-        return run
 
     def _report(self, done: int, said: str) -> None:
         if self.progress is None:
             return
         losses = [e.loss for e in self.journal.evaluations if e.feasible]
         best = f", best loss {min(losses):.4g} mV²" if losses else ""
-        self.progress(Stage.SAMPLING, done, self._total, said + best)
+        total = self._phase + self.settings.evaluations * (self.recordings > 1)
+        self.progress(Stage.SAMPLING, done, total, said + best)
 
     @property
-    def _total(self) -> int:
-        """Evaluations at most."""
-        return self.settings.bank + self.settings.evaluations * min(self.recordings, 2)
+    def _phase(self) -> int:
+        """Evaluations at most until the first recording is done."""
+        return self.settings.bank + self.settings.evaluations
+
+
+class _Said:
+    """What is said of the runs while they go on."""
+
+    def __init__(self, recordings: int, of: int) -> None:
+        self.begin = f"{RUNS} runs"
+        if of > 1:
+            self.begin += ", first recording alone" if recordings == 1 else ", all recordings"
+        self.states: dict[int, State] = {}
+
+    def hear(self, number: int, state: State) -> None:
+        """Take note of where a run stands."""
+        self.states[number] = state
+
+    def __str__(self) -> str:
+        if not self.states:
+            return self.begin
+        evidences = " and ".join(f"{state.log_evidence:.1f}" for state in self.states.values())
+        effective = sum(state.effective for state in self.states.values())
+        return f"{self.begin}, log evidence {evidences}, effective sample {effective:.0f}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.brief import brief
 from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.quantities import SIDES
+from fascicle.core.quantities import SIDES, body_values
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
@@ -23,7 +24,7 @@ from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
 from fascicle.study.bank import Bank, Signals
-from fascicle.study.in_threads import in_threads
+from fascicle.study.pool import Pool, Threads
 from fascicle.torso.variation.conductor import InvalidBody
 
 
@@ -61,8 +62,7 @@ class Network:
 class Problem:
     """The question which networks of a parameter space explain recordings of a heart.
 
-    Calling it evaluates points of the unit cube, which is all the inference ever sees. The
-    forward model runs outside Python's global lock, so threads are enough to use every core.
+    Calling it evaluates points of the unit cube, which is all the inference ever sees.
 
     Attributes
     ----------
@@ -74,8 +74,8 @@ class Problem:
         What is learnt.
     free_gain : bool
         Whether each simulation is scaled by its best global gain first.
-    workers : int
-        Simulations that run at the same time.
+    pool : Pool
+        Where simulations run.
     fixed : mapping of name to float
         Quantities that are held at other values than their defaults.
     independent_leads : bool
@@ -96,7 +96,7 @@ class Problem:
     target: Target
     space: ParameterSpace
     free_gain: bool = False
-    workers: int = 1
+    pool: Pool = field(default=Threads(1), compare=False)
     fixed: Mapping[str, float] = field(default_factory=dict)
     independent_leads: bool = False
     fewest_junctions: int = 0
@@ -112,13 +112,41 @@ class Problem:
         """The first and the others, each by itself."""
         return (replace(self, others=()), *self.others)
 
-    def __call__(self, points: Sequence[Floats]) -> list[Evaluation]:
-        """Evaluate points of the unit cube, in order."""
-        return list(in_threads(self.evaluate, points, self.workers))
+    @property
+    def bodies(self) -> list[str]:
+        """Quantities of the body that are learnt or fixed."""
+        return [*body_values(dict.fromkeys((*self.space.names, *self.fixed), 0.0))]
+
+    def portable(self) -> Problem:
+        """All but the model and the bank, to be sent to workers."""
+        others = tuple(other.portable() for other in self.others)
+        nowhere = cast(ForwardModel, None)  # until `of` puts one in its place
+        return replace(self, model=nowhere, bank=None, pool=Threads(1), others=others)
+
+    def of(self, model: ForwardModel) -> Problem:
+        """The same with a model, as a worker has it."""
+        return replace(self, model=model, others=tuple(other.of(model) for other in self.others))
+
+    def __call__(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
+        """Evaluate points of the unit cube; outcomes come in order, as soon as they are there."""
+        if not isinstance(self.pool, Threads) and self.bank is not None:
+            return self._with_bank(points)
+        return self.pool.map(Problem.evaluate, self, points)
+
+    def _with_bank(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
+        """What the bank has is compared here, since the bank is here; the rest elsewhere."""
+        known = [self.bank is not None and self.bank.get(point) is not None for point in points]
+        simulated = all(other.scenario is self.scenario for other in self.others)
+        if not simulated:
+            known = [False] * len(points)
+        left = [point for point, there in zip(points, known, strict=True) if not there]
+        elsewhere = self.pool.map(Problem.evaluate, self, left)
+        for point, there in zip(points, known, strict=True):
+            yield self.evaluate(point) if there else next(elsewhere)
 
     def simulate(self, points: Sequence[Floats]) -> list[Simulation | InvalidTree | InvalidBody]:
         """Run the forward model at points of the unit cube, and compare with nothing."""
-        return list(in_threads(self._simulate, points, self.workers))
+        return list(self.pool.map(Problem._simulate, self, points))
 
     def _simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
         return self.model.simulate({**self.fixed, **self.space.from_unit(point)}, self.scenario)
@@ -172,7 +200,7 @@ class Problem:
 
     def networks(self, parameters: Iterable[Mapping[str, float]]) -> Iterator[Network]:
         """Simulate parameters that are known to give trees, as those of a population are."""
-        return in_threads(self._network, list(parameters), self.workers)
+        return self.pool.map(Problem._network, self, list(parameters))
 
     @cached_property
     def compared(self) -> Booleans:

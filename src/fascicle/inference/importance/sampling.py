@@ -20,7 +20,7 @@ Res. 25, 2024.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,25 +101,54 @@ class Run:
         return np.asarray(rng.permutation(np.searchsorted(ends, positions)))
 
 
-@one_thread
-def importance_sample(
+Sampling = Generator[Floats, Floats, Run]  # asks for log-likelihoods of points
+
+
+def importance_sample(log_likelihoods: LogLikelihoods, *runs: Sampling) -> list[Run]:
+    """Sample posteriors in runs that have nothing in common but are evaluated together.
+
+    Parameters
+    ----------
+    log_likelihoods : callable
+        Evaluates the points that all runs ask for at a time: workers wait for as few as can be.
+    *runs : generators
+        Made by `sampling`.
+
+    Returns
+    -------
+    list of Run
+        Each as if it had been alone.
+    """
+    ended: dict[int, Run] = {}
+    asked = {number: next(run) for number, run in enumerate(runs)}
+    while asked:
+        values = log_likelihoods(np.concatenate([*asked.values()]))
+        ends = np.cumsum([len(points) for points in asked.values()])
+        answers = dict(zip(asked, np.split(values, ends[:-1]), strict=True))
+        asked = {}
+        for number, answer in answers.items():
+            try:
+                asked[number] = runs[number].send(answer)
+            except StopIteration as end:
+                ended[number] = end.value
+    return [ended[number] for number in range(len(runs))]
+
+
+def sampling(
     rng: np.random.Generator,
-    log_likelihoods: LogLikelihoods,
     prior: Floats,
     *,
     effective: int,
     most: int,
     begun: Run | None = None,
     progress: Callable[[State], None] = lambda state: None,
-) -> Run:
-    """Sample the posterior under a uniform prior on the unit cube.
+) -> Sampling:
+    """Sample the posterior under a uniform prior on the unit cube: a run for `importance_sample`.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Of all random numbers.
-    log_likelihoods : callable
-        Evaluates the prior's points, and then `BATCH` points at a time.
     prior : (n, d) array
         Draws from the prior.
     effective : int
@@ -131,13 +160,23 @@ def importance_sample(
         here, too, and its evaluations are not among `most`.
     progress : callable
         Called after every batch.
+
+    Yields
+    ------
+    (m, d) array
+        Points, of which the (m,) log-likelihoods are to be sent: the prior's, and then `BATCH` at a
+        time.
+
+    Returns
+    -------
+    Run
     """
     points = prior if begun is None else begun.points
     proposals = [standard_normal(prior.shape[1])] if begun is None else list(begun.proposals)
     counts = [len(prior)] if begun is None else list(begun.counts)
     most += sum(counts[1:])
     scores = ndtri(np.clip(points, EDGE, 1 - EDGE))
-    values = log_likelihoods(points)
+    values = yield points
     while True:
         weights, state = _weigh(scores, values, proposals, counts)
         progress(state)
@@ -146,14 +185,15 @@ def importance_sample(
         )
         if complete or state.evaluations >= most:
             return Run(points, weights, values, state, complete, proposals, counts)
-        proposals.append(fitted(scores, _flattened(weights)))
+        proposals.append(one_thread(fitted)(scores, _flattened(weights)))
         counts.append(min(BATCH, most - state.evaluations))
         new = proposals[-1].rvs(counts[-1], random_state=rng).reshape(counts[-1], -1)
         inside = np.clip(ndtr(new), EDGE, 1 - EDGE)
         points, scores = np.concatenate([points, inside]), np.concatenate([scores, new])
-        values = np.concatenate([values, log_likelihoods(inside)])
+        values = np.concatenate([values, (yield inside)])
 
 
+@one_thread
 def _weigh(
     scores: Floats, values: Floats, proposals: list[Any], counts: list[int]
 ) -> tuple[Floats, State]:

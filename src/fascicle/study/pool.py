@@ -1,0 +1,153 @@
+"""Where networks are evaluated: on threads of this process, or through any executor elsewhere."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import cached_property, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol, Self, TypeVar
+
+from fascicle.core.threads import one_thread
+from fascicle.forward.model import ForwardModel, WrittenModel
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+JOBS = 8  # a worker and call: so few that what all have in common is not sent too often
+
+
+class Question(Protocol):
+    """What jobs are about: a forward model, which is large, and the rest, which is small."""
+
+    @property
+    def model(self) -> ForwardModel: ...
+
+    @property
+    def bodies(self) -> Sequence[str]:
+        """Quantities of the body that the model will be asked for."""
+
+    def portable(self) -> Any:
+        """The rest, which can be pickled."""
+
+    def of(self, model: ForwardModel) -> Self:
+        """The rest and a model put together again."""
+
+
+class Pool(ABC):
+    """Runs functions of a question and an item; lives as long as its study."""
+
+    @abstractmethod
+    def map(
+        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Results in the order of the items, as soon as they are there.
+
+        Parameters
+        ----------
+        function : callable
+            Called with the question and an item; of a module or a partial of such, so that it can
+            be sent.
+        question : Question
+            The same for all.
+        items : sequence
+        """
+
+
+class Threads(Pool):
+    """Threads of this process: the forward model runs outside Python's global lock.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+
+    def map(
+        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Give results in the order of the items."""
+        if self.workers == 1 or len(items) == 1:
+            return map(partial(function, question), items)
+        return self._executor.map(partial(function, question), items)
+
+    @cached_property
+    def _executor(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self.workers)
+
+
+class Elsewhere(Pool):
+    """Workers of any executor in other processes, which see this machine's temporary folder.
+
+    The model goes to each once, through a file.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor
+        Whose workers.
+    workers : int
+        How many it has.
+    """
+
+    def __init__(self, executor: Executor, workers: int) -> None:
+        self.executor, self.workers = executor, workers
+        self._folder = TemporaryDirectory(prefix="fascicle-")
+        self._models: list[tuple[ForwardModel, WrittenModel]] = []
+
+    def map(
+        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Give results in the order of the items."""
+        written, rest = self._written(question), question.portable()
+        futures = [
+            self.executor.submit(_job, written, rest, function, part)
+            for part in parts(items, self.workers)
+        ]
+        return self._in_order(futures)
+
+    def _in_order(self, futures: Sequence[Future[list[Result]]]) -> Iterator[Result]:
+        """Results of parts; what is not begun when nobody waits any more is not begun."""
+        try:  # a method, so that the files stay as long as somebody waits
+            for future in futures:
+                yield from future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+    def _written(self, question: Question) -> WrittenModel:
+        for model, written in self._models:
+            if model is question.model:
+                return written
+        folder = Path(self._folder.name) / f"{len(self._models)}"
+        folder.mkdir()
+        written = question.model.write(folder, question.bodies)
+        self._models.append((question.model, written))
+        return written
+
+
+def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
+    """Items in `JOBS` parts a worker, or one by one where they are fewer."""
+    size = max(1, len(items) // (JOBS * workers))
+    return [items[start : start + size] for start in range(0, len(items), size)]
+
+
+def run_part(
+    question: Question, function: Callable[[Any, Item], Result], items: Sequence[Item]
+) -> list[Result]:
+    """What a worker does: BLAS takes one thread, since there is a worker for every core."""
+    results: list[Result] = one_thread(lambda: [function(question, item) for item in items])()
+    return results
+
+
+def _job(
+    written: WrittenModel,
+    rest: Question,
+    function: Callable[[Any, Item], Result],
+    items: Sequence[Item],
+) -> list[Result]:
+    return run_part(rest.of(written.read()), function, items)

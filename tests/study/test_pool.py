@@ -1,0 +1,168 @@
+"""Where networks are evaluated changes nothing but the speed: threads, processes, a cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+
+import numpy as np
+import pytest
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.forward.scenario import His, Scenario
+from fascicle.recording.target import Target
+from fascicle.study.pool import JOBS, Elsewhere, Threads, parts
+from fascicle.study.problem import Problem
+
+KILLS = 10
+
+
+@pytest.fixture(scope="module")
+def problem(default_model):
+    ecg = default_model.simulate(EXAMPLE_PARAMETERS).leads
+    beat = np.pad(ecg, ((0, 0), (40, 40)))
+    beats = beat + 0.02 * np.random.default_rng(0).normal(size=(5, *beat.shape))
+    time = np.arange(beat.shape[1]) - 60.0
+    return Problem(default_model, Target(beats, time, -20.0, 40.0, 60.0), NETWORK_SPACE)
+
+
+@pytest.fixture(scope="module")
+def points():
+    longest = NETWORK_SPACE.to_unit(EXAMPLE_PARAMETERS | {"lv_initial_length": 300.0})
+    return [*np.random.default_rng(1).uniform(0.2, 0.6, (7, len(NETWORK_SPACE))), longest]
+
+
+@pytest.fixture(scope="module")
+def expected(problem, points):
+    return list(problem(points))
+
+
+def with_pool(problem, pool):
+    found = problem.portable().of(problem.model)
+    return type(found)(**{**vars(found), "pool": pool})
+
+
+def assert_same(found, expected):
+    found = list(found)
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
+        assert one.reason == other.reason
+        np.testing.assert_array_equal(one.loss, other.loss)
+        np.testing.assert_array_equal(one.beat_errors, other.beat_errors)
+
+
+def test_expected_differ(expected):
+    assert len({each.loss for each in expected if each.feasible}) == 7
+    assert not expected[-1].feasible
+
+
+def test_threads(problem, points, expected):
+    pool = Threads(2)
+    for _ in range(2):
+        assert_same(with_pool(problem, pool)(points), expected)
+
+
+def test_processes(problem, points, expected):
+    """The model goes to them once, and what follows from another question of it does not."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context) as executor:
+        pool = Elsewhere(executor, 2)
+        here = with_pool(problem, pool)
+        assert_same(here(points), expected)
+        assert len(list(here.networks([EXAMPLE_PARAMETERS] * 2))) == 2
+        assert len(pool._models) == 1
+        paced = type(here)(**{**vars(here), "scenario": Scenario(his=His())})
+        alone = type(here)(**{**vars(paced), "pool": Threads(1)})
+        assert_same(paced(points[:2]), list(alone(points[:2])))
+        assert len(pool._models) == 1
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 1000, 8001])
+def test_parts_hold_everything_in_order(count):
+    items = list(range(count))
+    for workers in (1, 3, 64):
+        found = parts(items, workers)
+        assert [item for part in found for item in part] == items
+        assert len(found) < 2 * JOBS * workers + 1
+
+
+def refuse(problem, point):
+    raise InputError("this is not to be had")
+
+
+def test_errors_arrive_as_themselves(problem, points):
+    context = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(1, mp_context=context) as executor,
+        pytest.raises(InputError, match="not to be had"),
+    ):
+        list(Elsewhere(executor, 1).map(refuse, problem, points))
+
+
+def pause(seconds, problem, point):
+    """A slow evaluation, in which a worker can be killed."""
+    time.sleep(seconds)
+    return problem.evaluate(point)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as found:
+        yield found
+
+
+class TestCluster:
+    def test_the_same_as_here(self, cluster, problem, points, expected):
+        from fascicle.study.cluster import Cluster
+
+        pool = Cluster(cluster.scheduler_address)
+        assert pool.workers == 2
+        assert_same(with_pool(problem, pool)(points), expected)
+        assert_same(with_pool(problem, pool)(points), expected)
+        assert len(pool._known) == 2  # the model, and what is asked of it
+        with pytest.raises(InputError, match="not to be had"):
+            list(pool.map(refuse, problem, points))
+
+    def test_workers_that_are_killed_and_join_late(self, cluster, problem, points, expected):
+        """Nothing is lost, and nothing is counted twice."""
+        from fascicle.study.cluster import Cluster
+
+        pool, rng, killed = Cluster(cluster.scheduler_address), random.Random(0), []
+        ended = threading.Event()
+
+        def kill():
+            while len(killed) < KILLS and not ended.is_set():
+                time.sleep(rng.uniform(0.3, 1.5))
+                processes = pool.client.run(os.getpid)
+                if processes:
+                    killed.append(rng.choice(list(processes.values())))
+                    os.kill(killed[-1], signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        cluster.scale(3)
+        many = points * 6
+        found = []
+        while len(killed) < KILLS or not found:
+            found = list(pool.map(partial(pause, 0.2), problem, many))
+        ended.set()
+        killer.join()
+        assert len(killed) == KILLS
+        assert_same(found, expected * 6)
+
+    def test_where_no_scheduler_is(self, monkeypatch):
+        from fascicle.study import cluster
+
+        monkeypatch.setattr(cluster, "TIMEOUT", 1)
+        with pytest.raises(InputError, match="127.0.0.1:1: no Dask scheduler answers .*; start"):
+            cluster.Cluster("tcp://127.0.0.1:1")
