@@ -31,8 +31,10 @@ from .recording.readers.read import read_recording as read_recording
 from .recording.target_files import read_target as read_target
 from .reporting.page.page import report as report
 from .study.bank import make_bank as make_bank
+from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
+from .study.pool import Elsewhere as Elsewhere
 from .study.settings import FitSettings as FitSettings
 
 __version__: str

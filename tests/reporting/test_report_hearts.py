@@ -263,4 +263,4 @@ def test_times_since_the_first_activation_are_those_of_tissue_and_trees(heart):
 
 def test_other_times_are_named(heart):
     figure = activation_figure(heart, rows(heart)[:1], SPREAD)
-    assert figure.axes[-1].get_ylabel() == "standard deviation over the networks (ms)"
+    assert figure.axes[-1].get_ylabel() == "standard deviation (ms)"

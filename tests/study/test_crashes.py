@@ -61,9 +61,10 @@ def test_ctrl_c_finishes_what_runs(tmp_path, whole):
     begun = FORK.Value("i", 0)
 
     def slow(points):
-        begun.value += len(points)
-        time.sleep(0.2)
-        return objective(points)
+        for point in points:
+            begun.value += 1
+            time.sleep(0.1)
+            yield from objective([point])
 
     process = FORK.Process(target=run, args=(folder, slow))
     process.start()

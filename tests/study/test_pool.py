@@ -6,6 +6,8 @@ import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -14,6 +16,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.scenario import His, Scenario
@@ -164,5 +167,24 @@ class TestCluster:
         from fascicle.study import cluster
 
         monkeypatch.setattr(cluster, "TIMEOUT", 1)
-        with pytest.raises(InputError, match="127.0.0.1:1: no Dask scheduler answers .*; start"):
+        with pytest.raises(InputError, match=r"127.0.0.1:1: no Dask scheduler answers .*; start"):
             cluster.Cluster("tcp://127.0.0.1:1")
+
+
+@pytest.mark.slow
+def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, problem, tmp_path):
+    """To the last bit, by the command, with a bank or without."""
+    from fascicle.recording.target_files import write_target
+
+    write_target(problem.target, tmp_path / "target.nc")
+    small = ["--effective", "20", "--evaluations", "400", "--bank", "200"]
+    found = []
+    for name, more in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
+        folder = tmp_path / name
+        asked = ["fit", "default", tmp_path / "target.nc", "--out", folder, *small, *more]
+        subprocess.run([sys.executable, "-m", "fascicle.cli", *asked], check=True)
+        found.append(fascicle.load_study(folder))
+    one, other = found
+    for name, values in one.population.values.items():
+        np.testing.assert_array_equal(values, other.population.values[name])
+    np.testing.assert_array_equal(one.population.log_evidences, other.population.log_evidences)

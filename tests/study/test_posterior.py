@@ -61,8 +61,8 @@ def test_draws_of_two_runs(done):
     )
     stage, number, total, message = seen[-1]
     assert (stage, total) == ("sampling", 8400)
-    assert 4200 < number <= 8400
-    assert message.startswith("run 2 of 2, log evidence -")
+    assert 400 < number <= 8400
+    assert message.startswith("2 runs, log evidence -")
     assert ", best loss 1" in message
 
 

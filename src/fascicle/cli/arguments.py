@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+
+from fascicle.core.errors import InputError
+
+if TYPE_CHECKING:
+    from fascicle.study.cluster import Cluster
 
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
@@ -101,3 +107,12 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
     if not colon or not scenario.endswith(".toml") or Path(text).exists():
         return Path(text)
     return Path(target), Path(scenario)
+
+
+def cluster(address: str) -> Cluster:
+    """Workers of the Dask scheduler at an address."""
+    if find_spec("distributed") is None:
+        raise InputError("--scheduler needs Dask; install it: pip install 'fascicle[cluster]'")
+    from fascicle.study.cluster import Cluster
+
+    return Cluster(address)

@@ -15,6 +15,7 @@ from fascicle.cli.arguments import (
     HeartArgument,
     OutOption,
     StudyArgument,
+    cluster,
     explicit,
     settings_options,
     with_scenario,
@@ -191,6 +192,14 @@ def fit(
     ] = None,
     free: FreeOption = None,
     fix: FixOption = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
+            "(docs/cluster.md); else the cores of this machine do.",
+        ),
+    ] = None,
     **settings: Any,
 ) -> Result:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
@@ -228,7 +237,10 @@ def fit(
     given |= explicit(context, settings)
     with _resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
-        fitted = run_fit(heart, recordings, out, parameters=learnt, progress=progress, **given)
+        pool = cluster(scheduler) if scheduler is not None else None
+        fitted = run_fit(
+            heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
+        )
     summary = written_summary(out)
     print_fit(fitted, summary)
     print(f"study in {out}; figures: fascicle report {out}")

@@ -60,7 +60,7 @@ def scenario_activation_figure(
     own, found = _with_own(predicted, name)
     rows = [_row(found, which, k) for which, k in found.extremes().items()]
     if found is not own:
-        rows.insert(0, _row(own, f"{OWN_BEAT}: median", own.extremes()["median"]))
+        rows.insert(0, _row(own, f"{OWN_BEAT}, median", own.extremes()["median"]))
     return activation_figure(heart, rows, SINCE_FIRST)
 
 
@@ -89,5 +89,5 @@ def _row(found: Predicted, label: str, number: int) -> ActivationRow:
     """One network, from its first activation on."""
     beat, total = found.beats[number], found.indices["total_activation_time"][number]
     trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
-    row = ActivationRow(f"{label}, {total:.0f} ms", beat.activation.astype(float), trees)
+    row = ActivationRow(f"{label}\n{total:.0f} ms", beat.activation.astype(float), trees)
     return row.since_first()

@@ -76,7 +76,7 @@ def drawings(
         ),
         "activation-spread": Drawing(
             activation_figure(heart, [spread], SPREAD),
-            f"How far the activations of {len(networks)} networks are apart.",
+            f"How far the activations of {len(networks)} networks are apart: standard deviation.",
         ),
         **_of_scenarios(predicted),
         "priors": Drawing(

@@ -1,7 +1,7 @@
 """Workers of a Dask cluster, which may die, join late and be restarted.
 
 The heart goes to every worker once, and to those that come later when they come; the scheduler
-keeps it for them. Jobs are named by their content, so that a job that is sent again is the same job.
+keeps it for them. Jobs are named by their content, so that one that is sent again is the same job.
 """
 
 from __future__ import annotations
@@ -25,9 +25,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 TIMEOUT = 30  # s, until a scheduler has answered
-RETRIES = (
-    20  # of a job whose workers were lost: the walltime of a worker counts against all its jobs
-)
+RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
 KEY = 24  # digits of a name by content
 
 

@@ -23,7 +23,8 @@ class Question(Protocol):
     """What jobs are about: a forward model, which is large, and the rest, which is small."""
 
     @property
-    def model(self) -> ForwardModel: ...
+    def model(self) -> ForwardModel:
+        """The forward model."""
 
     @property
     def bodies(self) -> Sequence[str]:
