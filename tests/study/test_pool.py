@@ -163,12 +163,42 @@ class TestCluster:
         assert len(killed) == KILLS
         assert_same(found, expected * 6)
 
+    def test_a_scheduler_that_is_lost(self, problem, points):
+        import distributed
+
+        from fascicle.study.cluster import Cluster
+
+        scheduler = subprocess.Popen(
+            [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0",
+             "--no-dashboard"], stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        address = next(
+            line.split()[-1] for line in scheduler.stderr if "Scheduler at:" in line
+        )  # it says so when it is there
+        pool = Cluster(address)
+        threading.Timer(2.0, scheduler.kill).start()
+        with pytest.raises(InputError, match=r"the Dask scheduler was lost .* start it again"):
+            list(pool.map(Problem.evaluate, problem, points))  # there is no worker
+        scheduler.wait()
+        distributed.Client.close(pool.client)
+
+    @pytest.mark.parametrize(
+        "address", ["", "here", "tcp://", "http://a:1", "tcp://a:b", "ucx://a:1", "tcp://a:1/b"]
+    )
+    def test_what_is_no_address(self, address):
+        from fascicle.study.cluster import Cluster
+
+        with pytest.raises(InputError, match="is no address of a Dask scheduler; it prints"):
+            Cluster(address)
+
     def test_where_no_scheduler_is(self, monkeypatch):
         from fascicle.study import cluster
 
         monkeypatch.setattr(cluster, "TIMEOUT", 1)
         with pytest.raises(InputError, match=r"127.0.0.1:1: no Dask scheduler answers .*; start"):
             cluster.Cluster("tcp://127.0.0.1:1")
+        with pytest.raises(InputError, match=r"tls://a:1: no Dask scheduler answers .*TLS"):
+            cluster.Cluster("tls://a:1")
 
 
 @pytest.mark.slow

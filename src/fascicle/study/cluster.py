@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, TypeVar
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, one_line
 from fascicle.forward.model import ForwardModel, WrittenModel
 from fascicle.study.pool import Pool, Question, parts, run_part
 
@@ -26,6 +28,7 @@ Result = TypeVar("Result")
 
 TIMEOUT = 30  # s, until a scheduler has answered
 RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
+ADDRESS = r"(tcp|tls)://[^/\s]+:\d{1,5}"
 KEY = 24  # digits of a name by content
 
 
@@ -68,15 +71,20 @@ class Cluster(Pool):
     Raises
     ------
     InputError
-        If no scheduler answers there.
+        If it is no address, or no scheduler answers there.
     """
 
     def __init__(self, address: str) -> None:
+        if not re.fullmatch(ADDRESS, address):
+            raise InputError(
+                f"'{address}' is no address of a Dask scheduler; it prints its own when it starts, "
+                "such as tcp://10.0.0.1:8786"
+            )
         try:
             self.client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError) as error:
+        except (OSError, TypeError) as error:  # the second of TLS that is not configured
             raise InputError(
-                f"{address}: no Dask scheduler answers ({type(error).__name__}); start one with "
+                f"{address}: no Dask scheduler answers ({one_line(error)}); start one with "
                 "'dask scheduler', and workers with 'dask worker ADDRESS'"
             ) from error
         self.address = address
@@ -115,13 +123,25 @@ class Cluster(Pool):
         return self.client.submit(function, *arguments, key=f"fascicle-{key}", pure=False)
 
     def result(self, future: Any) -> Any:
-        """Wait for a job; where its workers were lost it is done again, by others."""
-        for _ in range(RETRIES):
-            try:
-                return future.result()
-            except KilledWorker:
-                future.retry()
-        return future.result()
+        """Wait for a job; where its workers were lost it is done again, by others.
+
+        Raises
+        ------
+        InputError
+            If the scheduler is lost.
+        """
+        try:
+            for _ in range(RETRIES):
+                try:
+                    return future.result()
+                except KilledWorker:
+                    future.retry()
+            return future.result()
+        except CancelledError as error:
+            raise InputError(
+                f"{self.address}: the Dask scheduler was lost ({one_line(error)}); what is "
+                "evaluated is kept: start it again, and the same command goes on"
+            ) from error
 
     def _model(self, question: Question) -> str:
         for model, name in self._sent:
