@@ -32,6 +32,8 @@ ROOM_FOR_LEGEND = 1.4  # times the highest bar
 SKIN, LUNG = "#E4D2C3", "#9FC3D9"
 WALL_COLOURS = dict(zip(WALLS, (style.VERMILION, style.GREEN, style.BLUE), strict=True))
 FIRST = ELECTRODES.index("V1")  # of the chest electrodes
+BODY_POINTS = 190  # height of a body in the figure, typographic points
+NAME_SIZE = np.array([14.0, 9.0])  # of an electrode's name with its margins, of such points
 
 
 def check_figure(heart: Heart, check: HeartCheck) -> Figure:
@@ -90,9 +92,10 @@ def _draw_seeds(axes: Axes, view: View, heart: Heart) -> None:
             "", towards, root, arrowprops={"arrowstyle": "-|>", "color": style.BLACK, "lw": 1.4}
         )
         axes.plot(*root, "o", color=colour, markeredgecolor=style.BLACK, markersize=6)
-        axes.annotate(
-            f"{endocardium.side.upper()} root", root, (4, 5), textcoords="offset points",
-            fontsize=style.TICK_SIZE, color=style.BLACK,
+        away, side = ((5, 5), "left") if endocardium.side == "lv" else ((-5, 5), "right")
+        axes.annotate(  # each on its ventricle's side, away from the other bundle
+            f"{endocardium.side.upper()} root", root, away, textcoords="offset points",
+            fontsize=style.TICK_SIZE, color=style.BLACK, ha=side,
         )  # fmt: skip
     _finish(axes, "endocardia and bundles (front)", HEART_BAR)
 
@@ -131,12 +134,44 @@ def _draw_body(axes: Axes, view: View, heart: Heart) -> None:
     axes.scatter(
         screen[:, 0], screen[:, 1], s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3
     )
-    for name, position in zip(ELECTRODES, screen, strict=True):
+    points = screen * BODY_POINTS / np.ptp(axes.dataLim.intervaly)
+    for name, position, away in zip(ELECTRODES, screen, label_places(points), strict=True):
         axes.annotate(
-            name, position, (3, 3), textcoords="offset points", fontsize=style.TICK_SIZE - 1,
-            color=style.BLACK,
+            name, position, tuple(away), textcoords="offset points", fontsize=style.TICK_SIZE - 1,
+            color=style.BLACK, ha="center", va="center",
+            arrowprops={"arrowstyle": "-", "color": style.GREY, "lw": 0.4, "shrinkB": 2},
         )  # fmt: skip
     _finish(axes, f"body, {view.name}", BODY_BAR)
+
+
+def label_places(points: Floats) -> Floats:
+    """Where to write short names near points (n, 2) so that they hide neither points nor names.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        In typographic points.
+
+    Returns
+    -------
+    (n, 2) array
+        From each point to the middle of its name.
+    """
+    angles = np.radians(np.arange(45, 405, 30))
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1) * NAME_SIZE
+    candidates = np.concatenate([share * around for share in (0.8, 1.4, 2.0, 2.6)])
+    taken, places = list(points), []
+    for point in points:
+        apart = np.abs((point + candidates)[:, np.newaxis] - np.array(taken)) / NAME_SIZE
+        free = (apart >= 1).any(
+            axis=2
+        )  # of a name whose middle is so far away, in either direction
+        of_points = (apart[:, : len(points)] >= 0.7).any(axis=2)
+        good = free[:, len(points) :].all(axis=1) & of_points.all(axis=1)
+        best = int(np.argmax(good)) if good.any() else int(np.argmax(free.sum(axis=1)))
+        taken.append(point + candidates[best])
+        places.append(candidates[best])
+    return np.array(places)
 
 
 def _plot_helix(axes: Axes, check: HeartCheck) -> None:
