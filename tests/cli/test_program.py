@@ -55,8 +55,8 @@ def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):
     """With the default of the Python function, and given to it as it stands."""
     seen = []
 
-    def fit(heart, target, out, parameters, progress, **settings):
-        assert parameters == {}
+    def fit(heart, target, out, parameters, progress, pool, **settings):
+        assert (parameters, pool) == ({}, None)
         seen.append(FitSettings(**settings))
         raise InputError("stop here")
 

@@ -163,11 +163,12 @@ class TestCluster:
         assert len(killed) == KILLS
         assert_same(found, expected * 6)
 
-    def test_a_scheduler_that_is_lost(self, problem, points):
+    def test_a_scheduler_that_is_lost(self, problem, points, monkeypatch):
         import distributed
 
-        from fascicle.study.cluster import Cluster
+        from fascicle.study import cluster
 
+        monkeypatch.setattr(cluster, "TIMEOUT", 5)
         scheduler = subprocess.Popen(
             [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0",
              "--no-dashboard"], stderr=subprocess.PIPE, text=True,
@@ -175,11 +176,19 @@ class TestCluster:
         address = next(
             line.split()[-1] for line in scheduler.stderr if "Scheduler at:" in line
         )  # it says so when it is there
-        pool = Cluster(address)
-        threading.Timer(2.0, scheduler.kill).start()
+        pool = cluster.Cluster(address)
+
+        def kill():
+            while not pool.client.futures:
+                time.sleep(0.05)
+            scheduler.kill()
+
+        threading.Thread(target=kill).start()
         with pytest.raises(InputError, match=r"the Dask scheduler was lost .* start it again"):
             list(pool.map(Problem.evaluate, problem, points))  # there is no worker
         scheduler.wait()
+        with pytest.raises(InputError, match=r"the Dask scheduler was lost"):
+            pool._hold({}, "something else")
         distributed.Client.close(pool.client)
 
     @pytest.mark.parametrize(

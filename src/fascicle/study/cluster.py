@@ -13,6 +13,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, TypeVar
@@ -130,14 +131,20 @@ class Cluster(Pool):
         InputError
             If the scheduler is lost.
         """
-        try:
+        with self._scheduler_there(CancelledError):
             for _ in range(RETRIES):
                 try:
                     return future.result()
                 except KilledWorker:
                     future.retry()
             return future.result()
-        except CancelledError as error:
+
+    @contextmanager
+    def _scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:
+        """Say so in one line when it is lost, of which these errors tell."""
+        try:
+            yield
+        except errors as error:
             raise InputError(
                 f"{self.address}: the Dask scheduler was lost ({one_line(error)}); what is "
                 "evaluated is kept: start it again, and the same command goes on"
@@ -158,7 +165,8 @@ class Cluster(Pool):
         """Give all workers, those that come later too, something to keep; its name."""
         name = f"fascicle-{_name(pickle.dumps((files, small)))}"
         if name not in self._known:
-            self.client.register_plugin(Held(name, files, small))
+            with self._scheduler_there(OSError, CancelledError):
+                self.client.register_plugin(Held(name, files, small))
             self._known.add(name)
         return name
 
