@@ -84,7 +84,7 @@ def test_study_folder_holds_what_is_promised(study):
     said = _posterior_summary(agreeing)["what_the_ecg_says"]
     assert set(said) == set(posterior.posterior.data_vars)
     assert 0 < summary["discrepancy_over_signal"] < 3
-    assert {"V1", "QRS duration", "axis"} <= set(summary["probabilities_under_the_model"])
+    assert {"V1", "window QRS duration", "axis"} <= set(summary["probabilities_under_the_model"])
 
 
 def test_best_network_is_what_the_summary_says(study, target):

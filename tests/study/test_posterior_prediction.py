@@ -115,7 +115,7 @@ def test_what_networks_leave_is_named(recorded):
 
 def test_another_duration_and_another_axis_are_named(recorded):
     wide = replace(recorded, qrs_offset=75.0)
-    assert predict(wide).checks.probabilities["QRS duration"] < RARE
+    assert predict(wide).checks.probabilities["window QRS duration"] < RARE
     beats = recorded.beats.copy()
     beats[:, :6] *= -1
     assert predict(replace(recorded, beats=beats)).checks.share > 0.3

@@ -34,9 +34,9 @@ class Checks:
         Size (root mean square) of what a network leaves of the recorded QRS over that of the QRS,
         median of the networks.
     probabilities : mapping of str to float
-        How probable a recording at least as far from the networks is, of every lead, of the QRS
-        duration and of the axis. Of a lead, with the least discrepancy that the likelihood knows:
-        a larger one would excuse what it is there to show.
+        How probable a recording at least as far from the networks is, of every lead, of the window
+        QRS duration and of the axis. Of a lead, with the least discrepancy that the likelihood
+        knows: a larger one would excuse what it is there to show.
     """
 
     share: float
@@ -128,7 +128,7 @@ def predict_recording(
         unexplained[k] = (left**2).sum()
         drawn[:, k] = gain, simulation.first_activation - shift - MARGIN, likelihood.scales[scale]
     probabilities = {LEADS[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)}
-    probabilities["QRS duration"] = _duration(target, networks)
+    probabilities["window QRS duration"] = _duration(target, networks)
     probabilities["axis"] = _axis(target, noisy)
     share = float(np.sqrt(np.median(unexplained) / (target.qrs[rows] ** 2).sum()))
     gains, shifts, discrepancies = drawn

@@ -108,8 +108,8 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
         return said
     if explained(checks):
         said.append(
-            f"They explain the ECG but for {checks.share:.0%} of its size, and no lead, the QRS "
-            "duration or the axis stands out."
+            f"They explain the ECG but for {checks.share:.0%} of its size, and no lead, the window "
+            "QRS duration or the axis stands out."
         )
     else:
         apart = f" {', '.join(checks.disagreeing)} cannot be theirs." if checks.disagreeing else ""
