@@ -112,7 +112,7 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
 def cluster(address: str) -> Cluster:
     """Workers of the Dask scheduler at an address."""
     if find_spec("distributed") is None:
-        raise InputError("--scheduler needs Dask; install it: pip install 'fascicle[cluster]'")
+        raise InputError("--scheduler needs Dask; install it: pip install distributed")
     from fascicle.study.cluster import Cluster
 
     return Cluster(address)
