@@ -166,9 +166,21 @@ class Cluster(Pool):
         name = f"fascicle-{_name(pickle.dumps((files, small)))}"
         if name not in self._known:
             with self._scheduler_there(OSError, CancelledError):
-                self.client.register_plugin(Held(name, files, small))
+                self._register(Held(name, files, small))
             self._known.add(name)
         return name
+
+    def _register(self, held: Held) -> None:
+        """Give it to all; again where a worker was lost meanwhile, of which its others know too."""
+        for _ in range(RETRIES):
+            try:
+                self.client.register_plugin(held)
+                return
+            except OSError:
+                if self.client.status != "running":  # the scheduler itself is gone
+                    raise
+                time.sleep(0.5)
+        self.client.register_plugin(held)
 
 
 def _name(content: bytes) -> str:
