@@ -160,7 +160,7 @@ def test_maps_and_extremes_by_hand():
     totals = {"total_activation_time": np.array([30.0, 20.0, 50.0])}
     found = Predicted(Scenario(his=His()), beats, totals)
     assert found.extremes() == {"minimum": 1, "median": 0, "maximum": 2}
-    maps = found.maps()
+    maps = found.maps
     np.testing.assert_allclose(maps["activation_mean"], [0, 40 / 3, 80 / 3, 25, np.nan])
     np.testing.assert_allclose(maps["activation_sd"][:2], [0, np.std([10, 20, 10])])
     np.testing.assert_allclose(maps["activation_sd"][3], 5.0)

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,7 +22,8 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward.scenario import His, Scenario
 from fascicle.recording.target import Target
-from fascicle.study.pool import JOBS, Elsewhere, Threads, parts
+from fascicle.study.bank import Bank, Signals
+from fascicle.study.pool import JOBS, Elsewhere, Pool, Threads, parts
 from fascicle.study.problem import Problem
 
 KILLS = 10
@@ -47,11 +49,6 @@ def expected(problem, points):
     return list(problem(points))
 
 
-def with_pool(problem, pool):
-    found = problem.portable().of(problem.model)
-    return type(found)(**{**vars(found), "pool": pool})
-
-
 def assert_same(found, expected):
     found = list(found)
     assert len(found) == len(expected)
@@ -69,7 +66,7 @@ def test_expected_differ(expected):
 def test_threads(problem, points, expected):
     pool = Threads(2)
     for _ in range(2):
-        assert_same(with_pool(problem, pool)(points), expected)
+        assert_same(replace(problem, pool=pool)(points), expected)
 
 
 def test_processes(problem, points, expected):
@@ -77,14 +74,37 @@ def test_processes(problem, points, expected):
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as executor:
         pool = Elsewhere(executor, 2)
-        here = with_pool(problem, pool)
+        here = replace(problem, pool=pool)
         assert_same(here(points), expected)
         assert len(list(here.networks([EXAMPLE_PARAMETERS] * 2))) == 2
         assert len(pool._models) == 1
-        paced = type(here)(**{**vars(here), "scenario": Scenario(his=His())})
-        alone = type(here)(**{**vars(paced), "pool": Threads(1)})
+        paced = replace(here, scenario=Scenario(his=His()))
+        alone = replace(paced, pool=Threads(1))
         assert_same(paced(points[:2]), list(alone(points[:2])))
         assert len(pool._models) == 1
+
+
+class Counting(Pool):
+    """Runs everything here, as it would elsewhere, and counts it."""
+
+    sent = 0
+
+    def map(self, function, question, items):
+        self.sent += len(items)
+        return map(partial(function, question.portable().of(question.model)), items)
+
+
+def test_what_the_bank_has_is_not_sent(problem, points, expected, tmp_path):
+    """In order, whether it is there or not; a paced beat is in no bank."""
+    bank = Bank(tmp_path)
+    bank.__dict__["_known"] = {point.tobytes(): (0, 0) for point in points[2:5]}
+    bank.get = lambda point: Signals.of(problem._simulate(point))
+    pool = Counting()
+    here = replace(problem, pool=pool, bank=bank)
+    assert_same(here(points), expected)
+    assert pool.sent == len(points) - 3
+    list(replace(here, scenario=Scenario(his=His()))(points[:4]))
+    assert pool.sent == len(points) - 3 + 4
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 1000, 8001])
@@ -130,8 +150,8 @@ class TestCluster:
 
         pool = Cluster(cluster.scheduler_address)
         assert pool.workers == 2
-        assert_same(with_pool(problem, pool)(points), expected)
-        assert_same(with_pool(problem, pool)(points), expected)
+        assert_same(replace(problem, pool=pool)(points), expected)
+        assert_same(replace(problem, pool=pool)(points), expected)
         assert len(pool._known) == 2  # the model, and what is asked of it
         with pytest.raises(InputError, match="not to be had"):
             list(pool.map(refuse, problem, points))
@@ -212,7 +232,7 @@ class TestCluster:
 
 @pytest.mark.slow
 def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, problem, tmp_path):
-    """To the last bit, by the command, with a bank or without."""
+    """To the last bit, by the command."""
     from fascicle.recording.target_files import write_target
 
     write_target(problem.target, tmp_path / "target.nc")

@@ -17,6 +17,11 @@ _BLAS = ThreadpoolController().select(user_api="blas")
 one_thread = _BLAS.wrap(limits=1)
 
 
+def keep_one_thread() -> None:
+    """Keep BLAS and LAPACK to one thread from now on: for a process that is a worker of others."""
+    _BLAS.limit(limits=1)
+
+
 def blas_threads() -> int:
     """Count the threads that BLAS may use now, by default one a core."""
     return max((int(library["num_threads"]) for library in _BLAS.info()), default=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +107,7 @@ class Predicted:
         """Share of the networks that each stimulus of the tissue captures, shape (n_stimuli,)."""
         return np.asarray(np.mean([beat.captured for beat in self.beats], axis=0))
 
+    @cached_property
     def maps(self) -> dict[str, Floats]:
         """`activation_maps` of the networks."""
         return activation_maps(np.array([beat.activation for beat in self.beats]))

@@ -163,9 +163,8 @@ def label_places(points: Floats) -> Floats:
     taken, places = list(points), []
     for point in points:
         apart = np.abs((point + candidates)[:, np.newaxis] - np.array(taken)) / NAME_SIZE
-        free = (apart >= 1).any(
-            axis=2
-        )  # of a name whose middle is so far away, in either direction
+        # of a name whose middle is so far away, in either direction
+        free = (apart >= 1).any(axis=2)
         of_points = (apart[:, : len(points)] >= 0.7).any(axis=2)
         good = free[:, len(points) :].all(axis=1) & of_points.all(axis=1)
         best = int(np.argmax(good)) if good.any() else int(np.argmax(free.sum(axis=1)))

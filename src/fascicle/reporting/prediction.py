@@ -134,8 +134,8 @@ def _latest(numbers: Floats) -> dict[str, float]:
 
 
 def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
-    maps = found.maps() | {
-        f"activation_{which}": since_first(found.beats[k].activation.astype(float))
+    maps = found.maps | {
+        f"activation_{which}": since_first(found.beats[k].activation)
         for which, k in found.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)

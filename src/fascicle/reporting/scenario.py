@@ -74,7 +74,7 @@ def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
     predicted : mapping of name to Predicted
         The scenarios.
     """
-    spreads = {name: found.maps()["activation_sd"] for name, found in predicted.items()}
+    spreads = {name: found.maps["activation_sd"] for name, found in predicted.items()}
     return activation_figure(heart, [ActivationRow(*each) for each in spreads.items()], SPREAD)
 
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Singles
 
 LATEST = 0.2  # share of the vertices that count as late
 
 
-def since_first(activation: Floats) -> Floats:
+def since_first(activation: Floats | Singles) -> Floats:
     """Activation times (..., n) from the first of each row on (ms); NaN where none arrives."""
-    first = activation.min(axis=-1, keepdims=True)
-    return np.asarray(np.where(np.isfinite(activation), activation, np.nan) - first)
+    times = np.where(np.isfinite(activation), activation, np.nan).astype(float)
+    return np.asarray(times - activation.min(axis=-1, keepdims=True))
 
 
-def activation_maps(activations: Floats) -> dict[str, Floats]:
+def activation_maps(activations: Floats | Singles) -> dict[str, Floats]:
     """Activation over networks at each vertex, from the first activation of each network on.
 
     Parameters
@@ -29,7 +29,7 @@ def activation_maps(activations: Floats) -> dict[str, Floats]:
         Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
         fifth. What no network reaches is NaN; elsewhere those that do reach it count.
     """
-    times = since_first(activations.astype(float))
+    times = since_first(activations)
     reached = np.isfinite(times).sum(axis=0)
     known = np.where(reached > 0, reached, np.nan)
     mean = np.nansum(times, axis=0) / known

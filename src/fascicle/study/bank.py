@@ -10,11 +10,11 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -135,6 +135,9 @@ class Bank:
                 reasons=np.array(reasons),
             )
 
+    def __contains__(self, point: Floats) -> bool:
+        return point.tobytes() in self._places(len(point))
+
     def get(self, point: Floats) -> Signals | str | None:
         """What a network gives, or why it is none; None if it is not here.
 
@@ -203,25 +206,6 @@ class Bank:
                 return
 
 
-@dataclass(frozen=True)
-class _Prior:
-    """The prior of a heart's networks, as workers know it (`fascicle.study.pool.Question`)."""
-
-    model: ForwardModel
-    space: ParameterSpace
-    fixed: Mapping[str, float]
-    bodies: Sequence[str] = ()  # the bank's networks are in the heart's own body
-
-    def portable(self) -> _Prior:
-        return replace(self, model=cast(ForwardModel, None))
-
-    def of(self, model: ForwardModel) -> _Prior:
-        return replace(self, model=model)
-
-    def simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
-        return self.model.simulate({**self.fixed, **self.space.from_unit(point)})
-
-
 def _same(stored: Signals, simulation: Simulation) -> bool:
     leads = simulation.leads
     return stored.leads.shape == leads.shape and bool(np.allclose(stored.leads, leads, atol=SAME))
@@ -276,7 +260,11 @@ def make_bank(
     for number in range(len(bank) // PART, -(-count // PART)):
         points = _part(len(space), number)
         outcomes: list[Simulation | InvalidTree | InvalidBody] = []
-        for outcome in pool.map(_Prior.simulate, _Prior(model, space, fixed), list(points)):
+
+        def simulate(_: None, point: Floats) -> Simulation | InvalidTree | InvalidBody:
+            return model.simulate({**fixed, **space.from_unit(point)})
+
+        for outcome in pool.map(simulate, None, list(points)):
             outcomes.append(outcome)
             report(number * PART + len(outcomes), -(-count // PART) * PART)
         bank.add(number, outcomes)

@@ -21,8 +21,9 @@ from typing import Any, TypeVar
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
 from fascicle.core.errors import InputError, one_line
-from fascicle.forward.model import ForwardModel, WrittenModel
-from fascicle.study.pool import Pool, Question, parts, run_part
+from fascicle.core.threads import keep_one_thread
+from fascicle.forward.model import WrittenModel
+from fascicle.study.pool import Question, Remote, run_part
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -48,20 +49,24 @@ class Held(WorkerPlugin):
 
     def __init__(self, name: str, files: dict[str, bytes], small: Any) -> None:
         self.name, self.files, self.small = name, files, small
+        self.folder: Path | None = None
 
     def setup(self, worker: Worker) -> None:
-        """Write the files for this worker to read."""
-        self.folder = Path(mkdtemp(prefix="fascicle-", dir=worker.local_directory))
+        """Write the files for this worker to read; BLAS takes one thread here from now on."""
+        keep_one_thread()  # jobs of several threads would set it back for one another
+        folder = Path(mkdtemp(prefix="fascicle-", dir=worker.local_directory))
         for name, content in self.files.items():
-            (self.folder / name).write_bytes(content)
+            (folder / name).write_bytes(content)
         self.files.clear()  # they are on the worker's disk
+        self.folder = folder  # last: a job may already be waiting for it
 
     def teardown(self, worker: Worker) -> None:
         """Remove the files."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
 
-class Cluster(Pool):
+class Cluster(Remote):
     """Workers of a Dask cluster.
 
     Parameters
@@ -88,49 +93,22 @@ class Cluster(Pool):
                 f"{address}: no Dask scheduler answers ({one_line(error)}); start one with "
                 "'dask scheduler', and workers with 'dask worker ADDRESS'"
             ) from error
+        super().__init__()
         self.address = address
-        self._sent: list[tuple[ForwardModel, str]] = []
         self._known: set[str] = set()
 
     @property
-    def workers(self) -> int:
+    def workers(self) -> int:  # type: ignore[override]
         """Threads of the workers that are there now, 1 at least."""
         threads: dict[str, int] = self.client.nthreads()
         return max(1, sum(threads.values()))
 
-    def map(
-        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
-    ) -> Iterator[Result]:
-        """Give results in the order of the items."""
-        model = self._model(question)
-        rest = self._hold({}, question.portable())
-        futures = [
-            self.submit(_job, model, rest, function, part) for part in parts(items, self.workers)
-        ]
-        return self._in_order(futures)
+    def _submit(self, *job: Any) -> Any:
+        key = f"fascicle-{_name(pickle.dumps(job))}"
+        return self.client.submit(_job, *job, key=key, pure=False)
 
-    def _in_order(self, futures: Sequence[Any]) -> Iterator[Any]:
-        try:
-            for future in futures:
-                yield from self.result(future)
-                future.release()
-        finally:
-            left = [future for future in futures if not future.done()]
-            self.client.cancel(left)
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Send a job, under the name of its content; its future."""
-        key = _name(pickle.dumps((function.__module__, function.__qualname__, arguments)))
-        return self.client.submit(function, *arguments, key=f"fascicle-{key}", pure=False)
-
-    def result(self, future: Any) -> Any:
-        """Wait for a job; where its workers were lost it is done again, by others.
-
-        Raises
-        ------
-        InputError
-            If the scheduler is lost.
-        """
+    def _result(self, future: Any) -> Any:
+        """Wait for a job; where its workers were lost it is done again, by others."""
         with self._scheduler_there(CancelledError):
             for _ in range(RETRIES):
                 try:
@@ -150,16 +128,14 @@ class Cluster(Pool):
                 "evaluated is kept: start it again, and the same command goes on"
             ) from error
 
-    def _model(self, question: Question) -> str:
-        for model, name in self._sent:
-            if model is question.model:
-                return name
+    def _send(self, question: Question) -> str:
         with TemporaryDirectory(prefix="fascicle-") as folder:
             written = question.model.write(Path(folder), question.bodies)
             files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
-        name = self._hold(files, (written.conduction, written.rules, written.action_potential))
-        self._sent.append((question.model, name))
-        return name
+        return self._hold(files, (written.conduction, written.rules, written.action_potential))
+
+    def _rest(self, portable: Any) -> str:
+        return self._hold({}, portable)
 
     def _hold(self, files: dict[str, bytes], small: Any) -> str:
         """Give all workers, those that come later too, something to keep; its name."""
@@ -187,23 +163,22 @@ def _name(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:KEY]
 
 
-def _held(name: str) -> Held:
+def _held(name: str) -> tuple[Path, Any]:
     """What this worker was given; a worker that has just joined gets its jobs sooner than that."""
     worker = get_worker()
     until = time.monotonic() + TIMEOUT
-    while name not in worker.plugins:
-        if time.monotonic() > until:
-            raise RuntimeError(f"worker {worker.address} was never given {name}")
+    while time.monotonic() < until:
+        held = worker.plugins.get(name)
+        if isinstance(held, Held) and held.folder is not None:
+            return held.folder, held.small
         time.sleep(0.1)
-    held = worker.plugins[name]
-    assert isinstance(held, Held)
-    return held
+    raise RuntimeError(f"worker {worker.address} was never given {name}")
 
 
 def _job(
     model: str, rest: str, function: Callable[[Any, Item], Result], items: Sequence[Item]
 ) -> list[Result]:
-    held = _held(model)
-    written = WrittenModel(held.folder, *held.small)
-    question: Question = _held(rest).small.of(written.read())
+    folder, small = _held(model)
+    _, portable = _held(rest)
+    question: Question = portable.of(WrittenModel(folder, *small).read())
     return run_part(question, function, items)

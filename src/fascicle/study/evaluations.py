@@ -329,12 +329,13 @@ class Journal:
         left = list(missing.values())
         size = batch or self.workers
         # closed at once when interrupted: what no worker has begun is not begun any more
-        with closing(outcome for outcome in self.objective(left)) as outcomes:
+        with closing(outcome for outcome in (self.objective(left) if left else ())) as outcomes:
             for start in range(0, len(left), size):
                 with interrupted_afterwards():
                     self._store(stage, left[start : start + size], outcomes)
                 progress(len(points) - max(0, len(left) - start - size))
-        progress(len(points))
+        if not left:
+            progress(len(points))
         # a point may have been evaluated in another stage, when there were fewer steps
         found = [replace(self.known[key], stage=stage) for key in keys]
         self.records += found

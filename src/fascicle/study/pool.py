@@ -70,9 +70,9 @@ class Threads(Pool):
         self.workers = workers
 
     def map(
-        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+        self, function: Callable[[Any, Item], Result], question: Any, items: Sequence[Item]
     ) -> Iterator[Result]:
-        """Give results in the order of the items."""
+        """Give results in the order of the items; the question may be anything."""
         if self.workers == 1 or len(items) == 1:
             return map(partial(function, question), items)
         return self._executor.map(partial(function, question), items)
@@ -82,7 +82,59 @@ class Threads(Pool):
         return ThreadPoolExecutor(self.workers)
 
 
-class Elsewhere(Pool):
+class Remote(Pool):
+    """Workers in other processes: the model goes to them once, jobs are several items each."""
+
+    workers: int
+
+    def __init__(self) -> None:
+        self._models: list[tuple[ForwardModel, Any]] = []
+
+    def map(
+        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Give results in the order of the items."""
+        given = self._model(question), self._rest(question.portable())
+        futures = [self._submit(*given, function, part) for part in parts(items, self.workers)]
+        return self._in_order(futures)
+
+    def _model(self, question: Question) -> Any:
+        """What jobs need to find the question's model, which is sent if it has not been."""
+        for model, sent in self._models:
+            if model is question.model:
+                return sent
+        sent = self._send(question)
+        self._models.append((question.model, sent))
+        return sent
+
+    def _in_order(self, futures: list[Any]) -> Iterator[Any]:
+        """Results of jobs; what is not begun when nobody waits any more is not begun."""
+        futures.reverse()
+        try:
+            while futures:
+                yield from self._result(futures.pop())
+        finally:
+            for future in futures:
+                future.cancel()
+
+    @abstractmethod
+    def _send(self, question: Question) -> Any:
+        """Send the question's model, and say what jobs need to find it."""
+
+    @abstractmethod
+    def _rest(self, portable: Any) -> Any:
+        """What jobs need to find the rest of a question."""
+
+    @abstractmethod
+    def _submit(self, *job: Any) -> Any:
+        """Send a job, of model, rest, function and items; its future."""
+
+    @abstractmethod
+    def _result(self, future: Any) -> Any:
+        """Wait for a job."""
+
+
+class Elsewhere(Remote):
     """Workers of any executor in other processes, which see this machine's temporary folder.
 
     The model goes to each once, through a file.
@@ -96,39 +148,23 @@ class Elsewhere(Pool):
     """
 
     def __init__(self, executor: Executor, workers: int) -> None:
+        super().__init__()
         self.executor, self.workers = executor, workers
         self._folder = TemporaryDirectory(prefix="fascicle-")
-        self._models: list[tuple[ForwardModel, WrittenModel]] = []
 
-    def map(
-        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
-    ) -> Iterator[Result]:
-        """Give results in the order of the items."""
-        written, rest = self._written(question), question.portable()
-        futures = [
-            self.executor.submit(_job, written, rest, function, part)
-            for part in parts(items, self.workers)
-        ]
-        return self._in_order(futures)
-
-    def _in_order(self, futures: Sequence[Future[list[Result]]]) -> Iterator[Result]:
-        """Results of parts; what is not begun when nobody waits any more is not begun."""
-        try:  # a method, so that the files stay as long as somebody waits
-            for future in futures:
-                yield from future.result()
-        finally:
-            for future in futures:
-                future.cancel()
-
-    def _written(self, question: Question) -> WrittenModel:
-        for model, written in self._models:
-            if model is question.model:
-                return written
+    def _send(self, question: Question) -> WrittenModel:
         folder = Path(self._folder.name) / f"{len(self._models)}"
         folder.mkdir()
-        written = question.model.write(folder, question.bodies)
-        self._models.append((question.model, written))
-        return written
+        return question.model.write(folder, question.bodies)
+
+    def _rest(self, portable: Any) -> Any:
+        return portable
+
+    def _submit(self, *job: Any) -> Future[list[Any]]:
+        return self.executor.submit(_job, *job)
+
+    def _result(self, future: Future[list[Any]]) -> list[Any]:
+        return future.result()
 
 
 def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:

@@ -97,7 +97,7 @@ class Run:
                 [e.log_likelihoods[:recordings].sum() if e.feasible else -np.inf for e in found]
             )
 
-        return importance_sample(
+        runs: list[SamplingRun] = importance_sample(
             log_likelihoods,
             *(
                 sampling(
@@ -112,11 +112,13 @@ class Run:
                 for number in range(RUNS)
             ),
         )
+        return runs
 
     def _report(self, done: int, said: str) -> None:
         if self.progress is None:
             return
-        losses = [e.loss for e in self.journal.evaluations if e.feasible]
+        stored = (record.evaluation for record in self.journal.known.values())
+        losses = [evaluation.loss for evaluation in stored if evaluation.feasible]
         best = f", best loss {min(losses):.4g} mV²" if losses else ""
         total = self._phase + self.settings.evaluations * (self.recordings > 1)
         self.progress(Stage.SAMPLING, done, total, said + best)

@@ -129,20 +129,22 @@ class Problem:
 
     def __call__(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """Evaluate points of the unit cube; outcomes come in order, as soon as they are there."""
-        if not isinstance(self.pool, Threads) and self.bank is not None:
-            return self._with_bank(points)
-        return self.pool.map(Problem.evaluate, self, points)
+        if isinstance(self.pool, Threads):
+            return self.pool.map(Problem.evaluate, self, points)
+        return self._elsewhere(points)
 
-    def _with_bank(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
-        """What the bank has is compared here, since the bank is here; the rest elsewhere."""
-        known = [self.bank is not None and self.bank.get(point) is not None for point in points]
-        simulated = all(other.scenario is self.scenario for other in self.others)
-        if not simulated:
-            known = [False] * len(points)
-        left = [point for point, there in zip(points, known, strict=True) if not there]
-        elsewhere = self.pool.map(Problem.evaluate, self, left)
-        for point, there in zip(points, known, strict=True):
-            yield self.evaluate(point) if there else next(elsewhere)
+    def _elsewhere(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
+        """What the bank has all of is compared here, where the bank is; the rest elsewhere."""
+        stored = [self._stored(point) for point in points]
+        left = [point for point, there in zip(points, stored, strict=True) if not there]
+        outcomes = self.pool.map(Problem.evaluate, self, left) if left else iter(())
+        for point, there in zip(points, stored, strict=True):
+            yield self.evaluate(point) if there else next(outcomes)
+
+    def _stored(self, point: Floats) -> bool:
+        """Whether the bank has all that a network gives: it knows the intrinsic beat alone."""
+        intrinsic = all(each.scenario is None for each in (self, *self.others))
+        return intrinsic and self.bank is not None and point in self.bank
 
     def simulate(self, points: Sequence[Floats]) -> list[Simulation | InvalidTree | InvalidBody]:
         """Run the forward model at points of the unit cube, and compare with nothing."""

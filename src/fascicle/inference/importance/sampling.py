@@ -104,6 +104,7 @@ class Run:
 Sampling = Generator[Floats, Floats, Run]  # asks for log-likelihoods of points
 
 
+@one_thread
 def importance_sample(log_likelihoods: LogLikelihoods, *runs: Sampling) -> list[Run]:
     """Sample posteriors in runs that have nothing in common but are evaluated together.
 
@@ -185,7 +186,7 @@ def sampling(
         )
         if complete or state.evaluations >= most:
             return Run(points, weights, values, state, complete, proposals, counts)
-        proposals.append(one_thread(fitted)(scores, _flattened(weights)))
+        proposals.append(fitted(scores, _flattened(weights)))
         counts.append(min(BATCH, most - state.evaluations))
         new = proposals[-1].rvs(counts[-1], random_state=rng).reshape(counts[-1], -1)
         inside = np.clip(ndtr(new), EDGE, 1 - EDGE)
@@ -193,7 +194,6 @@ def sampling(
         values = np.concatenate([values, (yield inside)])
 
 
-@one_thread
 def _weigh(
     scores: Floats, values: Floats, proposals: list[Any], counts: list[int]
 ) -> tuple[Floats, State]:

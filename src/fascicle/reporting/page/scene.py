@@ -109,10 +109,10 @@ class _Field:
 
 
 def _fields(found: Predicted, shown: Integers) -> list[_Field]:
-    extremes, maps = found.extremes(), found.maps()
+    extremes, maps = found.extremes(), found.maps
     fields = []
     for which in ("median", "minimum", "maximum"):
-        times = since_first(found.beats[extremes[which]].activation.astype(float))
+        times = since_first(found.beats[extremes[which]].activation)
         label = f"network of {which} total activation time"
         fields.append(_Field(f"activation_{which}", label, "ms", "time", times[shown]))
     return fields + [_Field(*each, maps[each[0]][shown]) for each in MAPS]
