@@ -19,7 +19,7 @@ from .heart.folder import load_heart as load_heart
 from .heart.heart import Heart as Heart
 from .prediction.comparison import Comparison as Comparison
 from .prediction.comparison import compare as compare
-from .prediction.scenarios import Predicted as Predicted
+from .prediction.predicted import Predicted as Predicted
 from .prediction.scenarios import predict as predict
 from .purkinje.growth import GrowthRules as GrowthRules
 from .purkinje.tree import InvalidTree as InvalidTree

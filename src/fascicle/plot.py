@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from fascicle.core.progress import Progress
 from fascicle.heart.heart import Heart
-from fascicle.prediction.scenarios import Predicted
+from fascicle.prediction.predicted import Predicted
 from fascicle.recording.target import Target
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.pairs import pair_figure

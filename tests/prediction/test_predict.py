@@ -13,14 +13,8 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.scenario import His, Scenario, Stimulus
 from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
 from fascicle.forward.simulation import Simulation
-from fascicle.prediction.scenarios import (
-    LEAD_IN,
-    RINGING,
-    Predicted,
-    qrs_aligned,
-    simulate_scenarios,
-    with_own_beat,
-)
+from fascicle.prediction.predicted import RINGING, Predicted
+from fascicle.prediction.scenarios import LEAD_IN, qrs_aligned, simulate_scenarios, with_own_beat
 from fascicle.study.pool import Threads
 from fascicle.study.problem import Network
 
@@ -34,7 +28,7 @@ PARAMETERS = EXAMPLE_PARAMETERS | {"root_time": -50.0, "cv": 2.5}
 @pytest.fixture(scope="module")
 def problem(default_model):
     target = SimpleNamespace(response=None)
-    return SimpleNamespace(model=default_model, target=target, pool=Threads(2))
+    return SimpleNamespace(model=default_model, target=target, pool=Threads(2), scenario=None)
 
 
 @pytest.fixture(scope="module")
@@ -172,6 +166,7 @@ def test_a_steep_filter_changes_the_ecg_and_no_index(problem, networks, predicte
         model=problem.model,
         target=SimpleNamespace(response=lambda f: np.where(f < 0.03, 1.0, 0.0)),
         pool=Threads(1),
+        scenario=None,
     )
     found = simulate_scenarios(filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
     for name, values in found.indices.items():

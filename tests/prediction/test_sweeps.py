@@ -84,7 +84,10 @@ class TestSimulated:
         own = default_model.simulate(EXAMPLE_PARAMETERS)
         every = [Network(EXAMPLE_PARAMETERS, own, own.leads, 1.0, gain) for gain in range(1, 8)]
         problem = SimpleNamespace(
-            model=default_model, target=SimpleNamespace(response=None), pool=Threads(2)
+            model=default_model,
+            target=SimpleNamespace(response=None),
+            pool=Threads(2),
+            scenario=None,
         )
         return SimpleNamespace(
             problem=problem,

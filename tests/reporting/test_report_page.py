@@ -14,7 +14,8 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import Predicted, PredictedBeat, with_own_beat
+from fascicle.prediction.predicted import Predicted, PredictedBeat
+from fascicle.prediction.scenarios import with_own_beat
 from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.page import _command, _safe, _template
 from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene

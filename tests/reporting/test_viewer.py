@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.scenario import His, Scenario
-from fascicle.prediction.scenarios import Predicted, PredictedBeat
+from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
 

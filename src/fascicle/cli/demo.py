@@ -9,7 +9,8 @@ from typing import Any
 from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.prediction.scenarios import Predicted, predict
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import predict
 from fascicle.recording.analysis import Analysis
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording

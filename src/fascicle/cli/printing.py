@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
     from fascicle.forward.simulation import Simulation
-    from fascicle.prediction.scenarios import Predicted
+    from fascicle.prediction.predicted import Predicted
     from fascicle.prediction.sweeps import Swept
     from fascicle.study.population import Population, Posterior
     from fascicle.study.results import FittedStudy

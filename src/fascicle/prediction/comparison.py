@@ -12,7 +12,8 @@ from fascicle.core.arrays import Floats
 from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import OWN_BEAT, Predicted
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 # Indices of which less is better; of a delay between the sides, less either way

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.arrays import Booleans, Floats, Integers, Singles
-from fascicle.core.brief import brief
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
@@ -20,97 +19,16 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.indices import INDICES, Territories, indices
-from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.prediction.kept import Kept
+from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window
-from fascicle.study.activation_maps import activation_maps
 from fascicle.study.bank import prior_points
 from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
 OWN_BEAT = "intrinsic"  # the scenario that others are compared with
-LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset, and after the last QRS's end
-RINGING = 40  # samples on either side, for what the recorder's filters add; at least `LEAD_IN`
+LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
 PRIOR_NETWORKS = 60
-
-
-@dataclass(frozen=True)
-class PredictedBeat:
-    """What is kept of one simulation, in single precision: of a fine heart there are hundreds.
-
-    Attributes
-    ----------
-    leads : (12, n_time) array
-        ECG (mV) every 1 ms, with the gain that matches the recording best, or that was drawn.
-    filtered : (12, n_time + 2 * `RINGING`) array
-        The same as the recorder would have it, from `RINGING` samples before to as many after. A
-        steep filter rings about the QRS, so that indices are not read off it.
-    activation : (n,) array
-        Activation time of each vertex of the heart (ms); inf where no front arrives.
-    trees : tuple of (PurkinjeTree, (n_nodes,) array)
-        The trees, left first, and when each of their nodes is reached (ms).
-    captured : (n_stimuli,) bool array
-        Which of the scenario's stimuli of the tissue came before any front was there.
-    """
-
-    leads: Floats
-    filtered: Floats
-    activation: Singles
-    trees: tuple[tuple[PurkinjeTree, Singles], ...]
-    captured: Booleans
-
-    __repr__ = brief
-
-    @classmethod
-    def of(
-        cls, simulation: Simulation, leads: Floats, filtered: Floats, captured: Booleans
-    ) -> PredictedBeat:
-        """What is kept of a simulation; `leads`, `filtered` and `captured` as above."""
-        times = (each.astype(np.float32) for each in simulation.coupled.trees)
-        trees = tuple(zip(simulation.trees, times, strict=True))
-        return cls(leads, filtered, simulation.activation.astype(np.float32), trees, captured)
-
-
-@dataclass(frozen=True)
-class Predicted:
-    """What one scenario does in n networks.
-
-    Attributes
-    ----------
-    scenario : Scenario
-        What was predicted.
-    beats : sequence of PredictedBeat
-        Of each network.
-    indices : mapping of name to (n,) array
-        `INDICES` of each.
-    effective : float
-        How many independent networks they are worth; n, if nothing less is known.
-    """
-
-    scenario: Scenario
-    beats: Sequence[PredictedBeat]
-    indices: Mapping[str, Floats]
-    effective: float = np.inf
-
-    __repr__ = brief
-
-    def extremes(self) -> dict[str, int]:
-        """Networks with the least, the median and the largest total activation time."""
-        order = np.argsort(self.indices["total_activation_time"], kind="stable")
-        return {
-            "minimum": int(order[0]),
-            "median": int(order[(len(order) - 1) // 2]),
-            "maximum": int(order[-1]),
-        }
-
-    @property
-    def captured(self) -> Floats:
-        """Share of the networks that each stimulus of the tissue captures, shape (n_stimuli,)."""
-        return np.asarray(np.mean([beat.captured for beat in self.beats], axis=0))
-
-    @cached_property
-    def maps(self) -> dict[str, Floats]:
-        """`activation_maps` of the networks."""
-        return activation_maps(np.array([beat.activation for beat in self.beats]))
 
 
 def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
@@ -148,7 +66,7 @@ def predict(
     progress : Progress, optional
         Called after each network that is simulated.
     networks : sequence of Network, optional
-        Those to take instead of all of the study.
+        Those of the study, all of them, where they are simulated already.
 
     Returns
     -------
@@ -161,12 +79,26 @@ def predict(
         If the study has no network, there is no such scenario, or it does not fit the heart.
     """
     check_population(fitted)
-    scenarios = as_scenarios(scenarios)
-    if networks is None:
-        networks = fitted.networks(progress)
-    found = simulate_scenarios(fitted.problem, networks, with_own_beat(scenarios), progress)
+    wanted = with_own_beat(as_scenarios(scenarios))
+    kept = Kept.of(fitted)
+    found = _still_so(fitted, kept.read(wanted))
+    missing = {name: scenario for name, scenario in wanted.items() if name not in found}
+    if missing:
+        networks = fitted.networks(progress) if networks is None else networks
+        simulated = simulate_scenarios(fitted.problem, networks, missing, progress)
+        kept.write(simulated)
+        found |= simulated
     effective = fitted.population.effective_size
-    return {name: replace(each, effective=effective) for name, each in found.items()}
+    return {name: replace(found[name], effective=effective) for name in wanted}
+
+
+def _still_so(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str, Predicted]:
+    """Those of kept predictions of which the first network still does the same, to the last bit."""
+    if not kept:
+        return {}
+    first = fitted.networks(chosen=[0])
+    again = simulate_scenarios(fitted.problem, first, {n: p.scenario for n, p in kept.items()})
+    return {name: found for name, found in kept.items() if found.begins_with(again[name])}
 
 
 def as_scenarios(
@@ -235,9 +167,11 @@ def _simulate(
     problem: Problem,
     network: Network,
 ) -> tuple[PredictedBeat, dict[str, float]]:
-    simulation = problem.model.activate(
-        network.simulation.trees, scenario=scenario, **network.parameters
-    )
+    simulation = network.simulation
+    if scenario != (problem.scenario or Scenario()):  # in that it is simulated already
+        simulation = problem.model.activate(
+            simulation.trees, scenario=scenario, **network.parameters
+        )
     gain = network.gain if network.drawn_gain is None else network.drawn_gain
     leads = gain * simulation.leads
     length, response = leads.shape[1] + 2 * RINGING, problem.target.response

@@ -12,7 +12,8 @@ from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario, Stimulus
 from fascicle.heart.segments import SEGMENTS
 from fascicle.heart.sites import LAYERS
-from fascicle.prediction.scenarios import Predicted, check_population, simulate_scenarios
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import check_population, simulate_scenarios
 from fascicle.study.results import FittedStudy
 
 MOST = 200  # scenarios of a sweep

@@ -20,7 +20,8 @@ from fascicle.heart.segments import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.prediction.indices import INDICES
-from fascicle.prediction.scenarios import OWN_BEAT, Predicted, qrs_aligned
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
 from fascicle.reporting.figures import FORMATS, save
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.scenario import (

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from fascicle.core.errors import InputError
 from fascicle.heart.heart import Heart
-from fascicle.prediction.scenarios import OWN_BEAT, Predicted, qrs_aligned
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
 from fascicle.reporting.style import GREY, VERMILION

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from fascicle.build.check import check_heart
 from fascicle.core.errors import InputError
 from fascicle.forward.simulation import Simulation
-from fascicle.prediction.scenarios import Predicted, check_population
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import check_population
 from fascicle.reporting.check import check_figure
 from fascicle.reporting.convergence import convergence_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure

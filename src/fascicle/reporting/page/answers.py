@@ -9,7 +9,8 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.prediction.comparison import compare
-from fascicle.prediction.scenarios import OWN_BEAT, Predicted
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.study.population import Posterior
 from fascicle.study.results import FittedStudy
 from fascicle.study.verdict import Statement, explained, statements, trade_offs

@@ -23,9 +23,9 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import library
 from fascicle.heart.segments import SEGMENTS
 from fascicle.prediction.indices import INDICES
+from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import (
     OWN_BEAT,
-    Predicted,
     as_scenarios,
     check_population,
     predict,

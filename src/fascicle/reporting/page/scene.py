@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.heart import Heart
-from fascicle.prediction.scenarios import Predicted, PredictedBeat
+from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.rendering import heart_views
 from fascicle.study.activation_maps import since_first
 

@@ -1,0 +1,179 @@
+"""Predictions that are kept in the study, so that no command simulates the same twice."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.files import atomic_path
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import complete
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.scenario_files import scenario_text
+from fascicle.prediction.indices import INDICES
+from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
+from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.study.problem import Problem
+from fascicle.study.results import FittedStudy
+
+FOLDER = "predictions"  # in a study's
+FORMAT = 1  # of the files; raised when what they hold changes
+DIGITS = 12  # of the names by content
+
+# Arrays of a file
+NAMES = {"leads", "filtered", "lengths", "activation", "captured", "tree_times", "indices"}
+
+Arrays = Mapping[str, NDArray[Any]]
+Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The predictions of one population that are on disk, a file a scenario.
+
+    Attributes
+    ----------
+    fitted : FittedStudy
+        Its folder holds them.
+    population : str
+        SHA-256 of its networks and gains, and of what a study is of.
+    """
+
+    fitted: FittedStudy
+    population: str
+
+    @classmethod
+    def of(cls, fitted: FittedStudy) -> Kept:
+        """Name those of a study."""
+        digest = hashlib.sha256(f"{FORMAT} {fitted.study.config.model_dump_json()}".encode())
+        gains = fitted.gains if fitted.gains is not None else np.empty(0)
+        for values in (*fitted.population.values.values(), gains):
+            digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        return cls(fitted, digest.hexdigest())
+
+    def file(self, scenario: Scenario) -> Path:
+        """The file of a scenario without trees of its own."""
+        name = hashlib.sha256(scenario_text(scenario).encode()).hexdigest()[:DIGITS]
+        return self.fitted.folder / FOLDER / f"{self._own}-{name}.npz"
+
+    @property
+    def _own(self) -> str:
+        """What names of files of this population begin with."""
+        return self.population[:DIGITS]
+
+    def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
+        """Read what there is of scenarios; a file that is damaged is none."""
+        files = {
+            name: arrays
+            for name, scenario in scenarios.items()
+            if not scenario.trees and (arrays := _load(self.file(scenario))) is not None
+        }
+        trees = self._trees() if files else []
+        return {
+            name: _predicted(scenarios[name], arrays, trees)
+            for name, arrays in files.items()
+            if _whole(arrays, trees)
+        }
+
+    def write(self, predicted: Mapping[str, Predicted]) -> None:
+        """Keep predictions, where the study can be written to; not those with trees of their own.
+
+        Parameters
+        ----------
+        predicted : mapping of name to Predicted
+            What scenarios do in all networks of the study.
+        """
+        folder = self.fitted.folder / FOLDER
+        if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
+            return  # a study that may only be read is simulated again each time
+        folder.mkdir(exist_ok=True)
+        for file in folder.glob("*.npz"):
+            if not file.name.startswith(self._own):  # of the study before it went on
+                file.unlink()
+        for found in predicted.values():
+            if not found.scenario.trees:
+                with atomic_path(self.file(found.scenario)) as temporary:
+                    np.savez(temporary, allow_pickle=False, **_arrays(found))
+
+    def _trees(self) -> Trees:
+        """The heart's own trees in every network, grown again: that takes a few ms each."""
+        population, problem = self.fitted.population, self.fitted.problem
+        learnt = [population.parameters(k) for k in range(len(population))]
+        return list(problem.pool.map(_grown, problem, learnt))
+
+
+def _grown(problem: Problem, learnt: Mapping[str, float]) -> tuple[PurkinjeTree, ...]:
+    trees = problem.model.grow(complete({**problem.fixed, **learnt}))
+    if isinstance(trees, InvalidTree):
+        raise RuntimeError(f"a network of the population is impossible: {trees.reason}")
+    return trees
+
+
+def _load(file: Path) -> Arrays | None:
+    """The arrays of a file, if it is there and whole."""
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
+            return {name: content[name] for name in content.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _arrays(found: Predicted) -> dict[str, NDArray[Any]]:
+    """What is kept of n networks: arrays of unequal lengths one after the other."""
+    times = [[times for _, times in beat.trees] for beat in found.beats]
+    return {
+        "leads": np.concatenate([beat.leads for beat in found.beats], axis=1),
+        "filtered": np.concatenate([beat.filtered for beat in found.beats], axis=1),
+        "lengths": np.array([beat.leads.shape[1] for beat in found.beats]),
+        "activation": np.array([beat.activation for beat in found.beats]),
+        "captured": np.array([beat.captured for beat in found.beats]),
+        "tree_times": np.concatenate([each for of_beat in times for each in of_beat]),
+        "indices": np.array([found.indices[name] for name in INDICES]),
+    }
+
+
+def _whole(arrays: Arrays, trees: Trees) -> bool:
+    """Whether arrays are all there, and of sizes that agree."""
+    if {*arrays} != NAMES or arrays["lengths"].ndim != 1:
+        return False
+    count, samples = len(trees), int(arrays["lengths"].sum())
+    return (
+        arrays["lengths"].shape == (count,)
+        and arrays["leads"].shape == (len(LEADS), samples)
+        and arrays["filtered"].shape == (len(LEADS), samples + 2 * RINGING * count)
+        and arrays["activation"].shape[:1] == arrays["captured"].shape[:1] == (count,)
+        and arrays["tree_times"].shape == (sum(_sizes(trees)),)
+        and arrays["indices"].shape == (len(INDICES), count)
+    )
+
+
+def _predicted(scenario: Scenario, arrays: Arrays, trees: Trees) -> Predicted:
+    """Put together again what `_arrays` took apart."""
+    lengths = arrays["lengths"]
+    leads = np.split(arrays["leads"], np.cumsum(lengths)[:-1], axis=1)
+    filtered = np.split(arrays["filtered"], np.cumsum(lengths + 2 * RINGING)[:-1], axis=1)
+    times = iter(np.split(arrays["tree_times"], np.cumsum(_sizes(trees))[:-1]))
+    beats = [
+        PredictedBeat(
+            leads[k],
+            filtered[k],
+            arrays["activation"][k],
+            tuple((tree, next(times)) for tree in own),
+            arrays["captured"][k],
+        )
+        for k, own in enumerate(trees)
+    ]
+    return Predicted(scenario, beats, dict(zip(INDICES, arrays["indices"], strict=True)))
+
+
+def _sizes(trees: Trees) -> list[int]:
+    """How many nodes each tree of each network has."""
+    return [len(tree.nodes) for own in trees for tree in own]

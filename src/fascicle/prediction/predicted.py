@@ -1,0 +1,110 @@
+"""What scenarios do in the networks of a population: what is kept of each simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fascicle.core.arrays import Booleans, Floats, Singles
+from fascicle.core.brief import brief
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.simulation import Simulation
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.study.activation_maps import activation_maps
+
+RINGING = 40  # samples on either side, for what the recorder's filters add
+
+
+@dataclass(frozen=True)
+class PredictedBeat:
+    """What is kept of one simulation, in single precision: of a fine heart there are hundreds.
+
+    Attributes
+    ----------
+    leads : (12, n_time) array
+        ECG (mV) every 1 ms, with the gain that matches the recording best, or that was drawn.
+    filtered : (12, n_time + 2 * `RINGING`) array
+        The same as the recorder would have it, from `RINGING` samples before to as many after. A
+        steep filter rings about the QRS, so that indices are not read off it.
+    activation : (n,) array
+        Activation time of each vertex of the heart (ms); inf where no front arrives.
+    trees : tuple of (PurkinjeTree, (n_nodes,) array)
+        The trees, left first, and when each of their nodes is reached (ms).
+    captured : (n_stimuli,) bool array
+        Which of the scenario's stimuli of the tissue came before any front was there.
+    """
+
+    leads: Floats
+    filtered: Floats
+    activation: Singles
+    trees: tuple[tuple[PurkinjeTree, Singles], ...]
+    captured: Booleans
+
+    __repr__ = brief
+
+    @classmethod
+    def of(
+        cls, simulation: Simulation, leads: Floats, filtered: Floats, captured: Booleans
+    ) -> PredictedBeat:
+        """What is kept of a simulation; `leads`, `filtered` and `captured` as above."""
+        times = (each.astype(np.float32) for each in simulation.coupled.trees)
+        trees = tuple(zip(simulation.trees, times, strict=True))
+        return cls(leads, filtered, simulation.activation.astype(np.float32), trees, captured)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What one scenario does in n networks.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What was predicted.
+    beats : sequence of PredictedBeat
+        Of each network.
+    indices : mapping of name to (n,) array
+        `INDICES` of each.
+    effective : float
+        How many independent networks they are worth; n, if nothing less is known.
+    """
+
+    scenario: Scenario
+    beats: Sequence[PredictedBeat]
+    indices: Mapping[str, Floats]
+    effective: float = np.inf
+
+    __repr__ = brief
+
+    def extremes(self) -> dict[str, int]:
+        """Networks with the least, the median and the largest total activation time."""
+        order = np.argsort(self.indices["total_activation_time"], kind="stable")
+        return {
+            "minimum": int(order[0]),
+            "median": int(order[(len(order) - 1) // 2]),
+            "maximum": int(order[-1]),
+        }
+
+    def begins_with(self, other: Predicted) -> bool:
+        """Whether the first networks of both do the same."""
+        one, another = self.beats[0], other.beats[0]
+        return (
+            np.array_equal(one.leads, another.leads)
+            and np.array_equal(one.activation, another.activation)
+            and all(
+                np.array_equal(self.indices[n][:1], v[:1], equal_nan=True)
+                for n, v in other.indices.items()
+            )
+        )
+
+    @property
+    def captured(self) -> Floats:
+        """Share of the networks that each stimulus of the tissue captures, shape (n_stimuli,)."""
+        return np.asarray(np.mean([beat.captured for beat in self.beats], axis=0))
+
+    @cached_property
+    def maps(self) -> dict[str, Floats]:
+        """`activation_maps` of the networks."""
+        return activation_maps(np.array([beat.activation for beat in self.beats]))

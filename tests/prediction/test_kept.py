@@ -1,0 +1,164 @@
+"""Predictions that a study keeps: the same as simulated ones, and never those of another study."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.model import ForwardModel
+from fascicle.prediction.comparison import compare
+from fascicle.prediction.kept import FOLDER
+from fascicle.prediction.scenarios import predict
+from fascicle.study.pool import Threads
+from fascicle.study.population import Population
+from fascicle.study.problem import Network
+
+ROOT_TIMES = np.array([-50.0, -20.0])
+
+
+@dataclass(frozen=True)
+class Study:
+    """As much of a fitted study as predictions see."""
+
+    folder: Path
+    problem: Any
+    population: Population
+    gains: Any = None
+    study: Any = field(
+        default_factory=lambda: SimpleNamespace(
+            config=SimpleNamespace(model_dump_json=lambda: "{}")
+        )
+    )
+
+    def networks(self, progress=None, recording=0, chosen=None):
+        every = range(len(self.population)) if chosen is None else chosen
+        parameters = [self.problem.fixed | self.population.parameters(k) for k in every]
+        gains = [1.0 if self.gains is None else self.gains[k] for k in every]
+        simulations = [self.problem.model.simulate(p) for p in parameters]
+        return [
+            Network(p, s, s.leads, 1.0, 1.0, drawn_gain=g)
+            for p, s, g in zip(parameters, simulations, gains, strict=True)
+        ]
+
+
+@pytest.fixture
+def study(default_model, tmp_path):
+    fixed = {n: v for n, v in EXAMPLE_PARAMETERS.items() if n != "root_time"}
+    problem = SimpleNamespace(
+        model=default_model, target=SimpleNamespace(response=None), pool=Threads(1), fixed=fixed,
+        scenario=None,
+    )  # fmt: skip
+    best = {"root_time": -20.0}
+    return Study(tmp_path, problem, Population({"root_time": ROOT_TIMES}, np.ones(2), best, 1.0))
+
+
+@pytest.fixture
+def activated(monkeypatch):
+    """What the forward model activates."""
+    called = []
+    activate = ForwardModel.activate
+
+    def counted(model, *args, **kwargs):
+        called.append(kwargs["scenario"])
+        return activate(model, *args, **kwargs)
+
+    monkeypatch.setattr(ForwardModel, "activate", counted)
+    return called
+
+
+PACINGS = ["his-pacing", "rv-apical-pacing"]
+
+
+def assert_same(one, other):
+    assert list(one) == list(other)
+    for a, b in zip(one.values(), other.values(), strict=True):
+        assert a.scenario == b.scenario
+        for x, y in zip(a.beats, b.beats, strict=True):
+            np.testing.assert_array_equal(x.leads, y.leads)
+            np.testing.assert_array_equal(x.filtered, y.filtered)
+            np.testing.assert_array_equal(x.activation, y.activation)
+            np.testing.assert_array_equal(x.captured, y.captured)
+            for (tree, times), (twin, too) in zip(x.trees, y.trees, strict=True):
+                np.testing.assert_array_equal(tree.nodes, twin.nodes)
+                np.testing.assert_array_equal(times, too)
+        for name, values in a.indices.items():
+            np.testing.assert_array_equal(values, b.indices[name])
+
+
+def test_nothing_is_simulated_twice_but_the_first_network(study, activated):
+    first = predict(study, PACINGS)
+    assert len(activated) == 2 + 2 * 2  # two networks, whose own beats are intrinsic, two pacings
+    activated.clear()
+    again = predict(study, PACINGS)
+    assert len(activated) == 1 + 2  # the first network in its own beat and in both pacings
+    assert_same(first, again)
+    gain = compare(again["his-pacing"], first["intrinsic"], "total_activation_time")
+    assert gain.gains.shape == (2,)
+
+
+def test_what_is_missing_is_simulated_and_the_order_is_that_asked_for(study, activated):
+    predict(study, "rv-apical-pacing")
+    activated.clear()
+    found = predict(study, PACINGS)
+    assert list(found) == ["intrinsic", *PACINGS]
+    assert len(activated) == (1 + 1) + (2 + 2)  # what is kept is checked; then his-pacing
+
+
+def test_those_of_another_population_are_not_taken_and_are_removed(study, activated):
+    before = predict(study, "his-pacing")
+    other = replace(
+        study, population=replace(study.population, values={"root_time": ROOT_TIMES - 5})
+    )
+    activated.clear()
+    after = predict(other, "his-pacing")
+    assert len(activated) == 2 + 2
+    assert not np.array_equal(
+        before["intrinsic"].beats[0].activation, after["intrinsic"].beats[0].activation
+    )
+    assert len(list((study.folder / FOLDER).iterdir())) == 2  # the own beat and the pacing
+
+
+def test_other_gains_are_another_population(study):
+    one = predict(replace(study, gains=np.array([1.0, 2.0])), "his-pacing")["his-pacing"]
+    two = predict(replace(study, gains=np.array([1.0, 3.0])), "his-pacing")["his-pacing"]
+    np.testing.assert_allclose(two.beats[1].leads, 1.5 * one.beats[1].leads)
+
+
+def test_what_another_forward_model_has_left_is_made_anew(study, activated, monkeypatch):
+    predict(study, "his-pacing")
+    activate = ForwardModel.activate
+    monkeypatch.setattr(
+        ForwardModel, "activate", lambda m, *a, **k: activate(m, *a, **(k | {"cv": 2.0}))
+    )
+    activated.clear()
+    found = predict(study, "his-pacing")
+    assert len(activated) == (1 + 1) + (2 + 2)
+    assert len(found["his-pacing"].beats) == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_damaged_files_are_none(study, activated, share):
+    first = predict(study, "his-pacing")
+    for file in (study.folder / FOLDER).iterdir():
+        content = file.read_bytes()
+        file.write_bytes(content[: int(share * len(content))])
+    activated.clear()
+    assert_same(first, predict(study, "his-pacing"))
+    assert len(activated) == 2 + 2
+
+
+def test_files_with_arrays_of_other_sizes_are_none(study, activated):
+    first = predict(study, "his-pacing")
+    for file in (study.folder / FOLDER).iterdir():
+        with np.load(file) as content:
+            arrays = {name: content[name] for name in content.files}
+        np.savez(file, **(arrays | {"lengths": arrays["lengths"][:1]}))
+    activated.clear()
+    assert_same(first, predict(study, "his-pacing"))
+    assert len(activated) == 2 + 2
