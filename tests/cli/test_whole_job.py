@@ -83,7 +83,7 @@ def test_study_folder_holds_what_is_promised(study):
     agreeing = replace(study, population=replace(study.population, converged=True))
     said = _posterior_summary(agreeing)["what_the_ecg_says"]
     assert set(said) == set(posterior.posterior.data_vars)
-    assert 0 < summary["discrepancy_over_signal"] < 3
+    assert -8 < summary["explained_by_a_network"] < 1
     assert {"V1", "window QRS duration", "axis"} <= set(summary["probabilities_under_the_model"])
 
 

@@ -14,7 +14,14 @@ from fascicle.study.population import Posterior
 from fascicle.study.population_files import read_checks, read_population, write_population
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.study import Study
-from fascicle.study.verdict import explained, prediction_statement, statements, trade_offs, verdict
+from fascicle.study.verdict import (
+    explained,
+    how_to_go_on,
+    prediction_statement,
+    statements,
+    trade_offs,
+    verdict,
+)
 from tests.study.test_study_folder import make_config
 
 SPACE = ParameterSpace(
@@ -115,15 +122,55 @@ def test_too_few_evaluations_have_not_converged(tmp_path):
     posterior = Study.create_or_resume(tmp_path, config).run(objective)
     said = verdict(posterior, Checks(0.1, {}))
     assert said.startswith("NOT CONVERGED (log evidence ")
-    assert "raise --evaluations" in said
-    assert said.endswith("; explained: the networks leave 10% of the signal")
+    assert said.endswith(" effective draws); explained: a network explains 99% of the QRS")
+
+
+class TestHowToGoOn:
+    def test_with_as_many_evaluations_as_the_slower_run_needs(self, done):
+        slow = replace(
+            done[1],
+            converged=False,
+            effective=np.array([20.0, 40.0]),
+            evaluations=np.array([12_000.0, 12_000.0]),
+        )
+        said = how_to_go_on(slow, 300, 24_000)
+        assert "60 of 300 effective draws after 24000 evaluations beside the bank" in said
+        assert "--evaluations 180000 goes on" in said  # 12,000 / 20 * 300
+
+    def test_with_twice_as_many_where_they_are_nearly_there(self, done):
+        almost = replace(
+            done[1],
+            converged=False,
+            effective=np.array([149.0, 160.0]),
+            evaluations=np.array([500.0, 500.0]),
+        )
+        assert "--evaluations 2000 " in how_to_go_on(almost, 300, 1000)
+
+    def test_with_more_draws_where_both_ended_and_disagree(self, done):
+        apart = replace(done[1], converged=False, evaluations=np.array([1000.0, 2000.0]))
+        assert "--effective 600 goes on" in how_to_go_on(apart, 300, 24_000)
+
+    def test_it_is_enough(self, tmp_path):
+        """What is advised to a fit with too few evaluations lets it converge."""
+        few = SMALL | {"bank": 400, "evaluations": 1000, "effective": 900}
+        study = Study.create_or_resume(tmp_path, make_config(**few))
+        said = how_to_go_on(study.run(objective), 900, 1000)
+        enough = int(said.split("--evaluations ")[1].split()[0])
+        more = Study.create_or_resume(tmp_path, make_config(**few | {"evaluations": enough}))
+        assert more.run(objective).converged
+
+    def test_not_where_they_agree(self, done):
+        assert how_to_go_on(done[1], 60, 8000) == ""
 
 
 def test_what_disagrees_is_named(done):
     checks = Checks(0.1, {"V1": 0.002, "V2": 0.3, "axis": 0.001})
     assert not explained(checks)
     assert verdict(done[1], checks) == (
-        "converged; NOT EXPLAINED: the networks leave 10% of the signal, and V1, axis disagree"
+        "converged; NOT EXPLAINED: a network explains 99% of the QRS, and V1, axis disagree"
+    )
+    assert verdict(done[1], Checks(0.6, {})).endswith(
+        "NOT EXPLAINED: a network explains 64% of the QRS, less than 88%"
     )
     assert not explained(Checks(0.5, {}))
     assert explained(Checks(0.2, {"V1": 0.5}))

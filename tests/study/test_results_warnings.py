@@ -12,6 +12,7 @@ from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Population
+from fascicle.study.predictive import Checks
 from fascicle.study.results import FittedStudy
 
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
@@ -33,6 +34,8 @@ def fitted(
     networks=30,
     beats=300,
     candidates=(),
+    learnt=None,
+    share=None,
 ):
     """A study of which only what decides the warnings is there."""
     heart = SimpleNamespace(
@@ -61,7 +64,8 @@ def fitted(
             compared=np.arange(12) != 11,  # all but V6
             others=(),
         ),
-        Population({}, np.ones(networks), MIDDLE | (best or {}), loss),
+        Population(learnt or {}, np.ones(networks), MIDDLE | (best or {}), loss),
+        None if share is None else Checks(share, {}),
     )
     simulation = SimpleNamespace(trees=trees)
     study.__dict__["best_network"] = SimpleNamespace(
@@ -79,6 +83,24 @@ def test_a_good_fit_has_none():
 def test_what_the_model_does_not_explain(loss, share):
     (warning,) = fitted(loss=loss).warnings
     assert f"explains {share} of the recorded QRS" in warning
+
+
+def test_what_no_network_of_a_posterior_explains():
+    """The best network may explain half: that many others do not is what counts."""
+    (warning,) = fitted(method="posterior", share=0.6).warnings
+    assert warning.startswith("no network of this heart and body gives this recording")
+    assert fitted(method="posterior", share=0.3).warnings == []
+
+
+def test_networks_that_crowd_at_an_end():
+    """Of 30 networks 15 within the highest tenth of the speed; a third of the others' range."""
+    rng = np.random.default_rng(0)
+    cv = NETWORK_SPACE.parameters[NETWORK_SPACE.names.index("cv")]
+    values = np.array([cv.from_unit(s) for s in [*rng.uniform(0.9, 1, 15), *rng.random(15) * 0.8]])
+    (warning,) = fitted(learnt={"cv": values}).warnings
+    assert warning.startswith("networks crowd at an end of the range of cv (50% in the highest ")
+    spread = np.array([cv.from_unit(s) for s in rng.random(30)])
+    assert fitted(learnt={"cv": spread}).warnings == []
 
 
 def test_leads_of_another_shape():

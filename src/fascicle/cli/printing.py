@@ -87,6 +87,8 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
         ("  explained", explained, ".0%"), ("  correlation", correlation, ".2f"),
     ):  # fmt: skip
         print(f"{name:<22}" + "".join(f"{values[lead]:>6{form}}" for lead in leads))
+    if any(explained[lead] < 0 for lead in leads):
+        print(f"{'':<22} below 0: further from the recorded lead than a flat line")
     for key, name, unit, what in (
         ("qrs_duration_ms", "window QRS duration", "ms", "; all leads together"),
         ("global_qrs_duration_ms", "global QRS duration", "ms", "; outermost leads, not fitted"),

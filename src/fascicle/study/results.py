@@ -31,11 +31,19 @@ from fascicle.study.population_files import write_population
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.problem import Network, Problem
 from fascicle.study.study import Study
-from fascicle.study.verdict import statements, trade_offs, verdict
+from fascicle.study.verdict import (
+    explained,
+    explained_share,
+    how_to_go_on,
+    statements,
+    trade_offs,
+    verdict,
+)
 
 FEWEST_BEATS = 30  # below which a kernel density of their errors says little
 LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
 AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not found
+CROWDED = 0.4  # share of the networks in an outer tenth of a prior, where the prior has 0.1
 LEAST_CORRELATION = 0.7  # of a lead's QRS; below, less than half of it (0.7²) is explained
 USUAL_GAIN = (0.5, 2.0)  # hearts, bodies and contacts differ by less
 LEAST_UNDER_QRS = 0.9  # of the energy of a simulated ECG; more lies there in every good fit
@@ -115,6 +123,7 @@ class FittedStudy:
     def warnings(self) -> list[str]:
         """What a reader of the results must know first, a line each."""
         found = (
+            _to_go_on(self),
             _unexplained(self),
             _unexplained_leads(self),
             _unusual_gain(self),
@@ -171,14 +180,28 @@ class FittedStudy:
         return networks
 
 
+def _to_go_on(fitted: FittedStudy) -> str:
+    """Say how a fit that has not converged goes on."""
+    config = fitted.study.config
+    if not isinstance(fitted.population, Posterior):
+        return ""
+    return how_to_go_on(fitted.population, config.effective, config.evaluations)
+
+
 def _unexplained(fitted: FittedStudy) -> str:
-    """Warn of a best network that is not the patient's; empty if it may be."""
-    if fitted.explained >= LEAST_EXPLAINED:
+    """Warn of networks that are not the patient's; empty if they may be."""
+    if fitted.of_the_paper and fitted.explained < LEAST_EXPLAINED:
+        return (
+            f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
+            "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
+            "(--free alpha) before you believe anything below"
+        )
+    if fitted.checks is None or explained(fitted.checks):
         return ""
     return (
-        f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
-        "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "
-        "(--free alpha) before you believe anything below"
+        "no network of this heart and body gives this recording: check that both are of one "
+        "person, the electrodes and the leads; more evaluations will not change it "
+        "(docs/posterior.md, 'When a fit fails')"
     )
 
 
@@ -288,17 +311,44 @@ def _regions_taken_as_healthy(fitted: FittedStudy) -> str:
 
 
 def _at_end_of_range(fitted: FittedStudy) -> str:
-    """Warn of values that were stopped, not found."""
+    """Warn of parameters that were stopped by their ranges, not found."""
+    crowded = _crowded_ends(fitted)
+    names = [n for n in _stopped(fitted) if n not in crowded]
+    found = [f"the best network lies at the end of the range of {', '.join(names)}"] * bool(names)
+    if crowded:
+        ends = ", ".join(
+            f"{name} ({share:.0%} in the {end} tenth)" for name, (end, share) in crowded.items()
+        )
+        found.append(f"networks crowd at an end of the range of {ends}")
+    if not found:
+        return ""
+    return (
+        f"{'; '.join(found)}: what they say of that is the range's, or makes up for another fault "
+        "of heart and body"
+    )
+
+
+def _stopped(fitted: FittedStudy) -> list[str]:
+    """Parameters of which the best network is at an end of the prior."""
     space = fitted.problem.space
     best = space.to_unit(fitted.population.best)
     at_end = np.minimum(best, 1 - best) < AT_END
-    names = [name for name, there in zip(space.names, at_end, strict=True) if there]
-    if not names:
-        return ""
-    return (
-        f"the best network lies at the end of the range of {', '.join(names)}: what it "
-        "says of that is the range's, or makes up for another fault of heart and body"
-    )
+    return [name for name, there in zip(space.names, at_end, strict=True) if there]
+
+
+def _crowded_ends(fitted: FittedStudy) -> dict[str, tuple[str, float]]:
+    """Parameters of which many networks are in the outer tenth of the prior, and at which end."""
+    crowded = {}
+    for parameter in fitted.problem.space.parameters:
+        values = fitted.population.values.get(parameter.name, np.empty(0))
+        if not len(values):
+            continue
+        shares = parameter.to_unit(values)
+        ends = {"lowest": float((shares < 0.1).mean()), "highest": float((shares > 0.9).mean())}
+        end = max(ends, key=lambda name: ends[name])
+        if ends[end] >= CROWDED:
+            crowded[parameter.name] = end, ends[end]
+    return crowded
 
 
 def _few_junctions(fitted: FittedStudy) -> str:
@@ -470,7 +520,7 @@ def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
         "log_evidences": posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),
         "standard_deviations_between_runs": dict(posterior.means_apart),
-        "discrepancy_over_signal": fitted.checks.share if fitted.checks else None,
+        "explained_by_a_network": explained_share(fitted.checks) if fitted.checks else None,
         "probabilities_under_the_model": dict(fitted.checks.probabilities) if fitted.checks else {},
         "what_the_ecg_says": {s.name: str(s) for s in said},
         "trade_offs": [[a, b, round(value, 2)] for a, b, value in traded],

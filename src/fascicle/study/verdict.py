@@ -13,7 +13,8 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
 
-MOST_LEFT = 0.35  # of the signal; with more, an eighth of its energy is not the model's
+MOST_LEFT = 0.35  # of the signal (root mean square): an eighth of its energy is not the model's
+LEAST_EXPLAINED = 1 - MOST_LEFT**2  # of its energy
 DETERMINED = 0.5  # share of a prior's variance; below it, the ECG determines the parameter
 TRADED = 0.7  # rank correlation beyond which two parameters stand for one another
 INTERVAL = (5, 95)  # percentiles
@@ -80,15 +81,58 @@ def _convergence(posterior: Posterior) -> str:
     name, apart = max(posterior.means_apart.items(), key=lambda item: item[1])
     return (
         f"NOT CONVERGED (log evidence {one:.1f} and {other:.1f} of two runs, means of {name} "
-        f"{apart:.1f} standard deviations apart, {posterior.effective.sum():.0f} effective "
-        "draws): raise --evaluations or --bank"
+        f"{apart:.1f} standard deviations apart, {posterior.effective.sum():.0f} effective draws)"
     )
 
 
 def _explanation(checks: Checks) -> str:
-    size = f"the networks leave {checks.share:.0%} of the signal"
+    each = f"a network explains {explained_share(checks):.0%} of the QRS"
+    if explained(checks):
+        return f"explained: {each}"
+    little = f", less than {LEAST_EXPLAINED:.0%}" if checks.share > MOST_LEFT else ""
     rare = f", and {', '.join(checks.disagreeing)} disagree" if checks.disagreeing else ""
-    return f"{'explained' if explained(checks) else 'NOT EXPLAINED'}: {size}{rare}"
+    return f"NOT EXPLAINED: {each}{little}{rare}"
+
+
+def explained_share(checks: Checks) -> float:
+    """Share of the energy of the QRS that a network explains (median).
+
+    Below 0, it is further from the recording than a flat line.
+    """
+    return 1 - checks.share**2
+
+
+def how_to_go_on(posterior: Posterior, effective: int, evaluations: int) -> str:
+    """Say with which settings a fit whose runs do not agree goes on; empty if they agree.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Of two runs.
+    effective, evaluations : int
+        The settings of both together.
+    """
+    if posterior.converged:
+        return ""
+    if posterior.evaluations.sum() < evaluations:
+        return (
+            f"both runs have their {effective} effective draws, but do not agree: the same command "
+            f"with --effective {2 * effective} goes on where they stopped"
+        )
+    # the effective sample grows with the evaluations, of the slower run, too
+    slowest = float((posterior.evaluations / posterior.effective).max())
+    enough = _rounded_up(max(slowest * effective, 2 * posterior.evaluations.sum()))
+    return (
+        f"the runs have {posterior.effective.sum():.0f} of {effective} effective draws after "
+        f"{posterior.evaluations.sum():.0f} evaluations beside the bank: the same command with "
+        f"--evaluations {enough} goes on where they stopped, and at this rate that is enough"
+    )
+
+
+def _rounded_up(number: float) -> int:
+    """The next number of two digits and zeros."""
+    step = 10 ** max(0, int(np.log10(number)) - 1)
+    return int(step * np.ceil(number / step))
 
 
 def explained(checks: Checks) -> bool:
