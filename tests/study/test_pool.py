@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -20,6 +20,7 @@ import pytest
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.forward import model as model_module
 from fascicle.forward.scenario import His, Scenario
 from fascicle.recording.target import Target
 from fascicle.study.bank import Bank, Signals
@@ -113,7 +114,33 @@ def test_parts_hold_everything_in_order(count):
     for workers in (1, 3, 64):
         found = parts(items, workers)
         assert [item for part in found for item in part] == items
-        assert len(found) < 2 * JOBS * workers + 1
+        assert len(found) <= JOBS * workers
+        sizes = [len(part) for part in found]
+        assert max(sizes) - min(sizes) <= 1
+
+
+@pytest.mark.parametrize(
+    ("count", "workers", "jobs"), [(1000, 2, 16), (1000, 64, 250), (1000, 1024, 256), (5, 2, 2)]
+)
+def test_parts_are_as_many_as_workers_need_and_a_scheduler_passes(count, workers, jobs):
+    assert len(parts(list(range(count)), workers)) == jobs
+
+
+def test_threads_of_a_worker_read_one_heart(problem, tmp_path, monkeypatch):
+    written = problem.model.write(tmp_path)
+    reads = []
+    load = model_module.load
+
+    def slowly(*args):
+        reads.append(args)
+        time.sleep(0.2)
+        return load(*args)
+
+    monkeypatch.setattr(model_module, "load", slowly)
+    with ThreadPoolExecutor(4) as threads:
+        models = list(threads.map(lambda _: written.read(), range(4)))
+    assert len(reads) == 1
+    assert all(model is models[0] for model in models)
 
 
 def refuse(problem, point):

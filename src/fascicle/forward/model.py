@@ -349,20 +349,25 @@ class WrittenModel:
 
     def read(self) -> ForwardModel:
         """Read the model; the one that this process has read last is remembered."""
-        model = _READ.get(self.folder)
-        if model is None:
-            heart, prepared = load(self.folder / MODEL_FILE, self.action_potential)
-            settings = self.conduction, self.rules, self.action_potential
-            model = ForwardModel(heart, *settings, prepared)
-            if (self.folder / BODY_FILE).exists():
-                model.use_body(read_response(self.folder / BODY_FILE))
-            _READ.clear()  # another thread of this worker may have read another model
-            _READ[self.folder] = model
+        with _READING:  # threads of a worker begin together, and one heart is enough for all
+            model = _READ.get(self.folder)
+            if model is None:
+                _READ.clear()
+                model = _READ[self.folder] = self._read()
+            return model
+
+    def _read(self) -> ForwardModel:
+        heart, prepared = load(self.folder / MODEL_FILE, self.action_potential)
+        settings = self.conduction, self.rules, self.action_potential
+        model = ForwardModel(heart, *settings, prepared)
+        if (self.folder / BODY_FILE).exists():
+            model.use_body(read_response(self.folder / BODY_FILE))
         return model
 
 
 # The model that this process, as a worker of another one, has read, by where it came from
 _READ: dict[Path, ForwardModel] = {}
+_READING = Lock()
 
 
 def _simulate_elsewhere(

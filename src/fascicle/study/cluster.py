@@ -107,6 +107,15 @@ class Cluster(Remote):
         key = f"fascicle-{_name(pickle.dumps(job))}"
         return self.client.submit(_job, *job, key=key, pure=False)
 
+    def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
+        """Fetch together what jobs have given: one by one each would take some milliseconds."""
+        first = self._result(futures[0])
+        try:
+            with self._scheduler_there(CancelledError):
+                return [first, *self.client.gather(list(futures[1:]))]
+        except KilledWorker:  # of one that had ended: what it had given was lost with it
+            return [first, *map(self._result, futures[1:])]
+
     def _result(self, future: Any) -> Any:
         """Wait for a job; where its workers were lost it is done again, by others."""
         with self._scheduler_there(CancelledError):

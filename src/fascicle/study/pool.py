@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol, Self, TypeVar
@@ -16,7 +17,10 @@ from fascicle.forward.model import ForwardModel, WrittenModel
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-JOBS = 8  # a worker and call: so few that what all have in common is not sent too often
+# How items become jobs: a scheduler passes some hundreds a second, and workers should end together
+JOBS = 8  # a worker and call at most
+FEWEST = 4  # items of each, if there are then enough jobs for all workers
+CROWD = 256  # jobs that are enough, however many workers there are
 
 
 class Question(Protocol):
@@ -112,7 +116,11 @@ class Remote(Pool):
         futures.reverse()
         try:
             while futures:
-                yield from self._result(futures.pop())
+                next_ones = [futures.pop()]
+                while futures and futures[-1].done():
+                    next_ones.append(futures.pop())
+                for results in self._results(next_ones):
+                    yield from results
         finally:
             for future in futures:
                 future.cancel()
@@ -130,8 +138,8 @@ class Remote(Pool):
         """Send a job, of model, rest, function and items; its future."""
 
     @abstractmethod
-    def _result(self, future: Any) -> Any:
-        """Wait for a job."""
+    def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
+        """Wait for the first of some jobs, and fetch what all have given; the others have ended."""
 
 
 class Elsewhere(Remote):
@@ -163,14 +171,19 @@ class Elsewhere(Remote):
     def _submit(self, *job: Any) -> Future[list[Any]]:
         return self.executor.submit(_job, *job)
 
-    def _result(self, future: Future[list[Any]]) -> list[Any]:
-        return future.result()
+    def _results(self, futures: Sequence[Future[list[Any]]]) -> list[list[Any]]:
+        return [future.result() for future in futures]
 
 
 def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
-    """Items in `JOBS` parts a worker, or one by one where they are fewer."""
-    size = max(1, len(items) // (JOBS * workers))
-    return [items[start : start + size] for start in range(0, len(items), size)]
+    """Items in parts of nearly equal sizes, in order: a job each.
+
+    Parts of unequal sizes would let workers wait for the last one.
+    """
+    jobs = max(min(len(items) // FEWEST, JOBS * workers), min(workers, CROWD))
+    jobs = max(1, min(jobs, len(items)))
+    ends = [number * len(items) // jobs for number in range(jobs + 1)]
+    return [items[start:end] for start, end in pairwise(ends)]
 
 
 def run_part(
