@@ -1,5 +1,6 @@
 """A posterior study: its draws, its file, resuming, and what it says in words."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -121,8 +122,14 @@ def test_too_few_evaluations_have_not_converged(tmp_path):
     config = make_config(**SMALL | {"bank": 100, "evaluations": 1000, "effective": 2000})
     posterior = Study.create_or_resume(tmp_path, config).run(objective)
     said = verdict(posterior, Checks(0.1, {}))
-    assert said.startswith("NOT CONVERGED (log evidence ")
-    assert said.endswith(" effective draws); explained: a network explains 99% of the QRS")
+    assert re.fullmatch(
+        r"NOT CONVERGED \(\d+ effective draws\); explained: a network explains 99% of the QRS", said
+    )
+    apart = replace(posterior, log_evidences=np.array([-3.0, -5.0]), means_apart={"cv": 0.7})
+    assert (
+        " draws, log evidence -3.0 and -5.0 of two runs, means of cv 0.7 standard deviations apart)"
+        in verdict(apart, Checks(0.1, {}))
+    )
 
 
 class TestHowToGoOn:

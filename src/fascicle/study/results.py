@@ -123,8 +123,8 @@ class FittedStudy:
     def warnings(self) -> list[str]:
         """What a reader of the results must know first, a line each."""
         found = (
-            _to_go_on(self),
             _unexplained(self),
+            _to_go_on(self),
             _unexplained_leads(self),
             _unusual_gain(self),
             _short(self),
@@ -181,9 +181,9 @@ class FittedStudy:
 
 
 def _to_go_on(fitted: FittedStudy) -> str:
-    """Say how a fit that has not converged goes on."""
+    """Say how a fit that has not converged goes on; nothing where that would not help."""
     config = fitted.study.config
-    if not isinstance(fitted.population, Posterior):
+    if not isinstance(fitted.population, Posterior) or _unexplained(fitted):
         return ""
     return how_to_go_on(fitted.population, config.effective, config.evaluations)
 
@@ -199,9 +199,9 @@ def _unexplained(fitted: FittedStudy) -> str:
     if fitted.checks is None or explained(fitted.checks):
         return ""
     return (
-        "no network of this heart and body gives this recording: check that both are of one "
-        "person, the electrodes and the leads; more evaluations will not change it "
-        "(docs/posterior.md, 'When a fit fails')"
+        "no network of this heart and body gives this recording, however long the fit goes on: "
+        "check that they are of one person, the electrodes, and the leads; docs/posterior.md, "
+        "'When a fit fails', says what to try"
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter, ParameterSpace
+from fascicle.inference.importance.agreement import EVIDENCE_APART, MEANS_APART
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
 
@@ -79,10 +80,12 @@ def _convergence(posterior: Posterior) -> str:
         return "converged"
     one, other = posterior.log_evidences
     name, apart = max(posterior.means_apart.items(), key=lambda item: item[1])
-    return (
-        f"NOT CONVERGED (log evidence {one:.1f} and {other:.1f} of two runs, means of {name} "
-        f"{apart:.1f} standard deviations apart, {posterior.effective.sum():.0f} effective draws)"
-    )
+    why = [f"{posterior.effective.sum():.0f} effective draws"]
+    if abs(one - other) > EVIDENCE_APART:
+        why.append(f"log evidence {one:.1f} and {other:.1f} of two runs")
+    if apart > MEANS_APART:
+        why.append(f"means of {name} {apart:.1f} standard deviations apart")
+    return f"NOT CONVERGED ({', '.join(why)})"
 
 
 def _explanation(checks: Checks) -> str:
