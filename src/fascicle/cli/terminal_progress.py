@@ -127,14 +127,12 @@ class _Stage:
         if self.done >= self.total or now - self.reports[0][0] < FEWEST:
             return ""
         # the slower of the window and of its later half, as what was quick may be over
-        rate = min(self._rate(self.reports[0][0], now), self._rate(self._middle(now), now))
+        first = self.reports[0][0]
+        rate = min(self._rate(first, now), self._rate((first + now) / 2, now))
         if rate <= 0:
             return ""
         most = "at most " if self.name in ENDS_EARLIER else ""
         return f"{most}{_duration((self.total - self.done) / rate)} left"
-
-    def _middle(self, now: float) -> float:
-        return (self.reports[0][0] + now) / 2
 
     def _rate(self, since: float, now: float) -> float:
         """What has been done a second since the last report before a time."""
