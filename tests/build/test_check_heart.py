@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from math import radians
@@ -92,6 +93,17 @@ def test_figures_are_those_of_the_ellipsoids():
     thickness = HALF_AXES[EPI][0] - CENTRE_X[EPI] - HALF_AXES[LV][0]  # at the left
     assert found.walls.lv.median == pytest.approx(thickness, abs=2.5)
     assert f"{len(heart.tetrahedra)} tetrahedra" in rows["mesh"]
+    z = heart.lv.vertices[:, 2]  # up, from apex to base
+    places = 100 * (z.max() - z[[heart.lv.root, heart.lv.direction]]) / np.ptp(z)
+    said = re.fullmatch(
+        rf"starts at point {heart.lv.root}, (\d+)% of the way from base to apex, and heads for "
+        rf"point {heart.lv.direction}, at (\d+)%",
+        rows["LV bundle"],
+    )
+    assert [float(share) for share in said.groups()] == pytest.approx(places, abs=5)
+    assert re.search(
+        r"stretched up to \d\.\d times more one way .* \(fine up to 12\)", rows["RV map"]
+    )
     assert rows["torso"] == "none (unbounded conductor)"
     assert rows["electrodes"].startswith("9; nearest to the heart V2, 3")
     assert found.warnings == ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -15,7 +16,8 @@ import numpy as np
 import pytest
 
 from fascicle.cli.output import Output, _plain
-from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.cli.terminal_progress import TerminalProgress, _Stage
+from fascicle.prediction.index_names import COMPARED, INDICES
 
 COMMANDS = (
     "simulate", "target", "parameters", "fit", "predict", "compare", "sweep", "scenarios", "report",
@@ -31,6 +33,27 @@ def test_the_options_of_every_command(run, monkeypatch, command):
     said = run(*command.split(), "--help").out
     for option in ("--quiet", "--json", "--log", "--allow-outside"):
         assert option in said
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["fit default t.nc --out o", "predict . --out o", "compare . his-pacing intrinsic",
+     "sweep . biventricular-pacing --out o --delay=-10:10:10", "report .", "heart bank default"],
+)  # fmt: skip
+def test_what_simulates_many_networks_may_do_so_on_a_cluster(refused, asked):
+    refused([*asked.split(), "--scheduler", "here"], "'here' is no address of a Dask scheduler")
+
+
+@pytest.mark.parametrize("command", ["compare", "sweep"])
+def test_help_lists_the_indices_with_their_units(run, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "100")
+    said = re.sub(r"[\s│]+", " ", run(command, "--help").out)
+    assert f"{', '.join(f'{name} ({INDICES[name]})' for name in COMPARED)}." in said
+
+
+def test_an_unknown_index_names_those_there_are(refused, tmp_path):
+    said = refused(["compare", tmp_path, "a", "b", "--index", "qrs"], "'qrs' is not compared")
+    assert all(name in said for name in COMPARED)
 
 
 def test_there_are_no_other_commands():
@@ -105,6 +128,8 @@ class TestProgress:
     def progress(self, monkeypatch, tmp_path):
         monkeypatch.setattr("fascicle.cli.terminal_progress.FIRST", 0.05)
         monkeypatch.setattr("fascicle.cli.terminal_progress.EVERY", 0.2)
+        monkeypatch.setattr("fascicle.cli.terminal_progress.FEWEST", 0.1)
+        monkeypatch.setattr("fascicle.cli.terminal_progress.APART", 0.0)
         path = tmp_path / "screen"
         with path.open("w") as screen:
             monkeypatch.setattr(
@@ -121,7 +146,7 @@ class TestProgress:
         lines = said().splitlines()
         assert 3 <= len(lines) <= 5  # the first, at most two between, the last
         assert re.fullmatch(r"\d\d:\d\d:\d\d sampling \d/10, 0 s.*: all well", lines[0])
-        assert "0 s left" in lines[1]
+        assert "at most 0 s left" in lines[1]
         assert "sampling 10/10" in lines[-1]
 
     def test_a_stage_that_says_nothing_is_named(self, progress):
@@ -136,6 +161,82 @@ class TestProgress:
             report("preparation", done, 2, "")
         time.sleep(0.1)
         assert said() == ""
+
+
+class TestTimeLeft:
+    """Of a stage, by a clock that the test sets."""
+
+    @pytest.fixture
+    def clock(self, monkeypatch):
+        now = [0.0]
+        monkeypatch.setattr("fascicle.cli.terminal_progress.time.monotonic", lambda: now[0])
+        return now
+
+    @staticmethod
+    def work(stage, clock, rate, seconds):
+        for _ in range(seconds):
+            clock[0] += 1
+            stage.update(stage.done + rate, stage.total, "")
+
+    def begun(self, name="networks", done=0):
+        stage = _Stage(name, done, 10_000, "", began=0.0)
+        stage.update(done, 10_000, "")
+        return stage
+
+    def test_nothing_is_said_before_there_is_a_rate(self, clock):
+        stage = self.begun()
+        assert stage.time_left == ""
+        self.work(stage, clock, 10, 4)
+        assert stage.time_left == ""
+        self.work(stage, clock, 10, 1)
+        assert stage.time_left == "17 min left"
+
+    def test_what_was_done_before_does_not_count(self, clock):
+        stage = self.begun(done=7000)
+        self.work(stage, clock, 10, 10)
+        assert stage.time_left == "4 min 50 s left"
+
+    @pytest.mark.parametrize("since", [25, 100])
+    def test_what_was_quick_and_is_over_does_not_count(self, clock, since):
+        """A bank gives 8000 networks in 20 s, and then they have to be simulated."""
+        stage = self.begun()
+        self.work(stage, clock, 400, 20)
+        assert stage.time_left == "5 s left"
+        self.work(stage, clock, 5, since)
+        assert stage.time_left == {25: "6 min 15 s left", 100: "5 min 0 s left"}[since]
+
+    def test_a_stage_that_stands_still_takes_longer(self, clock):
+        stage = self.begun()
+        self.work(stage, clock, 100, 50)
+        assert stage.time_left == "50 s left"
+        clock[0] += 10
+        assert stage.time_left != "50 s left"
+        clock[0] += 1000
+        assert stage.time_left == ""
+
+    def test_reports_that_are_far_apart(self, clock):
+        stage = self.begun()
+        for _ in range(3):
+            clock[0] += 100
+            stage.update(stage.done + 1000, 10_000, "")
+        assert stage.time_left == "12 min left"
+
+    def test_sampling_may_end_earlier(self, clock):
+        stage = self.begun("sampling")
+        self.work(stage, clock, 10, 10)
+        assert stage.time_left == "at most 16 min left"
+        assert str(stage) == "sampling 100/10000, 10 s, at most 16 min left"
+
+    def test_a_bar_says_the_same(self, clock, monkeypatch):
+        screen = io.StringIO()
+        monkeypatch.setattr("fascicle.cli.terminal_progress.current_output", lambda: Output(screen))
+        monkeypatch.setattr(screen, "isatty", lambda: True)
+        monkeypatch.setenv("COLUMNS", "150")
+        with TerminalProgress() as progress:
+            for second in range(11):
+                clock[0] = second
+                progress("sampling", 7000 + 10 * second, 10_000, "")
+        assert "at most 4 min 50 s left" in screen.getvalue()
 
 
 class TestOutside:

@@ -278,11 +278,20 @@ def test_picture_must_not_be_the_target(tmp_path, outside, refused):
     refused(["target", recording, "--out", outside / "t.png"], "t.png", "such as target.nc")
 
 
+def test_what_was_said_of_the_file_is_said_again(tmp_path, outside, run):
+    asked = ["target", table(tmp_path / "rec.csv"), "--out", outside / "t.nc", "--unit", "mV"]
+    assert re.search(r"(?m)^read with +unit mV$", run(*asked).out)
+    said = json.loads(run(*asked, "--invert", "V2", "--json").out)["read_with"]
+    assert said == ["unit mV", "upside down: V2"]
+    target = read_target(outside / "t.nc")
+    assert (target.provenance["choice_unit"], target.provenance["inverted"]) == ("mV", "V2")
+
+
 def test_gains_per_lead_are_caught_and_repaired(data_folder, outside, run, target_refused):
     folder = data_folder / "ecg" / "ludb"
     target_refused(folder / "24.hea", "24.hea", "gains per lead are wrong", "--shared-gain")
     repaired, _ = made(run, outside, folder / "24.hea", "--shared-gain")
-    assert "shared_gain" in repaired.provenance
+    assert repaired.provenance["shared_gain"] == "1000 per mV"
     right, _ = made(run, outside, folder / "24_common.hea")
     assert repaired.beats == pytest.approx(right.beats, abs=1e-4)
     half, _ = made(run, outside, folder / "24.hea", "--shared-gain", "--digits-per-mv", 2000)

@@ -9,6 +9,7 @@ from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat, BeatClass, Unused
+from fascicle.recording.baseline_drift import Drift
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
@@ -426,6 +427,28 @@ def test_head_tells_the_measures():
         "8 of 12 beats used, class A",
     ]
     assert "no warnings" in found
+
+
+def test_what_was_said_of_the_file_stands_above_the_warnings():
+    analysis = synthetic()
+    said = {"shared_gain": "1000 per mV", "choice_sampling_rate_hz": "500"}
+    recording = replace(analysis.recording, provenance=said)
+    found = texts(recording_figure(replace(analysis, recording=recording)))
+    remark = next(text for text in found if text.startswith("read with"))
+    assert remark == (
+        "read with one gain for all leads, 1000 per mV, in place of the file's (amplitudes rest on "
+        "it); sampling rate 500 Hz"
+    )
+    assert found.index(remark) < found.index("no warnings")
+    assert not any(text.startswith("read with") for text in texts(recording_figure(analysis)))
+
+
+def test_a_drifting_beat_is_named():
+    analysis = synthetic()
+    drift = Drift("V6", -0.224)
+    beats = (replace(analysis.beats[0], unused=Unused.DRIFTING, drift=drift), *analysis.beats[1:])
+    found = texts(recording_figure(replace(analysis, beats=beats)))
+    assert "not used: 1 (baseline drifts by 0.22 mV in V6)" in found
 
 
 def test_warnings_are_named_as_far_as_they_fit():

@@ -1,6 +1,7 @@
 """A bank of simulations: what it stores, how it goes on, and what it is refused for."""
 
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.study import bank as tested
 from fascicle.study.bank import Bank, make_bank, prior_points
 from fascicle.study.fit import load_study
+from fascicle.study.pool import Pool
 from fascicle.study.problem import Problem
 from fascicle.study.space import study_space
 
@@ -27,6 +29,16 @@ def heart(tmp_path_factory):
         patch.setattr(tested, "PART", 6)
         make_bank(folder, 7, workers=2)
         yield fascicle.load_heart(folder)
+
+
+class Counting(Pool):
+    """Runs everything here, as it would elsewhere, and counts it."""
+
+    sent = 0
+
+    def map(self, function, question, items):
+        self.sent += len(items)
+        return map(partial(function, question.portable().of(question.model)), items)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +82,19 @@ def test_it_goes_on_and_grows(heart):
     make_bank(heart, 13, workers=2)
     assert len(bank_of(heart)) == 18
     assert bank.file(0).stat().st_mtime_ns == first
+
+
+def test_elsewhere_it_is_the_same(heart, tmp_path):
+    write_heart(heart, tmp_path / "heart")
+    pool = Counting()
+    make_bank(tmp_path / "heart", 7, pool=pool)
+    assert pool.sent == 12
+    here, there = (bank_of(each) for each in (heart, fascicle.load_heart(tmp_path / "heart")))
+    for number in range(2):
+        one, other = here._read(number), there._read(number)
+        assert set(one) == set(other)
+        for name, values in one.items():
+            np.testing.assert_array_equal(other[name], values)
 
 
 def test_another_prior_has_another_bank(heart):

@@ -8,6 +8,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from filelock import FileLock
 
 import fascicle
 from fascicle.core.errors import InputError
@@ -34,6 +35,7 @@ def test_the_holder_is_named_and_a_killed_one_is_replaced(tmp_path, holder):
     with pytest.raises(InputError, match=wanted) as caught, study_lock(tmp_path):
         pass
     assert "\n" not in str(caught.value)
+    assert "delete" not in str(caught.value)
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
     assert (tmp_path / HOLDER).exists()
@@ -71,6 +73,19 @@ def test_the_lock_of_another_host_says_how_to_remove_it(tmp_path):
     (tmp_path / HOLDER).unlink()
     with study_lock(tmp_path):
         pass
+
+
+def test_a_lock_that_a_dead_host_still_has_says_how_to_remove_it(tmp_path):
+    """As a network file system may keep it."""
+    (tmp_path / HOLDER).write_text("process 17 on elsewhere\n")
+    remedy = rf"17 on elsewhere is .* that host is surely dead, delete .*{LOCK} and .*{HOLDER}"
+    with (
+        FileLock(tmp_path / LOCK, is_singleton=False),
+        pytest.raises(InputError, match=remedy) as caught,
+        study_lock(tmp_path),
+    ):
+        pass
+    assert "\n" not in str(caught.value)
 
 
 def test_a_block_within_a_block_holds_it_and_another_thread_does_not(tmp_path):

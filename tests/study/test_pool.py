@@ -238,6 +238,27 @@ class TestCluster:
             pool._hold({}, "something else")
         distributed.Client.close(pool.client)
 
+    def test_a_scheduler_without_workers(self, problem, points, expected):
+        """It is said once a second that nobody works, until somebody does."""
+        import distributed
+
+        from fascicle.study.cluster import Cluster
+
+        seen = []
+        with distributed.LocalCluster(n_workers=0, processes=True, dashboard_address=None) as empty:
+            address = empty.scheduler_address
+
+            def watch(*news):
+                seen.append(news)
+                if len(seen) == 2:
+                    empty.scale(1)
+
+            pool = Cluster(address, watch)
+            assert_same(replace(problem, pool=pool)(points[:1]), expected[:1])
+        assert len(seen) >= 2
+        assert seen[0] == ("workers", 0, 1, f"{address} has no worker; waiting for one")
+        assert {news[:3] for news in seen} <= {("workers", 0, 1), ("workers", 1, 1)}
+
     @pytest.mark.parametrize(
         "address", ["", "here", "tcp://", "http://a:1", "tcp://a:b", "ucx://a:1", "tcp://a:1/b"]
     )

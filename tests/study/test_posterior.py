@@ -71,7 +71,7 @@ def test_draws_of_two_runs(done):
     assert (stage, total) == ("sampling", 8400)
     assert 400 < number <= 8400
     assert message.startswith("2 runs, log evidence -")
-    assert ", best loss 1" in message
+    assert re.search(r", effective sample \d+ of 60, best loss 1", message)
 
 
 def test_interrupted_it_resumes_to_the_same_bits(done, tmp_path):
@@ -86,10 +86,17 @@ def test_interrupted_it_resumes_to_the_same_bits(done, tmp_path):
     study = Study.create_or_resume(tmp_path / "s", make_config(**SMALL))
     with pytest.raises(KeyboardInterrupt):
         study.run(interrupted)
-    again = Study.create_or_resume(tmp_path / "s", make_config(**SMALL)).run(objective)
+    study, seen = Study.create_or_resume(tmp_path / "s", make_config(**SMALL)), []
+    stored = len(study.records())
+    again = study.run(objective, lambda *news: seen.append(news))
     for name, values in done[1].values.items():
         assert again.values[name].tobytes() == values.tobytes()
     assert again.log_evidences.tobytes() == done[1].log_evidences.tobytes()
+    # what was stored is done at once, and does not count as sampling
+    gone_through = [news for news in seen if news[0] == "stored"]
+    assert 400 <= gone_through[-1][1] <= stored == gone_through[-1][2]
+    first = next(news for news in seen if news[0] == "sampling")
+    assert gone_through[-1][1] < first[1] <= stored + 100
 
 
 def test_more_draws_go_on_from_what_is_there(tmp_path):

@@ -183,14 +183,25 @@ def _wall_rows(walls: Walls) -> list[tuple[str, str]]:
 
 
 def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:
-    return [
-        (
-            f"{e.side.upper()} endocardium",
-            f"{len(e.vertices)} points, {e.area / 100:.0f} cm², root {e.root} heading for "
-            f"{e.direction}, chart distortion up to {charts[e.side].distortion.max():.2f}",
-        )
-        for e in heart.endocardia
-    ]
+    rows = []
+    for e in heart.endocardia:
+        side, worst = e.side.upper(), charts[e.side].distortion.max()
+        base, apex = long_axis(e.vertices, e.triangles)
+        down = (e.vertices - base) @ (apex - base) / ((apex - base) @ (apex - base))
+        rows += [
+            (f"{side} endocardium", f"{len(e.vertices)} points, {e.area / 100:.0f} cm²"),
+            (
+                f"{side} bundle",
+                f"starts at point {e.root}, {down[e.root]:.0%} of the way from base to apex, and "
+                f"heads for point {e.direction}, at {down[e.direction]:.0%}",
+            ),
+            (
+                f"{side} map",
+                f"the endocardium laid flat for the tree, stretched up to {worst:.1f} times more "
+                f"one way than the other (fine up to {DISTORTED:g})",
+            ),
+        ]
+    return rows
 
 
 def _helix_rows(helix: Mapping[str, HelixAngles]) -> list[tuple[str, str]]:

@@ -13,9 +13,11 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from fascicle.core.errors import InputError
+from fascicle.core.progress import Progress
+from fascicle.prediction.index_names import COMPARED, INDICES
 
 if TYPE_CHECKING:
-    from fascicle.study.cluster import Cluster
+    from fascicle.study.pool import Pool
 
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
@@ -26,6 +28,17 @@ StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
 FormatOption = Annotated[
     Literal["png", "svg", "pdf"], typer.Option("--format", help="Of the pictures.")
 ]
+
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
+        "(docs/cluster.md); else the cores of this machine do.",
+    ),
+]
+INDEX_NAMES = ", ".join(f"{name} ({INDICES[name]})" for name in COMPARED)  # for help
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -109,10 +122,12 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
     return Path(target), Path(scenario)
 
 
-def cluster(address: str) -> Cluster:
-    """Workers of the Dask scheduler at an address."""
+def pool_at(scheduler: str | None, progress: Progress) -> Pool | None:
+    """Workers of the Dask scheduler at an address; none where no address is given."""
+    if scheduler is None:
+        return None
     if find_spec("distributed") is None:
         raise InputError("--scheduler needs Dask; install it: pip install distributed")
     from fascicle.study.cluster import Cluster
 
-    return Cluster(address)
+    return Cluster(scheduler, progress)

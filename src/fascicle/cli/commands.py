@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fascicle.cli.arguments import (
+    INDEX_NAMES,
     FormatOption,
     HeartArgument,
     OutOption,
+    SchedulerOption,
     StudyArgument,
-    cluster,
     explicit,
+    pool_at,
     settings_options,
     with_scenario,
 )
@@ -192,14 +194,7 @@ def fit(
     ] = None,
     free: FreeOption = None,
     fix: FixOption = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
-            "(docs/cluster.md); else the cores of this machine do.",
-        ),
-    ] = None,
+    scheduler: SchedulerOption = None,
     **settings: Any,
 ) -> Result:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
@@ -237,7 +232,7 @@ def fit(
     given |= explicit(context, settings)
     with _resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
-        pool = cluster(scheduler) if scheduler is not None else None
+        pool = pool_at(scheduler, progress)
         fitted = run_fit(
             heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
         )
@@ -260,6 +255,7 @@ def predict(
         ),
     ] = None,
     kind: FormatOption = "png",
+    scheduler: SchedulerOption = None,
 ) -> Result:
     """Predict pacings, blocks and ectopic beats with every network of the population.
 
@@ -277,7 +273,7 @@ def predict(
 
     scenarios, prior = read_scenarios(scenario or ["his-pacing"]), None
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress)
+        fitted = load_study(study, progress, pool_at(scheduler, progress))
         predicted = predict_scenarios(fitted, scenarios, progress)
         write_prediction(fitted, predicted, out, kind)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
@@ -296,11 +292,12 @@ def compare(
     first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
     second: Annotated[str, typer.Argument(help="The one it is compared with.")],
     index: Annotated[
-        str, typer.Option(help="Index whose gain is explained; less is better.")
+        str, typer.Option(help=f"Index whose gain is explained; less is better: {INDEX_NAMES}.")
     ] = "total_activation_time",
     threshold: Annotated[
         float, typer.Option(help="Gain that matters, in the unit of the index.")
     ] = 0.0,
+    scheduler: SchedulerOption = None,
 ) -> Result:
     """Say how probably one scenario is better than another, by how much, and what leaves it open.
 
@@ -309,7 +306,8 @@ def compare(
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.prediction.comparison import PACED, check_index
+    from fascicle.prediction.comparison import PACED
+    from fascicle.prediction.index_names import check_index
     from fascicle.prediction.scenarios import predict as predict_scenarios
     from fascicle.study.fit import load_study
 
@@ -317,7 +315,7 @@ def compare(
     within("threshold", threshold, "--threshold")
     wanted = read_scenarios([first, second])
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress)
+        fitted = load_study(study, progress, pool_at(scheduler, progress))
         measured = read_scenarios([PACED]) | wanted
         predicted = predict_scenarios(fitted, measured, progress)
     print(f"result                 {fitted.verdict}")
@@ -349,8 +347,11 @@ def sweep(
         str | None,
         typer.Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm)."),
     ] = None,
-    index: Annotated[str, typer.Option(help="Index to draw.")] = "total_activation_time",
+    index: Annotated[
+        str, typer.Option(help=f"Index to draw: {INDEX_NAMES}.")
+    ] = "total_activation_time",
     networks: Annotated[int, typer.Option(min=2, help="Networks of the population to use.")] = 60,
+    scheduler: SchedulerOption = None,
 ) -> Result:
     """Vary a delay, a site or a capture radius in networks of the population.
 
@@ -360,7 +361,7 @@ def sweep(
     """
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
-    from fascicle.prediction.comparison import check_index
+    from fascicle.prediction.index_names import check_index
     from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
     from fascicle.reporting.sweep import write_sweep
     from fascicle.study.fit import load_study
@@ -374,7 +375,7 @@ def sweep(
     ((vary, how),) = asked
     family = vary(case, how)
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress)
+        fitted = load_study(study, progress, pool_at(scheduler, progress))
         swept = simulate_sweep(fitted, family, networks, progress)
         write_sweep(fitted, swept, index, out)
     print(f"result                 {fitted.verdict}")
@@ -420,6 +421,7 @@ def report(
             "may be given several times.",
         ),
     ] = None,
+    scheduler: SchedulerOption = None,
 ) -> Result:
     """Write what a study found as one HTML file that opens offline.
 
@@ -436,7 +438,7 @@ def report(
     kinds, wanted = figures or [], read_scenarios(scenario or PACINGS)
     check_kinds(kinds)
     with TerminalProgress() as progress:
-        fitted = load_study(study, progress)
+        fitted = load_study(study, progress, pool_at(scheduler, progress))
         page, *drawn = write_report(fitted, wanted, out, progress, kinds, against)
     print(f"result                 {fitted.verdict}")
     for path in (*drawn, page.resolve().as_uri()):

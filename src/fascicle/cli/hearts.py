@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from fascicle.cli import heart_options as options
-from fascicle.cli.arguments import HeartArgument, OutOption
+from fascicle.cli.arguments import HeartArgument, OutOption, SchedulerOption, pool_at
 from fascicle.cli.output import Result, every_command
 from fascicle.core.errors import InputError
 
@@ -169,7 +169,11 @@ def heart_check(
         typer.Option(help="Picture to write (PNG, PDF, SVG); otherwise check.png in the folder."),
     ] = None,
 ) -> Result:
-    """Validate a heart folder; print and draw what it holds, with warnings and their remedies."""
+    """Validate a heart folder; print and draw what it holds, with warnings and their remedies.
+
+    Points are numbers of an endocardium's vertices, as --lv-root and --lv-direction of 'heart
+    build' take them. What the lines mean stands in docs/hearts.md.
+    """
     from fascicle.core.files import check_writable
     from fascicle.heart.folder import PICTURE, load_heart
     from fascicle.reporting.figures import check_picture
@@ -230,6 +234,7 @@ def heart_bank(
     workers: Annotated[
         int | None, typer.Option("--workers", min=1, help="Simulations at a time; one a core.")
     ] = None,
+    scheduler: SchedulerOption = None,
 ) -> Result:
     """Simulate networks of the prior once, so that fits of this heart are done sooner.
 
@@ -241,7 +246,8 @@ def heart_bank(
     from fascicle.study.bank import make_bank
 
     with TerminalProgress() as progress:
-        folder = make_bank(heart, networks, workers=workers, progress=progress)
+        pool = pool_at(scheduler, progress)
+        folder = make_bank(heart, networks, workers=workers, progress=progress, pool=pool)
     print(f"bank in {folder}")
     return {"bank": folder}
 

@@ -200,8 +200,8 @@ def print_comparison(
     parameters: Mapping[str, Floats],
 ) -> None:
     """Print how probably the first of two named scenarios is better, by every index."""
-    from fascicle.prediction.comparison import COMPARED, MEASURABLE, compare
-    from fascicle.prediction.indices import INDICES
+    from fascicle.prediction.comparison import MEASURABLE, compare
+    from fascicle.prediction.index_names import COMPARED, INDICES
     from fascicle.reporting.indices import index_name
 
     one, other = (predicted[name] for name in names)
@@ -235,7 +235,8 @@ def comparison_result(
     parameters: Mapping[str, Floats],
 ) -> dict[str, Any]:
     """What `print_comparison` prints, as a program wants it."""
-    from fascicle.prediction.comparison import COMPARED, compare
+    from fascicle.prediction.comparison import compare
+    from fascicle.prediction.index_names import COMPARED
 
     one, other = (predicted[name] for name in names)
     compared = {name: compare(one, other, name) for name in COMPARED}
@@ -269,7 +270,7 @@ def print_sweep(swept: Swept, index: str) -> None:
     import numpy as np
 
     from fascicle.heart.segments import SEGMENTS
-    from fascicle.prediction.indices import INDICES
+    from fascicle.prediction.index_names import INDICES
     from fascicle.prediction.sweeps import SEGMENT
     from fascicle.reporting.indices import index_name
 

@@ -211,9 +211,8 @@ def print_analysis(analysis: Analysis) -> None:
     )
     if recording.derived:
         _line("computed leads", ", ".join(recording.derived))
-    for what in ("shared_gain", "inverted", "swapped"):
-        if what in recording.provenance:
-            _line(what.replace("_", " "), recording.provenance[what])
+    if analysis.read_with:
+        _line("read with", "; ".join(analysis.read_with))
     if recording.ignored:
         _line("ignored", ", ".join(recording.ignored))
     print(f"{'checks':<{_WIDTH}}{'':<34}{'found':>8}{'limit':>10}")
@@ -240,6 +239,7 @@ def _result(analysis: Analysis) -> dict[str, object]:
     """What is printed of a target, as a program wants it."""
     target = analysis.target
     return {
+        "read_with": analysis.read_with,
         "beats_used": len(target.beats),
         "beats_found": len(analysis.beats),
         "heart_rate_bpm": target.heart_rate,

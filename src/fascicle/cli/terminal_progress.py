@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from types import TracebackType
 
@@ -12,11 +13,13 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
+from rich.text import Text
 
 from fascicle.cli.output import Output, current_output
 from fascicle.core.errors import InputError
@@ -31,11 +34,17 @@ NAMES = {
     "optimisation": "Bayesian optimisation",
     "prior": "networks of the prior",
     "draws": "drawing from the prior",
+    "stored": "evaluations stored before",
     "sampling": "sampling",
     "rejection": "networks accepted",
     "networks": "simulating the networks",
+    "workers": "workers of the cluster",
 }
+ENDS_EARLIER = ("sampling",)  # names of stages whose total is a maximum
 FIRST, EVERY = 2.0, 10.0  # s after which a stage is spoken of in a line, and then again
+WINDOW, APART = 60.0, 0.5  # s, whose work says how much time is left, and between its reports
+FEWEST = 5.0  # s of work before anything is said of that
+LONG = 10  # min, from which on seconds are not spoken of
 
 
 class TerminalProgress:
@@ -51,7 +60,7 @@ class TerminalProgress:
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TimeRemainingColumn(),
+            _TimeLeft(),
             TextColumn("{task.fields[message]}"),
             console=self._console,
         )
@@ -78,34 +87,72 @@ class TerminalProgress:
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
         """See `fascicle.core.progress.Progress`."""
         name = NAMES.get(stage, stage)
-        self._lines.update(name, done, total, message)
+        stage_now = self._lines.update(name, done, total, message)
         if not self._console.is_terminal:
             return
         self._bars.start()
         if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(name, total=total, message="")
-        self._bars.update(self._tasks[stage], completed=done, total=total, message=message)
+            self._tasks[stage] = self._bars.add_task(name, total=total, message="", stage=None)
+        self._bars.update(
+            self._tasks[stage], completed=done, total=total, message=message, stage=stage_now
+        )
 
 
 @dataclass
 class _Stage:
-    """How far a stage is, and when it was last spoken of (s)."""
+    """How far a stage is, how fast it goes, and when it was last spoken of (s)."""
 
     name: str
     done: int
     total: int
     message: str
     began: float = field(default_factory=time.monotonic)
-    from_done: int = 0  # what was done when it began, as in a study that goes on
     said: float | None = None
+    # when (s) so many were done, over the last `WINDOW`
+    reports: deque[tuple[float, int]] = field(default_factory=deque)
+
+    def update(self, done: int, total: int, message: str) -> None:
+        """Take note of how far it is."""
+        now = time.monotonic()
+        self.done, self.total, self.message = done, total, message
+        if not self.reports or now - self.reports[-1][0] >= APART:
+            self.reports.append((now, done))
+        while len(self.reports) > 2 and self.reports[1][0] <= now - WINDOW:
+            self.reports.popleft()
+
+    @property
+    def time_left(self) -> str:
+        """How long it still takes; empty while nothing can be said of that."""
+        now = time.monotonic()
+        if self.done >= self.total or now - self.reports[0][0] < FEWEST:
+            return ""
+        # the slower of the window and of its later half, as what was quick may be over
+        first = self.reports[0][0]
+        rate = min(self._rate(first, now), self._rate((first + now) / 2, now))
+        if rate <= 0:
+            return ""
+        most = "at most " if self.name in ENDS_EARLIER else ""
+        return f"{most}{_duration((self.total - self.done) / rate)} left"
+
+    def _rate(self, since: float, now: float) -> float:
+        """What has been done a second since the last report before a time."""
+        begin, done = [report for report in self.reports if report[0] <= since][-1]
+        return (self.done - done) / (now - begin)
 
     def __str__(self) -> str:
-        elapsed = time.monotonic() - self.began
-        text = f"{self.name} {self.done}/{self.total}, {_duration(elapsed)}"
-        new = self.done - self.from_done
-        if new > 0 and self.done < self.total:
-            text += f", {_duration(elapsed * (self.total - self.done) / new)} left"
+        elapsed = _duration(time.monotonic() - self.began)
+        text = f"{self.name} {self.done}/{self.total}, {elapsed}"
+        if left := self.time_left:
+            text += f", {left}"
         return f"{text}: {self.message}" if self.message else text
+
+
+class _TimeLeft(ProgressColumn):
+    """How long the stage of a bar still takes."""
+
+    def render(self, task: Task) -> Text:
+        stage = task.fields["stage"]
+        return Text(stage.time_left if stage is not None else "", style="progress.remaining")
 
 
 class _Lines:
@@ -118,19 +165,20 @@ class _Lines:
         self._stages: dict[str, _Stage] = {}
         self._timers: list[threading.Timer] = []
 
-    def update(self, name: str, done: int, total: int, message: str) -> None:
-        """Take note of a stage, and say it if it is time to."""
+    def update(self, name: str, done: int, total: int, message: str) -> _Stage:
+        """Take note of a stage, say it if it is time to, and give it."""
         stage = self._stages.get(name)
         if stage is None or done < stage.done:
-            stage = self._stages[name] = _Stage(name, done, total, message, from_done=done)
+            stage = self._stages[name] = _Stage(name, done, total, message)
             timer = threading.Timer(FIRST, self._say_first, [stage])
             timer.daemon = True
             timer.start()
             self._timers.append(timer)
         ended = stage.done < stage.total and done >= total
-        stage.done, stage.total, stage.message = done, total, message
+        stage.update(done, total, message)
         if stage.said is not None and (ended or time.monotonic() - stage.said >= EVERY):
             self._say(stage)
+        return stage
 
     def end(self) -> None:
         """Say nothing more."""
@@ -151,4 +199,6 @@ class _Lines:
 def _duration(seconds: float) -> str:
     """Minutes and seconds, as people say them."""
     minutes, left = divmod(round(seconds), 60)
+    if minutes >= LONG:
+        return f"{round(seconds / 60)} min"
     return f"{minutes} min {left} s" if minutes else f"{left} s"

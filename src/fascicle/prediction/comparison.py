@@ -11,17 +11,11 @@ from scipy.stats import rankdata
 from fascicle.core.arrays import Floats
 from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
-# Indices of which less is better; of a delay between the sides, less either way
-COMPARED = (
-    "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_activation_time",
-    "rv_activation_time", "activation_time_90", "activation_time_95", "lv_rv_delay",
-    "lv_dyssynchrony", "qrs_area",
-)  # fmt: skip
 SIGNED = ("lv_rv_delay",)
 INTERVAL = (5, 95)  # percentiles
 FEWEST = 20  # networks; of fewer no correlation is spoken of
@@ -131,12 +125,6 @@ class Comparison:
         """Squared rank correlation with the gain, less what as many numbers have by chance."""
         left = 1 - _rank_correlation(values, self.gains) ** 2
         return max(0.0, 1 - left * (self.effective - 1) / (self.effective - 2))
-
-
-def check_index(index: str) -> None:
-    """Refuse an index that is none of `COMPARED`."""
-    if index not in COMPARED:
-        raise InputError(f"index '{index}' is not compared; choose one of {', '.join(COMPARED)}")
 
 
 def compare(first: Predicted, second: Predicted, index: str) -> Comparison:

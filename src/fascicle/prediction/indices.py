@@ -17,25 +17,8 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.fibres.rules import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.segments import APEX, RIGHT, Places
+from fascicle.prediction.index_names import INDICES as INDICES
 from fascicle.recording.window import qrs_window
-
-INDICES = {
-    "qrs_duration": "ms",
-    "global_qrs_duration": "ms",
-    "qrs_from_stimulus": "ms",
-    "total_activation_time": "ms",
-    "lv_activation_time": "ms",
-    "rv_activation_time": "ms",
-    "activation_time_90": "ms",
-    "activation_time_95": "ms",
-    "lv_rv_delay": "ms",
-    "lv_dyssynchrony": "ms",
-    "latest_segment": "1",
-    "v6_r_wave_peak_time": "ms",
-    "v6_v1_interpeak_interval": "ms",
-    "qrs_area": "µVs",
-}
-"""Names of the indices, and their units."""
 
 SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave
 

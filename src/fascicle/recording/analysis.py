@@ -7,9 +7,19 @@ from enum import Enum
 
 from fascicle.core.arrays import Floats
 from fascicle.core.brief import brief
+from fascicle.recording.baseline_drift import Drift
 from fascicle.recording.quality.finding import Finding
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
+
+# By their keys in the provenance
+READ_WITH = {
+    "shared_gain": "one gain for all leads, {}, in place of the file's (amplitudes rest on it)",
+    "choice_unit": "unit {}",
+    "choice_sampling_rate_hz": "sampling rate {} Hz",
+    "inverted": "upside down: {}",
+    "swapped": "exchanged: {}",
+}
 
 
 class Unused(Enum):
@@ -20,6 +30,7 @@ class Unused(Enum):
     EXCLUDED = "excluded"
     NOT_CHOSEN = "not chosen"
     OTHER_CLASS = "of another class"
+    DRIFTING = "baseline drifts"
     SURPLUS = "the other groups of leads have no more beats"
 
     @property
@@ -44,6 +55,8 @@ class Beat:
         Time since the beat before (ms); NaN for the first.
     unused : Unused, optional
         Why it is not one of the target's beats; None where it is.
+    drift : Drift, optional
+        Of its baseline, where that is why.
     """
 
     number: int
@@ -51,6 +64,7 @@ class Beat:
     label: str
     interval: float
     unused: Unused | None = None
+    drift: Drift | None = None
 
     @property
     def used(self) -> bool:
@@ -62,6 +76,8 @@ class Beat:
         """The reason in words; empty where the beat is used."""
         if self.unused is Unused.OTHER_CLASS:
             return f"class {self.label}"
+        if self.drift is not None:
+            return str(self.drift)
         return "" if self.unused is None else self.unused.value
 
 
@@ -119,3 +135,12 @@ class Analysis:
     chosen: str
 
     __repr__ = brief
+
+    @property
+    def read_with(self) -> tuple[str, ...]:
+        """What the user has said of the file, in words: it was taken as said."""
+        return tuple(
+            text.format(self.recording.provenance[key])
+            for key, text in READ_WITH.items()
+            if key in self.recording.provenance
+        )

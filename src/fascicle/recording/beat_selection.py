@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 
+import numpy as np
+
 from fascicle.core.errors import InputError
 from fascicle.recording.aligned_beats import extent
 from fascicle.recording.analysis import Beat, Unused
+from fascicle.recording.baseline_drift import Drift, drifting_beats
 from fascicle.recording.choices import Choices
 from fascicle.recording.lead_groups import LeadGroup
 
@@ -47,6 +50,9 @@ def select_beats(
     reasons = [
         _reasons(group, choices, label, first) for group, first in zip(groups, firsts, strict=False)
     ]
+    drifts = [
+        _leave_out_drifting(group, why, choices) for group, why in zip(groups, reasons, strict=True)
+    ]
     fewest = min(why.count(None) for why in reasons)
     for why in reasons:  # groups recorded one after another use equally many
         used = [k for k, reason in enumerate(why) if reason is None]
@@ -54,12 +60,12 @@ def select_beats(
             why[k] = Unused.SURPLUS
     beats = [
         tuple(
-            Beat(first + k, float(time), one, float(interval), reason)
+            Beat(first + k, float(time), one, float(interval), reason, drift.get(k))
             for k, (time, one, interval, reason) in enumerate(
                 zip(group.times, group.labels, group.intervals, why, strict=True)
             )
         )
-        for group, first, why in zip(groups, firsts, reasons, strict=False)
+        for group, first, why, drift in zip(groups, firsts, reasons, drifts, strict=False)
     ]
     _check_named(source, [beat for own in beats for beat in own], choices)
     return beats, label
@@ -97,6 +103,19 @@ def _reasons(
         else:
             reasons.append(None if one == label else Unused.OTHER_CLASS)
     return reasons
+
+
+def _leave_out_drifting(
+    group: LeadGroup, reasons: list[Unused | None], choices: Choices
+) -> dict[int, Drift]:
+    """Leave out beats whose baseline drifts, unless the user has named those to use."""
+    if choices.beats is not None:
+        return {}
+    members = np.flatnonzero([reason is None for reason in reasons])
+    drifts = drifting_beats(group, members, choices.onset)
+    for beat in drifts:
+        reasons[beat] = Unused.DRIFTING
+    return drifts
 
 
 def _check_numbers(source: str, count: int, choices: Choices) -> None:

@@ -104,7 +104,7 @@ def _head(figure: Figure, analysis: Analysis) -> float:
     name = shortened(name, size, TEXT_WIDTH, "bold")
     _write(figure, TEXT_LEFT, NAME_BASE, name, size=size, weight="bold")
     _write(figure, TEXT_LEFT, MEASURES_BASE, _measures_text(analysis), size=style.LABEL_SIZE)
-    lines = [*_filter_lines(analysis), *_warning_lines(analysis)]
+    lines = [*_read_lines(analysis), *_filter_lines(analysis), *_warning_lines(analysis)]
     for k, line in enumerate(lines):
         _write(figure, TEXT_LEFT, WARNINGS_BASE + k * LINE, line)
     return WARNINGS_BASE + (len(lines) - 1) * LINE
@@ -128,6 +128,12 @@ def _measures_text(analysis: Analysis) -> str:
     if is_single_beat(analysis):
         beats = "a single beat"
     return "   ·   ".join([rate, qrs, beats])
+
+
+def _read_lines(analysis: Analysis) -> list[str]:
+    """What the user has said of the file, in one line; none where nothing was said."""
+    said = "; ".join(analysis.read_with)
+    return [shortened(f"read with {said}", SMALL, TEXT_WIDTH)] if said else []
 
 
 def _filter_lines(analysis: Analysis) -> list[str]:

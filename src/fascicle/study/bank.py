@@ -11,10 +11,10 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,16 +24,15 @@ from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.quantities import body_values
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart
 from fascicle.heart.heart import Heart
-from fascicle.purkinje.tree import InvalidTree
-from fascicle.study.pool import Threads
+from fascicle.study.pool import Pool, Threads
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import growth_and_conduction, study_space
-from fascicle.torso.variation.conductor import InvalidBody
 
 FORMAT = 1
 PART = 500  # networks in a file
@@ -116,11 +115,11 @@ class Bank:
             number += 1
         return number * PART
 
-    def add(self, number: int, outcomes: list[Simulation | InvalidTree | InvalidBody]) -> None:
-        """Store the outcomes of a part's networks."""
-        found = [o if isinstance(o, Simulation) else None for o in outcomes]
+    def add(self, number: int, outcomes: list[Signals | str]) -> None:
+        """Store the outcomes of a part's networks: what each gives, or why it is none."""
+        found = [o if isinstance(o, Signals) else None for o in outcomes]
         signals = [s.leads if s else np.empty((len(LEADS), 0)) for s in found]
-        reasons = ["" if isinstance(o, Simulation) else o.reason for o in outcomes]
+        reasons = ["" if isinstance(o, Signals) else o for o in outcomes]
         self.folder.mkdir(parents=True, exist_ok=True)
         with atomic_path(self.file(number)) as temporary:
             np.savez_compressed(
@@ -129,9 +128,7 @@ class Bank:
                 leads=np.concatenate(signals, axis=1).astype(np.float32),
                 ends=np.cumsum([signal.shape[1] for signal in signals]),
                 first=np.array([s.first_activation if s else np.nan for s in found]),
-                junctions=np.array(
-                    [[len(t.junctions) for t in s.trees] if s else [0, 0] for s in found]
-                ),
+                junctions=np.array([s.junctions if s else (0, 0) for s in found]),
                 reasons=np.array(reasons),
             )
 
@@ -211,12 +208,40 @@ def _same(stored: Signals, simulation: Simulation) -> bool:
     return stored.leads.shape == leads.shape and bool(np.allclose(stored.leads, leads, atol=SAME))
 
 
+@dataclass(frozen=True)
+class _Prior:
+    """The networks of a prior, as a question to a pool."""
+
+    model: ForwardModel
+    space: ParameterSpace
+    fixed: Mapping[str, float]
+
+    @property
+    def bodies(self) -> list[str]:
+        """Quantities of the body that are learnt or fixed."""
+        return [*body_values(dict.fromkeys((*self.space.names, *self.fixed), 0.0))]
+
+    def portable(self) -> _Prior:
+        """All but the model."""
+        return replace(self, model=cast(ForwardModel, None))  # until `of` puts one in its place
+
+    def of(self, model: ForwardModel) -> _Prior:
+        """The same with a model, as a worker has it."""
+        return replace(self, model=model)
+
+    def signals(self, point: Floats) -> Signals | str:
+        """What a network gives, or why it is none."""
+        outcome = self.model.simulate({**self.fixed, **self.space.from_unit(point)})
+        return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
+
+
 def make_bank(
     heart: Heart | Path | str,
     networks: int | None = None,
     *,
     workers: int | None = None,
     progress: Progress | None = None,
+    pool: Pool | None = None,
 ) -> Path:
     """Simulate networks of the prior of a heart once, so that its fits need not.
 
@@ -232,6 +257,8 @@ def make_bank(
         Simulations that run at the same time; by default one a core.
     progress : Progress, optional
         Called as networks are simulated.
+    pool : Pool, optional
+        Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
 
     Returns
     -------
@@ -256,15 +283,11 @@ def make_bank(
     model = ForwardModel(heart, progress=progress)
     bank.check(model, space, fixed)
     report = stage_progress(progress, "bank")
-    pool = Threads(workers or os.cpu_count() or 1)
+    pool = pool or Threads(workers or os.cpu_count() or 1)
+    prior = _Prior(model, space, fixed)
     for number in range(len(bank) // PART, -(-count // PART)):
-        points = _part(len(space), number)
-        outcomes: list[Simulation | InvalidTree | InvalidBody] = []
-
-        def simulate(_: None, point: Floats) -> Simulation | InvalidTree | InvalidBody:
-            return model.simulate({**fixed, **space.from_unit(point)})
-
-        for outcome in pool.map(simulate, None, list(points)):
+        outcomes: list[Signals | str] = []
+        for outcome in pool.map(_Prior.signals, prior, list(_part(len(space), number))):
             outcomes.append(outcome)
             report(number * PART + len(outcomes), -(-count // PART) * PART)
         bank.add(number, outcomes)

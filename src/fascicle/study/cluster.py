@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
 from fascicle.core.errors import InputError, one_line
+from fascicle.core.progress import Progress
 from fascicle.core.threads import keep_one_thread
 from fascicle.forward.model import WrittenModel
 from fascicle.study.pool import Question, Remote, run_part
@@ -29,6 +30,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 TIMEOUT = 30  # s, until a scheduler has answered
+NOTICED = 1  # s, after which it is seen that no worker is there
 RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
 ADDRESS = r"(tcp|tls)://[^/\s]+:\d{1,5}"
 KEY = 24  # digits of a name by content
@@ -73,6 +75,8 @@ class Cluster(Remote):
     ----------
     address : str
         Of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
+    progress : Progress, optional
+        Called, with the stage "workers", while it has none.
 
     Raises
     ------
@@ -80,7 +84,7 @@ class Cluster(Remote):
         If it is no address, or no scheduler answers there.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, progress: Progress | None = None) -> None:
         if not re.fullmatch(ADDRESS, address):
             raise InputError(
                 f"'{address}' is no address of a Dask scheduler; it prints its own when it starts, "
@@ -94,14 +98,18 @@ class Cluster(Remote):
                 "'dask scheduler', and workers with 'dask worker ADDRESS'"
             ) from error
         super().__init__()
-        self.address = address
+        self.address, self.progress = address, progress
         self._known: set[str] = set()
+        self._waits = False  # for a worker
 
     @property
     def workers(self) -> int:  # type: ignore[override]
         """Threads of the workers that are there now, 1 at least."""
+        return max(1, self._threads())
+
+    def _threads(self) -> int:
         threads: dict[str, int] = self.client.nthreads()
-        return max(1, sum(threads.values()))
+        return sum(threads.values())
 
     def _submit(self, *job: Any) -> Any:
         key = f"fascicle-{_name(pickle.dumps(job))}"
@@ -121,10 +129,27 @@ class Cluster(Remote):
         with self._scheduler_there(CancelledError):
             for _ in range(RETRIES):
                 try:
-                    return future.result()
+                    return self._awaited(future)
                 except KilledWorker:
                     future.retry()
-            return future.result()
+            return self._awaited(future)
+
+    def _awaited(self, future: Any) -> Any:
+        """Result of a job; while it waits for one, it is said that no worker is there."""
+        while not future.done():
+            try:
+                return future.result(timeout=NOTICED)
+            except TimeoutError:
+                self._say_whether_it_waits()
+        return future.result()
+
+    def _say_whether_it_waits(self) -> None:
+        with self._scheduler_there(OSError):
+            waits = self._threads() == 0
+        if self.progress is not None and (waits or self._waits):
+            message = f"{self.address} has no worker; waiting for one" if waits else ""
+            self.progress("workers", int(not waits), 1, message)
+        self._waits = waits
 
     @contextmanager
     def _scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:

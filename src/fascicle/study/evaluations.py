@@ -260,6 +260,8 @@ class Journal:
         Evaluations at a time.
     known : dict of bytes to Record
         Every stored evaluation, of this pass or an earlier one, by the bytes of its point.
+    before : frozenset of bytes
+        Points of those of earlier passes.
     records : list of Record
         What this pass has asked for so far, in order.
     """
@@ -270,15 +272,21 @@ class Journal:
     seed: int
     workers: int
     known: dict[bytes, Record] = field(init=False)
+    before: frozenset[bytes] = field(init=False)
     records: list[Record] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         self.known = {_bytes(r.evaluation.point): r for r in self.database.records()}
+        self.before = frozenset(self.known)
 
     @property
     def evaluations(self) -> list[Evaluation]:
         """Those of `records`."""
         return [record.evaluation for record in self.records]
+
+    def knew(self, points: Sequence[Floats]) -> bool:
+        """Whether all points, each of shape (d,), were evaluated in earlier passes."""
+        return all(_bytes(point) in self.before for point in points)
 
     def rng(self, stage: Stage, step: int) -> np.random.Generator:
         """The only source of randomness of a step."""

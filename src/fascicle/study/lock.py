@@ -52,9 +52,12 @@ def _acquire(lock: BaseFileLock, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout:
+        holder = _holder(folder)
+        remedy = "wait for it or stop it"
+        if holder and not _of_this_host(holder):  # a file system may keep the lock of a dead host
+            remedy += f"; if that host is surely dead, delete {folder / LOCK} and {folder / HOLDER}"
         raise InputError(
-            f"{folder}: {_holder(folder) or 'another process'} is working on this study; wait for "
-            "it or stop it"
+            f"{folder}: {holder or 'another process'} is working on this study; {remedy}"
         ) from None
     except OSError as error:
         raise InputError(
@@ -71,14 +74,18 @@ def refuse_held(folder: Path) -> None:
 
 def _claim(folder: Path) -> None:
     """Write who holds the lock, unless another host's process stands there."""
-    path, here = folder / HOLDER, socket.gethostname()
+    path = folder / HOLDER
     holder = _holder(folder)
-    if holder and not holder.endswith(f" on {here}"):
+    if holder and not _of_this_host(holder):
         raise InputError(
             f"{folder}: {holder} is working on this study; wait for it, or if it no longer runs, "
             f"delete {path}"
         )
-    write_text(path, f"process {os.getpid()} on {here}\n")
+    write_text(path, f"process {os.getpid()} on {socket.gethostname()}\n")
+
+
+def _of_this_host(holder: str) -> bool:
+    return holder.endswith(f" on {socket.gethostname()}")
 
 
 def _holder(folder: Path) -> str:

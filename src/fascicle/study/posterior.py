@@ -83,13 +83,18 @@ class Run:
     ) -> list[SamplingRun]:
         """Make the runs; how each goes depends on its number and on the seed alone."""
         each = self.settings.evaluations // RUNS
-        said = _Said(recordings, self.recordings)
+        said = _Said(recordings, self.recordings, self.settings.effective)
         # what a run before this one might have done; its points are asked for again, and are there
         done = [0 if begun[0] is None else self._phase - sum(len(r.points) for r in begun if r)]
 
         def log_likelihoods(points: Floats) -> Floats:
+            again = self.journal.knew(list(points))
+
             def report(count: int) -> None:
-                self._report(done[0] + count, str(said))
+                if again:
+                    self._report_stored(done[0] + count)
+                else:
+                    self._report(done[0] + count, str(said))
 
             found = self.journal.evaluate(Stage.SAMPLING, list(points), BATCH, report)
             done[0] += len(points)
@@ -114,6 +119,12 @@ class Run:
         )
         return runs
 
+    def _report_stored(self, done: int) -> None:
+        """A stage of its own: it says nothing of how long new evaluations take."""
+        if self.progress is not None:
+            total = len(self.journal.before)
+            self.progress("stored", min(done, total), total, "")
+
     def _report(self, done: int, said: str) -> None:
         if self.progress is None:
             return
@@ -132,7 +143,8 @@ class Run:
 class _Said:
     """What is said of the runs while they go on."""
 
-    def __init__(self, recordings: int, of: int) -> None:
+    def __init__(self, recordings: int, of: int, wanted: int) -> None:
+        self.wanted = wanted
         self.begin = f"{RUNS} runs"
         if of > 1:
             self.begin += ", first recording alone" if recordings == 1 else ", all recordings"
@@ -147,4 +159,7 @@ class _Said:
             return self.begin
         evidences = " and ".join(f"{state.log_evidence:.1f}" for state in self.states.values())
         effective = sum(state.effective for state in self.states.values())
-        return f"{self.begin}, log evidence {evidences}, effective sample {effective:.0f}"
+        return (
+            f"{self.begin}, log evidence {evidences}, effective sample {effective:.0f} of "
+            f"{self.wanted}"
+        )

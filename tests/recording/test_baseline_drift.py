@@ -1,0 +1,105 @@
+"""Beats whose baseline drifts are left out, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
+from fascicle.core.leads import LEADS
+from fascicle.recording.analysis import Unused
+from fascicle.recording.choices import Choices
+from fascicle.recording.pipeline import analyse
+from fascicle.recording.readers.read import read_recording
+from fascicle.recording.recording import Recording
+
+V6 = LEADS.index("V6")
+
+
+def sinus(seed=3, **more):
+    made_of = Synthesis(heart_rate=72.0, **{"noise_db": 30.0} | more)
+    return synthetic_recording(np.random.default_rng(seed), made_of)[0]
+
+
+def settling(recording, size=1.2, time_constant=0.3, start=0.0):
+    """An electrode of V6 that settles from a time (s) on."""
+    since = np.arange(recording.signal.shape[1]) / recording.sampling_rate - start
+    signal = recording.signal.copy()
+    signal[V6] += np.where(since >= 0, size * np.exp(-np.maximum(since, 0) / time_constant), 0.0)
+    return replace(recording, signal=signal)
+
+
+def left_out(analysis):
+    return [beat.number for beat in analysis.beats if beat.unused is Unused.DRIFTING]
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return analyse(sinus())
+
+
+@pytest.fixture(scope="module")
+def disturbed(clean):
+    """The first of the beats stands on an electrode that settles."""
+    first = next(beat for beat in clean.beats if beat.used)
+    return settling(sinus(), start=first.time - 0.3)
+
+
+def test_a_beat_on_a_settling_electrode_is_left_out_with_the_reason(clean, disturbed):
+    found = analyse(disturbed)
+    (beat,) = (beat for beat in found.beats if beat.unused is Unused.DRIFTING)
+    assert beat.number == next(beat.number for beat in clean.beats if beat.used)
+    assert left_out(clean) == []
+    assert beat.drift.lead == "V6"
+    assert beat.why_unused == f"baseline drifts by {abs(beat.drift.potential):.2f} mV in V6"
+    assert found.target.provenance["beats_used"] == str(len(clean.target.beats) - 1)
+
+
+def test_the_spread_is_that_of_the_others(clean, disturbed):
+    def spread(analysis):
+        target = analysis.target
+        return target.standard_deviation[V6, target.qrs_samples][-1]
+
+    named = tuple(beat.number for beat in clean.beats if beat.used)
+    with_it = analyse(disturbed, Choices(beats=named))
+    assert len(with_it.target.beats) == len(clean.target.beats)  # what the user names is used
+    assert spread(analyse(disturbed)) < 1.2 * spread(clean)
+    assert spread(with_it) > 2 * spread(clean)
+
+
+def test_a_push_leaves_out_its_beat_and_not_the_neighbours(clean):
+    """The level of their neighbour, which their own line runs through, is off, too."""
+    beat = clean.beats[5]
+    found = analyse(settling(sinus(), size=1.0, time_constant=0.15, start=beat.time - 0.12))
+    assert left_out(found) == [beat.number]
+
+
+@pytest.mark.parametrize("noise", ["white", "muscle", "wander"])
+@pytest.mark.parametrize("ratio", [15.0, 20.0])
+def test_noise_and_breathing_leave_nothing_out(noise, ratio):
+    for seed in range(3):
+        assert left_out(analyse(sinus(seed, noise=(noise,), noise_db=ratio))) == []
+
+
+def test_of_few_beats_none_is_left_out():
+    short = settling(sinus())
+    signal = short.signal[:, : round(3.4 * short.sampling_rate)]
+    found = analyse(Recording(signal, short.sampling_rate, "short"))
+    assert 2 <= len(found.target.beats) <= 4
+    assert left_out(found) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [
+        ("ludb/119_common.hea", {1: "V6"}), ("ludb/23_common.hea", {}), ("ludb/24_common.hea", {}),
+        ("dicom/waveform_ecg.dcm", {4: "III"}), ("ptb-s0010/s0010_re.hea", {}),
+        ("aecg/Example_aECG.xml", {}),
+    ],
+)  # fmt: skip
+def test_real_recordings(data_folder, file, expected):
+    """In 119 the electrode of V6 settles; in the DICOM file that of the left leg is pushed."""
+    found = analyse(read_recording(data_folder / "ecg" / file))
+    assert {beat.number: beat.drift.lead for beat in found.beats if beat.drift} == expected
