@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 import pyvista as pv
 import xarray as xr
+from matplotlib import pyplot
 
 import fascicle
 from fascicle import cli
@@ -27,6 +28,7 @@ from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
 from fascicle.study.fit import load_study
 from fascicle.study.results import _posterior_summary
+from tests import builders
 
 BUDGET = {"evaluations": 200, "bank": 100, "effective": 20, "workers": 2}
 
@@ -136,14 +138,14 @@ def test_damaged_copies_are_restored(study, target, tmp_path, name):
 
 def test_a_study_of_another_target_is_refused(study, target):
     other = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
-    with pytest.raises(fascicle.InputError, match=r"holds a study with another target"):
+    with pytest.raises(fascicle.InputError, match=r"holds another study \(target: there "):
         fascicle.fit("default", other, study.folder, **BUDGET)
 
 
 def test_another_heart_says_what_differs(study, target, default_heart):
     other = replace(default_heart, values={"alpha": 0.07})
     with pytest.raises(
-        fascicle.InputError, match=r"another heart .*conduction alpha \(0.05 there,"
+        fascicle.InputError, match=r"\(heart: there .*conduction alpha: there 0.05, now 0.07\)"
     ):
         fascicle.fit(other, target, study.folder, **BUDGET)
 
@@ -151,7 +153,7 @@ def test_another_heart_says_what_differs(study, target, default_heart):
 def test_other_rules_of_growth_are_refused(study, target, monkeypatch):
     longer = partial(GrowthRules, branch_length=10.0)
     monkeypatch.setattr("fascicle.study.space.GrowthRules", longer)
-    wanted = r"holds a study with another growth branch_length \(8 there, 10 now\)"
+    wanted = r"holds another study \(growth branch_length: there 8, now 10\)"
     with pytest.raises(fascicle.InputError, match=wanted):
         fascicle.fit("default", target, study.folder, **BUDGET)
     with pytest.raises(fascicle.InputError, match=wanted):
@@ -353,7 +355,7 @@ def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
 
 
 def test_plots_in_a_notebook(study):
-    """Every one draws something on axes of a figure of its own."""
+    """Every one draws something on axes of a figure of its own, of which pyplot knows."""
     plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-pacing")
     assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
     heart = study.problem.model.heart
@@ -371,6 +373,9 @@ def test_plots_in_a_notebook(study):
     public = {name for name, known in vars(plot).items() if getattr(known, "__module__", "") ==
               plot.__name__ and not name.startswith("_")}  # fmt: skip
     assert drawn.keys() == public
+    assert len(pyplot.get_fignums()) == len(drawn)
+    assert pyplot.gcf() is drawn["target"][0].figure
+    pyplot.close("all")
     for axes in drawn.values():
         assert axes
         assert all(one.figure is axes[0].figure for one in axes)
@@ -382,6 +387,43 @@ def test_plots_in_a_notebook(study):
         plot.scenario_ecg(predicted, "his-pacing")
     found = fascicle.compare(predicted["left-bundle-pacing"], predicted["intrinsic"], "qrs_area")
     assert 0 <= found.probability() <= 1
+
+
+def test_a_study_may_be_given_by_its_folder(study, default_heart, tmp_path):
+    """Wherever a study is taken; the folder of a heart, too, where the heart of a study is."""
+    networks = study.networks()[:2]
+    predicted = fascicle.predict(str(study.folder), "his-pacing", networks=networks)
+    assert list(predicted) == ["intrinsic", "his-pacing"]
+    for draw in (fascicle.plot.pairs, fascicle.plot.priors, fascicle.plot.convergence):
+        assert len(draw(study.folder)) == len(draw(study))
+    hearts = study, study.folder, f"{study.folder}/heart", "default", default_heart
+    drawn = [fascicle.plot.activation_spread(heart, predicted) for heart in hearts]
+    for axes in drawn[1:]:
+        np.testing.assert_array_equal(pixels(axes), pixels(drawn[0]))
+    fascicle.plot.ecg(study.folder)
+    path = tmp_path / "ecg.png"
+    pyplot.savefig(path)
+    assert np.std(pyplot.imread(path)[..., :3]) > 0.05, "the picture is blank"
+    pyplot.close("all")
+
+
+def pixels(axes):
+    """The picture that a figure is."""
+    canvas = axes[0].figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
+
+
+def test_the_heart_of_another_study_is_refused(study):
+    predicted = fascicle.predict(study, "his-pacing", networks=study.networks()[:1])
+    other = builders.box(10, 2)
+    with pytest.raises(fascicle.InputError, match=r"has 27 vertices, 'intrinsic' was predicted"):
+        fascicle.plot.activation(other, predicted, "his-pacing")
+
+
+def test_reports_are_no_business_of_pyplot(study, tmp_path):
+    fascicle.report(study.folder, "his-pacing", tmp_path / "report.html", figures=["png"])
+    assert pyplot.get_fignums() == []
 
 
 def test_unfinished_study_is_refused(study, tmp_path, monkeypatch, capsys):

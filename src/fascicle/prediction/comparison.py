@@ -11,6 +11,7 @@ from scipy.stats import rankdata
 from fascicle.core.arrays import Floats
 from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import check_kind, shown
 from fascicle.prediction.indices import INDICES
 from fascicle.prediction.scenarios import OWN_BEAT, Predicted
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
@@ -134,8 +135,10 @@ class Comparison:
 
 def check_index(index: str) -> None:
     """Refuse an index that is none of `COMPARED`."""
-    if index not in COMPARED:
-        raise InputError(f"index '{index}' is not compared; choose one of {', '.join(COMPARED)}")
+    if not isinstance(index, str) or index not in COMPARED:
+        raise InputError(
+            f"index {shown(index)} is not compared; choose one of {', '.join(COMPARED)}"
+        )
 
 
 def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
@@ -153,6 +156,8 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     InputError
         If the index is none of them, or the networks are not as many.
     """
+    for scenario in (first, second):
+        check_kind(scenario, Predicted, "scenario", "one of what fascicle.predict returned")
     check_index(index)
     one, other = first.indices[index], second.indices[index]
     if len(one) != len(other) or not _of_the_same_networks(first, second):

@@ -14,6 +14,7 @@ from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.loss import placed
 from fascicle.forward.scenario import Scenario
@@ -24,6 +25,7 @@ from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.recording.window import qrs_window
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.bank import prior_points
+from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
@@ -130,7 +132,7 @@ def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
 
 
 def predict(
-    fitted: FittedStudy,
+    fitted: GivenStudy,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
     progress: Progress | None = None,
     networks: Sequence[Network] | None = None,
@@ -141,8 +143,8 @@ def predict(
 
     Parameters
     ----------
-    fitted : FittedStudy
-        The study.
+    fitted : FittedStudy or path
+        The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
         What to predict; names of the library (``"his-pacing"``) and files are read.
     progress : Progress, optional
@@ -160,10 +162,14 @@ def predict(
     InputError
         If the study has no network, there is no such scenario, or it does not fit the heart.
     """
+    fitted = as_study(fitted, progress)
     check_population(fitted)
     scenarios = as_scenarios(scenarios)
     if networks is None:
         networks = fitted.networks(progress)
+    check_items(networks, Network, "networks", "those that the study's 'networks()' gives")
+    if not networks:
+        raise InputError("there is no network to predict with; give one or more")
     found = simulate_scenarios(fitted.problem, networks, with_own_beat(scenarios), progress)
     effective = fitted.population.effective_size
     return {name: replace(each, effective=effective) for name, each in found.items()}
@@ -173,9 +179,12 @@ def as_scenarios(
     given: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
 ) -> Mapping[str, Scenario]:
     """Scenarios by name, read if they are names or files."""
-    if isinstance(given, str | Path):
-        given = [given]
-    return given if isinstance(given, Mapping) else read_scenarios(given)
+    if not isinstance(given, Mapping):
+        return read_scenarios(given)
+    for name, scenario in given.items():
+        check_text(name, "name of a scenario")
+        check_kind(scenario, Scenario, f"scenario '{name}'", "a fascicle.Scenario")
+    return given
 
 
 def check_population(fitted: FittedStudy) -> None:
