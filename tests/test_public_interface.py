@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 import fascicle
 from fascicle.cli.demo import demo_recording
@@ -21,6 +22,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import CONDUCTIVITIES
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import study_space
+from tests.builders import box
 
 NUMBER = 500
 VALUES: tuple[Any, ...] = (
@@ -308,3 +310,44 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
             else:
                 failures.append(f"{argument}, {kind}: taken")
     assert not failures, "\n".join(failures)
+
+
+def test_a_study_may_be_given_by_its_folder(study, predicted, monkeypatch):
+    """The folder of a heart, too, where the heart of a study is taken."""
+    again = fascicle.predict(str(study.folder), "left-bundle-pacing")
+    for name, found in predicted.items():
+        np.testing.assert_array_equal(again[name].indices["qrs_area"], found.indices["qrs_area"])
+    plot = fascicle.plot
+    hearts = study, study.folder, f"{study.folder}/heart"
+    first, *others = (pixels(plot.activation_spread(heart, predicted)) for heart in hearts)
+    for picture in others:
+        np.testing.assert_array_equal(picture, first)
+    assert len(plot.target(study.folder / "target.nc")) == 12
+    # it takes seconds each time
+    read = {study.folder: study}
+    monkeypatch.setattr("fascicle.study.fit.load_study", lambda folder, _: read[folder])
+    for draw in (plot.ecg, plot.pairs, plot.priors, plot.convergence):
+        assert len(draw(study.folder)) == len(draw(study))
+    pyplot.close("all")
+
+
+def pixels(axes):
+    """The picture that a figure is."""
+    canvas = axes[0].figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
+
+
+def test_pyplot_saves_the_figure_that_was_drawn_last(study, tmp_path):
+    drawn = pixels(fascicle.plot.convergence(study))
+    assert len(pyplot.get_fignums()) == 1
+    pyplot.savefig(tmp_path / "drawn.png")
+    pyplot.close("all")
+    assert drawn.std() > 10, "the picture is blank"
+    saved = 255 * pyplot.imread(tmp_path / "drawn.png")
+    assert np.abs(saved - drawn).mean() < 1
+
+
+def test_another_heart_than_that_of_the_predictions_is_refused(predicted):
+    with pytest.raises(InputError, match="has 27 vertices, 'intrinsic' was predicted on one of 15"):
+        fascicle.plot.activation(box(10, 2), predicted, "left-bundle-pacing")

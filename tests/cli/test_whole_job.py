@@ -28,7 +28,6 @@ from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
 from fascicle.study.fit import load_study
 from fascicle.study.results import _posterior_summary
-from tests import builders
 
 BUDGET = {"evaluations": 200, "bank": 100, "effective": 20, "workers": 2}
 
@@ -285,6 +284,7 @@ def test_report(study, monkeypatch, capsys):
         with open(figure, "rb") as file:
             assert file.read(4) == b"\x89PNG"
     assert page == (study.folder / "report.html").resolve().as_uri()
+    assert pyplot.get_fignums() == [], "figures of a report are no business of pyplot"
     text = (study.folder / "report.html").read_text()
     assert study.verdict in html.unescape(text)
     assert len(text) < 5_000_000
@@ -387,43 +387,6 @@ def test_plots_in_a_notebook(study):
         plot.scenario_ecg(predicted, "his-pacing")
     found = fascicle.compare(predicted["left-bundle-pacing"], predicted["intrinsic"], "qrs_area")
     assert 0 <= found.probability() <= 1
-
-
-def test_a_study_may_be_given_by_its_folder(study, default_heart, tmp_path):
-    """Wherever a study is taken; the folder of a heart, too, where the heart of a study is."""
-    networks = study.networks()[:2]
-    predicted = fascicle.predict(str(study.folder), "his-pacing", networks=networks)
-    assert list(predicted) == ["intrinsic", "his-pacing"]
-    for draw in (fascicle.plot.pairs, fascicle.plot.priors, fascicle.plot.convergence):
-        assert len(draw(study.folder)) == len(draw(study))
-    hearts = study, study.folder, f"{study.folder}/heart", "default", default_heart
-    drawn = [fascicle.plot.activation_spread(heart, predicted) for heart in hearts]
-    for axes in drawn[1:]:
-        np.testing.assert_array_equal(pixels(axes), pixels(drawn[0]))
-    fascicle.plot.ecg(study.folder)
-    path = tmp_path / "ecg.png"
-    pyplot.savefig(path)
-    assert np.std(pyplot.imread(path)[..., :3]) > 0.05, "the picture is blank"
-    pyplot.close("all")
-
-
-def pixels(axes):
-    """The picture that a figure is."""
-    canvas = axes[0].figure.canvas
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())
-
-
-def test_the_heart_of_another_study_is_refused(study):
-    predicted = fascicle.predict(study, "his-pacing", networks=study.networks()[:1])
-    other = builders.box(10, 2)
-    with pytest.raises(fascicle.InputError, match=r"has 27 vertices, 'intrinsic' was predicted"):
-        fascicle.plot.activation(other, predicted, "his-pacing")
-
-
-def test_reports_are_no_business_of_pyplot(study, tmp_path):
-    fascicle.report(study.folder, "his-pacing", tmp_path / "report.html", figures=["png"])
-    assert pyplot.get_fignums() == []
 
 
 def test_unfinished_study_is_refused(study, tmp_path, monkeypatch, capsys):

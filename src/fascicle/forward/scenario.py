@@ -233,7 +233,7 @@ class Scenario:
     def __post_init__(self) -> None:
         check_items(self.stimuli, Stimulus, "stimuli", "fascicle.Stimulus")
         check_items(self.slowings, Slowing, "slowings", "fascicle.Slowing")
-        check_items(self.silent, str, "silent trees", "their names")
+        check_kind(self.silent, (list, tuple), "silent", "a list of names of trees")
         check_items(self.trees, tuple, "trees", "pairs (fascicle.PurkinjeTree, time)")
         for pair in self.trees:
             if len(pair) != 2 or not isinstance(pair[0], PurkinjeTree):
