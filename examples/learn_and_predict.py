@@ -27,7 +27,7 @@ target = fascicle.make_target(fascicle.read_recording(recording))
 print(f"{len(target.beats)} beats, QRS {target.global_qrs_duration:.0f} ms (outermost leads)")
 
 # %%
-fascicle.plot.target(target)[0].figure
+_ = fascicle.plot.target(target)
 
 # %% [markdown]
 # The fit. Leave the settings out for the default ones; started again with the same folder, it goes
@@ -40,14 +40,14 @@ with TerminalProgress() as progress:
 print(study.verdict)
 
 # %%
-fascicle.plot.ecg(study)[0].figure
+_ = fascicle.plot.ecg(study)
 
 # %% [markdown]
 # What scenarios do in every network: an interval is what the ECG leaves open.
 
 # %%
 predicted = fascicle.predict(study, ["left-bundle-pacing", "rv-apical-pacing"])
-fascicle.plot.indices(predicted)[0].figure
+_ = fascicle.plot.indices(predicted)
 
 # %%
 found = fascicle.compare(

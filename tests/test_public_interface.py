@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 import fascicle
+from fascicle.cli.demo import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import BODY, QUANTITIES
 from fascicle.forward.model import ForwardModel
+from fascicle.heart.conduction import CONDUCTIVITIES
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import study_space
+from tests.builders import box
 
 NUMBER = 500
 VALUES: tuple[Any, ...] = (
@@ -130,3 +136,218 @@ def test_an_answer_or_one_line(functions, name, monkeypatch, tmp_path):
                 failures.add(f"{number}: {type(error).__name__}: {error!s:.150}")
     assert not failures, sorted(failures)[:12]
     assert refused > 10
+
+
+# One object of every kind, by a name of the kind, to be given to arguments that take others
+WRONG: dict[str, Any] = {
+    "none": None, "bool": True, "whole": 3, "number": -1.5, "text": "nonsense", "nul": "a\0b",
+    "bytes": b"lv", "pair": (1.0, 2.0), "list": [object()], "mapping": {1: 2},
+    "array": np.zeros(3), "object": object(), "heart": Ellipsis,  # the packaged heart
+}  # fmt: skip
+# What the arguments of a function also take; None is taken where it is the default. A text may be
+# the name of a file that is not there.
+ALSO = {
+    ("ForwardModel", "heart"): {"heart"},
+    ("make_bank", "heart"): {"heart"},
+    ("make_bank", "networks"): {"whole"},
+    ("make_bank", "workers"): {"whole"},
+    ("fit", "heart"): {"heart"},
+    ("fit", "out"): {"text"},
+    ("report", "out"): {"text"},
+    ("analyse", "choices"): {"none"},
+    ("make_target", "onset"): {"whole", "number"},
+    ("make_target", "offset"): {"whole", "number"},
+    ("Elsewhere", "workers"): {"whole"},
+    ("Conduction", "anisotropy_ratio"): {"whole"},
+    ("Conduction", "endocardial_layer"): {"whole"},
+    ("Conduction", "endocardial_speed"): {"whole"},
+    **{("Conduction", name): {"whole"} for name in CONDUCTIVITIES},
+    ("plot.activation", "heart"): {"heart"},
+    ("plot.activation_spread", "heart"): {"heart"},
+    ("Scenario", "source"): {"text", "nul"},
+    ("Scenario", "description"): {"none", "text", "nul"},
+    ("Scenario", "reference"): {"none", "text", "nul"},
+    ("Scenario", "orthodromic_delay"): {"whole"},
+    ("Scenario", "antidromic_delay"): {"whole"},
+    ("ForwardModel.activate", "root_time"): {"whole", "number", "pair"},
+    ("ForwardModel.activate", "cv"): {"whole"},
+}
+# Of the numbers and texts of these `test_an_answer_or_one_line` tries more
+TRIED_ABOVE = {
+    "Stimulus", "Slowing", "His", "Region", "GrowthRules", "Choices", "FitSettings",
+}  # fmt: skip
+# What the program itself makes, and what it raises
+MADE = {
+    "Comparison", "Heart", "InputError", "InvalidTree", "Predicted", "PurkinjeTree", "Simulation",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return fascicle.read_recording(demo_recording())
+
+
+@pytest.fixture(scope="module")
+def study(recording, tmp_path_factory):
+    """A study of two networks."""
+    folder = tmp_path_factory.mktemp("studies") / "study"
+    small = {"initial": 4, "steps": 1, "samples": 2, "draws": 100, "rounds": 1, "workers": 1}
+    found = fascicle.fit(
+        "default", fascicle.make_target(recording), folder, method="paper", **small
+    )
+    assert len(found.population)
+    return found
+
+
+@pytest.fixture(scope="module")
+def predicted(study):
+    return fascicle.predict(study, "left-bundle-pacing")
+
+
+@pytest.fixture(scope="module")
+def right(study, predicted, recording, default_heart, default_model):
+    """Every public function, with arguments that it takes."""
+    fitted, target, plot = {"fitted": study}, study.problem.target, fascicle.plot
+    of_two = {"predicted": predicted, "name": "left-bundle-pacing"}
+    pacing = predicted["left-bundle-pacing"]
+    return {
+        "outside_allowed": (fascicle.outside_allowed, {}),
+        "example_parameters": (fascicle.example_parameters, {"model": default_model}),
+        "ForwardModel": (fascicle.ForwardModel, {"heart": default_heart}),
+        "ForwardModel.simulate": (
+            default_model.simulate, {"parameters": fascicle.EXAMPLE_PARAMETERS},
+        ),
+        "ForwardModel.activate": (
+            default_model.activate,
+            {"trees": default_model.grow(fascicle.EXAMPLE_PARAMETERS), "root_time": 0.0, "cv": 3.0},
+        ),
+        "ForwardModel.simulate_many": (
+            default_model.simulate_many,
+            {"parameters": [fascicle.EXAMPLE_PARAMETERS], "executor": ThreadPoolExecutor(1)},
+        ),
+        "ForwardModel.grow": (default_model.grow, {"parameters": fascicle.EXAMPLE_PARAMETERS}),
+        "Scenario": (fascicle.Scenario, {}),
+        "Conduction": (fascicle.Conduction, {}),
+        "read_scenarios": (fascicle.read_scenarios, {"names": ["his-pacing"]}),
+        "load_heart": (fascicle.load_heart, {"path": "default"}),
+        "compare": (
+            fascicle.compare, {"first": pacing, "second": pacing, "index": "qrs_area"},
+        ),
+        "predict": (fascicle.predict, fitted | {"scenarios": {}}),
+        "analyse": (fascicle.analyse, {"recording": recording}),
+        "make_target": (fascicle.make_target, {"recording": recording}),
+        "read_recording": (fascicle.read_recording, {"path": demo_recording()}),
+        "read_target": (fascicle.read_target, {"path": study.folder / "target.nc"}),
+        "report": (fascicle.report, dict(fitted)),
+        "make_bank": (fascicle.make_bank, {"heart": default_heart}),
+        "Cluster": (fascicle.Cluster, {"address": "tcp://localhost:1"}),
+        "Elsewhere": (fascicle.Elsewhere, {"executor": ThreadPoolExecutor(1), "workers": 1}),
+        "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
+        "load_study": (fascicle.load_study, {"folder": study.folder}),
+        "plot.ecg": (plot.ecg, dict(fitted)),
+        "plot.scenario_ecg": (plot.scenario_ecg, of_two),
+        "plot.activation": (plot.activation, {"heart": study} | of_two),
+        "plot.activation_spread": (
+            plot.activation_spread, {"heart": study, "predicted": predicted},
+        ),
+        "plot.indices": (plot.indices, {"predicted": predicted}),
+        "plot.pairs": (plot.pairs, fitted),
+        "plot.priors": (plot.priors, fitted),
+        "plot.convergence": (plot.convergence, fitted),
+        "plot.target": (plot.target, {"target": target}),
+    }  # fmt: skip
+
+
+def begun(*given: Any, **named: Any) -> Any:
+    raise AssertionError("the work has begun")
+
+
+FUNCTIONS = [
+    "outside_allowed", "example_parameters", "ForwardModel", "ForwardModel.simulate",
+    "ForwardModel.activate", "ForwardModel.simulate_many", "ForwardModel.grow", "Scenario",
+    "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
+    "read_recording", "read_target", "report", "make_bank", "Cluster", "Elsewhere", "fit",
+    "load_study", "plot.ecg", "plot.scenario_ecg", "plot.activation", "plot.activation_spread",
+    "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",
+]  # fmt: skip
+
+
+def test_every_public_function_is_tried(right):
+    public = {name for name in fascicle.__all__ if callable(getattr(fascicle, name))}
+    public |= {
+        f"plot.{name}" for name, known in vars(fascicle.plot).items()
+        if inspect.isfunction(known) and known.__module__ == "fascicle.plot" and name[0] != "_"
+    }  # fmt: skip
+    assert right.keys() == set(FUNCTIONS)
+    assert public == (right.keys() | TRIED_ABOVE | MADE) - {n for n in right if "Model." in n}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
+    right, name, default_heart, monkeypatch, tmp_path
+):
+    """Before any work has begun, and so that the line says what was given."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("fascicle.study.fit._problem", begun)
+    monkeypatch.setattr("fascicle.study.bank.ForwardModel", begun)
+    function, arguments = right[name]
+    failures = []
+    for argument, known in inspect.signature(function).parameters.items():
+        if known.kind is known.VAR_KEYWORD:
+            continue
+        taken = ALSO.get((name, argument), set()) | ({"none"} if known.default is None else set())
+        for kind, value in WRONG.items():
+            if kind in taken:
+                continue
+            given = arguments | {argument: default_heart if kind == "heart" else value}
+            try:
+                function(**given)
+            except InputError as error:
+                if not str(error).isprintable() or len(str(error)) > 1000:
+                    failures.append(f"{argument}, {kind}: no line: {str(error)[:200]!r}")
+            except Exception as error:  # noqa: BLE001 - that there is none is what is tested
+                failures.append(f"{argument}, {kind}: {type(error).__name__}: {error!s:.120}")
+            else:
+                failures.append(f"{argument}, {kind}: taken")
+    assert not failures, "\n".join(failures)
+
+
+def test_a_study_may_be_given_by_its_folder(study, predicted, monkeypatch):
+    """The folder of a heart, too, where the heart of a study is taken."""
+    again = fascicle.predict(str(study.folder), "left-bundle-pacing")
+    for name, found in predicted.items():
+        np.testing.assert_array_equal(again[name].indices["qrs_area"], found.indices["qrs_area"])
+    plot = fascicle.plot
+    hearts = study, study.folder, f"{study.folder}/heart"
+    first, *others = (pixels(plot.activation_spread(heart, predicted)) for heart in hearts)
+    for picture in others:
+        np.testing.assert_array_equal(picture, first)
+    assert len(plot.target(study.folder / "target.nc")) == 12
+    # it takes seconds each time
+    read = {study.folder: study}
+    monkeypatch.setattr("fascicle.study.fit.load_study", lambda folder, _: read[folder])
+    for draw in (plot.ecg, plot.pairs, plot.priors, plot.convergence):
+        assert len(draw(study.folder)) == len(draw(study))
+    pyplot.close("all")
+
+
+def pixels(axes):
+    """The picture that a figure is."""
+    canvas = axes[0].figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
+
+
+def test_pyplot_saves_the_figure_that_was_drawn_last(study, tmp_path):
+    drawn = pixels(fascicle.plot.convergence(study))
+    assert len(pyplot.get_fignums()) == 1
+    pyplot.savefig(tmp_path / "drawn.png")
+    pyplot.close("all")
+    assert drawn.std() > 10, "the picture is blank"
+    saved = 255 * pyplot.imread(tmp_path / "drawn.png")
+    assert np.abs(saved - drawn).mean() < 1
+
+
+def test_another_heart_than_that_of_the_predictions_is_refused(predicted):
+    with pytest.raises(InputError, match="has 27 vertices, 'intrinsic' was predicted on one of 15"):
+        fascicle.plot.activation(box(10, 2), predicted, "left-bundle-pacing")

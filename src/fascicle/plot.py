@@ -1,20 +1,28 @@
-"""Figures of results for a notebook: every function returns the Matplotlib axes it has drawn on.
+"""Figures of results: every function draws one and returns its Matplotlib axes.
 
-They belong to a figure of their own: `axes[0].figure` shows in a notebook, and
-`axes[0].figure.savefig("ecg.svg")` writes it.
+The figure is pyplot's current one, so that a notebook shows it, and after
+``import matplotlib.pyplot as plt`` a script shows it by ``plt.show()`` and saves it by
+``fascicle.plot.ecg("STUDY"); plt.savefig("ecg.png")``. ``plt.close()`` frees its memory.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
+from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fascicle.core.errors import InputError
+from fascicle.core.files import as_path
 from fascicle.core.progress import Progress
+from fascicle.core.ranges import check_kind
+from fascicle.heart.folder import load_heart
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
 from fascicle.recording.target import Target
+from fascicle.recording.target_files import as_target
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.priors import prior_figure
@@ -25,23 +33,26 @@ from fascicle.reporting.scenario import (
 )
 from fascicle.reporting.study import loss_figure, recorded_ecg_figure
 from fascicle.reporting.target import target_figure
+from fascicle.study.fit import HEART, GivenStudy, as_study
 from fascicle.study.results import FittedStudy
+from fascicle.study.study import CONFIGURATION
 
 
-def ecg(fitted: FittedStudy, recording: int = 0, progress: Progress | None = None) -> list[Axes]:
+def ecg(fitted: GivenStudy, recording: int = 0, progress: Progress | None = None) -> list[Axes]:
     """Recorded and predicted QRS of a study, one axes a lead.
 
     Parameters
     ----------
-    fitted : FittedStudy
-        The study.
+    fitted : FittedStudy or path
+        The study, or its folder.
     recording : int
         Which of its recordings, counted from 0.
     progress : Progress, optional
         Called after each network that is simulated.
     """
+    fitted = as_study(fitted, progress)
     networks = fitted.networks(progress, recording)
-    return _axes(recorded_ecg_figure(fitted, recording, networks))
+    return _shown(recorded_ecg_figure(fitted, recording, networks))
 
 
 def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
@@ -54,36 +65,41 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
     name : str
         The scenario.
     """
-    return _axes(scenario_ecg_figure(predicted, name))
+    _check_predicted(predicted)
+    return _shown(scenario_ecg_figure(predicted, name))
 
 
-def activation(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
+def activation(
+    heart: Heart | GivenStudy, predicted: Mapping[str, Predicted], name: str
+) -> list[Axes]:
     """Activation and trees of the networks with the least, median and largest activation time.
 
     Parameters
     ----------
-    heart : Heart
-        That of the study (`fitted.problem.model.heart`).
+    heart : Heart, FittedStudy or path
+        The heart, the study, or the folder of either.
     predicted : mapping of name to Predicted
         What `fascicle.predict` returned; the own beat's median network stands above, in the same
         colours.
     name : str
         The scenario.
     """
-    return _axes(scenario_activation_figure(heart, predicted, name))
+    _check_predicted(predicted)
+    return _shown(scenario_activation_figure(_heart(heart, predicted), predicted, name))
 
 
-def activation_spread(heart: Heart, predicted: Mapping[str, Predicted]) -> list[Axes]:
+def activation_spread(heart: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> list[Axes]:
     """Standard deviation of the activation over the networks, a row a scenario.
 
     Parameters
     ----------
-    heart : Heart
-        That of the study (`fitted.problem.model.heart`).
+    heart : Heart, FittedStudy or path
+        The heart, the study, or the folder of either.
     predicted : mapping of name to Predicted
         What `fascicle.predict` returned.
     """
-    return _axes(spread_figure(heart, predicted))
+    _check_predicted(predicted)
+    return _shown(spread_figure(_heart(heart, predicted), predicted))
 
 
 def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:
@@ -94,29 +110,87 @@ def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:
     predicted : mapping of name to Predicted
         What `fascicle.predict` returned.
     """
-    return _axes(index_figure({name: found.indices for name, found in predicted.items()}))
+    _check_predicted(predicted)
+    return _shown(index_figure({name: found.indices for name, found in predicted.items()}))
 
 
-def pairs(fitted: FittedStudy) -> list[Axes]:
-    """Pairs of the parameters that were learnt, on the whole ranges of their priors."""
+def pairs(fitted: GivenStudy) -> list[Axes]:
+    """Pairs of the parameters that were learnt, on the whole ranges of their priors.
+
+    Parameters
+    ----------
+    fitted : FittedStudy or path
+        The study, or its folder.
+    """
+    fitted = as_study(fitted)
     population = fitted.population
-    return _axes(pair_figure(fitted.problem.space, population.values, population.best))
+    return _shown(pair_figure(fitted.problem.space, population.values, population.best))
 
 
-def priors(fitted: FittedStudy) -> list[Axes]:
-    """Each parameter before (lines) and after the recording (histograms)."""
-    return _axes(prior_figure(fitted.problem.space, fitted.population.values))
+def priors(fitted: GivenStudy) -> list[Axes]:
+    """Each parameter before (lines) and after the recording (histograms).
+
+    Parameters
+    ----------
+    fitted : FittedStudy or path
+        The study, or its folder.
+    """
+    fitted = as_study(fitted)
+    return _shown(prior_figure(fitted.problem.space, fitted.population.values))
 
 
-def convergence(fitted: FittedStudy) -> list[Axes]:
-    """Mismatch of every evaluation of a study."""
-    return _axes(loss_figure(fitted))
+def convergence(fitted: GivenStudy) -> list[Axes]:
+    """Mismatch of every evaluation of a study.
+
+    Parameters
+    ----------
+    fitted : FittedStudy or path
+        The study, or its folder.
+    """
+    fitted = as_study(fitted)
+    return _shown(loss_figure(fitted))
 
 
-def target(target: Target) -> list[Axes]:
-    """Beats of a target and its QRS window, one axes a lead."""
-    return _axes(target_figure(target))
+def target(target: Target | Path | str) -> list[Axes]:
+    """Beats of a target and its QRS window, one axes a lead.
+
+    Parameters
+    ----------
+    target : Target or path
+        The target, or its netCDF file.
+    """
+    return _shown(target_figure(as_target(target)))
 
 
-def _axes(figure: Figure) -> list[Axes]:
+def _check_predicted(predicted: Mapping[str, Predicted]) -> None:
+    """Refuse what `fascicle.predict` has not returned."""
+    check_kind(predicted, Mapping, "predicted", "what fascicle.predict returned")
+    if not predicted:
+        raise InputError("predicted is empty; give what fascicle.predict returned")
+    for name, each in predicted.items():
+        check_kind(each, Predicted, f"predicted '{name}'", "what fascicle.predict returned")
+
+
+def _heart(given: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Heart:
+    """The heart that the predictions are of."""
+    if isinstance(given, FittedStudy):
+        heart = given.problem.model.heart
+    elif isinstance(given, Heart):
+        heart = given
+    else:
+        folder = as_path(given, "heart", "a heart, a fitted study, or the folder of either")
+        heart = load_heart(folder / HEART if (folder / CONFIGURATION).exists() else folder)
+    for name, each in predicted.items():
+        count = len(each.beats[0].activation)
+        if count != len(heart.vertices):
+            raise InputError(
+                f"heart '{heart.name}' has {len(heart.vertices)} vertices, '{name}' was predicted "
+                f"on one of {count}; give the heart of the study"
+            )
+    return heart
+
+
+def _shown(figure: Figure) -> list[Axes]:
+    """The axes of a figure, which becomes pyplot's current one."""
+    pyplot.figure(figure)
     return list(figure.axes)

@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 import pyvista as pv
 import xarray as xr
+from matplotlib import pyplot
 
 import fascicle
 from fascicle import cli
@@ -136,14 +137,14 @@ def test_damaged_copies_are_restored(study, target, tmp_path, name):
 
 def test_a_study_of_another_target_is_refused(study, target):
     other = fascicle.make_target(fascicle.read_recording(demo_recording()), onset=-40.0)
-    with pytest.raises(fascicle.InputError, match=r"holds a study with another target"):
+    with pytest.raises(fascicle.InputError, match=r"holds another study \(target: there "):
         fascicle.fit("default", other, study.folder, **BUDGET)
 
 
 def test_another_heart_says_what_differs(study, target, default_heart):
     other = replace(default_heart, values={"alpha": 0.07})
     with pytest.raises(
-        fascicle.InputError, match=r"another heart .*conduction alpha \(0.05 there,"
+        fascicle.InputError, match=r"\(heart: there .*conduction alpha: there 0.05, now 0.07\)"
     ):
         fascicle.fit(other, target, study.folder, **BUDGET)
 
@@ -151,7 +152,7 @@ def test_another_heart_says_what_differs(study, target, default_heart):
 def test_other_rules_of_growth_are_refused(study, target, monkeypatch):
     longer = partial(GrowthRules, branch_length=10.0)
     monkeypatch.setattr("fascicle.study.space.GrowthRules", longer)
-    wanted = r"holds a study with another growth branch_length \(8 there, 10 now\)"
+    wanted = r"holds another study \(growth branch_length: there 8, now 10\)"
     with pytest.raises(fascicle.InputError, match=wanted):
         fascicle.fit("default", target, study.folder, **BUDGET)
     with pytest.raises(fascicle.InputError, match=wanted):
@@ -283,6 +284,7 @@ def test_report(study, monkeypatch, capsys):
         with open(figure, "rb") as file:
             assert file.read(4) == b"\x89PNG"
     assert page == (study.folder / "report.html").resolve().as_uri()
+    assert pyplot.get_fignums() == [], "figures of a report are no business of pyplot"
     text = (study.folder / "report.html").read_text()
     assert study.verdict in html.unescape(text)
     assert len(text) < 5_000_000
@@ -353,7 +355,7 @@ def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
 
 
 def test_plots_in_a_notebook(study):
-    """Every one draws something on axes of a figure of its own."""
+    """Every one draws something on axes of a figure of its own, of which pyplot knows."""
     plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-pacing")
     assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
     heart = study.problem.model.heart
@@ -371,6 +373,9 @@ def test_plots_in_a_notebook(study):
     public = {name for name, known in vars(plot).items() if getattr(known, "__module__", "") ==
               plot.__name__ and not name.startswith("_")}  # fmt: skip
     assert drawn.keys() == public
+    assert len(pyplot.get_fignums()) == len(drawn)
+    assert pyplot.gcf() is drawn["target"][0].figure
+    pyplot.close("all")
     for axes in drawn.values():
         assert axes
         assert all(one.figure is axes[0].figure for one in axes)

@@ -166,7 +166,7 @@ def test_a_read_only_folder():
                 said = refusal(place, become)
                 assert "\n" not in said
                 assert f"{place}: cannot be written (Permission denied)" in said
-                assert "--out" in said
+                assert "give another folder (out)" in said
             assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
         finally:
             for path in (parent, folder):

@@ -187,15 +187,15 @@ def check_nothing_lost(folder: Path, new: Collection[str]) -> None:
 PICKLE_FORMATS = (".pkl", ".pickle", ".npy", ".npz")
 
 
-def as_path(value: object, what: str) -> Path:
+def as_path(value: object, what: str, needed: str = "a path") -> Path:
     """A path as it was given, if it can be one.
 
     Parameters
     ----------
     value : path
         What was given.
-    what : str
-        What lies there, for the message.
+    what, needed : str
+        What lies there, and what to give, for the message.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def as_path(value: object, what: str) -> Path:
         If it is no path, or one that no file system takes.
     """
     if not isinstance(value, str | os.PathLike) or "\0" in str(value):
-        raise InputError(f"{what} is {shown(value)}; give a path")
+        raise InputError(f"{what} is {shown(value)}; give {needed}")
     path = Path(value)
     try:
         path.exists()

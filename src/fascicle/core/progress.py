@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from fascicle.core.errors import InputError
+from fascicle.core.ranges import shown
+
 StageProgress = Callable[[int, int], None]  # progress callback of one stage: done, total
 
 
@@ -20,6 +23,12 @@ class Progress(Protocol):
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:
         """`done` of `total` in `stage`; `message` says more, for people."""
+
+
+def check_progress(progress: object) -> None:
+    """Refuse what is neither None nor a progress callback."""
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress is {shown(progress)}; give a function, or None")
 
 
 def no_progress(done: int, total: int) -> None:

@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from fascicle.core.errors import InputError
-from fascicle.core.ranges import digits, number
+from fascicle.core.ranges import check_kind, digits, number
 
 SIDES = ("lv", "rv")
 MOST_FASCICLES = 4  # a side
@@ -292,6 +292,7 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
         With the name, the value and the range, of the first that is unknown, no number, not finite
         or impossible.
     """
+    check_kind(values, Mapping, "parameters", "a dict of names to numbers")
     return {name: check(quantity(name), value) for name, value in values.items()}
 
 

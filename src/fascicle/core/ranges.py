@@ -127,6 +127,35 @@ def within(name: str, value: Any, what: str) -> float:
     return found
 
 
+def check_count(value: Any, what: str, least: int = 1) -> None:
+    """Refuse what is no whole number, or less than `least`; `what` it is, for the message."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or value < least:
+        raise InputError(f"{what} is {shown(value)}; give a whole number, {least} or more")
+
+
+def check_kind(value: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
+    """Refuse what is no object of a class.
+
+    Parameters
+    ----------
+    value
+        What was given.
+    kind : type or tuple of types
+        What it must be.
+    what, needed : str
+        What it is, and what to give instead, for the message.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{what} is {shown(value)}; give {needed}")
+
+
+def check_items(values: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
+    """Refuse what is no list or tuple of objects of a class; see `check_kind`."""
+    if not isinstance(values, list | tuple) or not all(isinstance(one, kind) for one in values):
+        raise InputError(f"{what}: {shown(values)} was given; give a list of {needed}")
+
+
 def check_position(value: Any, what: str) -> None:
     """Refuse what is no position of three coordinates (mm).
 

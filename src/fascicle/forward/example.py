@@ -6,6 +6,7 @@ import math
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS
+from fascicle.core.ranges import check_kind
 from fascicle.forward.model import ForwardModel
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
 
@@ -33,6 +34,7 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
     >>> fascicle.example_parameters(model) == fascicle.EXAMPLE_PARAMETERS
     True
     """
+    check_kind(model, ForwardModel, "model", "a fascicle.ForwardModel")
     found = dict(EXAMPLE_PARAMETERS)
     for endocardium in model.heart.endocardia:
         side = endocardium.side

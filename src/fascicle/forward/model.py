@@ -13,14 +13,16 @@ from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
+from types import NoneType
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import complete
-from fascicle.core.progress import Progress
+from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, body_values, checked, quantity
+from fascicle.core.ranges import check_items, check_kind
 from fascicle.forward.body import (
     BodyModel,
     body_model,
@@ -36,6 +38,7 @@ from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation, check_activation
 from fascicle.heart.conduction import Conduction
+from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
@@ -46,6 +49,7 @@ from fascicle.torso.variation.response import BodyResponse
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
 TISSUES = 2  # tissues that are kept; each takes the memory of a heart
 
+SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 MODEL_FILE, BODY_FILE = "model.npz", "body.npz"  # of a model for other processes
 
 
@@ -54,8 +58,8 @@ class ForwardModel:
 
     Parameters
     ----------
-    heart : Heart
-        The heart.
+    heart : Heart or path
+        The heart, its folder, or ``"default"``.
     conduction : Conduction, optional
         Conductivities and speeds of the myocardium, and regions where they differ.
     rules : GrowthRules, optional
@@ -82,13 +86,24 @@ class ForwardModel:
 
     def __init__(
         self,
-        heart: Heart,
+        heart: Heart | Path | str,
         conduction: Conduction | None = None,
         rules: GrowthRules | None = None,
         action_potential: ActionPotential | None = None,
         prepared: Prepared | None = None,
         progress: Progress | None = None,
     ) -> None:
+        check_kind(conduction, (Conduction, NoneType), "conduction", "a fascicle.Conduction")
+        check_kind(rules, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
+        check_kind(
+            action_potential,
+            (ActionPotential, NoneType),
+            "action_potential",
+            "a function of time with a 'span'",
+        )
+        check_kind(prepared, (Prepared, NoneType), "prepared", "what 'prepare' made of the heart")
+        check_progress(progress)
+        heart = as_heart(heart)
         self.heart = heart
         self.conduction = conduction if conduction is not None else Conduction.of(heart)
         self.rules = rules if rules is not None else GrowthRules()
@@ -116,6 +131,7 @@ class ForwardModel:
         Networks that were grown lately are remembered: where only times and speeds change, no tree
         is grown again.
         """
+        check_kind(parameters, Mapping, "parameters", "a dict of names to numbers")
         of_trees = {n: v for n, v in parameters.items() if quantity(n).changes is Changes.TREES}
         anatomy = checked(of_trees)
         rules = self.rules.with_values(anatomy)
@@ -172,6 +188,7 @@ class ForwardModel:
             heart, or nothing in it fires.
         """
         values = complete(parameters)
+        check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
         body = body_values(values)
         if body and isinstance(found := self.body([*body]).lead_coefficients(body), InvalidBody):
             return found
@@ -210,6 +227,8 @@ class ForwardModel:
             If a quantity is unknown or impossible, the scenario does not fit, or the heart would
             touch the skin.
         """
+        check_items(trees, PurkinjeTree, "trees", "fascicle.PurkinjeTree")
+        check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
         values = checked(values | {"cv": cv})
         scenario = scenario.located(self.sites) if scenario is not None else Scenario()
         trees = (*trees, *(tree for tree, _ in scenario.trees))
@@ -302,7 +321,9 @@ class ForwardModel:
         list of Simulation, InvalidTree or InvalidBody
             In the order of the parameters.
         """
-        networks = [dict(p) for p in parameters]
+        check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
+        check_kind(parameters, Iterable, "parameters", "a list of them, one a network")
+        networks = [complete(p) for p in parameters]
         bodies = [name for network in networks for name in body_values(network)]
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import NoneType
 
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import HIS_TIME, SIDES, check, checked, quantity
-from fascicle.core.ranges import check_position, check_text, within
+from fascicle.core.ranges import check_items, check_kind, check_position, check_text, shown, within
 from fascicle.forward.eikonal.activation import HisBundle
 from fascicle.heart.sites import Sites
 from fascicle.purkinje.tree import PurkinjeTree
@@ -230,6 +231,17 @@ class Scenario:
     reference: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        check_items(self.stimuli, Stimulus, "stimuli", "fascicle.Stimulus")
+        check_items(self.slowings, Slowing, "slowings", "fascicle.Slowing")
+        check_kind(self.silent, (list, tuple), "silent", "a list of names of trees")
+        check_items(self.trees, tuple, "trees", "pairs (fascicle.PurkinjeTree, time)")
+        for pair in self.trees:
+            if len(pair) != 2 or not isinstance(pair[0], PurkinjeTree):
+                raise InputError(f"trees: {shown(pair)} was given; give (PurkinjeTree, time)")
+            within("time", pair[1], f"time of the tree '{pair[0].side}'")
+        check_kind(self.his, (His, NoneType), "his", "a fascicle.His")
+        for name in ("source", "description", "reference"):
+            check_kind(getattr(self, name), (str, NoneType), f"{name} of a scenario", "a text")
         for name in ("orthodromic_delay", "antidromic_delay"):
             value = getattr(self, name)
             if value is not None:
@@ -362,6 +374,9 @@ class Scenario:
             if names.count(name) > 1:
                 raise InputError(f"two trees are named '{name}'; give each a name of its own")
         his, roots = None, _roots(root_time)
+        own_trees = len(trees) - len(self.trees)
+        if len(roots) != own_trees:
+            raise InputError(f"{len(roots)} root times for {own_trees} trees; give one a tree")
         if self.his is not None:
             self._check_joined(names)
             own = roots if self.his.root_time is None else _roots(self.his.root_time)
@@ -417,7 +432,7 @@ def tree_number(trees: Sequence[PurkinjeTree], side: str) -> int:
 def _roots(root_time: float | Sequence[float]) -> Sequence[float]:
     """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
     known = quantity("root_time")
-    if isinstance(root_time, (Sequence, np.ndarray)):
+    if isinstance(root_time, list | tuple | np.ndarray):
         return [check(known, time) for time in root_time]
     delay = check(known, root_time)
     return max(0.0, -delay), max(0.0, delay)

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, Valid
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_file, named_by, read_toml
 from fascicle.core.quantities import check, quantity
-from fascicle.core.ranges import RANGES, shown
+from fascicle.core.ranges import RANGES, check_items, shown
 from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
@@ -189,8 +189,13 @@ def find_scenario(name: str) -> Path:
     return Path(name)
 
 
-def read_scenarios(names: Sequence[str | Path]) -> dict[str, Scenario]:
+def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenario]:
     """Scenarios by name, of the `library` or of files, which are called as they are without .toml.
+
+    Parameters
+    ----------
+    names : one or several of str or Path
+        Names of the library, and paths of files.
 
     Raises
     ------
@@ -198,6 +203,9 @@ def read_scenarios(names: Sequence[str | Path]) -> dict[str, Scenario]:
         If one is not there or cannot be read, two have the same name, or one changes the heart by
         regions, which a population that was learnt without them cannot have.
     """
+    if isinstance(names, str | Path):
+        names = [names]
+    check_items(names, (str, Path), "scenarios", "names and paths of files")
     found: dict[str, Scenario] = {}
     for name in names:
         path = find_scenario(str(as_path(name, "scenario")))

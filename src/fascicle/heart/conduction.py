@@ -11,7 +11,7 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import checked, region_labels
-from fascicle.core.ranges import check_position, within
+from fascicle.core.ranges import check_items, check_position, within
 from fascicle.heart.heart import Heart
 
 # α² G is (cm/ms)²; speeds here are in mm/ms
@@ -146,8 +146,11 @@ class Conduction:
         for name in CONDUCTIVITIES:
             value = getattr(self, name)
             within("conductivity", value, f"conductivity '{name}'")
+        check_items(self.regions, Region, "regions", "fascicle.Region")
         given = {name: getattr(self, name) for name in SPEEDS}
-        checked({name: value for name, value in given.items() if value is not None})
+        if self.anisotropy_ratio is None:
+            del given["anisotropy_ratio"]
+        checked(given)
 
     @classmethod
     def of(cls, heart: Heart, regions: Sequence[Region] = ()) -> Conduction:

@@ -85,6 +85,19 @@ class Manifest(_Strict):
     values: dict[str, Any] = {}
 
 
+def as_heart(given: Heart | Path | str) -> Heart:
+    """A heart as it was given, or read from its folder.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or the folder cannot be used.
+    """
+    if isinstance(given, Heart):
+        return given
+    return load_heart(as_path(given, "heart", "a heart, its folder, or 'default'"))
+
+
 def load_heart(path: Path | str) -> Heart:
     """Load and validate a heart folder.
 

@@ -11,6 +11,7 @@ from scipy.stats import rankdata
 from fascicle.core.arrays import Floats
 from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import check_kind
 from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
@@ -142,6 +143,8 @@ def compare(first: Predicted, second: Predicted, index: str) -> Comparison:
     InputError
         If the index is none of them, or the networks are not as many.
     """
+    for scenario in (first, second):
+        check_kind(scenario, Predicted, "scenario", "one of what fascicle.predict returned")
     check_index(index)
     one, other = first.indices[index], second.indices[index]
     if len(one) != len(other) or not _of_the_same_networks(first, second):

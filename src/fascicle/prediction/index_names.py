@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import shown
 
 INDICES = {
     "qrs_duration": "ms",
@@ -32,5 +33,7 @@ COMPARED = (
 
 def check_index(index: str) -> None:
     """Refuse an index that is none of `COMPARED`."""
-    if index not in COMPARED:
-        raise InputError(f"index '{index}' is not compared; choose one of {', '.join(COMPARED)}")
+    if not isinstance(index, str) or index not in COMPARED:
+        raise InputError(
+            f"index {shown(index)} is not compared; choose one of {', '.join(COMPARED)}"
+        )

@@ -13,6 +13,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.loss import placed
 from fascicle.forward.scenario import Scenario
@@ -23,6 +24,7 @@ from fascicle.prediction.kept import Kept
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window
 from fascicle.study.bank import prior_points
+from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.problem import Network, Problem
 from fascicle.study.results import FittedStudy
 
@@ -48,7 +50,7 @@ def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
 
 
 def predict(
-    fitted: FittedStudy,
+    fitted: GivenStudy,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
     progress: Progress | None = None,
     networks: Sequence[Network] | None = None,
@@ -59,8 +61,8 @@ def predict(
 
     Parameters
     ----------
-    fitted : FittedStudy
-        The study.
+    fitted : FittedStudy or path
+        The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
         What to predict; names of the library (``"his-pacing"``) and files are read.
     progress : Progress, optional
@@ -78,8 +80,16 @@ def predict(
     InputError
         If the study has no network, there is no such scenario, or it does not fit the heart.
     """
+    fitted = as_study(fitted, progress)
     check_population(fitted)
     wanted = with_own_beat(as_scenarios(scenarios))
+    if networks is not None:
+        check_items(networks, Network, "networks", "those that the study's 'networks()' gives")
+        if len(networks) != len(fitted.population):
+            raise InputError(
+                f"{len(networks)} networks, where the study has {len(fitted.population)}; give all "
+                "that its 'networks()' gives"
+            )
     kept = Kept.of(fitted)
     found = _still_so(fitted, kept.read(wanted))
     missing = {name: scenario for name, scenario in wanted.items() if name not in found}
@@ -105,9 +115,12 @@ def as_scenarios(
     given: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
 ) -> Mapping[str, Scenario]:
     """Scenarios by name, read if they are names or files."""
-    if isinstance(given, str | Path):
-        given = [given]
-    return given if isinstance(given, Mapping) else read_scenarios(given)
+    if not isinstance(given, Mapping):
+        return read_scenarios(given)
+    for name, scenario in given.items():
+        check_text(name, "name of a scenario")
+        check_kind(scenario, Scenario, f"scenario '{name}'", "a fascicle.Scenario")
+    return given
 
 
 def check_population(fitted: FittedStudy) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 
 from fascicle.core.errors import InputError
-from fascicle.core.ranges import number, within
+from fascicle.core.ranges import check_items, check_text, number, within
 from fascicle.recording.resampling import MAINS
 
 SHORTEST_WINDOW = 20.0  # ms
@@ -56,6 +57,11 @@ class Choices:
                 within("QRS end", value, f"QRS window: {name}, from the R peak,")
         if self.onset is not None and self.offset is not None:
             check_window(self.onset, self.offset, "--onset and --offset")
+        if self.beats is not None:
+            check_items(self.beats, Integral, "beats", "numbers of beats")
+        check_items(self.exclude, Integral, "exclude", "numbers of beats")
+        if self.beat_class is not None:
+            check_text(self.beat_class, "beat_class")
         if self.beats is not None and self.beat_class is not None:
             raise InputError("--beats names beats of whatever class; give it or --class, not both")
         for name, value in (

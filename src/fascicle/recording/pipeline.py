@@ -7,12 +7,14 @@ out) -> `Target`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import NoneType
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.core.ranges import check_kind
 from fascicle.recording.aligned_beats import AlignedBeats, combine, cut_beats
 from fascicle.recording.analysis import Analysis, Beat, BeatClass
 from fascicle.recording.beat_selection import by_name, select_beats
@@ -85,6 +87,8 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
     InputError
         When a check refuses the recording, it has too few beats, or a choice is impossible.
     """
+    check_kind(recording, Recording, "recording", "what fascicle.read_recording returned")
+    check_kind(choices, (Choices, NoneType), "choices", "fascicle.Choices")
     choices = choices if choices is not None else Choices()
     source = recording.source
     findings = check_leads(recording)

@@ -61,6 +61,13 @@ def write_target(target: Target, path: str | Path) -> None:
     write_bytes(path, dataset.to_netcdf(engine="h5netcdf"))
 
 
+def as_target(given: Target | Path | str) -> Target:
+    """A target as it was given, or read from its file."""
+    if isinstance(given, Target):
+        return given
+    return read_target(as_path(given, "target", "a target, or its netCDF file"))
+
+
 def read_target(path: str | Path) -> Target:
     """Read a target that `write_target` wrote.
 

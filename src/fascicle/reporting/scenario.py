@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import check_text
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
@@ -81,8 +82,11 @@ def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
 
 def _with_own(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:
     """The own beat and a scenario."""
+    check_text(name, "name of a scenario")
     if name not in predicted:
         raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")
+    if OWN_BEAT not in predicted:
+        raise InputError(f"'{OWN_BEAT}' is not among the predictions; fascicle.predict makes it")
     return predicted[OWN_BEAT], predicted[name]
 
 

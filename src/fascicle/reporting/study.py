@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from fascicle.build.check import check_heart
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import check_items
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population
@@ -127,6 +128,7 @@ def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[st
 def check_kinds(kinds: Sequence[str]) -> None:
     """Refuse kinds of files that no figure can be written as."""
     known = [suffix.removeprefix(".") for suffix in FORMATS]
+    check_items(kinds, str, "figures", f"kinds of files: {', '.join(known)}")
     for kind in kinds:
         if kind not in known:
             raise InputError(f"figures cannot be drawn as '{kind}'; use {', '.join(known)}")

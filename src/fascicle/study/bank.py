@@ -23,12 +23,13 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.progress import Progress, check_progress, stage_progress
 from fascicle.core.quantities import body_values
+from fascicle.core.ranges import check_count
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
-from fascicle.heart.folder import load_heart
+from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.study.pool import Pool, Threads
 from fascicle.study.settings import FitSettings
@@ -270,10 +271,12 @@ def make_bank(
     InputError
         If the heart cannot be used, or its folder cannot be written to.
     """
-    heart = load_heart(heart) if not isinstance(heart, Heart) else heart
+    check_progress(progress)
+    heart = as_heart(heart)
     count = FitSettings.model_fields["bank"].default if networks is None else networks
-    if count < 1:
-        raise InputError(f"networks is {count}; give 1 or more")
+    check_count(count, "networks")
+    if workers is not None:
+        check_count(workers, "workers")
     space, fixed = study_space("posterior", {}, heart)
     bank = Bank.beside(heart, space, fixed)
     if bank is None or not os.access(str(heart.folder), os.W_OK):

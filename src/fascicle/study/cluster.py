@@ -22,6 +22,7 @@ from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.progress import Progress
+from fascicle.core.ranges import shown
 from fascicle.core.threads import keep_one_thread
 from fascicle.forward.model import WrittenModel
 from fascicle.study.pool import Question, Remote, run_part
@@ -85,10 +86,10 @@ class Cluster(Remote):
     """
 
     def __init__(self, address: str, progress: Progress | None = None) -> None:
-        if not re.fullmatch(ADDRESS, address):
+        if not isinstance(address, str) or not re.fullmatch(ADDRESS, address):
             raise InputError(
-                f"'{address}' is no address of a Dask scheduler; it prints its own when it starts, "
-                "such as tcp://10.0.0.1:8786"
+                f"{shown(address)} is no address of a Dask scheduler; it prints its own when it "
+                "starts, such as tcp://10.0.0.1:8786"
             )
         try:
             self.client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]

@@ -5,24 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
-from fascicle.core.progress import Progress
+from fascicle.core.progress import Progress, check_progress
+from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
-from fascicle.heart.folder import load_heart, write_heart
+from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.study.agreement import agreement
 from fascicle.study.bank import Bank, prior_points
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.pool import Pool, Threads
+from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
@@ -38,6 +40,8 @@ from fascicle.study.results import FittedStudy, write_results
 from fascicle.study.settings import checked_settings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
+
+GivenStudy = FittedStudy | Path | str  # a study, or its folder
 
 HEART = "heart"  # in the study's folder
 PRIOR, PREDICTION = 1, 2  # number the random generators of a posterior
@@ -103,10 +107,13 @@ def fit(
     >>> fitted.population.values["cv"].mean()  # doctest: +SKIP
     """
     checked = checked_settings(settings)
-    folder = Path(out)
+    check_progress(progress)
+    check_pool(pool)
+    check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
+    folder = as_path(out, "out")
     check_study_folder(folder)
     refuse_held(folder)
-    heart = load_heart(heart) if not isinstance(heart, Heart) else heart
+    heart = as_heart(heart)
     recordings = given_recordings(target)
     _check_method(checked.method, recordings)
     space, fixed = study_space(checked.method, parameters or {}, heart)
@@ -210,6 +217,28 @@ def _gain_sd(config: StudyConfig) -> float:
     return 0.0 if own else config.gain_sd
 
 
+def as_study(given: GivenStudy, progress: Progress | None = None) -> FittedStudy:
+    """A study as it was given, or read from its folder by `load_study`.
+
+    Parameters
+    ----------
+    given : FittedStudy or path
+        The study.
+    progress : Progress, optional
+        Called while a large heart is prepared.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or the folder cannot be used.
+    """
+    check_progress(progress)
+    if isinstance(given, FittedStudy):
+        return given
+    folder = as_path(given, "study", "a fitted study, or the path of its folder")
+    return load_study(folder, progress)
+
+
 def load_study(
     folder: Path | str, progress: Progress | None = None, pool: Pool | None = None
 ) -> FittedStudy:
@@ -230,6 +259,8 @@ def load_study(
         If the folder is not a study, the study is not finished, or its forward model is not the
         present one.
     """
+    check_progress(progress)
+    check_pool(pool)
     folder = as_path(folder, "study")
     study = Study.open(folder)
     result = folder / RESULT[study.config.method]

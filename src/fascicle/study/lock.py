@@ -61,7 +61,7 @@ def _acquire(lock: BaseFileLock, folder: Path) -> None:
         ) from None
     except OSError as error:
         raise InputError(
-            f"{folder}: cannot be written ({error.strerror}); give another folder (--out)"
+            f"{folder}: cannot be written ({error.strerror}); give another folder (out)"
         ) from None
 
 

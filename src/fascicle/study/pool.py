@@ -9,8 +9,10 @@ from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import NoneType
 from typing import Any, Protocol, Self, TypeVar
 
+from fascicle.core.ranges import check_count, check_kind
 from fascicle.core.threads import one_thread
 from fascicle.forward.model import ForwardModel, WrittenModel
 
@@ -59,6 +61,12 @@ class Pool(ABC):
             The same for all.
         items : sequence
         """
+
+
+def check_pool(pool: object) -> None:
+    """Refuse what is neither None nor a pool, such as an executor by itself."""
+    needed = "fascicle.Elsewhere(executor, workers) or fascicle.Cluster(address)"
+    check_kind(pool, (Pool, NoneType), "pool", needed)
 
 
 class Threads(Pool):
@@ -157,6 +165,8 @@ class Elsewhere(Remote):
 
     def __init__(self, executor: Executor, workers: int) -> None:
         super().__init__()
+        check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
+        check_count(workers, "workers")
         self.executor, self.workers = executor, workers
         self._folder = TemporaryDirectory(prefix="fascicle-")
 

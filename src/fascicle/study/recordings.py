@@ -11,11 +11,11 @@ import numpy as np
 
 from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
-from fascicle.core.files import write_text
+from fascicle.core.files import as_path, write_text
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.target import Target
-from fascicle.recording.target_files import read_target, write_target
+from fascicle.recording.target_files import as_target, read_target, write_target
 
 # A target, or one with its scenario
 Given = Target | Path | str | tuple[Target | Path | str, Scenario | Path | str]
@@ -60,11 +60,12 @@ def given_recordings(given: Given | list[Given]) -> list[Recording]:
 
 
 def _recording(given: Given) -> Recording:
-    target, scenario = given if isinstance(given, tuple) else (given, None)
-    if not isinstance(target, Target):
-        target = read_target(target)
-    if isinstance(scenario, Path | str):
-        path = scenario
+    pair = given if isinstance(given, tuple) else (given, None)
+    if len(pair) != 2:
+        raise InputError(f"target is a tuple of {len(pair)}; give (target, scenario), or a list")
+    target, scenario = as_target(pair[0]), pair[1]
+    if scenario is not None and not isinstance(scenario, Scenario):
+        path = as_path(scenario, "scenario of a target", "a scenario, or its file")
         scenario, regions = read_scenario(path)
         if regions:
             raise InputError(

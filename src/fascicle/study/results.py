@@ -18,6 +18,7 @@ from fascicle.core.files import atomic_folder, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
+from fascicle.core.ranges import check_count
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
@@ -162,7 +163,8 @@ class FittedStudy:
         """
         if not len(self.population):
             return [self.best_network]
-        if not 0 <= recording < len(self.problem.recordings):
+        check_count(recording, "recording", 0)
+        if recording >= len(self.problem.recordings):
             raise InputError(
                 f"{self.folder}: there is no recording {recording}; the study has "
                 f"{len(self.problem.recordings)}, counted from 0"

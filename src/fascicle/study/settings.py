@@ -81,6 +81,13 @@ class FitSettings(AbcSettings):
         "compared.",
     )
 
+    def __init__(self, **given: Any) -> None:
+        try:
+            super().__init__(**given)
+        except ValidationError as error:
+            name, value, message = first_problem(error)
+            raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
+
 
 # For `help`: what the fields say of themselves.
 FitSettings.__doc__ = "\n".join(
@@ -94,7 +101,7 @@ FitSettings.__doc__ = "\n".join(
 
 def checked_settings(given: Mapping[str, Any]) -> FitSettings:
     """Settings as they are used; impossible, unknown and pointless ones are refused in one line."""
-    settings = valid_settings(given)
+    settings = FitSettings(**given)
     other = OF_THE_POSTERIOR if settings.method == "paper" else OF_THE_PAPER
     foreign = [name for name in other if name in given]
     if foreign:
@@ -103,15 +110,6 @@ def checked_settings(given: Mapping[str, Any]) -> FitSettings:
             "such setting; leave it out, or choose the other method"
         )
     return settings
-
-
-def valid_settings(given: Mapping[str, Any]) -> FitSettings:
-    """Settings that are known and possible, whatever the method; others are refused in one line."""
-    try:
-        return FitSettings(**given)
-    except ValidationError as error:
-        name, value, message = first_problem(error)
-        raise InputError(f"'{name}' is {shown(value)}: {message.lower()}") from None
 
 
 def first_problem(error: ValidationError) -> tuple[str, Any, str]:

@@ -23,7 +23,7 @@ from fascicle.core.ranges import number, shown
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.growth import GrowthRules
-from fascicle.study.settings import Method, valid_settings
+from fascicle.study.settings import FitSettings, Method
 
 FREE = "free"
 PRIOR_KEYS = ("prior", "lower", "upper", "median", "sd")
@@ -147,7 +147,7 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     if not isinstance(parameters, dict):
         raise InputError(f"{path}: 'parameters' is no table; write [parameters] above them")
     try:
-        valid_settings({name: value for name, value in values.items() if name != PARAMETERS})
+        FitSettings(**{name: value for name, value in values.items() if name != PARAMETERS})
         for name, value in without_groups(parameters).items():
             _chosen(name, value)
     except InputError as error:

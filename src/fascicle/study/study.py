@@ -42,6 +42,7 @@ SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model di
 SAME_LOG = 1e-3  # of log-likelihoods
 HASHES = ("heart", "target")
 SHOWN = 12  # characters of them in a message
+NAMED = 3  # settings that differ, in a message
 LEFTOVERS = (
     ".study.",
     ".evaluations.",
@@ -215,7 +216,7 @@ class Study:
             if not _same(then, now):
                 raise InputError(
                     f"{self.folder}: holds a study with another forward model (at one point of it "
-                    f"{_outcome(then)} then, {_outcome(now)} now); give another folder (--out), or "
+                    f"{_outcome(then)} then, {_outcome(now)} now); give another folder (out), or "
                     "go on with the version of fascicle that began it"
                 )
 
@@ -258,11 +259,11 @@ def check_study_folder(folder: Path) -> None:
         # A run killed while it wrote study.json leaves only its temporary file, and the lock.
         foreign = [path for path in folder.iterdir() if not path.name.startswith(".study.")]
     except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}; give another folder (--out)") from error
+        raise InputError(f"{folder}: {error.strerror}; give another folder (out)") from error
     if foreign and not (folder / CONFIGURATION).exists():
         raise InputError(
             f"{folder}: not a study (it has no {CONFIGURATION}) and not empty; "
-            "give another folder (--out)"
+            "give another folder (out)"
         )
 
 
@@ -295,7 +296,7 @@ def _outcome(evaluation: Evaluation) -> str:
 
 
 def _read(folder: Path) -> StudyConfig:
-    path, remedy = folder / CONFIGURATION, "give another folder (--out)"
+    path, remedy = folder / CONFIGURATION, "give another folder (out)"
     try:
         text = path.read_text(encoding="utf-8")
         content = json.loads(text)
@@ -330,18 +331,22 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
     Raises
     ------
     InputError
-        Naming all that differs.
+        Naming the first few settings that differ.
     """
     before, after = _identity(there), _identity(now)
-    different = [name for name in before | after if before.get(name) != after.get(name)]
+    different = [
+        f"{name}: there {_shown(before, name)}, now {_shown(after, name)}"
+        for name in before | after
+        if before.get(name) != after.get(name)
+    ]
+    if not different and there.parameter_space.names != now.parameter_space.names:
+        different = ["the order of the parameters"]
     if different:
-        listed = ", ".join(
-            f"{name} ({_shown(before, name)} there, {_shown(after, name)} now)"
-            for name in different
-        )
+        more = len(different) - NAMED
+        listed = "; ".join(different[:NAMED]) + (f"; and {more} more" if more > 0 else "")
         raise InputError(
-            f"{folder}: holds a study with another {listed}; give another folder (--out) "
-            "or the original settings"
+            f"{folder}: holds another study ({listed}); choose another folder (out), or give the "
+            "settings and inputs of that study"
         )
 
 
@@ -350,15 +355,17 @@ def _identity(config: StudyConfig) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in StudyConfig.model_fields:
         value = getattr(config, name)
-        if isinstance(value, dict):  # fixed, growth, conduction
-            found |= {f"{name} {key}": _number(number) for key, number in value.items()}
+        if name == "fixed":
+            found |= {key: f"fixed at {_number(number)}" for key, number in value.items()}
         elif name == "space":
-            found |= {f"parameter {parameter.name}": _prior(parameter) for parameter in value}
+            found |= {parameter.name: f"learnt ({_prior(parameter)})" for parameter in value}
+        elif isinstance(value, dict):  # growth, conduction
+            found |= {f"{name} {key}": _number(number) for key, number in value.items()}
         elif name in ("other_targets", "scenarios"):
             found[name.replace("_", " ")] = ", ".join(each[:SHOWN] or "none" for each in value)
         elif name not in MAY_CHANGE:
             found[name] = f"{value}"
-    return found | {"order of the parameters": ", ".join(config.parameter_space.names)}
+    return found
 
 
 def _prior(parameter: Parameter) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg
@@ -20,6 +20,7 @@ STEP = 1.0  # sampling of the ECG (ms)
 RINGING = 12
 
 
+@runtime_checkable
 class ActionPotential(Protocol):
     """A template U of the time since activation.
 

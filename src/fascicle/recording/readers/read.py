@@ -11,6 +11,8 @@ from typing import Any
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.isolated import read_isolated
+from fascicle.core.leads import LEADS
+from fascicle.core.ranges import check_items, check_text, number
 from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content, sha256_of
 from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions, assemble
 from fascicle.recording.recording import Recording
@@ -80,6 +82,12 @@ def read_recording(
         When the file cannot be used; the message says why and what to do.
     """
     path = _existing_file(as_path(path, "recording"))
+    if leads is not None:
+        check_items(leads, str, "leads", f"names of {', '.join(LEADS)}")
+    if sampling_rate is not None:
+        number(sampling_rate, "sampling_rate")
+    if unit is not None:
+        check_text(unit, "unit")
     options = ReadOptions(sampling_rate, unit)
     kind = _kind_of(path)
     if kind in _ISOLATED:

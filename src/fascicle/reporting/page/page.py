@@ -16,9 +16,10 @@ import numpy as np
 from PIL import Image
 
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_writable, write_text
+from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
+from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import library
 from fascicle.heart.segments import SEGMENTS
@@ -36,6 +37,7 @@ from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figures
 from fascicle.study.agreement import Agreement
+from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
@@ -101,7 +103,7 @@ def _agreed(found: Agreement) -> tuple[list[tuple[str, str, str]], list[tuple[st
 
 
 def report(
-    fitted: FittedStudy,
+    fitted: GivenStudy,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path = PACINGS,
     out: Path | str | None = None,
     progress: Progress | None = None,
@@ -112,8 +114,8 @@ def report(
 
     Parameters
     ----------
-    fitted : FittedStudy
-        The study.
+    fitted : FittedStudy or path
+        The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
         What to predict, as `fascicle.predict` takes it; the own beat is always among them.
     out : Path or str, optional
@@ -137,15 +139,17 @@ def report(
         If the study has no network, a scenario is not there or does not fit its heart, or `against`
         is none of them.
     """
+    fitted = as_study(fitted, progress)
     check_population(fitted)
     check_kinds(figures)
     scenarios = with_own_beat(as_scenarios(scenarios))
+    check_text(against, "against")
     if against not in scenarios:
         raise InputError(
             f"'{against}', which others are to be compared with, is none of the scenarios "
             f"{', '.join(scenarios)}"
         )
-    out = Path(out) if out is not None else fitted.folder / "report.html"
+    out = as_path(out, "out") if out is not None else fitted.folder / "report.html"
     check_writable(out)
     networks = fitted.networks(progress)
     predicted = predict(fitted, scenarios, progress, networks)
