@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
+from fascicle.forward.scenario import Scenario
 from fascicle.prediction.comparison import FEWEST, compare
+from fascicle.prediction.scenarios import Predicted
 
 
 def predicted(beats=(), effective=np.inf, **indices):
     found = {name: np.asarray(values) for name, values in indices.items()}
-    return SimpleNamespace(indices=found, beats=beats, effective=effective)
+    return Predicted(Scenario(), beats, found, effective)
 
 
 def test_counts_networks():
