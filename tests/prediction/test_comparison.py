@@ -10,7 +10,7 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.comparison import FEWEST, compare
-from fascicle.prediction.scenarios import Predicted
+from fascicle.prediction.predicted import Predicted
 
 
 def predicted(beats=(), effective=np.inf, **indices):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,23 +16,13 @@ from fascicle.prediction.scenarios import predict
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population
 from fascicle.study.problem import Network
+from fascicle.study.results import FittedStudy
 
 ROOT_TIMES = np.array([-50.0, -20.0])
 
 
-@dataclass(frozen=True)
-class Study:
+class Study(FittedStudy):
     """As much of a fitted study as predictions see."""
-
-    folder: Path
-    problem: Any
-    population: Population
-    gains: Any = None
-    study: Any = field(
-        default_factory=lambda: SimpleNamespace(
-            config=SimpleNamespace(model_dump_json=lambda: "{}")
-        )
-    )
 
     def networks(self, progress=None, recording=0, chosen=None):
         every = range(len(self.population)) if chosen is None else chosen
@@ -55,7 +43,9 @@ def study(default_model, tmp_path):
         scenario=None,
     )  # fmt: skip
     best = {"root_time": -20.0}
-    return Study(tmp_path, problem, Population({"root_time": ROOT_TIMES}, np.ones(2), best, 1.0))
+    config = SimpleNamespace(model_dump_json=lambda: "{}")
+    on_disk = SimpleNamespace(folder=tmp_path, config=config)
+    return Study(on_disk, problem, Population({"root_time": ROOT_TIMES}, np.ones(2), best, 1.0))
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
-from fascicle.study.pool import Pool, Threads
+from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import growth_and_conduction, study_space
 
@@ -272,6 +272,7 @@ def make_bank(
         If the heart cannot be used, or its folder cannot be written to.
     """
     check_progress(progress)
+    check_pool(pool)
     heart = as_heart(heart)
     count = FitSettings.model_fields["bank"].default if networks is None else networks
     check_count(count, "networks")
