@@ -408,9 +408,10 @@ def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, d
     simulation = default_model.simulate(EXAMPLE_PARAMETERS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drawing, "save", keep)
-        drawing.draw_simulation(default_heart, simulation, Path(), "png")
+        drawing.draw_simulation(default_heart, simulation, Path(), "png", "the stimulus")
     figure = drawn["ecg.png"]
-    assert figure.get_supxlabel() == "time (ms; 0: firing of the first root)"
+    assert figure.get_supxlabel() == "time (ms; 0: the stimulus)"
+    assert drawn["activation.png"].axes[-1].get_ylabel() == "activation (ms)\n0: the stimulus"
     for index, lead in enumerate(LEADS):  # in three rows and four columns
         (line,) = figure.axes[4 * (index % 3) + index // 3].get_lines()[-1:]
         np.testing.assert_allclose(line.get_ydata(), simulation.ecg.sel(lead=lead))

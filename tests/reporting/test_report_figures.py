@@ -1,10 +1,12 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
-from fascicle.reporting.figures import RESOLUTION, new_figure, save
+from fascicle.reporting.figures import CAUTION_ROOM, RESOLUTION, new_figure, save
 
 
 def test_saved_png_has_the_stated_resolution(tmp_path):
@@ -13,6 +15,26 @@ def test_saved_png_has_the_stated_resolution(tmp_path):
     assert header[:8] == b"\x89PNG\r\n\x1a\n"
     width, height = (int.from_bytes(header[a : a + 4]) for a in (16, 20))
     assert (width, height) == (2 * RESOLUTION, RESOLUTION)
+
+
+def test_a_caution_stands_above_the_figure_which_stays_as_it_was(tmp_path):
+    """Also the legend, which Matplotlib would move up with the edge."""
+
+    def drawn(name, caution=None):
+        figure = new_figure(4.0, 2.0, constrained=False)
+        figure.subplots().plot([0, 1], label="line")
+        figure.suptitle("title", x=0.01, ha="left")
+        figure.legend(loc="upper right")
+        save(figure, tmp_path / name, caution)
+        assert [text.get_text() for text in figure.texts] == ["title"]
+        return imread(tmp_path / name)[..., :3]
+
+    plain, marked = drawn("plain.png"), drawn("marked.png", "not to be relied on")
+    above = len(marked) - len(plain)
+    assert above == pytest.approx(CAUTION_ROOM * RESOLUTION, abs=1)
+    assert np.abs(marked[above:] - plain).max() < 0.2
+    assert (marked[:above].min(axis=2) < 0.5).mean() > 0.01  # the line
+    assert marked[0, -1].min() == 1.0  # on white
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):

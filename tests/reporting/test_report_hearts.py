@@ -5,15 +5,26 @@ from dataclasses import replace
 import matplotlib
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes, triangle_normals
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.reporting.hearts import SPREAD, VIEWS, ActivationRow, activation_figure
+from fascicle.reporting.figures import new_figure
+from fascicle.reporting.hearts import (
+    SINCE_FIRST,
+    SPREAD,
+    VIEWS,
+    ActivationRow,
+    _bands,
+    _draw_cavity,
+    activation_figure,
+)
 from fascicle.reporting.rendering import (
     AMBIENT,
+    View,
     back_to_front,
     cut_at_levels,
     heart_views,
@@ -200,10 +211,10 @@ def rows(heart):
 
 
 def test_rows_share_one_scale_of_round_isochrones(heart):
-    figure = activation_figure(heart, rows(heart))
+    figure = activation_figure(heart, rows(heart), SINCE_FIRST)
     *panels, bar = figure.axes
     assert len(panels) == 2 * (len(VIEWS) + 2)
-    assert bar.get_ylabel() == "activation (ms)"
+    assert bar.get_ylabel() == "time since the first activation (ms)"
     norms = {id(c.norm) for axes in panels for c in axes.collections if c.get_array() is not None}
     assert len(norms) == 1
     norm = next(c.norm for a in panels for c in a.collections if c.get_array() is not None)
@@ -213,7 +224,7 @@ def test_rows_share_one_scale_of_round_isochrones(heart):
 
 
 def test_hearts_share_one_scale_in_mm_and_trees_another(heart):
-    *panels, _ = activation_figure(heart, rows(heart)).axes
+    *panels, _ = activation_figure(heart, rows(heart), SINCE_FIRST).axes
     widths = [np.ptp(axes.get_xlim()) for axes in panels]
     assert np.ptp(widths[: len(VIEWS)]) < 1e-9
     assert widths[0] > WIDTH
@@ -222,7 +233,7 @@ def test_hearts_share_one_scale_in_mm_and_trees_another(heart):
 
 
 def test_surface_has_the_colours_of_its_times(heart):
-    figure = activation_figure(heart, rows(heart)[1:])
+    figure = activation_figure(heart, rows(heart)[1:], SINCE_FIRST)
     names = [axes.get_title() for axes in figure.axes]
     # from right to left the front passes at 57 to 97 ms: each side shows one end of the map
     for name, place in (("RV side", 0.0), ("LV side", 1.0)):
@@ -237,7 +248,7 @@ def test_surface_has_the_colours_of_its_times(heart):
 
 
 def test_tree_segments_carry_their_node_times(heart):
-    figure = activation_figure(heart, rows(heart))
+    figure = activation_figure(heart, rows(heart), SINCE_FIRST)
     axes = next(a for a in figure.axes if a.get_title() == "LV tree")
     coloured = [c for c in axes.collections if c.get_array() is not None]
     times = np.concatenate([c.get_array() for c in coloured])
@@ -246,9 +257,12 @@ def test_tree_segments_carry_their_node_times(heart):
 
 def test_a_heart_that_is_partly_silent_is_drawn_and_a_wholly_silent_one_refused(heart):
     activation = np.where(heart.vertices[:, 0] > 20, np.inf, heart.vertices[:, 0])
-    assert len(activation_figure(heart, [ActivationRow("blocked", activation)]).axes) == 5
+    assert (
+        len(activation_figure(heart, [ActivationRow("blocked", activation)], SINCE_FIRST).axes) == 5
+    )
+    silent = ActivationRow("none", np.full(len(activation), np.inf))
     with pytest.raises(InputError, match="ever activated"):
-        activation_figure(heart, [ActivationRow("none", np.full(len(activation), np.inf))])
+        activation_figure(heart, [silent], SINCE_FIRST)
 
 
 def test_times_since_the_first_activation_are_those_of_tissue_and_trees(heart):
@@ -264,3 +278,34 @@ def test_times_since_the_first_activation_are_those_of_tissue_and_trees(heart):
 def test_other_times_are_named(heart):
     figure = activation_figure(heart, rows(heart)[:1], SPREAD)
     assert figure.axes[-1].get_ylabel() == "standard deviation (ms)"
+
+
+def test_no_tree_leaves_its_endocardium_where_the_base_is_seen_from_above(heart):
+    """The near wall then ends above the far one on the screen, and with it the trees on it."""
+    view = heart_views(heart)["LV side"]
+    tilted = View(
+        "tilted", view.axes @ Rotation.from_euler("x", 25, degrees=True).as_matrix(), view.centre
+    )
+    base = heart.lv.vertices[heart.lv.vertices[:, 2] == HEIGHT]
+    nodes = 0.99 * base + 0.01 * heart.lv.vertices.mean(axis=0)  # all around, just below the rim
+    axes = new_figure(2, 2).subplots()
+    row = ActivationRow("", np.linspace(0, 1, 3))
+    _draw_cavity(axes, tilted, heart.lv, row, _bands([row]))
+    walls = [path for each in axes.collections for path in each.get_paths()]
+    places = tilted.project(nodes)[:, :2]
+    inside = np.any([wall.contains_points(places, radius=0.01) for wall in walls], axis=0)
+    assert inside.all()
+
+
+def test_long_names_of_rows_stay_beside_their_rows(heart):
+    names = [f"{k}-a-scenario-without-end" * 4 for k in range(2)]
+    times = 20 + heart.vertices[:, 0]
+    figure = activation_figure(heart, [ActivationRow(name, times) for name in names], SPREAD)
+    for _ in range(2):  # as when it is saved
+        figure.canvas.draw()
+    panels = figure.axes[: 2 * len(VIEWS) : len(VIEWS)]
+    upper, lower = (axes.texts[0].get_window_extent() for axes in panels)
+    assert upper.y0 > lower.y1
+    assert min(upper.x0, lower.x0, lower.y0) >= 0
+    assert upper.y1 <= figure.bbox.height
+    assert panels[0].get_window_extent().width > 50  # pixels; names leave room for hearts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import shlex
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,15 +12,16 @@ import pytest
 
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.indices import INDICES
 from fascicle.prediction.predicted import Predicted, PredictedBeat
-from fascicle.prediction.scenarios import with_own_beat
 from fascicle.reporting.page.answers import answers
-from fascicle.reporting.page.page import _command, _safe, _template
+from fascicle.reporting.page.page import Picture, _safe, _template
 from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene
+from fascicle.reporting.scenario import scenario_ecg_figure
+from fascicle.study.caution import NOT_CONVERGED, NOT_EXPLAINED
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
+from fascicle.study.verdict import Statement
 
 SPACE = ParameterSpace(
     (Parameter("root_time", "ms", -75.0, 50.0), Parameter("cv", "mm/ms", 2.0, 4.0))
@@ -61,14 +62,15 @@ class TestAnswers:
     def test_of_a_posterior_that_explains(self):
         said = answers(study(), {"intrinsic": OWN, "a": FASTER, "b": MIXED})
         assert said.trustworthy
+        assert said.caution is None
         assert "Two independent runs agree" in said.meaning[0]
-        assert "but for 20% of its size" in said.meaning[1]
+        assert "(96% of the QRS, median)" in said.meaning[1]
         assert [s.name for s in said.determined] == ["root_time"]
         assert [s.name for s in said.undetermined] == ["cv"]
         own, faster, mixed = said.predicted
         assert own.startswith(
-            "QRS duration 135 (122 to 148) ms in the outermost leads, as clinics measure it, and "
-            "115 (102 to 128) ms in all leads together; total activation time 115 ("
+            "global QRS duration 135 (122 to 148) ms, window QRS duration 115 (102 to 128) ms, "
+            "total activation time 115 ("
         )
         assert "is shorter than that of the own beat, by 28 ms (21 to 34)" in faster
         assert "probability to be shorter 1.00" in faster
@@ -87,12 +89,22 @@ class TestAnswers:
         said = answers(study(share=0.6, disagreeing={"V2": 0.001}), {"intrinsic": OWN})
         assert not said.trustworthy
         assert (
-            "They do not explain the ECG: they leave 60% of its size. V2 cannot" in said.meaning[1]
+            "They do not explain the ECG: 64% of the QRS (median), where 88% is the least. V2 cannot"
+            in said.meaning[1]
         )
+        assert said.caution is NOT_EXPLAINED
+        assert said.predicted[0].startswith("by a model that does not fit: global QRS duration")
 
     def test_of_one_that_has_not_converged(self):
-        said = answers(study(converged=False), {"intrinsic": OWN})
+        said = answers(study(converged=False), {"intrinsic": OWN, "a": FASTER})
         assert not said.trustworthy
+        assert said.caution is NOT_CONVERGED
+        _, faster = said.predicted
+        assert faster.startswith("not to be relied on: global QRS duration 108 (")
+        assert "is shorter" not in faster
+        assert faster.endswith(
+            "; gain against the own beat 28 ms (21 to 34); probability to be shorter 1.00."
+        )
         assert "no number below can be relied on" in said.meaning[0]
         assert not said.determined
         assert not said.undetermined
@@ -148,7 +160,6 @@ class TestScene:
         times = decoded(field["values"], "<u2") / STEPS * field["high"]
         expected = simulation.activation - simulation.activation.min()
         np.testing.assert_allclose(times, expected[used], atol=0.01)
-        assert content["scenarios"][0]["duration"] == pytest.approx(expected[used].max(), abs=0.01)
 
     def test_what_is_never_reached_is_none(self, shown, default_heart):
         _, content = shown
@@ -162,8 +173,27 @@ class TestScene:
         _, content = shown
         one, other = (scenario["fields"] for scenario in content["scenarios"])
         assert [field["high"] for field in one] == [field["high"] for field in other]
-        assert len({field["high"] for field in one if field["kind"] == "time"}) == 1
         assert {field["low"] for field in one} == {0.0}
+
+    def test_the_scale_ends_with_what_is_shown(self, default_heart, shown):
+        """One slow network stretches the scale of the slowest, not that of the median ones."""
+        simulation, _ = shown
+        found = {}
+        for name, factor in (("intrinsic", 1.0), ("slower", 1.5)):
+            totals = np.array([100.0, 100.0, 300.0])
+            beat = kept(simulation)
+            beats = [replace(beat, activation=beat.activation * factor)] * 2
+            slow = replace(beat, activation=beat.activation * 3 * factor)
+            found[name] = Predicted(Scenario(), [*beats, slow], {"total_activation_time": totals})
+        fields = [s["fields"] for s in scene(default_heart, found)["scenarios"]]
+        used = np.unique(default_heart.boundary[0])
+        longest = np.ptp(simulation.activation) - (
+            simulation.activation.max() - simulation.activation[used].max()
+        )
+        for scenario in fields:
+            tops = {field["name"]: field["high"] for field in scenario}
+            assert tops["activation_median"] == pytest.approx(1.5 * longest, rel=1e-3)
+            assert tops["activation_maximum"] == pytest.approx(4.5 * longest, rel=1e-3)
 
     def test_trees_come_back(self, shown):
         simulation, content = shown
@@ -184,25 +214,57 @@ class TestScene:
             np.testing.assert_allclose(since, times - simulation.activation.min(), atol=0.02)
 
 
-def test_the_command_makes_the_page_again(tmp_path):
-    """With the file of a scenario of one's own, and names with spaces in quotes."""
-    path = tmp_path / "my case.toml"
-    path.write_text("silent = ['rv']\n")
-    found = {
-        name: SimpleNamespace(scenario=scenario)
-        for name, scenario in with_own_beat(read_scenarios(["his-pacing", path])).items()
-    }
-    command = _command(SimpleNamespace(folder=tmp_path / "S"), found, "my case")
-    words = ["fascicle", "report", str(tmp_path / "S"), "--scenario", "his-pacing"]
-    assert shlex.split(command) == [*words, "--scenario", str(path), "--against", "my case"]
+def page(**values):
+    """The page with these values, of which the rest are empty."""
+    rest = {"verdict": "", "caution": None, "undetermined": [Statement("cv", "mm/ms", *[3.0] * 4)]}
+    said = SimpleNamespace(**(rest | values))
+    pictures = {name: Picture("", name) for name in ("ecg", "indices", "priors", "pairs")}
+    pictures |= {name: Picture("", name, of_networks=False) for name in ("recording", "heart")}
+    return _template().render(answers=said, pictures=pictures, predictions=[("a", "b")])
+
+
+def test_everything_that_cannot_be_relied_on_is_marked():
+    text = page(caution=NOT_CONVERGED)
+    for section in ("ecg", "heart", "pacing", "parameters"):
+        content = re.search(f'<section id="{section}" class="doubted">(.*?)</section>', text, re.S)[
+            1
+        ]
+        assert NOT_CONVERGED.text in re.search("<h2>(.*?)</h2>", content)[1]
+    for name in ("ecg", "indices", "priors", "pairs"):
+        (above,) = re.findall(f'<figure>(.*?)<img src="" alt="{name}">', text)
+        assert NOT_CONVERGED.text in above
+    assert '<ul class="doubted"><li><b>a</b>' in text
+    inputs = text[text.index('<section id="inputs"') :]
+    assert NOT_CONVERGED.text not in inputs
+
+
+def test_nothing_is_marked_where_all_is_well():
+    text = page()
+    assert "doubted" not in text
+    assert 'class="caution"' not in text
 
 
 def test_no_text_can_end_the_page_or_its_script():
     evil = "</script><script>alert(1)</script>"
     assert "</script>" not in _safe({"label": evil})
     assert json.loads(_safe({"label": evil}))["label"] == evil
-    pictures = {"ecg": SimpleNamespace(source="", text=evil)}
+    pictures = {"ecg": Picture("", evil)}
     verdict = SimpleNamespace(verdict=evil, warnings=[evil])
     text = _template().render(title=evil, heart=evil, answers=verdict, pictures=pictures)
     assert "<script>alert" not in text
     assert "&lt;script&gt;" in text
+
+
+def test_the_ecg_of_a_scenario_says_when_time_begins_and_holds_long_names(shown):
+    simulation, _ = shown
+    long = "a-scenario-of-one's-own-" * 5
+    found = {
+        name: Predicted(Scenario(), [kept(simulation)] * 40, {"total_activation_time": np.ones(40)})
+        for name in ("intrinsic", long)
+    }
+    figure = scenario_ecg_figure(found, long)
+    assert figure.get_supxlabel() == "time (ms; 0: QRS onset)"
+    figure.canvas.draw()
+    (legend,) = figure.legends
+    assert legend.get_window_extent().x0 > figure._suptitle.get_window_extent().x1
+    assert legend.get_window_extent().x1 <= figure.bbox.width

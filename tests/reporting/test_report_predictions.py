@@ -1,28 +1,18 @@
 """Figures of predictions: every number stands where it belongs."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.heart.segments import SEGMENTS
 from fascicle.prediction.indices import INDICES
-from fascicle.reporting.indices import SHOWN, index_figure, index_name
+from fascicle.reporting.indices import SHOWN, index_figure
+from fascicle.reporting.names import index_label
+from fascicle.reporting.page.page import RESOLUTION
 from fascicle.reporting.priors import prior_figure
 from fascicle.reporting.sweep import bulls_eye_figure, curve_figure
-
-
-@pytest.mark.parametrize(
-    ("index", "name"),
-    [
-        ("qrs_duration", "window QRS duration"),
-        ("global_qrs_duration", "global QRS duration"),
-        ("lv_rv_delay", "LV-RV delay"),
-        ("total_activation_time", "total activation time"),
-        ("rv_activation_time", "RV activation time"),
-    ],
-)
-def test_names_of_indices(index, name):
-    assert index_name(index) == name
 
 
 def test_indices_of_scenarios_are_medians_and_intervals():
@@ -34,13 +24,30 @@ def test_indices_of_scenarios_are_medians_and_intervals():
     panels = index_figure(indices).axes
     assert [tick.get_text() for tick in panels[0].get_yticklabels()] == ["own", "a", "b"]
     for panel, index in zip(panels, SHOWN, strict=True):
-        assert panel.get_xlabel() == f"{index_name(index)} ({INDICES[index]})"
+        assert panel.get_xlabel() == index_label(index)
         thin, thick, dot = panel.lines[3:6]  # of the second scenario
         values = indices["a"][index]
         np.testing.assert_allclose(thin.get_xdata(), np.nanpercentile(values, [5, 95]))
         np.testing.assert_allclose(thick.get_xdata(), np.nanpercentile(values, [25, 75]))
         np.testing.assert_allclose(dot.get_xdata(), np.nanmedian(values))
         assert (np.array([thin.get_ydata(), thick.get_ydata()]) == 1).all()
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_names_of_scenarios_are_large_and_stay_in_the_figure(count):
+    """Also those of files of one's own, which may be of any length."""
+    long = "a-scenario-of-one's-own-" * 5
+    names = [f"{long}{k}" for k in range(count)]
+    figure = index_figure({name: dict.fromkeys(INDICES, np.arange(5.0)) for name in names})
+    figure.canvas.draw()
+    assert figure.get_figwidth() <= 960 / RESOLUTION  # not made smaller in the page
+    for panel in (figure.axes[0], figure.axes[3]):
+        labels = panel.get_yticklabels()
+        assert len({label.get_text() for label in labels}) == count
+        assert min(label.get_fontsize() for label in labels) >= 9
+        boxes = [label.get_window_extent() for label in labels]
+        assert min(box.x0 for box in boxes) >= 0
+        assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
 
 
 def test_bulls_eye_has_each_segment_in_its_place():
@@ -96,5 +103,5 @@ def test_priors_are_densities_beside_the_networks():
     assert x[np.argmax(y)] == pytest.approx(np.exp(-0.09), abs=0.03)  # the mode of a log-normal
     for axes in (uniform, log_normal):
         assert sum(bar.get_width() * bar.get_height() for bar in axes.patches) == pytest.approx(1)
-    assert uniform.get_xlabel() == "cv (mm/ms)"
+    assert uniform.get_xlabel() == "tree speed (mm/ms)"
     assert log_normal.get_xlabel() == "gain"

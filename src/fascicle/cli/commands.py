@@ -34,6 +34,7 @@ from fascicle.cli.printing import (
     print_simulation,
     print_sweep,
     print_template,
+    print_verdict,
 )
 from fascicle.cli.quantities import FixOption, FreeOption, fixed_values, wanted_parameters
 from fascicle.cli.quantities import parameters as parameters_command
@@ -149,7 +150,8 @@ def simulate(
     if scenario is not None:
         inputs["scenario"] = str(scenario)
     summary = write_simulation(loaded, simulation, out, inputs)
-    pictures = draw_simulation(loaded, simulation, out, kind)
+    zero = "firing of the first root" if case is None else "time 0 of the scenario"
+    pictures = draw_simulation(loaded, simulation, out, kind, zero)
     print_simulation(simulation, summary)
     print(f"written to {out}: activation.vtu, *_tree.vtu, sites.csv, ecg.csv, summary.json")
     print(f"pictures: {', '.join(map(str, pictures))}")
@@ -279,7 +281,7 @@ def predict(
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
             networks = prior_networks(fitted.problem, progress)
             prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")
-    print(f"result                 {fitted.verdict}")
+    print_verdict(fitted)
     print_prediction(predicted, prior)
     print(f"prediction in {out}")
     return written_summary(out)
@@ -309,6 +311,7 @@ def compare(
     from fascicle.prediction.comparison import PACED
     from fascicle.prediction.index_names import check_index
     from fascicle.prediction.scenarios import predict as predict_scenarios
+    from fascicle.study.caution import caution_text
     from fascicle.study.fit import load_study
 
     check_index(index)
@@ -318,11 +321,11 @@ def compare(
         fitted = load_study(study, progress, pool_at(scheduler, progress))
         measured = read_scenarios([PACED]) | wanted
         predicted = predict_scenarios(fitted, measured, progress)
-    print(f"result                 {fitted.verdict}")
+    print_verdict(fitted)
     names, parameters = list(wanted), fitted.population.values
     print_comparison(names, predicted, index, threshold, parameters)
     found = comparison_result(names, predicted, index, threshold, parameters)
-    return {"verdict": fitted.verdict} | found
+    return {"verdict": fitted.verdict, "caution": caution_text(fitted)} | found
 
 
 @app.command()
@@ -378,7 +381,7 @@ def sweep(
         fitted = load_study(study, progress, pool_at(scheduler, progress))
         swept = simulate_sweep(fitted, family, networks, progress)
         write_sweep(fitted, swept, index, out)
-    print(f"result                 {fitted.verdict}")
+    print_verdict(fitted)
     print_sweep(swept, index)
     print(f"sweep in {out}")
     return written_summary(out)

@@ -17,10 +17,15 @@ if TYPE_CHECKING:
 
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:
     """Print times, what fired what, and what was never reached."""
+    from fascicle.reporting.names import MEASURES
+
     print(f"total activation time  {simulation.total_activation_time:.1f} ms")
-    print(f"window QRS duration    {simulation.qrs_duration:.0f} ms (all leads together)")
-    outermost = f"{simulation.global_qrs_duration:.0f} ms (outermost leads, as clinics measure it)"
-    print(f"global QRS duration    {outermost}")
+    for key, value in (
+        ("qrs_duration_ms", simulation.qrs_duration),
+        ("global_qrs_duration_ms", simulation.global_qrs_duration),
+    ):
+        measure = MEASURES[key]
+        print(f"{measure.name:<22} {value:.0f} {measure.unit} ({measure.meaning})")
     for side, tree in summary["trees"].items():
         backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
         print(
@@ -73,6 +78,7 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
 def _print_agreement(summary: Mapping[str, Any]) -> None:
     """Print how the mean of the networks' ECGs agrees with the recorded QRS."""
     from fascicle.core.leads import LEADS
+    from fascicle.reporting.names import MEASURES
 
     if "explained_power" not in summary:  # of a study that was fitted before it was measured
         return
@@ -89,16 +95,12 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
         print(f"{name:<22}" + "".join(f"{values[lead]:>6{form}}" for lead in leads))
     if any(explained[lead] < 0 for lead in leads):
         print(f"{'':<22} below 0: further from the recorded lead than a flat line")
-    for key, name, unit, what in (
-        ("qrs_duration_ms", "window QRS duration", "ms", "; all leads together"),
-        ("global_qrs_duration_ms", "global QRS duration", "ms", "; outermost leads, not fitted"),
-        ("axis_degrees", "frontal axis", "degrees", ""),
-    ):
+    for key, measure in MEASURES.items():
         if key in summary:
-            of = summary[key]["networks"]
+            of, how = summary[key]["networks"], f"; {measure.meaning}" if measure.meaning else ""
             print(
-                f"{name:<22} recorded {summary[key]['recorded']:.0f} {unit}, networks "
-                f"{of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f}){what}"
+                f"{measure.name:<22} recorded {summary[key]['recorded']:.0f} {measure.unit}, "
+                f"networks {of['median']:.0f} ({of['5 %']:.0f} to {of['95 %']:.0f}){how}"
             )
 
 
@@ -138,6 +140,16 @@ def _print_population(population: Population) -> None:
         print(f"{name:<22} {middle} {unit}{' ' * bool(unit)}({low} to {high})")
 
 
+def print_verdict(fitted: FittedStudy) -> None:
+    """Print whether to trust a study, and what to bear in mind of every number that follows."""
+    from fascicle.study.caution import caution_text
+
+    print(f"result                 {fitted.verdict}")
+    text = caution_text(fitted)
+    if text is not None:
+        print(f"caution                {text}")
+
+
 def print_prediction(
     predicted: Mapping[str, Predicted], prior: Mapping[str, Predicted] | None = None
 ) -> None:
@@ -147,27 +159,28 @@ def print_prediction(
     """
     import numpy as np
 
+    from fascicle.reporting.names import MEASURES, index_label, index_name
     from fascicle.study.verdict import prediction_statement
 
-    shown = {
-        "qrs_duration": "window QRS (ms)",
-        "global_qrs_duration": "global QRS (ms)",
-        "total_activation_time": "total activation (ms)",
-    }
-    print(f"{'scenario':<32}" + "".join(f"{name:<22}" for name in shown.values()))
+    shown = ("qrs_duration", "global_qrs_duration", "total_activation_time")
+    heads = [f"{index_label(index):<27}" for index in shown]
+    wide = max(32, *(len(name) + 2 for name in predicted))
+    print(f"{'scenario':<{wide}}{''.join(heads)}".rstrip())
     for name, found in predicted.items():
         cells = []
         for index in shown:
             low, middle, high = np.percentile(found.indices[index], [5, 50, 95])
             cells.append(f"{middle:.0f} ({low:.0f} to {high:.0f})")
-        print(f"{name:<32}" + "".join(f"{cell:<22}" for cell in cells))
-    print("medians (90 % of the networks); window QRS: all leads together, global QRS: outermost")
-    print("leads, as clinics measure it")
+        print(f"{name:<{wide}}{''.join(f'{cell:<27}' for cell in cells)}".rstrip())
+    print("medians (90 % of the networks)")
+    for measure in MEASURES.values():
+        if measure.meaning:
+            print(f"{measure.name}: {measure.meaning}")
     _print_capture(predicted)
     for name, known in (prior or {}).items():
-        for index, title in shown.items():
+        for index in shown:
             said = prediction_statement(predicted[name].indices[index], known.indices[index])
-            print(f"{name}, {title.removesuffix(' (ms)')}: {said}")
+            print(f"{name}, {index_name(index)}: {said}")
 
 
 def _print_capture(predicted: Mapping[str, Predicted]) -> None:
@@ -202,7 +215,7 @@ def print_comparison(
     """Print how probably the first of two named scenarios is better, by every index."""
     from fascicle.prediction.comparison import MEASURABLE, compare
     from fascicle.prediction.index_names import COMPARED, INDICES
-    from fascicle.reporting.indices import index_name
+    from fascicle.reporting.names import index_name
 
     one, other = (predicted[name] for name in names)
     _print_capture({name: predicted[name] for name in names})
@@ -270,16 +283,15 @@ def print_sweep(swept: Swept, index: str) -> None:
     import numpy as np
 
     from fascicle.heart.segments import SEGMENTS
-    from fascicle.prediction.index_names import INDICES
     from fascicle.prediction.sweeps import SEGMENT
-    from fascicle.reporting.indices import index_name
+    from fascicle.reporting.names import index_label
 
     found, varied = swept.predicted, swept.varied
     values = np.array([each.indices[index] for each in found.values()])
     least = np.abs(values) == np.abs(values).min(axis=0)
     best = (least / least.sum(axis=0)).mean(axis=1)  # those that tie share a network
     print(varied)
-    print(f"{'':<24}{index_name(index)} ({INDICES[index]}), 90 % of the networks; how often best")
+    print(f"{'':<24}{index_label(index)}, 90 % of the networks; how often best")
     for key, row, share in zip(found, values, best, strict=True):
         low, middle, high = np.percentile(row, [5, 50, 95])
         name = SEGMENTS[int(key) - 1] if varied == SEGMENT else f"{key:g}"

@@ -17,8 +17,10 @@ from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
+from fascicle.reporting.fitted_text import INCH, wrapped
 
 SIZE = (10.0, 6.2)  # inch
+CAPTION_ROOM = 0.97 * SIZE[0] * INCH  # mm
 NAME_PLACE, NOTE_PLACE = (0.03, 0.95), (0.98, 0.95)  # of the axes
 FINE_BOX, COARSE_BOX, TALL = 0.5, 1.0, 8.0  # mV; from a range of `TALL` on, boxes are coarse
 BOX_MARGIN = 0.1  # of a box, at least, above and below
@@ -114,9 +116,8 @@ def ecg_figure(
     )  # fmt: skip
     style.set_title(figure, title)
     zero = f"; 0: {time_zero}" if time_zero else ""
-    below = f"\n{caption}" if caption else ""
-    size = style.TICK_SIZE if caption else style.LABEL_SIZE
-    figure.supxlabel(f"time (ms{zero}){below}", fontsize=size)
+    below = wrapped(caption, style.LABEL_SIZE, CAPTION_ROOM)
+    figure.supxlabel("\n".join([f"time (ms{zero})", *below]), fontsize=style.LABEL_SIZE)
     figure.supylabel("potential (mV)", fontsize=style.LABEL_SIZE)
     return figure
 

@@ -22,6 +22,7 @@ from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
+from fascicle.reporting.fitted_text import INCH, shortened
 from fascicle.reporting.rendering import (
     View,
     add_polygons,
@@ -40,7 +41,8 @@ ISOCHRONE_STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # ms
 MOST_BANDS = 16
 SILENT = "#B8B8B8"  # where no activation arrives
 CAVITY = "#F1E9E4"  # endocardium behind the trees
-SINCE_FIRST = "since the first activation (ms)"
+GLASS = "#F8F5F2"  # near wall of a cavity, where it stands out above the far one
+SINCE_FIRST = "time since the first activation (ms)"
 SPREAD = "standard deviation (ms)"
 VIEWS = ("RV side", "anterior", "LV side", "base")
 SCALE_BAR = 20.0  # mm
@@ -78,9 +80,7 @@ class ActivationRow:
         return ActivationRow(self.label, since_first(self.activation), trees)
 
 
-def activation_figure(
-    heart: Heart, rows: Sequence[ActivationRow], what: str = "activation (ms)"
-) -> Figure:
+def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
     """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
     Parameters
@@ -90,7 +90,7 @@ def activation_figure(
     rows : sequence of ActivationRow
         Activations; all share the colours. Hearts share one scale in space, trees another.
     what : str
-        The times, with their unit.
+        The times, with their unit, and what happens at time 0.
 
     Returns
     -------
@@ -114,7 +114,10 @@ def activation_figure(
             _draw_surface(axes, views[name], heart, row.activation, norm)
         for axes, cavity in zip(axes_row[len(VIEWS) :], cavities, strict=True):
             _draw_cavity(axes, views[f"{cavity.side.upper()} side"], cavity, row, norm)
-        style.write_in(axes_row[0], *ROW_NAME, row.label, rotation=90, ha="right", va="center")
+        room = INCH * PANEL * shape
+        lines = [shortened(line, style.TITLE_SIZE, room) for line in row.label.split("\n")]
+        name = "\n".join(lines)
+        style.write_in(axes_row[0], *ROW_NAME, name, rotation=90, ha="right", va="center")
     _frame_panels(panels[:, : len(VIEWS)], boxes, VIEWS, size)
     if cavities:
         boxes = [views[f"{e.side.upper()} side"].box(e.vertices) for e in cavities]
@@ -183,8 +186,13 @@ def _draw_surface(
 def _draw_cavity(
     axes: Axes, view: View, endocardium: Endocardium, row: ActivationRow, norm: BoundaryNorm
 ) -> None:
-    """Draw the far wall of a cavity, as if the near one were glass, and the trees in it."""
+    """Draw the far wall of a cavity, as if the near one were glass, and the trees in it.
+
+    Where the base is not seen from its edge, the near wall rises above the far one, or the other
+    way round: it is painted first, so that no tree leaves its endocardium.
+    """
     vertices, triangles = endocardium.vertices, endocardium.triangles
+    paint(axes, view, vertices, triangles[:, ::-1], GLASS)
     paint(axes, view, vertices, triangles, CAVITY)
     normals = smooth_normals(vertices, triangles)
     centres = cKDTree(vertices[triangles].mean(axis=1))

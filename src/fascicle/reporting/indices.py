@@ -9,25 +9,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fascicle.core.arrays import Floats
-from fascicle.prediction.indices import INDICES
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
+from fascicle.reporting.fitted_text import shortened
+from fascicle.reporting.names import index_label
 
 SHOWN = (
     "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_dyssynchrony",
     "lv_rv_delay", "qrs_area",
 )  # fmt: skip
-PANEL, NAMES, ROW, ROOM = 1.9, 2.4, 0.28, 1.2  # inch
+COLUMNS = 3  # of panels
+PANEL, NAMES, ROW, ROOM = 2.15, 2.25, 0.28, 0.65  # inch
+NAME_ROOM = 55.0  # mm, for the name of a scenario
 HALF, MOST = (25, 75), (5, 95)  # percentiles that the thick and the thin bar hold
 THICK, THIN, DOT = 4.5, 1.2, 4.0  # points
-
-
-def index_name(index: str) -> str:
-    """Name of an index as a reader knows it."""
-    if index == "qrs_duration":
-        return "window QRS duration"  # so that it is not taken for the global one
-    words = index.replace("_", " ").replace("lv rv", "LV-RV")
-    return " ".join({"qrs": "QRS", "lv": "LV", "rv": "RV"}.get(w, w) for w in words.split())
 
 
 def index_figure(indices: Mapping[str, Mapping[str, Floats]]) -> Figure:
@@ -43,14 +38,16 @@ def index_figure(indices: Mapping[str, Mapping[str, Floats]]) -> Figure:
     Figure
         A panel for each index of `SHOWN`: the median, and what half and 90 % of the networks span.
     """
-    rows = list(indices)
-    figure = new_figure(NAMES + PANEL * len(SHOWN), ROOM + ROW * len(rows))
-    panels = figure.subplots(1, len(SHOWN), sharey=True)
-    for panel, index in zip(panels, SHOWN, strict=True):
+    rows, lines = list(indices), -(-len(SHOWN) // COLUMNS)
+    figure = new_figure(NAMES + PANEL * COLUMNS, lines * (ROOM + ROW * len(rows)))
+    panels = figure.subplots(lines, COLUMNS, sharey=True)
+    for panel, index in zip(panels.flat, SHOWN, strict=True):
         _draw(panel, [indices[name][index] for name in rows])
-        style.finish_axes(panel, x=f"{index_name(index)} ({INDICES[index]})")
-    panels[0].set_yticks(range(len(rows)), rows, fontsize=style.TICK_SIZE)
-    panels[0].set_ylim(len(rows) - 0.5, -0.5)
+        style.finish_axes(panel, x=index_label(index))
+    names = [shortened(name, style.LABEL_SIZE, NAME_ROOM) for name in rows]
+    for first, *_ in panels:
+        first.set_yticks(range(len(rows)), names, fontsize=style.LABEL_SIZE)
+        first.set_ylim(len(rows) - 0.5, -0.5)
     return figure
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,10 +16,12 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
+from fascicle.reporting.names import on_narrow_axis, parameter_name, with_unit
 
 PANEL = 0.95  # inch
+MARGIN = 1.25  # inch, at the left and below, for names on four lines
 LEGEND_SIZE = 14.0  # points, where the empty triangle has room
-SMALL = 8.5  # points
+NAME_SIZE, TICK_SIZE = 11.0, 9.5  # points
 PRIOR_POINTS = 101  # of the curve of a prior
 BINS = (10, 40)  # fewest and most in a histogram
 
@@ -63,11 +64,11 @@ def pair_figure(
         against the prior as a broken line.
     """
     size = len(space)
-    side = max(PANEL * size + 1.3, 4.0)
+    side = max(PANEL * size + MARGIN + 0.4, 4.0)
     figure = new_figure(side, side, constrained=False)
     grid = figure.add_gridspec(
         size, size, hspace=0.09, wspace=0.09,
-        left=0.8 / side, bottom=0.8 / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
+        left=MARGIN / side, bottom=MARGIN / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
     )  # fmt: skip
     marks: Marks = [(best, BEST_MARK)]
     if truth is not None:
@@ -88,16 +89,6 @@ def pair_figure(
             title, fontsize=1.2 * style.TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left"
         )
     return figure
-
-
-def short_name(name: str) -> str:
-    """Break a parameter's name into the two lines that stand on an axis, the unit to follow."""
-    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
-    if match is None:
-        return {"cv": "tree speed"}.get(name, name.replace("_", " ")) + "\n"
-    side, stretch, quantity, number = match.groups()
-    part = "bundle" if stretch == "initial" else f"fasc. {number}"
-    return f"{side.upper()} {part}\n{quantity} "
 
 
 def _draw_marginal(axes: Axes, parameter: Parameter, sample: Floats, marks: Marks) -> None:
@@ -139,25 +130,23 @@ def _label(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: bool) 
     """Name the outer axes only."""
     axes.set_xlim(x.lower, x.upper)
     axes.xaxis.set_major_locator(MaxNLocator(3, prune="both", steps=[1, 2, 2.5, 5, 10]))
-    axes.tick_params(labelsize=SMALL, width=0.5, length=2, pad=1.5)
+    axes.tick_params(labelsize=TICK_SIZE, width=0.5, length=2, pad=1.5)
     for spine in axes.spines.values():
         spine.set_linewidth(0.5)
     if bottom:
-        axes.set_xlabel(_title(x), fontsize=SMALL)
+        axes.set_xlabel(_title(x), fontsize=NAME_SIZE)
     else:
         axes.tick_params(labelbottom=False)
     if left and x is not y:
-        axes.set_ylabel(_title(y), fontsize=SMALL)
+        axes.set_ylabel(_title(y), fontsize=NAME_SIZE)
     elif left:
-        axes.set_ylabel("density", fontsize=SMALL)
+        axes.set_ylabel("density", fontsize=NAME_SIZE)
     else:
         axes.tick_params(labelleft=False)
 
 
 def _title(parameter: Parameter) -> str:
-    """Name and unit, if it has one."""
-    unit = "" if parameter.unit == "1" else f"({parameter.unit})"
-    return f"{short_name(parameter.name)}{unit}".rstrip()
+    return on_narrow_axis(with_unit(parameter_name(parameter.name), parameter.unit))
 
 
 def _legend(figure: Figure, count: int, marks: Marks) -> None:

@@ -30,6 +30,7 @@ from fascicle.reporting.scenario import (
     spread_figure,
 )
 from fascicle.study.activation_maps import since_first
+from fascicle.study.caution import caution_text
 from fascicle.study.results import FittedStudy
 
 INTERVAL = (5, 50, 95)  # percentiles
@@ -57,16 +58,18 @@ def write_prediction(
     kind : str
         Of the pictures: ``"png"``, ``"svg"`` or ``"pdf"``.
     """
-    heart, own = fitted.problem.model.heart, predicted[OWN_BEAT]
+    heart, own, caution = fitted.problem.model.heart, predicted[OWN_BEAT], caution_text(fitted)
     with atomic_folder(out, disposable=_pictures(predicted)) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
-        content = {"verdict": fitted.verdict} | {n: _summary(p, own) for n, p in predicted.items()}
+        said = {"verdict": fitted.verdict, "caution": caution}
+        content = said | {name: _summary(found, own) for name, found in predicted.items()}
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        save(index_figure({n: p.indices for n, p in predicted.items()}), folder / f"indices.{kind}")
+        compared = index_figure({name: found.indices for name, found in predicted.items()})
+        save(compared, folder / f"indices.{kind}", caution)
         for name, found in predicted.items():
             _write_scenario(folder / name, found, heart)
             for stem, figure in _drawn(heart, predicted, name).items():
-                save(figure, folder / name / f"{stem}.{kind}")
+                save(figure, folder / name / f"{stem}.{kind}", caution)
 
 
 def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> dict[str, Figure]:

@@ -11,8 +11,9 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
+from fascicle.reporting.names import parameter_name, with_unit
 
-COLUMNS, PANEL = 5, (1.9, 1.35)  # panels in a row; inch
+COLUMNS, PANEL = 4, (2.1, 1.35)  # panels in a row; inch
 BINS = 24
 SHARES = np.linspace(0.005, 0.995, 200)  # of a prior, for its curve
 
@@ -38,9 +39,7 @@ def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
         panel.hist(inside, edges, density=True, color=style.VERMILION, alpha=0.6)
         at = parameter.from_unit(SHARES)
         panel.plot(at, np.gradient(SHARES, at), color=style.GREY, linewidth=style.THICK_LINE)
-        unit = "" if parameter.unit == "1" else f" ({parameter.unit})"
-        style.finish_axes(panel, x=f"{parameter.name.replace('_', ' ')}{unit}")
-        panel.xaxis.label.set_fontsize(style.TICK_SIZE)
+        style.finish_axes(panel, x=with_unit(parameter_name(parameter.name), parameter.unit))
         panel.set_yticks([])
     for panel in panels.flat[count:]:
         panel.set_axis_off()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure
@@ -11,11 +12,14 @@ from fascicle.core.ranges import check_text
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
+from fascicle.reporting import style
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.fitted_text import shortened
 from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
-from fascicle.reporting.style import GREY, VERMILION
 
 BAND = 0.9  # of the networks
+LEGEND_ROOM = 60.0  # mm, for the name of a scenario
+ROW_NAME = 22  # characters of a line beside a row
 
 
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
@@ -34,10 +38,11 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
         If there is no such scenario.
     """
     own, found = _with_own(predicted, name)
-    groups = [EcgGroup(OWN_BEAT, "network", *qrs_aligned(own), GREY, BAND)]
+    groups = [EcgGroup(OWN_BEAT, "network", *qrs_aligned(own), style.GREY, BAND)]
     if found is not own:
-        groups.append(EcgGroup(name, "network", *qrs_aligned(found), VERMILION, BAND))
-    return ecg_figure(groups, f"Predicted ECG of {len(found.beats)} networks")
+        called = shortened(name, style.LABEL_SIZE, LEGEND_ROOM)
+        groups.append(EcgGroup(called, "network", *qrs_aligned(found), style.VERMILION, BAND))
+    return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
 
 
 def scenario_activation_figure(
@@ -76,8 +81,11 @@ def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
     predicted : mapping of name to Predicted
         The scenarios.
     """
-    spreads = {name: found.maps["activation_sd"] for name, found in predicted.items()}
-    return activation_figure(heart, [ActivationRow(*each) for each in spreads.items()], SPREAD)
+    rows = [
+        ActivationRow(textwrap.fill(name, ROW_NAME), found.maps["activation_sd"])
+        for name, found in predicted.items()
+    ]
+    return activation_figure(heart, rows, SPREAD)
 
 
 def _with_own(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:

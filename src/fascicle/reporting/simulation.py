@@ -15,7 +15,9 @@ from fascicle.reporting.hearts import ActivationRow, activation_figure
 from fascicle.reporting.style import VERMILION
 
 
-def draw_simulation(heart: Heart, simulation: Simulation, folder: Path, kind: str) -> list[Path]:
+def draw_simulation(
+    heart: Heart, simulation: Simulation, folder: Path, kind: str, time_zero: str
+) -> list[Path]:
     """Write ``ecg`` and ``activation`` into a simulation's folder.
 
     Parameters
@@ -26,6 +28,8 @@ def draw_simulation(heart: Heart, simulation: Simulation, folder: Path, kind: st
         Where to.
     kind : str
         Of the files: ``"png"``, ``"svg"`` or ``"pdf"``.
+    time_zero : str
+        What happens at time 0.
 
     Returns
     -------
@@ -40,9 +44,9 @@ def draw_simulation(heart: Heart, simulation: Simulation, folder: Path, kind: st
         f"{simulation.total_activation_time:.0f} ms", np.asarray(simulation.activation), trees
     )
     return [
+        save(ecg_figure([group], "Simulated ECG", time_zero=time_zero), folder / f"ecg.{kind}"),
         save(
-            ecg_figure([group], "Simulated ECG", time_zero="firing of the first root"),
-            folder / f"ecg.{kind}",
+            activation_figure(heart, [row], f"activation (ms)\n0: {time_zero}"),
+            folder / f"activation.{kind}",
         ),
-        save(activation_figure(heart, [row]), folder / f"activation.{kind}"),
     ]

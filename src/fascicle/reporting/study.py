@@ -22,6 +22,7 @@ from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.figures import FORMATS, save
 from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
 from fascicle.reporting.indices import index_figure
+from fascicle.reporting.names import MEASURES
 from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.priors import prior_figure
 from fascicle.reporting.style import BLUE, VERMILION
@@ -35,11 +36,24 @@ SHARE = 0.9  # of beats and of networks, in bands: ranges of unequal numbers can
 
 
 class Drawing(NamedTuple):
-    """A figure, what it shows, and the numbers in it, if there are."""
+    """A figure.
+
+    Attributes
+    ----------
+    figure : Figure
+    text : str
+        What it shows.
+    agreement : Agreement, optional
+        The numbers in it, if there are.
+    of_networks : bool
+        Whether it shows what the networks say, which may not be relied on; not inputs, nor how the
+        fit went.
+    """
 
     figure: Figure
     text: str
     agreement: Agreement | None = None
+    of_networks: bool = True
 
 
 def activation_row(label: str, simulation: Simulation) -> ActivationRow:
@@ -92,16 +106,21 @@ def drawings(
             "Pairs of parameters on the whole ranges of their priors.",
         ),
         "convergence": Drawing(
-            loss_figure(fitted), "Mismatch of every evaluation, in the order they were made."
+            loss_figure(fitted),
+            "Mismatch of every evaluation, in the order they were made.",
+            of_networks=False,
         ),
         "heart": Drawing(
             check_figure(heart, check_heart(heart, problem.model.prepared.charts)),
             "The heart: walls, fibres, where the bundles start, and the body with its electrodes.",
+            of_networks=False,
         ),
     }
 
 
-def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[str]) -> list[Path]:
+def write_figures(
+    drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[str], caution: str | None = None
+) -> list[Path]:
     """Write figures into a folder.
 
     Parameters
@@ -112,6 +131,8 @@ def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[st
         Where to; it is made if it is not there.
     kinds : sequence of str
         Of files: ``"png"``, ``"svg"``, ``"pdf"``.
+    caution : str, optional
+        What stands above those that show networks.
 
     Returns
     -------
@@ -119,7 +140,7 @@ def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[st
         What was written.
     """
     return [
-        save(drawing.figure, folder / f"{name}.{kind}")
+        save(drawing.figure, folder / f"{name}.{kind}", caution if drawing.of_networks else None)
         for name, drawing in drawn.items()
         for kind in kinds
     ]
@@ -176,15 +197,11 @@ def _ecg(problem: Problem, networks: Sequence[Network], found: Agreement) -> Fig
 def _caption(found: Agreement) -> str:
     """What the mean of the networks explains, and durations and axis, recorded and predicted."""
     said = [f"mean explains {found.explained_over_all:.0%}, r {found.correlation_over_all:.2f}"]
-    for name, words, unit in (
-        ("qrs_duration_ms", "QRS window", " ms"),
-        ("global_qrs_duration_ms", "global", " ms"),
-        ("axis_degrees", "axis", "°"),
-    ):
-        if name in found.recorded:
-            low, middle, high = found.percentiles(name)
+    for key, measure in MEASURES.items():
+        if key in found.recorded:
+            low, middle, high = found.percentiles(key)
             said.append(
-                f"{words} {found.recorded[name]:.0f}{unit}, predicted {middle:.0f} "
+                f"{measure.name} {found.recorded[key]:.0f} {measure.unit}, predicted {middle:.0f} "
                 f"({low:.0f} to {high:.0f})"
             )
     return "; ".join(said)
@@ -216,5 +233,6 @@ def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str
         found[f"recording{suffix}"] = Drawing(
             target_figure(recordings[number].target),
             f"Recording{name}: its beats, and the QRS window that the fit saw.",
+            of_networks=False,
         )
     return found

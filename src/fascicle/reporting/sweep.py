@@ -22,8 +22,9 @@ from fascicle.prediction.indices import INDICES
 from fascicle.prediction.sweeps import SEGMENT, Swept
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure, save
-from fascicle.reporting.indices import index_name
+from fascicle.reporting.names import index_label, index_name
 from fascicle.reporting.prediction import index_table
+from fascicle.study.caution import caution_text
 from fascicle.study.results import FittedStudy
 
 SIZE, EYE = (5.6, 3.6), (4.6, 4.2)  # inch
@@ -56,6 +57,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, index: str, out: Path) -> Non
     medians = [round(float(np.nanmedian(each)), 2) for each in values.values()]
     content: dict[str, Any] = {
         "verdict": fitted.verdict,
+        "caution": caution_text(fitted),
         "networks": len(next(iter(values.values()))),
         "index": index,
         "medians": dict(zip(named, medians, strict=True)),
@@ -65,7 +67,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, index: str, out: Path) -> Non
     with atomic_folder(out) as folder:
         write_text(folder / "indices.csv", index_table(named))
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        save(draw(values, index), folder / "sweep.png")
+        save(draw(values, index), folder / "sweep.png", content["caution"])
 
 
 def _bulls_eye(values: Mapping[float, Floats], index: str) -> Figure:
@@ -102,8 +104,7 @@ def curve_figure(values: Mapping[float, Floats], index: str, varied: str) -> Fig
         low, high = np.nanpercentile(found, share, axis=1)
         axes.fill_between(list(values), low, high, color=style.VERMILION, alpha=opacity, lw=0)
     axes.plot(list(values), np.nanmedian(found, axis=1), "o-", color=style.VERMILION, ms=3.0)
-    named = f"{index_name(index)} ({INDICES[index]})"
-    style.finish_axes(axes, x=varied, y=named)
+    style.finish_axes(axes, x=varied, y=index_label(index))
     style.set_title(figure, "Median, half and 90 % of the networks")
     return figure
 

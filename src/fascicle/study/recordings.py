@@ -78,7 +78,7 @@ def _recording(given: Given) -> Recording:
 def write_recordings(folder: Path, recordings: Sequence[Recording]) -> None:
     """Keep recordings in a study's folder, where they are not kept yet, or are damaged."""
     for number, recording in enumerate(recordings, 1):
-        target, scenario = _paths(folder, number)
+        target, scenario = recording_paths(folder, number)
         if _kept(target, scenario) == recording.digests:
             continue
         write_target(recording.target, target)
@@ -103,10 +103,10 @@ def _read(target: Path, scenario: Path) -> Recording:
 
 def read_recordings(folder: Path, count: int) -> list[Recording]:
     """Read what `write_recordings` has written."""
-    return [_read(*_paths(folder, number)) for number in range(1, count + 1)]
+    return [_read(*recording_paths(folder, number)) for number in range(1, count + 1)]
 
 
-def _paths(folder: Path, number: int) -> tuple[Path, Path]:
+def recording_paths(folder: Path, number: int) -> tuple[Path, Path]:
     """Files of a recording, which are numbered from the second on."""
     end = f"-{number}" if number > 1 else ""
     return folder / f"target{end}.nc", folder / f"scenario{end}.toml"

@@ -11,9 +11,18 @@ from fascicle.core.arrays import Floats
 from fascicle.prediction.comparison import compare
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
+from fascicle.reporting.names import index_name, parameter_name
+from fascicle.study.caution import Caution, caution
 from fascicle.study.population import Posterior
 from fascicle.study.results import FittedStudy
-from fascicle.study.verdict import Statement, explained, statements, trade_offs
+from fascicle.study.verdict import (
+    LEAST_EXPLAINED,
+    Statement,
+    explained,
+    explained_share,
+    statements,
+    trade_offs,
+)
 
 LIKELY = 0.9  # probability from which on one scenario is called better
 
@@ -28,6 +37,8 @@ class Answers:
         First line of the result.
     trustworthy : bool
         Whether it has converged and explains its recordings.
+    caution : Caution, optional
+        What is to stand beside every number, if there is anything.
     meaning : list of str
         What the verdict means, in whole sentences.
     warnings : list of str
@@ -42,6 +53,7 @@ class Answers:
 
     verdict: str
     trustworthy: bool
+    caution: Caution | None
     meaning: list[str]
     warnings: list[str]
     determined: list[Statement]
@@ -72,19 +84,22 @@ def answers(
         if converged:
             known = statements(population, fitted.problem.space)
             traded = [
-                f"{a} and {b} stand for one another (rank correlation {r:.2f})".replace("_", " ")
+                f"{parameter_name(a)} and {parameter_name(b)} stand for one another (rank "
+                f"correlation {r:.2f})"
                 for a, b, r in trade_offs(population)
             ]
     believed = converged and fitted.checks is not None and explained(fitted.checks)
+    warned = caution(fitted)
     return Answers(
         fitted.verdict,
         believed,
+        warned,
         _meaning(fitted, converged=converged),
         fitted.warnings,
         [statement for statement in known if statement.determined],
         [statement for statement in known if not statement.determined],
         traded,
-        [_prediction(name, predicted, against) for name in predicted],
+        [_prediction(name, predicted, against, warned) for name in predicted],
     )
 
 
@@ -98,7 +113,7 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
     if not converged:
         return [
             "The two runs have not ended, or do not agree: no number below can be relied on. "
-            "Continue the study with more evaluations."
+            "A warning says how to go on."
         ]
     said = [
         f"Two independent runs agree. The {count} networks below are equally probable, and what "
@@ -109,34 +124,36 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
         return said
     if explained(checks):
         said.append(
-            f"They explain the ECG but for {checks.share:.0%} of its size, and no lead, the window "
-            "QRS duration or the axis stands out."
+            f"Each explains the ECG well ({explained_share(checks):.0%} of the QRS, median), and no "
+            "lead, the window QRS duration or the axis stands out."
         )
     else:
         apart = f" {', '.join(checks.disagreeing)} cannot be theirs." if checks.disagreeing else ""
         said.append(
-            f"They do not explain the ECG: they leave {checks.share:.0%} of its size.{apart} The "
-            "heart, the body or the model is not the patient's, so that the intervals below are "
+            f"They do not explain the ECG: {explained_share(checks):.0%} of the QRS (median), where "
+            f"{LEAST_EXPLAINED:.0%} is the least.{apart} The heart, the body or the model is not the patient's, so that the intervals below are "
             "those of a model that does not fit."
         )
     return said
 
 
-def _prediction(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
+def _prediction(
+    name: str, predicted: Mapping[str, Predicted], against: str, warned: Caution | None
+) -> str:
     """QRS durations and total activation time of a scenario, and what it gains."""
     found, other = predicted[name], predicted[against]
     beat = "the own beat" if against == OWN_BEAT else against
-    window, qrs = (_interval(found.indices[f"{one}qrs_duration"]) for one in ("", "global_"))
-    total = _interval(found.indices["total_activation_time"])
-    sentence = (
-        f"QRS duration {qrs} ms in the outermost leads, as clinics measure it, and {window} ms in "
-        f"all leads together; total activation time {total} ms"
-    )
+    said = ("global_qrs_duration", "qrs_duration", "total_activation_time")
+    sentence = ", ".join(f"{index_name(one)} {_interval(found.indices[one])} ms" for one in said)
+    if warned is not None:
+        sentence = f"{warned.brief}: {sentence}"
     if name in (against, OWN_BEAT):
         return f"{sentence}."
     pairs = (found, other), (other, found)
     gain, loss = (compare(*pair, "total_activation_time") for pair in pairs)
     better = gain.probability()
+    if warned is not None:  # nothing is called shorter or longer
+        return f"{sentence}; gain against {beat} {gain}; probability to be shorter {better:.2f}."
     likely = "shorter" if better >= LIKELY else "longer" if better <= 1 - LIKELY else "open"
     verb = {
         "shorter": f"The activation is shorter than that of {beat}, by {gain}",

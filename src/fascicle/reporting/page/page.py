@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -21,9 +20,7 @@ from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.scenario_files import library
 from fascicle.heart.segments import SEGMENTS
-from fascicle.prediction.indices import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import (
     OWN_BEAT,
@@ -32,26 +29,21 @@ from fascicle.prediction.scenarios import (
     predict,
     with_own_beat,
 )
-from fascicle.reporting.indices import SHOWN, index_name
+from fascicle.reporting.indices import SHOWN
+from fascicle.reporting.names import MEASURES, index_label, parameter_name
 from fascicle.reporting.page.answers import answers
+from fascicle.reporting.page.commands import commands
+from fascicle.reporting.page.inputs import digests, held, learnt, recordings, settings
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figures
 from fascicle.study.agreement import Agreement
+from fascicle.study.caution import caution_text
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
 from fascicle.study.results import FittedStudy
 
 RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
-# What `Agreement` measures beside the leads: name, unit
-AGREED = {
-    "qrs_duration_ms": ("window QRS duration (all leads together)", "ms"),
-    "global_qrs_duration_ms": (
-        "global QRS duration (outermost leads, as clinics measure it)",
-        "ms",
-    ),
-    "axis_degrees": ("frontal axis", "degrees"),
-}
 PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")
 
 
@@ -69,12 +61,15 @@ class Picture:
         Of an ECG, in words.
     measured : list of (name, recorded, of the networks)
         Durations and axis of an ECG, in words.
+    of_networks : bool
+        As of `Drawing`.
     """
 
     source: str
     text: str
     leads: list[tuple[str, str, str]] = field(default_factory=list)
     measured: list[tuple[str, str, str]] = field(default_factory=list)
+    of_networks: bool = True
 
     @classmethod
     def of(cls, drawing: Drawing) -> Picture:
@@ -84,8 +79,9 @@ class Picture:
         colours = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         colours.save(content, format="PNG", optimize=True)
         encoded = base64.b64encode(content.getvalue()).decode("ascii")
-        numbers = () if drawing.agreement is None else _agreed(drawing.agreement)
-        return cls(f"data:image/png;base64,{encoded}", drawing.text, *numbers)
+        leads, measured = ([], []) if drawing.agreement is None else _agreed(drawing.agreement)
+        source = f"data:image/png;base64,{encoded}"
+        return cls(source, drawing.text, leads, measured, drawing.of_networks)
 
 
 def _agreed(found: Agreement) -> tuple[list[tuple[str, str, str]], list[tuple[str, str, str]]]:
@@ -94,11 +90,12 @@ def _agreed(found: Agreement) -> tuple[list[tuple[str, str, str]], list[tuple[st
     pairs.append(("all together", found.explained_over_all, found.correlation_over_all))
     leads = [(name, f"{e:.0%}", f"{r:.2f}") for name, e, r in pairs if np.isfinite(r)]
     measured = []
-    for key, (name, unit) in AGREED.items():
+    for key, measure in MEASURES.items():
         if key in found.recorded:
             low, middle, high = found.percentiles(key)
-            recorded = f"{found.recorded[key]:.0f} {unit}"
-            measured.append((name, recorded, f"{middle:.0f} ({low:.0f} to {high:.0f}) {unit}"))
+            recorded = f"{found.recorded[key]:.0f} {measure.unit}"
+            networks = f"{middle:.0f} ({low:.0f} to {high:.0f}) {measure.unit}"
+            measured.append((str(measure), recorded, networks))
     return leads, measured
 
 
@@ -190,13 +187,13 @@ def write_report(
         "viewer": _file("viewer.js"),
     }
     write_text(out, _template().render(content))
-    return [out, *write_figures(drawn, out.parent / "figures", figures)]
+    return [out, *write_figures(drawn, out.parent / "figures", figures, caution_text(fitted))]
 
 
 def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> dict[str, Any]:
     from fascicle import __version__
 
-    said = answers(fitted, predicted, against)
+    said, config = answers(fitted, predicted, against), fitted.study.config
     sources = [p.target.provenance.get("source", "a target") for p in fitted.problem.recordings]
     names = [Path(source).name for source in sources]
     return {
@@ -206,11 +203,14 @@ def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
         "recordings": ", ".join(names),
         "answers": said,
         "predictions": list(zip(predicted, said.predicted, strict=True)),
-        "columns": [f"{index_name(index)} ({INDICES[index]})" for index in SHOWN],
+        "measures": [each for each in MEASURES.values() if each.meaning],
+        "columns": [index_label(index) for index in SHOWN],
         "rows": [_row(name, found) for name, found in predicted.items()],
         "convergence": _convergence(fitted),
-        "inputs": _inputs(fitted),
-        "command": _command(fitted, predicted, against),
+        "learnt": learnt(config),
+        "held": held(fitted),
+        "inputs": [*settings(config).items(), *recordings(fitted), *digests(config)],
+        "commands": "\n".join(commands(fitted, predicted, against)),
     }
 
 
@@ -235,52 +235,16 @@ def _convergence(fitted: FittedStudy) -> list[str]:
     return [
         f"{count} evaluations in two runs, {bank} of them of the prior; effective sample "
         f"{effective:.0f}.",
-        f"Log evidence {one:.1f} and {other:.1f}. The means of {name.replace('_', ' ')} are "
+        f"Log evidence {one:.1f} and {other:.1f}. The means of {parameter_name(name)} are "
         f"furthest apart: {apart:.2f} standard deviations, where 0.5 is allowed.",
     ]
-
-
-def _inputs(fitted: FittedStudy) -> list[tuple[str, str]]:
-    config = fitted.study.config
-    settings = config.model_dump(exclude={"space", "fixed", "growth", "conduction", "scenarios"})
-    learnt = "; ".join(
-        f"{p.name} {p.lower:g} to {p.upper:g}" + ("" if p.unit == "1" else f" {p.unit}")
-        for p in config.space
-    )
-    rows = [("learnt, with the ranges of the priors", learnt)]
-    rows += [
-        (p.target.provenance.get("source", "recording"), _of_target(p.target.provenance))
-        for p in fitted.problem.recordings
-    ]
-    rows += [(name.replace("_", " "), str(value)) for name, value in settings.items()]
-    for group in ("fixed", "growth", "conduction"):
-        held = getattr(config, group)
-        rows.append((group, ", ".join(f"{name} {value}" for name, value in held.items())))
-    return [(name, value) for name, value in rows if value not in ("", "None", "()")]
-
-
-def _of_target(provenance: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in provenance.items() if name != "source")
-
-
-def _command(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> str:
-    """The command that makes the page again, with files of scenarios where they were."""
-    known = {str(path) for path in library().values()}
-    words = ["fascicle", "report", str(fitted.folder)]
-    for name, found in predicted.items():
-        source = found.scenario.source
-        if name != OWN_BEAT:
-            words += ["--scenario", name if source is None or source in known else source]
-    if against != OWN_BEAT:
-        words += ["--against", against]
-    return shlex.join(words)
 
 
 def _template() -> Any:
     from jinja2 import Environment
 
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["words"] = lambda name: name.replace("_", " ")
+    environment.filters["named"] = parameter_name
     return environment.from_string(str(_file("page.html")))
 
 

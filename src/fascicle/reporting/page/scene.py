@@ -68,19 +68,21 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
 def _scenarios(
     predicted: Mapping[str, Predicted], shown: Integers, low: Floats, high: Floats
 ) -> list[dict[str, Any]]:
-    """Scenarios on one scale, so that colours mean the same before and after."""
+    """Scenarios whose fields of one name have one scale, so that colours mean the same in all.
+
+    It ends where the last of these fields does: one slow network, which is not shown beside the
+    median ones, does not stretch theirs.
+    """
     fields = {name: _fields(found, shown) for name, found in predicted.items()}
     tops: dict[str, float] = {}
     for field in itertools.chain(*fields.values()):
         known = field.values[np.isfinite(field.values)]
-        top = float(known.max(initial=0.0))
-        tops[field.scale] = max(tops.get(field.scale, 0.0), top)
+        tops[field.name] = max(tops.get(field.name, 0.0), float(known.max(initial=0.0)))
     return [
         {
             "name": name,
             "label": found.scenario.description or name,
-            "duration": tops["time"],
-            "fields": [field.encoded(tops[field.scale] or 1.0) for field in fields[name]],
+            "fields": [field.encoded(tops[field.name] or 1.0) for field in fields[name]],
             "trees": _trees(found.beats[found.extremes()["median"]], low, high),
         }
         for name, found in predicted.items()
@@ -96,11 +98,6 @@ class _Field:
     unit: str
     kind: str
     values: Floats
-
-    @property
-    def scale(self) -> str:
-        """Fields of one scale share their colours: all times, and else those of one name."""
-        return self.kind if self.kind == "time" else self.name
 
     def encoded(self, top: float) -> dict[str, Any]:
         """For JSON, between 0 and `top`."""

@@ -1,0 +1,177 @@
+"""What the report says that a study was given, and the commands that make it again."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from fascicle import cli
+from fascicle.cli.demo import demo_recording
+from fascicle.core.quantities import QUANTITIES
+from fascicle.forward.scenario_files import read_scenarios
+from fascicle.prediction.scenarios import with_own_beat
+from fascicle.recording.target_files import read_target
+from fascicle.reporting.page.commands import commands, report_words, target_words
+from fascicle.reporting.page.inputs import held, learnt, recordings, settings
+from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR, checked_settings
+from fascicle.study.space import growth_and_conduction, study_space
+from fascicle.study.study import StudyConfig
+
+
+@pytest.fixture
+def command(monkeypatch):
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", list(map(str, words)))
+        with contextlib.suppress(SystemExit):
+            cli.main()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def made(default_heart, default_model, tmp_path_factory):
+    """A study as far as inputs go, of settings and parameters."""
+
+    def make(parameters, target=None, **given):
+        folder = tmp_path_factory.mktemp("a study")
+        checked = checked_settings(given)
+        space, fixed = study_space(checked.method, parameters, default_heart)
+        config = StudyConfig(
+            heart="h", target="t", space=space.parameters, fixed=fixed,
+            **growth_and_conduction(default_heart), **checked.model_dump(),
+        )  # fmt: skip
+        target = target or SimpleNamespace(provenance={})
+        problem = SimpleNamespace(model=default_model, recordings=[SimpleNamespace(target=target)])
+        return SimpleNamespace(study=SimpleNamespace(config=config), problem=problem, folder=folder)
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("method", "own", "foreign"),
+    [("posterior", OF_THE_POSTERIOR, OF_THE_PAPER), ("paper", OF_THE_PAPER, OF_THE_POSTERIOR)],
+)
+def test_only_the_method_s_settings_are_shown(made, method, own, foreign):
+    shown = settings(made({}, method=method).study.config)
+    assert shown.keys() >= {"method", "seed", *own}
+    assert not shown.keys() & {*foreign}
+
+
+def test_what_is_learnt_is_not_fixed_as_well(made, default_heart):
+    given = {
+        "branch_length": "free",
+        "endocardial_layer": 1.5,
+        "gain": {"lower": 0.5, "upper": 2.0},
+    }
+    fitted = made(given)
+    known = {name: text for _, name, text in learnt(fitted.study.config)}
+    fixed = {name: text for _, name, text in held(fitted) if name}
+    assert known["alpha"] == "uniform, 0.04 to 0.12 cm/ms √(cm/mS)"
+    assert known["gain"] == "uniform, 0.5 to 2"
+    assert not known.keys() & fixed.keys()
+    assert known.keys() | fixed.keys() <= QUANTITIES.keys()
+    assert fixed["endocardial_layer"] == "1.5 mm"
+    assert fixed["repulsion"] == "0.1"
+    called = [name for name, _, _ in held(fitted)]
+    assert ("conductivity of the lungs" in called) == (default_heart.torso is not None)
+    assert ("conductivity of the unbounded conductor" in called) == (default_heart.torso is None)
+
+
+def test_a_speed_that_stands_for_alpha_leaves_no_alpha(made):
+    names = [name for _, name, _ in held(made({"fibre_speed": 0.7}))]
+    assert "fibre_speed" in names
+    assert "alpha" not in names
+
+
+def test_recordings_by_name(made):
+    target = SimpleNamespace(provenance={"source": "/tmp/a.hea", "beats_used": "9"})
+    assert recordings(made({}, target)) == [
+        ("recording", "/tmp/a.hea"),
+        ("target", "beats_used: 9"),
+    ]
+
+
+def test_the_target_s_command_makes_it_again(command, tmp_path):
+    """Every choice that its provenance records."""
+    first, second = tmp_path / "first.nc", tmp_path / "second.nc"
+    asked = [
+        "--leads", "I,II,V1-V6", "--swap", "RA-LA", "--swap", "V1-V2", "--invert", "V3,V4",
+        "--exclude-beat", "3", "--exclude-beat", "5-6", "--onset", "-52.5", "--lowpass", "120",
+        "--notch", "50",
+    ]  # fmt: skip
+    command("fascicle", "target", demo_recording(), "--out", first, *asked)
+    target = read_target(first)
+    command(*target_words(target, str(second)))
+    again = read_target(second)
+    assert again.provenance == target.provenance
+    assert (again.beats == target.beats).all() or again.beats.shape == target.beats.shape
+    assert again.qrs_onset == -52.5
+    assert "--offset" not in target_words(target, "t.nc")
+    assert target_words(replace(target, provenance={"source": "in memory"}), "t.nc") == []
+
+
+@pytest.mark.parametrize(
+    ("parameters", "given"),
+    [
+        ({}, {}),
+        (
+            {"lv_fascicles": 3, "alpha": 0.071234567891, "repulsion": "free", "pose": "free"},
+            {"effective": 40, "gain_sd": 0.0, "seed": 7, "fewest_junctions": 20},
+        ),
+        (
+            {
+                "alpha": {"prior": "log-normal", "median": 0.07, "sd": 0.2},
+                "root_time": {"lower": -120.0, "upper": 0.0},
+                "orthodromic_delay": float("inf"),
+            },
+            {},
+        ),
+        ({"cv": 2.5}, {"method": "paper", "leads": "8", "steps": 10, "free_gain": True}),
+    ],
+)
+def test_the_fit_s_command_gives_the_same_study(
+    made, command, monkeypatch, tmp_path, default_heart, parameters, given
+):
+    fitted = made(parameters, **given)
+    monkeypatch.chdir(tmp_path)
+    asked = {}
+
+    def note(heart, recordings, out, *, parameters, progress, pool, **settings):
+        asked.update(heart=heart, out=out, parameters=parameters, settings=settings)
+        raise RuntimeError("that is enough")
+
+    monkeypatch.setattr("fascicle.study.fit.fit", note)
+    *file, fit, report = commands(fitted, {}, "intrinsic")
+    if file:
+        assert (file[0], file[-1]) == ("cat > settings.toml <<'END'", "END")
+        (tmp_path / "settings.toml").write_text("\n".join(file[1:-1]))
+    assert shlex.split(report) == ["fascicle", "report", str(fitted.folder)]
+    monkeypatch.setattr(sys, "argv", shlex.split(fit))
+    with pytest.raises(RuntimeError, match="enough"):
+        cli.main()
+    config = fitted.study.config
+    assert (asked["heart"], asked["out"]) == (str(fitted.folder / "heart"), fitted.folder)
+    space, fixed = study_space(config.method, asked["parameters"], default_heart)
+    assert set(space.parameters) == set(config.space)
+    assert fixed == config.fixed
+    settings = checked_settings(asked["settings"])
+    chosen = settings.model_dump()
+    assert chosen == config.model_dump(include=chosen.keys())
+
+
+def test_the_report_s_command_makes_the_page_again(tmp_path):
+    """With the file of a scenario of one's own, and names with spaces in quotes."""
+    path = tmp_path / "my case.toml"
+    path.write_text("silent = ['rv']\n")
+    found = {
+        name: SimpleNamespace(scenario=scenario)
+        for name, scenario in with_own_beat(read_scenarios(["his-pacing", path])).items()
+    }
+    words = report_words(SimpleNamespace(folder=tmp_path / "S"), found, "my case")
+    assert words[:5] == ["fascicle", "report", str(tmp_path / "S"), "--scenario", "his-pacing"]
+    assert words[5:] == ["--scenario", str(path), "--against", "my case"]
