@@ -122,17 +122,18 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
     checks = fitted.checks
     if checks is None:
         return said
+    each = f"{explained_share(checks):.0%}"
     if explained(checks):
         said.append(
-            f"Each explains the ECG well ({explained_share(checks):.0%} of the QRS, median), and no "
-            "lead, the window QRS duration or the axis stands out."
+            f"Each explains the ECG ({each} of the QRS, median), and no lead, the window QRS "
+            "duration or the axis stands out."
         )
     else:
         apart = f" {', '.join(checks.disagreeing)} cannot be theirs." if checks.disagreeing else ""
         said.append(
-            f"They do not explain the ECG: {explained_share(checks):.0%} of the QRS (median), where "
-            f"{LEAST_EXPLAINED:.0%} is the least.{apart} The heart, the body or the model is not the patient's, so that the intervals below are "
-            "those of a model that does not fit."
+            f"They do not explain the ECG: {each} of the QRS (median), where "
+            f"{LEAST_EXPLAINED:.0%} is the least.{apart} The heart, the body or the model is not "
+            "the patient's, so that the intervals below are those of a model that does not fit."
         )
     return said
 
