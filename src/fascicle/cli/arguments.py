@@ -23,6 +23,14 @@ HeartArgument = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
 
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
+        "(docs/cluster.md); else the cores of this machine do.",
+    ),
+]
 FormatOption = Annotated[
     Literal["png", "svg", "pdf"], typer.Option("--format", help="Of the pictures.")
 ]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,13 +11,16 @@ from fascicle.cli.arguments import (
     FormatOption,
     HeartArgument,
     OutOption,
+    SchedulerOption,
     StudyArgument,
     cluster,
     explicit,
     settings_options,
     with_scenario,
 )
+from fascicle.cli.cohorts import cohort as cohort_command
 from fascicle.cli.hearts import heart_app
+from fascicle.cli.interruption import resumable
 from fascicle.cli.output import Result, every_command
 from fascicle.cli.printing import (
     comparison_result,
@@ -155,6 +155,7 @@ def simulate(
 
 
 app.command(name="target")(every_command(target_command))
+app.command(name="cohort")(every_command(cohort_command))
 app.command(name="parameters")(every_command(parameters_command))
 
 
@@ -192,14 +193,7 @@ def fit(
     ] = None,
     free: FreeOption = None,
     fix: FixOption = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
-            "(docs/cluster.md); else the cores of this machine do.",
-        ),
-    ] = None,
+    scheduler: SchedulerOption = None,
     **settings: Any,
 ) -> Result:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
@@ -235,7 +229,7 @@ def fit(
     given = read_settings(settings_file) if settings_file is not None else {}
     learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
     given |= explicit(context, settings)
-    with _resumable(out), TerminalProgress() as progress:
+    with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
         pool = cluster(scheduler) if scheduler is not None else None
         fitted = run_fit(
@@ -482,7 +476,7 @@ def demo(
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
-    with _resumable(out), TerminalProgress() as progress:
+    with resumable(out), TerminalProgress() as progress:
         analysis, fitted, predicted = run_demo(out, progress, free_gain=free_gain)
     print_analysis(analysis)
     print_fit(fitted, written_summary(out / "study"))
@@ -493,16 +487,3 @@ def demo(
     return {"folder": out, "page": out / "report.html"} | {
         p: written_summary(out / p) for p in parts
     }
-
-
-@contextmanager
-def _resumable(out: Path) -> Iterator[None]:
-    """Say on Ctrl-C that nothing is lost; 130 is what shells expect then."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        print(
-            f"interrupted; what was evaluated is kept in {out}, and the same command goes on",
-            file=sys.stderr,
-        )
-        raise typer.Exit(130) from None

@@ -35,6 +35,7 @@ NAMES = {
     "rejection": "networks accepted",
     "networks": "simulating the networks",
 }
+MEMORY = 86_400.0  # s; time left is that of the whole stage so far, also where a step takes an hour
 FIRST, EVERY = 2.0, 10.0  # s after which a stage is spoken of in a line, and then again
 
 
@@ -54,6 +55,7 @@ class TerminalProgress:
             TimeRemainingColumn(),
             TextColumn("{task.fields[message]}"),
             console=self._console,
+            speed_estimate_period=MEMORY,
         )
 
     def __enter__(self) -> TerminalProgress:
@@ -84,7 +86,10 @@ class TerminalProgress:
         self._bars.start()
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(name, total=total, message="")
-        self._bars.update(self._tasks[stage], completed=done, total=total, message=message)
+        task = self._tasks[stage]
+        if done < self._bars.tasks[task].completed:  # the stage of another patient
+            self._bars.reset(task)
+        self._bars.update(task, completed=done, total=total, message=message)
 
 
 @dataclass

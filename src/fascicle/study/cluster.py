@@ -109,7 +109,7 @@ class Cluster(Remote):
 
     def _result(self, future: Any) -> Any:
         """Wait for a job; where its workers were lost it is done again, by others."""
-        with self._scheduler_there(CancelledError):
+        with self.scheduler_there(CancelledError):
             for _ in range(RETRIES):
                 try:
                     return future.result()
@@ -118,7 +118,7 @@ class Cluster(Remote):
             return future.result()
 
     @contextmanager
-    def _scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:
+    def scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:
         """Say so in one line when it is lost, of which these errors tell."""
         try:
             yield
@@ -141,7 +141,7 @@ class Cluster(Remote):
         """Give all workers, those that come later too, something to keep; its name."""
         name = f"fascicle-{_name(pickle.dumps((files, small)))}"
         if name not in self._known:
-            with self._scheduler_there(OSError, CancelledError):
+            with self.scheduler_there(OSError, CancelledError):
                 self._register(Held(name, files, small))
             self._known.add(name)
         return name

@@ -79,7 +79,7 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    path = _existing_file(as_path(path, "recording"))
+    path = existing_file(as_path(path, "recording"))
     options = ReadOptions(sampling_rate, unit)
     kind = _kind_of(path)
     if kind in _ISOLATED:
@@ -108,8 +108,14 @@ def _read(path: Path, kind: str, options: ReadOptions) -> RawRecording:
     return raw
 
 
-def _existing_file(path: Path) -> Path:
-    """Return the file itself, or the WFDB header of a record name."""
+def existing_file(path: Path) -> Path:
+    """Return the file itself, or the WFDB header of a record name.
+
+    Raises
+    ------
+    InputError
+        If there is neither.
+    """
     if path.is_file():
         return path
     header = path.with_name(path.name + ".hea") if path.name else path
