@@ -17,6 +17,7 @@ from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
 from .heart.folder import load_heart as load_heart
 from .heart.heart import Heart as Heart
+from .patients.cohort import cohort as cohort
 from .prediction.comparison import Comparison as Comparison
 from .prediction.comparison import compare as compare
 from .prediction.predicted import Predicted as Predicted

@@ -21,8 +21,8 @@ from fascicle.prediction.index_names import COMPARED, INDICES
 
 COMMANDS = (
     "simulate", "target", "parameters", "fit", "predict", "compare", "sweep", "scenarios", "report",
-    "template", "demo", "heart build", "heart import", "heart check", "heart refine", "heart bank",
-    "heart export", "study show", "study compare",
+    "cohort", "template", "demo", "heart build", "heart import", "heart check", "heart refine",
+    "heart bank", "heart export", "study show", "study compare",
 )  # fmt: skip
 STAMP = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d "
 
@@ -154,6 +154,22 @@ class TestProgress:
         report("compilation", 0, 1, "")
         time.sleep(0.2)
         assert "compiling (first run) 0/1" in said()
+
+    def test_bars_begin_again_with_another_patient(self, monkeypatch):
+        screen = io.StringIO()
+        monkeypatch.setattr("rich.console.Console.is_terminal", True)
+        monkeypatch.setattr("fascicle.cli.terminal_progress.current_output", lambda: Output(screen))
+        with TerminalProgress() as progress:
+            progress("sampling", 5, 10, "")
+            (bar,) = progress._bars.tasks
+            began = bar.start_time
+            progress("sampling", 10, 10, "")
+            assert bar.start_time == began
+            assert bar.finished
+            progress("sampling", 1, 20, "")
+            assert (bar.completed, bar.total) == (1, 20)
+            assert bar.start_time > began
+            assert not bar.finished
 
     def test_what_is_done_soon_is_not_spoken_of(self, progress):
         report, said = progress

@@ -5,6 +5,8 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -12,7 +14,8 @@ from filelock import FileLock
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.study.lock import HOLDER, LOCK, study_lock
+from fascicle.study import lock
+from fascicle.study.lock import HOLDER, LOCK, LOST, HeldError, study_lock
 
 HOLD = (
     "import sys, time; from pathlib import Path; from fascicle.study.lock import study_lock\n"
@@ -62,17 +65,33 @@ def test_an_impossible_fit_leaves_nothing_behind(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_the_lock_of_another_host_says_how_to_remove_it(tmp_path):
-    (tmp_path / HOLDER).write_text("process 17 on elsewhere\n")
+def test_another_host_holds_it_as_long_as_it_gives_signs_of_life(tmp_path):
+    holder = tmp_path / HOLDER
+    holder.write_text("process 17 on elsewhere\n")
+    now = holder.stat().st_mtime
+    os.utime(holder, (now, now - LOST + 30))
     with (
-        pytest.raises(InputError, match=rf"process 17 on elsewhere .* delete .*{HOLDER}"),
+        pytest.raises(HeldError, match=r"process 17 on elsewhere .* 3 minutes until it counts"),
         study_lock(tmp_path),
     ):
         pass
-    assert (tmp_path / HOLDER).read_text() == "process 17 on elsewhere\n"
-    (tmp_path / HOLDER).unlink()
+    assert holder.read_text() == "process 17 on elsewhere\n"
+    os.utime(holder, (now, now - LOST - 30))
     with study_lock(tmp_path):
-        pass
+        assert holder.read_text() == f"process {os.getpid()} on {socket.gethostname()}\n"
+    assert not holder.exists()
+
+
+def test_who_holds_it_gives_signs_of_life(tmp_path, monkeypatch):
+    monkeypatch.setattr(lock, "BEAT", 0.02)
+    with study_lock(tmp_path):
+        os.utime(tmp_path / HOLDER, (0, 0))
+        until = time.monotonic() + 10
+        while not (tmp_path / HOLDER).stat().st_mtime:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+    threads = [each for each in threading.enumerate() if "touch" in each.name]
+    assert threads == []
 
 
 def test_a_lock_that_a_dead_host_still_has_says_how_to_remove_it(tmp_path):

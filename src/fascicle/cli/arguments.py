@@ -17,7 +17,7 @@ from fascicle.core.progress import Progress
 from fascicle.prediction.index_names import COMPARED, INDICES
 
 if TYPE_CHECKING:
-    from fascicle.study.pool import Pool
+    from fascicle.study.cluster import Cluster
 
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
@@ -122,7 +122,7 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
     return Path(target), Path(scenario)
 
 
-def pool_at(scheduler: str | None, progress: Progress) -> Pool | None:
+def pool_at(scheduler: str | None, progress: Progress) -> Cluster | None:
     """Workers of the Dask scheduler at an address; none where no address is given."""
     if scheduler is None:
         return None

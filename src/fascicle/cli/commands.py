@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +19,9 @@ from fascicle.cli.arguments import (
     settings_options,
     with_scenario,
 )
+from fascicle.cli.cohorts import cohort as cohort_command
 from fascicle.cli.hearts import heart_app
+from fascicle.cli.interruption import resumable
 from fascicle.cli.output import Result, every_command
 from fascicle.cli.printing import (
     comparison_result,
@@ -159,6 +158,7 @@ def simulate(
 
 
 app.command(name="target")(every_command(target_command))
+app.command(name="cohort")(every_command(cohort_command))
 app.command(name="parameters")(every_command(parameters_command))
 
 
@@ -232,7 +232,7 @@ def fit(
     given = read_settings(settings_file) if settings_file is not None else {}
     learnt = given.pop(PARAMETERS, {}) | wanted_parameters(free, fix)
     given |= explicit(context, settings)
-    with _resumable(out), TerminalProgress() as progress:
+    with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
         pool = pool_at(scheduler, progress)
         fitted = run_fit(
@@ -487,7 +487,7 @@ def demo(
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
-    with _resumable(out), TerminalProgress() as progress:
+    with resumable(out), TerminalProgress() as progress:
         analysis, fitted, predicted = run_demo(out, progress, free_gain=free_gain)
     print_analysis(analysis)
     print_fit(fitted, written_summary(out / "study"))
@@ -498,16 +498,3 @@ def demo(
     return {"folder": out, "page": out / "report.html"} | {
         p: written_summary(out / p) for p in parts
     }
-
-
-@contextmanager
-def _resumable(out: Path) -> Iterator[None]:
-    """Say on Ctrl-C that nothing is lost; 130 is what shells expect then."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        print(
-            f"interrupted; what was evaluated is kept in {out}, and the same command goes on",
-            file=sys.stderr,
-        )
-        raise typer.Exit(130) from None

@@ -14,6 +14,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -91,3 +92,22 @@ def ended_promptly() -> Iterator[Interruption]:
         os.close(writer)
         thread.join()
         os.close(reader)
+
+
+@contextmanager
+def resumable(out: Path) -> Iterator[None]:
+    """Say on Ctrl-C that nothing is lost; 130 is what shells expect then.
+
+    Parameters
+    ----------
+    out : Path
+        Folder that keeps what is done.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(
+            f"interrupted; what was evaluated is kept in {out}, and the same command goes on",
+            file=sys.stderr,
+        )
+        sys.exit(128 + signal.SIGINT)

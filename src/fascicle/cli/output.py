@@ -23,6 +23,23 @@ from fascicle.core.files import outside_allowed
 
 PANEL = "Every command"
 Result = Mapping[str, Any] | Sequence[Any]  # of a command, for --json
+NOT_ALL = 1  # exit status
+
+
+class NotAllDoneError(Exception):
+    """A command has done what it could, which is not all; it ends with exit status 1.
+
+    Parameters
+    ----------
+    result : mapping or sequence
+        What it has done.
+    """
+
+    def __init__(self, result: Result) -> None:
+        super().__init__("not all is done")
+        self.result = result
+
+
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print nothing but errors.", rich_help_panel=PANEL)
 ]
@@ -126,13 +143,19 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     def run(
         *given: Any, quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **named: Any
     ) -> None:
+        status = 0
         with ExitStack() as around:
             if allow_outside:
                 around.enter_context(outside_allowed())
             around.enter_context(_saying(quiet, as_json, log))
-            result = command(*given, **named)
+            try:
+                result = command(*given, **named)
+            except NotAllDoneError as ended:
+                result, status = ended.result, NOT_ALL
         if as_json:
             print(json.dumps(_plain(result), indent=2))
+        if status:
+            raise typer.Exit(status)
 
     signature = inspect.signature(command, eval_str=True)
     parameters = [*signature.parameters.values(), *ADDED]

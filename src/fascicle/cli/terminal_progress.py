@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
+from math import inf
 from types import TracebackType
 
 from rich.console import Console
@@ -41,6 +42,7 @@ NAMES = {
     "workers": "workers of the cluster",
 }
 ENDS_EARLIER = ("sampling",)  # names of stages whose total is a maximum
+STEADY = ("patients",)  # whose steps take long: all that was done says how much time is left
 FIRST, EVERY = 2.0, 10.0  # s after which a stage is spoken of in a line, and then again
 WINDOW, APART = 60.0, 0.5  # s, whose work says how much time is left, and between its reports
 FEWEST = 5.0  # s of work before anything is said of that
@@ -93,9 +95,10 @@ class TerminalProgress:
         self._bars.start()
         if stage not in self._tasks:
             self._tasks[stage] = self._bars.add_task(name, total=total, message="", stage=None)
-        self._bars.update(
-            self._tasks[stage], completed=done, total=total, message=message, stage=stage_now
-        )
+        task = self._tasks[stage]
+        if done < self._bars.tasks[task].completed:  # the stage of another patient
+            self._bars.reset(task)
+        self._bars.update(task, completed=done, total=total, message=message, stage=stage_now)
 
 
 @dataclass
@@ -117,7 +120,8 @@ class _Stage:
         self.done, self.total, self.message = done, total, message
         if not self.reports or now - self.reports[-1][0] >= APART:
             self.reports.append((now, done))
-        while len(self.reports) > 2 and self.reports[1][0] <= now - WINDOW:
+        memory = inf if self.name in STEADY else WINDOW
+        while len(self.reports) > 2 and self.reports[1][0] <= now - memory:
             self.reports.popleft()
 
     @property
@@ -128,7 +132,9 @@ class _Stage:
             return ""
         # the slower of the window and of its later half, as what was quick may be over
         first = self.reports[0][0]
-        rate = min(self._rate(first, now), self._rate((first + now) / 2, now))
+        rate = self._rate(first, now)
+        if self.name not in STEADY:
+            rate = min(rate, self._rate((first + now) / 2, now))
         if rate <= 0:
             return ""
         most = "at most " if self.name in ENDS_EARLIER else ""

@@ -266,6 +266,11 @@ def outside_allowed() -> Iterator[None]:
         _OUTSIDE_ALLOWED.reset(token)
 
 
+def is_outside_allowed() -> bool:
+    """Whether files may name files outside their own folder now."""
+    return _OUTSIDE_ALLOWED.get()
+
+
 def named_by(file: Path, name: str) -> Path:
     """Path of a file that another file names, from that one's folder.
 
@@ -278,7 +283,7 @@ def named_by(file: Path, name: str) -> Path:
     if "\0" in name:
         raise InputError(f"{file}: names '{printable(name)}', which is no file; correct the name")
     path, folder = file.parent / name, file.parent.resolve()
-    if not _OUTSIDE_ALLOWED.get() and folder not in path.resolve().parents:
+    if not is_outside_allowed() and folder not in path.resolve().parents:
         raise InputError(
             f"{file}: names '{printable(name)}', which lies outside its folder; copy that file "
             "into the folder, or allow it with --allow-outside (Python: fascicle.outside_allowed())"

@@ -1,7 +1,8 @@
-"""How many threads the linear algebra uses."""
+"""How many cores there are, and how many threads the linear algebra uses."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -50,3 +51,10 @@ def in_chunks(work: Callable[[slice], None], count: int, size: int) -> None:
             return
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, slices))
+
+
+def cores() -> int:
+    """Count the cores that this process may use: a queue may give it fewer than there are."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -120,14 +120,14 @@ class Cluster(Remote):
         """Fetch together what jobs have given: one by one each would take some milliseconds."""
         first = self._result(futures[0])
         try:
-            with self._scheduler_there(CancelledError):
+            with self.scheduler_there(CancelledError):
                 return [first, *self.client.gather(list(futures[1:]))]
         except KilledWorker:  # of one that had ended: what it had given was lost with it
             return [first, *map(self._result, futures[1:])]
 
     def _result(self, future: Any) -> Any:
         """Wait for a job; where its workers were lost it is done again, by others."""
-        with self._scheduler_there(CancelledError):
+        with self.scheduler_there(CancelledError):
             for _ in range(RETRIES):
                 try:
                     return self._awaited(future)
@@ -145,7 +145,7 @@ class Cluster(Remote):
         return future.result()
 
     def _say_whether_it_waits(self) -> None:
-        with self._scheduler_there(OSError):
+        with self.scheduler_there(OSError):
             waits = self._threads() == 0
         if self.progress is not None and (waits or self._waits):
             message = f"{self.address} has no worker; waiting for one" if waits else ""
@@ -153,7 +153,7 @@ class Cluster(Remote):
         self._waits = waits
 
     @contextmanager
-    def _scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:
+    def scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:
         """Say so in one line when it is lost, of which these errors tell."""
         try:
             yield
@@ -176,7 +176,7 @@ class Cluster(Remote):
         """Give all workers, those that come later too, something to keep; its name."""
         name = f"fascicle-{_name(pickle.dumps((files, small)))}"
         if name not in self._known:
-            with self._scheduler_there(OSError, CancelledError):
+            with self.scheduler_there(OSError, CancelledError):
                 self._register(Held(name, files, small))
             self._known.add(name)
         return name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -37,7 +37,7 @@ from fascicle.study.recordings import (
     write_recordings,
 )
 from fascicle.study.results import FittedStudy, write_results
-from fascicle.study.settings import checked_settings
+from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
 
@@ -113,11 +113,44 @@ def fit(
     folder = as_path(out, "out")
     check_study_folder(folder)
     refuse_held(folder)
+    return fit_inputs(read_inputs(heart, target, parameters or {}, checked), folder, progress, pool)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a study is of.
+
+    Attributes
+    ----------
+    heart : Heart
+    recordings : sequence of Recording
+    config : StudyConfig
+        All that decides the outcome, with their hashes.
+    """
+
+    heart: Heart
+    recordings: Sequence[Recording]
+    config: StudyConfig
+
+
+def read_inputs(
+    heart: Heart | Path | str,
+    target: Given | list[Given],
+    parameters: Mapping[str, Any],
+    settings: FitSettings,
+) -> Inputs:
+    """Read what `fit` is given, and settle what is learnt; it says what is what.
+
+    Raises
+    ------
+    InputError
+        If something of it cannot be used.
+    """
     heart = as_heart(heart)
     recordings = given_recordings(target)
-    _check_method(checked.method, recordings)
-    space, fixed = study_space(checked.method, parameters or {}, heart)
-    if checked.free_gain and ("gain" in space.names or "gain" in fixed):
+    _check_method(settings.method, recordings)
+    space, fixed = study_space(settings.method, parameters, heart)
+    if settings.free_gain and ("gain" in space.names or "gain" in fixed):
         raise InputError("the gain is a parameter and free of its own; leave --free-gain out")
     config = StudyConfig(
         heart=heart.digest,
@@ -125,8 +158,26 @@ def fit(
         space=space.parameters,
         fixed=fixed,
         **growth_and_conduction(heart),
-        **checked.model_dump(),
+        **settings.model_dump(),
     )
+    return Inputs(heart, recordings, config)
+
+
+def fit_inputs(
+    inputs: Inputs, folder: Path, progress: Progress | None = None, pool: Pool | None = None
+) -> FittedStudy:
+    """Do what is left of a study in its folder, and write its results.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        What it is of.
+    folder : Path
+        Where it is, or is to be.
+    progress, pool
+        As for `fit`, which says what is raised, too.
+    """
+    heart, recordings, config = inputs.heart, inputs.recordings, inputs.config
     problem = _problem(config, heart, recordings, pool, progress)
     _check_scenarios(problem)
     with study_lock(folder):

@@ -267,6 +267,23 @@ def check_study_folder(folder: Path) -> None:
         )
 
 
+def is_finished(folder: Path, config: StudyConfig) -> bool:
+    """Whether the study of a configuration is in a folder, and finished.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, or a study with other settings.
+    """
+    check_study_folder(folder)
+    if not (folder / CONFIGURATION).exists():
+        return False
+    there = _read(folder)
+    check_same(folder, there, config)
+    same = there == config.model_copy(update={"workers": there.workers})
+    return same and (folder / RESULT[config.method]).exists()
+
+
 def _remove_leftovers(folder: Path) -> None:
     """Remove temporary files and folders of runs that were killed."""
     for path in folder.glob(".*"):

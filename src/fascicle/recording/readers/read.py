@@ -81,7 +81,7 @@ def read_recording(
     InputError
         When the file cannot be used; the message says why and what to do.
     """
-    path = _existing_file(as_path(path, "recording"))
+    path = existing_file(as_path(path, "recording"))
     if leads is not None:
         check_items(leads, str, "leads", f"names of {', '.join(LEADS)}")
     if sampling_rate is not None:
@@ -116,8 +116,14 @@ def _read(path: Path, kind: str, options: ReadOptions) -> RawRecording:
     return raw
 
 
-def _existing_file(path: Path) -> Path:
-    """Return the file itself, or the WFDB header of a record name."""
+def existing_file(path: Path) -> Path:
+    """Return the file itself, or the WFDB header of a record name.
+
+    Raises
+    ------
+    InputError
+        If there is neither.
+    """
     if path.is_file():
         return path
     header = path.with_name(path.name + ".hea") if path.name else path

@@ -1,0 +1,1 @@
+"""Many patients: a table with a heart and a recording each, their studies, and one page of all."""

@@ -1,0 +1,141 @@
+"""Patients on the workers of a Dask cluster, which are killed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.core.errors import InputError
+from fascicle.patients.outcome import Status
+from fascicle.patients.table import read_table
+
+distributed = pytest.importorskip("distributed")
+# so that a worker can be killed within
+LONGER = {"method": "posterior", "effective": "20", "evaluations": "200", "bank": "100"}
+
+
+@pytest.fixture(scope="module")
+def address():
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None
+    ) as found:
+        yield found.scheduler_address
+
+
+@pytest.fixture
+def workers(monkeypatch):
+    from fascicle.patients import workers
+
+    monkeypatch.setattr(workers, "AGAIN_AFTER", 0.5)
+    return workers
+
+
+def kill_first_at_work(address, folder, killed):
+    """Kill the first worker that has stored evaluations of a study."""
+    client = distributed.Client(address, set_as_default=False)
+    holder = folder / ".study.holder"
+    while not (folder / "evaluations.sqlite").exists() or not holder.exists():
+        time.sleep(0.05)
+    pid = int(holder.read_text().split()[1])
+    assert pid in client.run(os.getpid).values()
+    os.kill(pid, signal.SIGKILL)
+    killed.append(pid)
+    client.close()
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_nothing_but_time(address, workers, table, tmp_path):
+    """Same bits as here; a bad file stops nobody there either."""
+    path, killed = table("anna", "bert", **LONGER), []
+    out = tmp_path / "out"
+    study = out / "studies" / "anna"
+    killer = threading.Thread(target=kill_first_at_work, args=(address, study, killed))
+    killer.start()
+    found = fascicle.cohort(path, out, cluster=fascicle.Cluster(address))
+    killer.join()
+    assert len(killed) == 1
+    assert {each.patient: str(each.status) for each in found} == {
+        "anna": "fitted",
+        "bert": "failed",
+    }
+    assert not list((out / "patients").glob(".seen-*"))
+    assert (study / "report.html").stat().st_size > 1e5
+    row, _ = read_table(path)
+    alone = fascicle.fit("default", row.recording, tmp_path / "here", **row.settings)
+    there = fascicle.load_study(study)
+    np.testing.assert_array_equal(alone.population.losses, there.population.losses)
+    for key, values in alone.population.values.items():
+        np.testing.assert_array_equal(values, there.population.values[key])
+
+
+def test_a_patient_who_loses_every_worker_is_given_up(
+    address, workers, table, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(workers, "ATTEMPTS", 2)
+    ended = threading.Event()
+
+    def kill():
+        while not ended.is_set():
+            for holder in tmp_path.rglob(".study.holder"):
+                with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+                    os.kill(int(holder.read_text().split()[1]), signal.SIGKILL)
+            time.sleep(0.1)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        (found,) = fascicle.cohort(
+            table("anna"), tmp_path / "out", cluster=fascicle.Cluster(address)
+        )
+    finally:
+        ended.set()
+        killer.join()
+    assert found.status is Status.FAILED
+    assert "its worker was lost 2 times" in found.reason
+    assert "lost 2 times" in (tmp_path / "out" / "results.csv").read_text()
+
+
+@pytest.mark.slow
+def test_a_fit_for_which_nobody_waits_ends(address, workers, table, tmp_path):
+    """And the next run goes on with it."""
+    path, out = table("anna", **LONGER), tmp_path / "out"
+
+    def interrupted(stage, done, total, message):
+        if (out / "studies" / "anna" / "evaluations.sqlite").exists():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fascicle.cohort(path, out, cluster=fascicle.Cluster(address), progress=interrupted)
+    until = time.monotonic() + 60
+    while (out / "patients" / "anna" / ".study.holder").exists():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    assert not (out / "patients" / "anna" / "outcome.json").exists()
+    assert not (out / "studies" / "anna" / "population.nc").exists()
+    assert "1 not done yet" in (out / "index.html").read_text()
+
+
+def test_a_worker_that_does_not_see_the_folder(tmp_path, workers, monkeypatch):
+    monkeypatch.setattr(workers, "VISIBLE_WITHIN", 0.1)
+    monkeypatch.setattr(workers, "POLL", 0.1)
+    with pytest.raises(InputError, match=r"out: not seen by the worker on .* all workers share"):
+        workers._check_seen(tmp_path / "out" / "patients" / ".seen-1")
+
+
+def test_such_a_worker_stops_all(address, workers, table, tmp_path, monkeypatch):
+    """What it raises is no patient's."""
+    monkeypatch.setattr(workers, "_fit_here", refuse)
+    with pytest.raises(InputError, match="not seen"):
+        fascicle.cohort(table("anna"), tmp_path / "out", cluster=fascicle.Cluster(address))
+    assert not (tmp_path / "out" / "patients" / "anna").exists()
+
+
+def refuse(*_):
+    raise InputError("not seen")
