@@ -84,10 +84,10 @@ def solve_from_vertices(myocardium: Myocardium, times: NDArray[np.float64]) -> N
         Activation times (ms); inf where no front arrives.
     """
     coupling = attach(myocardium, ())
-    front = front_at_rest(len(times), 0)
-    front.time[:] = times[myocardium.order]
+    front = front_at_rest(myocardium.mesh, len(coupling.lengths), 0)
+    front.time[: len(times)] = times[myocardium.order]
     sources = np.flatnonzero(np.isfinite(front.time))
     sweep(front, sources, myocardium.mesh, coupling.forest, coupling.sites)
     solved = np.empty(len(times))
-    solved[myocardium.order] = front.time
+    solved[myocardium.order] = front.time[: len(times)]
     return solved

@@ -25,6 +25,9 @@ PRODUCTS, SQUARES = 0, 6  # the first of six each
 class EikonalMesh(NamedTuple):
     """The conducting myocardium; elements that do not conduct are in no list.
 
+    What only the sweep reads is unsigned: that a negative index counts from the end, Numba would
+    look for at every access.
+
     Attributes
     ----------
     vertices : (n, 3) array
@@ -40,11 +43,13 @@ class EikonalMesh(NamedTuple):
         What the local solver needs of each: the products ∇λᵢ·D∇λⱼ (1/ms²) of its corners'
         barycentric coordinates for each pair of corners, and the squared travel times (ms²) along
         those edges.
-    star_start, star : (n + 1,) and (4m, 4) arrays
-        The tetrahedra of each vertex: the other three corners, in ascending order of their place
-        in the tetrahedron, and `CORNERS`·tetrahedron + the vertex's own place.
-    least : (4m,) array
-        By how much (ms) any of the other corners is at least later than the vertex if the front
+    star_start, star : (n + 1,) and (4m,) arrays
+        The tetrahedra of each vertex: `CORNERS`·tetrahedron + the vertex's own place in it.
+    others : (4m, 3) array
+        Their other three corners, in ascending order of their place in the tetrahedron: which of
+        the vertices that share an edge with the vertex each is.
+    least : (4m, 3) array
+        By how much (ms) each of those corners is at least later than the vertex if the front
         comes to it through the vertex and the rest of the opposite face; may be negative.
     link_start, link, link_time : (n + 1,), (l,) and (l,) arrays
         The vertices that share an edge with each vertex, and the travel times to them (ms).
@@ -58,10 +63,11 @@ class EikonalMesh(NamedTuple):
     neighbours: NDArray[np.int32]
     solver: NDArray[np.float64]
     star_start: NDArray[np.int64]
-    star: NDArray[np.int32]
+    star: NDArray[np.uint32]
+    others: NDArray[np.uint16]
     least: NDArray[np.float32]
     link_start: NDArray[np.int64]
-    link: NDArray[np.int32]
+    link: NDArray[np.uint32]
     link_time: NDArray[np.float64]
     slowness: float
 
@@ -211,6 +217,37 @@ class Queue(NamedTuple):
     place: NDArray[np.int64]
 
 
+class Surroundings(NamedTuple):
+    """Room for what is around the vertex that is taken: its neighbours, elements and their faces.
+
+    Blocks hold a few elements or faces side by side, each number of all of them in a row; see
+    `fascicle.kernels.star`.
+
+    Attributes
+    ----------
+    time, lent, by : (k,) arrays
+        Of each neighbour: when the front comes to it (ms), as far as is known; the time that it
+        lends to faces, inf while it waits in the queue; and the face by which it was lowered,
+        or `BY_EDGE` or `NOT_LOWERED`.
+    chosen : (e, 2) array
+        Which elements may lower a corner, and which corners: the sum of 1, 2 and 4.
+    elements : array
+        Blocks of those.
+    corners : (f, 3) array
+        Of each face the neighbours that it may lower, and its two others.
+    faces : array
+        Blocks of those.
+    """
+
+    time: NDArray[np.float64]
+    lent: NDArray[np.float64]
+    by: NDArray[np.int64]
+    chosen: NDArray[np.uint32]
+    elements: NDArray[np.float64]
+    corners: NDArray[np.uint16]
+    faces: NDArray[np.float64]
+
+
 class Front(NamedTuple):
     """What the sweep finds out, for mesh vertices first and then tree nodes.
 
@@ -224,12 +261,15 @@ class Front(NamedTuple):
         The site whose front entered a tree at each site, or -1.
     queue : Queue
         The nodes that wait to be taken.
+    around : Surroundings
+        Anything.
     """
 
     time: NDArray[np.float64]
     origin: NDArray[np.int64]
     entered_by: NDArray[np.int64]
     queue: Queue
+    around: Surroundings
 
 
 # What the search for the nearest node reads of a node lies together: one cache line, not five.

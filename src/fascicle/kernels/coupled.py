@@ -4,30 +4,9 @@ import numpy as np
 
 from fascicle.kernels.arrays import CORNERS, FACES, SQUARES
 from fascicle.kernels.jit import kernel
-from fascicle.kernels.local_solver import from_face, from_new_corner
+from fascicle.kernels.local_solver import from_face
 from fascicle.kernels.queue import lower, pop
-
-# Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
-SETTLED = 1e-10
-
-# A slope of the times in an element that exceeds 1 by less is rounding.
-STEEP = 1.0 + 1e-12
-
-# PAIRS[s]: where, among the six pairs of a tetrahedron's corners, stand those of corner s with the
-# others a, b, c, and the pairs ab, ac, bc
-PAIRS = np.array([[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]])
-
-# The last column of a mesh's star is CORNERS·tetrahedron + place, CORNERS being a power of 2:
-PLACE_BITS = CORNERS.bit_length() - 1  # what is above these bits is the tetrahedron,
-PLACE_MASK = CORNERS - 1  # what is in them the vertex's place among its corners
-
-
-@kernel(inline="always")
-def _earliest(a, b, c, time):
-    """The earliest of three nodes."""
-    if time[b] < time[a]:
-        a = b
-    return c if time[c] < time[a] else a
+from fascicle.kernels.star import PAIRS, SETTLED, fetch_next, through_star
 
 
 @kernel()
@@ -104,90 +83,6 @@ def _fire(site, now, sites, front, size):
     return size
 
 
-@kernel(inline="always")
-def _through_edges(node, mesh, front, size):
-    """From a vertex along the edges; returns the queue's size."""
-    time, origin = front.time, front.origin
-    now, by = time[node], origin[node]
-    for k in range(mesh.link_start[node], mesh.link_start[node + 1]):
-        other, arrival = mesh.link[k], now + mesh.link_time[k]
-        if arrival < time[other] - SETTLED:
-            time[other], origin[other] = arrival, by
-            size = lower(other, time, front.queue, size)
-    return size
-
-
-@kernel(inline="always")
-def _offer(at, known, face, delay, front, size):
-    """To corner `at`, whose time is `known`, `delay` after a face's first corner.
-
-    Returns the corner's time and the queue's size.
-    """
-    s, j, k = face
-    time, origin = front.time, front.origin
-    arrival = time[s] + delay
-    if arrival < known - SETTLED:
-        time[at] = known = arrival
-        origin[at] = origin[_earliest(s, j, k, time)]
-        size = lower(at, time, front.queue, size)
-    return known, size
-
-
-@kernel(inline="always")
-def _through_elements(node, mesh, front, size):
-    """From a vertex through the faces and elements around it; returns the queue's size.
-
-    Comes after `_through_edges`, by which every corner has a time. Corners that still waited when
-    it began lend their times to no face: when the last corner of a face is taken, it passes on what
-    comes through all of it.
-
-    In names, a, b, c are the other corners of an element and s is the vertex's own place in it:
-    p.. are the products of `EikonalMesh.solver`, q.. its squared travel times, t. the times, d. the
-    times less that of the vertex.
-    """
-    time, place, solver = front.time, front.queue.place, mesh.solver
-    now = time[node]
-    for e in range(mesh.star_start[node], mesh.star_start[node + 1]):
-        a, b, c = mesh.star[e, 0], mesh.star[e, 1], mesh.star[e, 2]
-        ta, tb, tc = time[a], time[b], time[c]
-        ready_a, ready_b, ready_c = place[a] < 0, place[b] < 0, place[c] < 0
-        soonest = now + mesh.least[e]
-        to_a = (ready_b or ready_c) and soonest < ta
-        to_b = (ready_a or ready_c) and soonest < tb
-        to_c = (ready_a or ready_b) and soonest < tc
-        if not (to_a or to_b or to_c):
-            continue
-        t, s = mesh.star[e, 3] >> PLACE_BITS, mesh.star[e, 3] & PLACE_MASK
-        sa, sb, sc = PAIRS[s, 0], PAIRS[s, 1], PAIRS[s, 2]
-        ab, ac, bc = PAIRS[s, 3], PAIRS[s, 4], PAIRS[s, 5]
-        psa, psb, psc = solver[t, sa], solver[t, sb], solver[t, sc]
-        pab, pac, pbc = solver[t, ab], solver[t, ac], solver[t, bc]
-        da, db, dc = ta - now, tb - now, tc - now
-        # where times rise no steeper than a front does, nothing in the element can be earlier
-        if -(
-            psa * da * da + psb * db * db + psc * dc * dc
-            + pab * (da - db) ** 2 + pac * (da - dc) ** 2 + pbc * (db - dc) ** 2
-        ) <= STEEP:  # fmt: skip
-            continue
-        qsa, qsb, qsc = solver[t, SQUARES + sa], solver[t, SQUARES + sb], solver[t, SQUARES + sc]
-        qab, qac, qbc = solver[t, SQUARES + ab], solver[t, SQUARES + ac], solver[t, SQUARES + bc]
-        if to_a:
-            products, squares = (psa, pab, pac, psb, psc, pbc), (qsa, qab, qac, qsb, qsc)
-            delay = from_new_corner(products, squares, db, dc, ready_b, ready_c)
-            ta, size = _offer(a, ta, (node, b, c), delay, front, size)
-            da = ta - now
-        if to_b:
-            products, squares = (psb, pab, pbc, psa, psc, pac), (qsb, qab, qbc, qsa, qsc)
-            delay = from_new_corner(products, squares, da, dc, ready_a, ready_c)
-            tb, size = _offer(b, tb, (node, a, c), delay, front, size)
-            db = tb - now
-        if to_c:
-            products, squares = (psc, pac, pbc, psa, psb, pab), (qsc, qac, qbc, qsa, qsb)
-            delay = from_new_corner(products, squares, da, db, ready_a, ready_b)
-            tc, size = _offer(c, tc, (node, a, b), delay, front, size)
-    return size
-
-
 @kernel()
 def _arrival_inside(site, t, sites, mesh, time):
     """Earliest arrival (ms) at a site in tetrahedron t, from its four faces."""
@@ -255,9 +150,9 @@ def sweep(front, sources, mesh, forest, sites):
         size = lower(source, front.time, front.queue, size)
     while size > 0:
         node, size = pop(front.time, front.queue, size)
+        fetch_next(front.queue.heap, size, mesh)
         if node < vertices:
-            size = _through_edges(node, mesh, front, size)
-            size = _through_elements(node, mesh, front, size)
+            size = through_star(node, mesh, front, size)
             size = _into_trees(node, sites, mesh, front, size)
             continue
         size = _through_tree(node - vertices, vertices, forest, front, size)

@@ -10,8 +10,11 @@ bins give the histogram back.
 import numpy as np
 
 from fascicle.kernels.jit import allocating_kernel
+from fascicle.kernels.prefetch import prefetch
 
 CHANNELS = 8  # contiguous in every array
+ROW = CHANNELS * 8  # bytes of a row of channels
+AHEAD = 6  # how many elements before its turn what an element adds to is fetched
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
 # are close, the jumps grow as 1/gap³ and with them the rounding error that the running sums leave:
 # 0.05 keeps it near 1e-6 of what that element contributes, over 500 bins.
@@ -138,6 +141,9 @@ def deposit(time, corners, weights, origin, width, bins):
     at_vertex = np.zeros((len(time), CHANNELS))
     histogram = np.zeros((bins, CHANNELS))
     for e in range(len(corners)):
+        if e + AHEAD < len(corners):
+            for n in range(4):
+                prefetch(at_vertex, np.int64(corners[e + AHEAD, n]) * ROW)
         i, j, k, l = corners[e]  # noqa: E741
         a, b, c, d = time[i], time[j], time[k], time[l]
         if not a + b + c + d < np.inf:

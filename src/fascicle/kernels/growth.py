@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from fascicle.kernels.arrays import NODE, Tree
-from fascicle.kernels.jit import allocating_kernel
+from fascicle.kernels.jit import allocating_kernel, kernel
 
 GROWN = -1  # status: the tree is complete
 TOO_LARGE = -2  # status: it has more nodes, or ends, than any heart
@@ -23,7 +23,7 @@ DIAMETER = 2.0  # of the disk: nothing in it is further away
 SOME_LEFT = 1e-300  # mm; what is left of a walk that meets the base on its last step
 
 
-@allocating_kernel(inline="always")
+@kernel(inline="always")
 def _norm(metric, triangle, a, b):
     """√(dᵀGd) for d = (a, b): physical length per unit of disk."""
     return math.sqrt(
@@ -33,7 +33,7 @@ def _norm(metric, triangle, a, b):
     )
 
 
-@allocating_kernel()
+@kernel()
 def walk(u, v, triangle, a, b, length, chart):
     """Walk along a direction of the disk, exactly, triangle by triangle.
 
@@ -80,12 +80,12 @@ def walk(u, v, triangle, a, b, length, chart):
         triangle = neighbours[triangle, exit_edge]
 
 
-@allocating_kernel(inline="always")
+@kernel(inline="always")
 def _cell(x):
     return min(max(int((x + 1.0) * 0.5 * GRID), 0), GRID - 1)
 
 
-@allocating_kernel(inline="always")
+@kernel(inline="always")
 def _square(u, v, node, metric, triangle):
     """Squared distance (mm²) from (u, v) to a node in the metric of a triangle."""
     x, y = u - node.u, v - node.v
@@ -96,7 +96,7 @@ def _square(u, v, node, metric, triangle):
     )
 
 
-@allocating_kernel()
+@kernel()
 def _nearest(point, kin, nearest, nodes, head, metric):
     """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
 
@@ -171,14 +171,14 @@ def _lay(start, heading, length, step, branch, tree, chart):
     return tree, last, 0.0
 
 
-@allocating_kernel(inline="always")
+@kernel(inline="always")
 def _turned(heading, angle):
     """Give `heading` turned counter-clockwise."""
     c, s = math.cos(angle), math.sin(angle)
     return c * heading[0] - s * heading[1], s * heading[0] + c * heading[1]
 
 
-@allocating_kernel(inline="always")
+@kernel(inline="always")
 def _steered(point, heading, nearest, repulsion, nodes, metric):
     """Unit vector d plus w∇d_CP, the gradient of the distance to the nearest node.
 
@@ -196,7 +196,7 @@ def _steered(point, heading, nearest, repulsion, nodes, metric):
     return a, b
 
 
-@allocating_kernel()
+@kernel()
 def _steered_by(point, kin, beside, nodes, head, metric):
     """The node that repels a branch, and its squared distance (mm²).
 

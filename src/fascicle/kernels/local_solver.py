@@ -112,14 +112,27 @@ def from_face(gram, times):
     return best
 
 
-@kernel(inline="always")
+@kernel(inline="always", error_model="numpy")
+def _along_edge(ss, jj, sj, tj):
+    """Delay after s with which the inside of the edge from s to j fires a; inf where its ends do.
+
+    As `from_edge` for times 0 and tj, with b² − a(c − det) = det·(sj − tj²).
+    """
+    aj = 0.5 * (ss + jj - sj)
+    det = ss * jj - aj * aj
+    mu = ((ss - aj) * tj + math.sqrt(det * (sj - tj * tj))) / sj
+    inside = ((jj - aj) * mu + aj * tj >= 0.0) & ((ss - aj) * mu - ss * tj >= 0.0)
+    return mu if inside & (det > FLAT * ss * jj) else np.inf
+
+
+@kernel(inline="always", error_model="numpy")
 def from_new_corner(products, squares, tj, tk, use_j, use_k):
     """Delay after corner s (ms) with which its face s, j, k fires corner a through s; or inf.
 
     What the rest of the face offers is known without s. The path from s itself, along the edge, is
     left out. The objective is convex: where its minimum in the face's plane lies outside the face,
     the minimum on the face lies on an edge that faces it, one opposite a corner whose weight is
-    negative.
+    negative. Without branches: several faces are solved at a time.
 
     Parameters
     ----------
@@ -137,21 +150,14 @@ def from_new_corner(products, squares, tj, tk, use_j, use_k):
     """
     pas, paj, pak, psj, psk, pjk = products
     ss, jj, kk, sj, sk = squares
-    delay = np.inf
-    beyond_j, beyond_k = use_k, use_j  # without k, the edge from s to j is all there is
-    if use_j and use_k:
-        beyond_j = beyond_k = True
-        paa, pjj, pkk = -(pas + paj + pak), -(paj + psj + pjk), -(pak + psk + pjk)
-        b = paj * tj + pak * tk
-        vj, vk = pjj * tj + pjk * tk, pjk * tj + pkk * tk
-        disc = b * b - paa * (vj * tj + vk * tk - 1.0)
-        if disc >= 0.0:
-            mu = (math.sqrt(disc) - b) / paa
-            beyond_j, beyond_k = paj * mu + vj > 0.0, pak * mu + vk > 0.0
-            if not (beyond_j or beyond_k) and pas * mu + psj * tj + psk * tk <= 0.0:
-                delay = mu
-    if beyond_k:
-        delay = min(delay, from_edge(ss, 0.5 * (ss + jj - sj), jj, 0.0, tj))
-    if beyond_j:
-        delay = min(delay, from_edge(ss, 0.5 * (ss + kk - sk), kk, 0.0, tk))
-    return delay
+    paa, pjj, pkk = -(pas + paj + pak), -(paj + psj + pjk), -(pak + psk + pjk)
+    b = paj * tj + pak * tk
+    vj, vk = pjj * tj + pjk * tk, pjk * tj + pkk * tk
+    mu = (math.sqrt(b * b - paa * (vj * tj + vk * tk - 1.0)) - b) / paa  # NaN if there is no root
+    behind_j = (paj * mu + vj <= 0.0) & use_j & use_k
+    behind_k = (pak * mu + vk <= 0.0) & use_j & use_k
+    inside = behind_j & behind_k & (pas * mu + psj * tj + psk * tk <= 0.0)
+    delay = mu if inside else np.inf
+    by_j, by_k = _along_edge(ss, jj, sj, tj), _along_edge(ss, kk, sk, tk)
+    delay = min(delay, by_j if use_j & (not behind_k) else np.inf)
+    return min(delay, by_k if use_k & (not behind_j) else np.inf)

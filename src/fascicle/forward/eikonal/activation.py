@@ -19,8 +19,9 @@ from fascicle.forward.eikonal.ray_travel_times import (
     grouped,
     rays_between_sites,
 )
-from fascicle.kernels.arrays import CORNERS, Forest, Front, Queue, Sites
+from fascicle.kernels.arrays import CORNERS, EikonalMesh, Forest, Front, Queue, Sites, Surroundings
 from fascicle.kernels.coupled import settle_trees, sweep
+from fascicle.kernels.star import ELEMENTS_BLOCK, FACES_BLOCK, LANES
 from fascicle.purkinje.tree import PurkinjeTree
 
 FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
@@ -264,7 +265,7 @@ def solve(
         raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
     mesh, sites = coupling.myocardium.mesh, coupling.sites
     vertices, nodes = len(mesh.vertices), len(coupling.lengths)
-    front = front_at_rest(vertices + nodes, len(sites.node))
+    front = front_at_rest(mesh, nodes, len(sites.node))
     in_trees = front.time[vertices:]
     in_trees[:] = _firing_times(coupling, root_times, stimuli, node_times)
     stimulus_times = in_trees[coupling.stimulus_nodes].copy()
@@ -282,10 +283,32 @@ def solve(
     return _activation(coupling, front, stimulus_times)
 
 
-def front_at_rest(nodes: int, sites: int) -> Front:
+def front_at_rest(mesh: EikonalMesh, tree_nodes: int, sites: int) -> Front:
     """Make a front that has not started: nothing has fired."""
-    queue = Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1))
-    return Front(np.full(nodes, np.inf), np.full(nodes, FROM_ROOT), np.full(sites, -1), queue)
+    nodes = len(mesh.vertices) + tree_nodes
+    return Front(
+        time=np.full(nodes, np.inf),
+        origin=np.full(nodes, FROM_ROOT),
+        entered_by=np.full(sites, -1),
+        queue=Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1)),
+        around=_room_around(mesh),
+    )
+
+
+def _room_around(mesh: EikonalMesh) -> Surroundings:
+    """Room for what is around any of the vertices, and for one item that is written over."""
+    neighbours = int(np.diff(mesh.link_start).max(initial=0))
+    elements = int(np.diff(mesh.star_start).max(initial=0)) + 1
+    faces = (CORNERS - 1) * elements
+    return Surroundings(
+        time=np.empty(neighbours),
+        lent=np.empty(neighbours),
+        by=np.empty(neighbours, dtype=np.int64),
+        chosen=np.empty((elements, 2), dtype=np.uint32),
+        elements=np.zeros(-(-elements // LANES) * ELEMENTS_BLOCK),
+        corners=np.empty((faces, CORNERS - 1), dtype=np.uint16),
+        faces=np.zeros(-(-faces // LANES) * FACES_BLOCK),
+    )
 
 
 def _firing_times(

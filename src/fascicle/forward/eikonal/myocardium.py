@@ -31,6 +31,7 @@ from fascicle.kernels.arrays import (
     EikonalMesh,
     TravelTimeTable,
 )
+from fascicle.kernels.star import number_neighbours
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles
 
@@ -158,7 +159,10 @@ def build_myocardium(
         vertices, corners, place, heart.fibres, gradients, conduction, whole_scale
     )
     start, star = _stars(corners, conducts, len(vertices))
-    tetrahedron, corner = np.divmod(star, CORNERS)
+    tetrahedron, corner = np.divmod(star.astype(np.int64), CORNERS)
+    links = _edges(corners[conducts], solver[conducts, SQUARES:], len(vertices))
+    others = np.empty((len(star), CORNERS - 1), np.uint16)
+    number_neighbours(start, corners[tetrahedron[:, None], FACES[corner]], *links[:2], others)
     mesh = EikonalMesh(
         vertices,
         corners,
@@ -166,9 +170,10 @@ def build_myocardium(
         _face_neighbours(corners, conducts),
         solver,
         start,
-        np.column_stack([corners[tetrahedron[:, None], FACES[corner]], star]),
+        star,
+        others,
         least[tetrahedron, corner],
-        *_edges(corners[conducts], solver[conducts, SQUARES:], len(vertices)),
+        *links,
         slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
     )
     surface, owner = boundary_triangles(corners)
@@ -188,13 +193,13 @@ def _elements(
     conduction: Conduction,
     scale: Floats,
 ) -> tuple[Floats, Floats, NDArray[np.float32]]:
-    """Arrays `cells` and `solver` of an `EikonalMesh`, and its `least` by corner, (m, 4).
+    """Arrays `cells` and `solver` of an `EikonalMesh`, and its `least` by corner, (m, 4, 3).
 
     `place` is the heart's number of each tetrahedron, by which fibres and gradients are found.
     """
     count = len(corners)
     cells, solver = np.empty((count, CELL_COLUMNS)), np.empty((count, 2 * len(TETRAHEDRON_EDGES)))
-    least = np.empty((count, CORNERS), np.float32)
+    least = np.empty((count, CORNERS, CORNERS - 1), np.float32)
     one, other = TETRAHEDRON_EDGES.T
     for first in range(0, count, CHUNK):
         part = slice(first, first + CHUNK)
@@ -210,14 +215,14 @@ def _elements(
         solver[part, PRODUCTS:SQUARES] = products
         edges = points[:, other] - points[:, one]
         solver[part, SQUARES:] = np.einsum("mei,mij,mej->me", edges, metric, edges)
-        reached = _reach(solver[part, SQUARES:]).min(axis=2).astype(np.float32)
+        reached = _reach(solver[part, SQUARES:]).astype(np.float32)
         least[part] = np.nextafter(reached, np.float32(-np.inf))  # rounded down
     return cells, solver, least
 
 
 def _edges(
     corners: NDArray[np.int32], squares: Floats, count: int
-) -> tuple[Integers, NDArray[np.int32], Floats]:
+) -> tuple[Integers, NDArray[np.uint32], Floats]:
     """The vertices that share an edge with each, and the least travel times to them."""
     one, other = TETRAHEDRON_EDGES.T
     tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
@@ -228,7 +233,7 @@ def _edges(
     least = np.minimum.reduceat(np.tile(squares.ravel(), 2)[order], first)
     edge = order[first]
     start = np.concatenate([[0], np.cumsum(np.bincount(tail[edge], minlength=count))])
-    return start, head[edge], np.sqrt(least)
+    return start, head[edge].astype(np.uint32), np.sqrt(least)
 
 
 def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.AABB) -> Integers:
@@ -259,11 +264,11 @@ def find_on_surface(vertices: Floats, surface: Integers) -> igl.AABB:
 
 def _stars(
     corners: NDArray[np.int32], conducts: Booleans, count: int
-) -> tuple[Integers, NDArray[np.int32]]:
+) -> tuple[Integers, NDArray[np.uint32]]:
     """The tetrahedra of each vertex as `EikonalMesh.star` numbers them, and where they start."""
     flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
     start, order = grouped(corners.ravel()[flat], count)
-    return start, flat[order].astype(np.int32)
+    return start, flat[order].astype(np.uint32)
 
 
 def _reach(squares: Floats) -> Floats:
