@@ -13,6 +13,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
+from typing import overload
 
 import numpy as np
 
@@ -29,12 +30,13 @@ from fascicle.forward.body import (
     write_response,
 )
 from fascicle.forward.cable.template import default_template
+from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation, check_activation
+from fascicle.forward.simulation import SimulatedBeat, Simulation, check_activation
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
@@ -101,6 +103,7 @@ class ForwardModel:
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
         self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
+        self._device_model = lru_cache(1)(self._prepare_device)
         self.sites = Sites(heart)
         self._progress = progress
         self._body: BodyModel | None = None
@@ -278,12 +281,27 @@ class ForwardModel:
         scale = self.conduction.with_values(values).scale(self.heart)
         return np.asarray(values.get("gain", 1.0) * found.scaled(scale).leads(activation))
 
+    @overload
     def simulate_many(
         self,
         parameters: Iterable[Mapping[str, float]],
         executor: Executor,
         scenario: Scenario | None = None,
-    ) -> list[Simulation | InvalidTree | InvalidBody]:
+    ) -> list[Simulation | InvalidTree | InvalidBody]: ...
+
+    @overload
+    def simulate_many(
+        self, parameters: Iterable[Mapping[str, float]], *, device: str
+    ) -> list[SimulatedBeat | InvalidTree | InvalidBody]: ...
+
+    def simulate_many(
+        self,
+        parameters: Iterable[Mapping[str, float]],
+        executor: Executor | None = None,
+        scenario: Scenario | None = None,
+        *,
+        device: str | None = None,
+    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
         """Simulate many networks at a time.
 
         Parameters
@@ -296,13 +314,27 @@ class ForwardModel:
             the heart once, through a file in the temporary folder, which all must see.
         scenario : Scenario, optional
             The same for all.
+        device : str, optional
+            In place of an executor: ``"cuda"``, an NVIDIA card, or ``"cuda:1"``, the second one. It
+            simulates intrinsic beats, without a scenario; networks that are too large for it are
+            simulated here. What it gives is a `SimulatedBeat`: without the times in the trees, and
+            from where each vertex was fired.
 
         Returns
         -------
-        list of Simulation, InvalidTree or InvalidBody
+        list of Simulation, SimulatedBeat, InvalidTree or InvalidBody
             In the order of the parameters.
+
+        Raises
+        ------
+        InputError
+            As `simulate` does; and if the device is not to be had, or does not simulate this.
         """
         networks = [dict(p) for p in parameters]
+        if device is not None:
+            return self._on_device(device, networks, executor, scenario)
+        if executor is None:
+            raise InputError("give an executor, or a device such as 'cuda'")
         bodies = [name for network in networks for name in body_values(network)]
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))
@@ -313,6 +345,45 @@ class ForwardModel:
                 for network in networks
             ]
             return [future.result() for future in futures]
+
+    def _on_device(
+        self,
+        device: str,
+        networks: Sequence[Mapping[str, float]],
+        executor: Executor | None,
+        scenario: Scenario | None,
+    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
+        if executor is not None or scenario is not None:
+            raise InputError(
+                f"device '{device}' simulates intrinsic beats, on its own; leave the scenario and "
+                "the executor out, or the device"
+            )
+        beats = self.on(device).beats(networks)
+        return [
+            beat if beat is not None else self.simulate(network)
+            for network, beat in zip(networks, beats, strict=True)
+        ]
+
+    def on(self, device: str) -> DeviceModel:
+        """The same model on a device, prepared when it is first asked for.
+
+        Parameters
+        ----------
+        device : str
+            ``"cuda"``, or ``"cuda:1"`` for the second card.
+
+        Raises
+        ------
+        InputError
+            If it is not to be had.
+        """
+        return self._device_model(device)
+
+    def _prepare_device(self, device: str) -> DeviceModel:
+        from fascicle.forward.device.card import card  # CuPy, which few have
+
+        parts = self.prepared, self.electrocardiograph, self.conduction, self.rules
+        return DeviceModel(card(device), *parts)
 
     def write(self, folder: Path, bodies: Sequence[str] = ()) -> WrittenModel:
         """Write a model into a folder, for other processes to read.

@@ -18,12 +18,12 @@ from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
-from fascicle.study.bank import Bank, Signals
+from fascicle.study.bank import Bank
 from fascicle.study.pool import Pool, Threads
 from fascicle.torso.variation.conductor import InvalidBody
 
