@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fascicle.study.cluster import Cluster
+    from fascicle.study.pool import Pool
 
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
@@ -109,10 +109,24 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
     return Path(target), Path(scenario)
 
 
-def cluster(address: str) -> Cluster:
-    """Workers of the Dask scheduler at an address."""
+def simulated_by(scheduler: str | None, device: str | None, workers: int) -> Pool | None:
+    """Workers of the Dask scheduler at an address, or a card and so many threads; None for neither.
+
+    Raises
+    ------
+    InputError
+        If it is not there, or both are asked for.
+    """
+    if scheduler is not None and device is not None:
+        raise InputError("--scheduler and --device are two places to simulate in; give one")
+    if device is not None:
+        from fascicle.study.pool import Card
+
+        return Card(device, workers)
+    if scheduler is None:
+        return None
     if find_spec("distributed") is None:
         raise InputError("--scheduler needs Dask; install it: pip install distributed")
     from fascicle.study.cluster import Cluster
 
-    return Cluster(address)
+    return Cluster(scheduler)

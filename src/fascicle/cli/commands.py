@@ -15,9 +15,9 @@ from fascicle.cli.arguments import (
     HeartArgument,
     OutOption,
     StudyArgument,
-    cluster,
     explicit,
     settings_options,
+    simulated_by,
     with_scenario,
 )
 from fascicle.cli.hearts import heart_app
@@ -200,6 +200,12 @@ def fit(
             "(docs/cluster.md); else the cores of this machine do.",
         ),
     ] = None,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            help="An NVIDIA card that simulates: cuda, or cuda:1 for the second one (docs/gpu.md)."
+        ),
+    ] = None,
     **settings: Any,
 ) -> Result:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
@@ -237,7 +243,7 @@ def fit(
     given |= explicit(context, settings)
     with _resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
-        pool = cluster(scheduler) if scheduler is not None else None
+        pool = simulated_by(scheduler, device, given.get("workers", settings["workers"]))
         fitted = run_fit(
             heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
         )

@@ -30,6 +30,7 @@ from fascicle.forward.body import (
     write_response,
 )
 from fascicle.forward.cable.template import default_template
+from fascicle.forward.device import card
 from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
@@ -103,12 +104,13 @@ class ForwardModel:
         self.myocardium = prepared.myocardium
         self._grow = lru_cache(REMEMBERED)(partial(_grow_trees, prepared))
         self._tissue = lru_cache(TISSUES)(partial(_tissue, heart, prepared, self.conduction))
-        self._device_model = lru_cache(1)(self._prepare_device)
         self.sites = Sites(heart)
         self._progress = progress
         self._body: BodyModel | None = None
         self._first_body = Lock()
         self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
+        parts = prepared, self.electrocardiograph, self.conduction, self.rules
+        self._device_model = lru_cache(1)(partial(_device_model, *parts))
 
     def __repr__(self) -> str:
         return f"ForwardModel({self.heart.name}, {len(self.heart.vertices)} vertices)"
@@ -379,12 +381,6 @@ class ForwardModel:
         """
         return self._device_model(device)
 
-    def _prepare_device(self, device: str) -> DeviceModel:
-        from fascicle.forward.device.card import card  # CuPy, which few have
-
-        parts = self.prepared, self.electrocardiograph, self.conduction, self.rules
-        return DeviceModel(card(device), *parts)
-
     def write(self, folder: Path, bodies: Sequence[str] = ()) -> WrittenModel:
         """Write a model into a folder, for other processes to read.
 
@@ -440,6 +436,16 @@ def _simulate_elsewhere(
     written: WrittenModel, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree | InvalidBody:
     return written.read().simulate(parameters, scenario)
+
+
+def _device_model(
+    prepared: Prepared,
+    electrocardiograph: Electrocardiograph,
+    conduction: Conduction,
+    rules: GrowthRules,
+    device: str,
+) -> DeviceModel:
+    return DeviceModel(card.Card(device), prepared, electrocardiograph, conduction, rules)
 
 
 def _grow_trees(

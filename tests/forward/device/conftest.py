@@ -15,9 +15,9 @@ def _card():
         cupy.cuda.runtime.getDeviceCount()
     except (ImportError, RuntimeError) as error:
         pytest.skip(f"no NVIDIA card with CuPy ({error})")
-    from fascicle.forward.device.card import card
+    from fascicle.forward.device.card import Card
 
-    return card("cuda")
+    return Card("cuda")
 
 
 DEVICES = {
@@ -32,8 +32,3 @@ DEVICES = {
 @pytest.fixture(scope="session", params=DEVICES)
 def device(request):
     return DEVICES[request.param]()
-
-
-@pytest.fixture(scope="session")
-def emulated():
-    return Emulated(order=RANDOM)

@@ -15,7 +15,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
-from fascicle.forward.device.card import OPTIONS, THREADS, card
+from fascicle.forward.device.card import OPTIONS, THREADS, card_number
 from fascicle.forward.device.source import source
 from fascicle.forward.scenario import Scenario
 
@@ -46,31 +46,32 @@ def cupy(monkeypatch):
 @pytest.mark.parametrize("name", ["", "gpu", "cuda:", "cuda:x", "cuda:-1", "cuda:0001", "opencl"])
 def test_unknown_devices(name):
     with pytest.raises(InputError, match=f"unknown device '{name}'; give cuda, or cuda:1"):
-        card(name)
+        card_number(name)
 
 
 def test_without_cupy(monkeypatch):
     monkeypatch.setattr(card_module, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"needs CuPy; install it: pip install 'cupy-cuda12x"):
-        card("cuda")
+        card_number("cuda")
 
 
 def test_without_a_driver(cupy):
     cupy(None)
     with pytest.raises(InputError, match=r"no NVIDIA card can be used \(cudaError.*: no driver\)"):
-        card("cuda")
+        card_number("cuda")
 
 
 def test_fewer_cards_than_asked_for(cupy):
     cupy(2)
     with pytest.raises(InputError, match="'cuda:2': the cards of this machine end at cuda:1"):
-        card("cuda:2")
+        card_number("cuda:2")
+    assert (card_number("cuda"), card_number("cuda:1")) == (0, 1)
 
 
 def test_simulate_many(crtdemo_model, emulated, monkeypatch):
     """On the card, in order; what is too large for it here, and the card is prepared once."""
     made = []
-    monkeypatch.setattr(card_module, "card", lambda name: made.append(name) or emulated)
+    monkeypatch.setattr(card_module, "Card", lambda name: made.append(name) or emulated)
     monkeypatch.setattr(batch, "MOST_SITES", 250)
     networks = drawn(12)
     beats = crtdemo_model.simulate_many(networks, device="cuda:3")

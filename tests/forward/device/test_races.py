@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated import HERE, drawn
+from emulated import drawn
 
 from fascicle.forward.preparation import save
+
+HERE = Path(__file__).resolve().parent
 
 SANITISERS = {
     "asan": ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
@@ -45,10 +47,12 @@ def run_under(sanitiser, written):
     ).stdout.strip()
     if not Path(found).is_absolute():
         pytest.skip(f"no lib{sanitiser}")
+    paths = os.pathsep.join([str(HERE.parents[1]), *sys.path])  # what the tests import
     options = {"ASAN_OPTIONS": "detect_leaks=0", "TSAN_OPTIONS": "halt_on_error=1:exitcode=66"}
     return subprocess.run(
         [sys.executable, HERE / "sanitised.py", *written, *SANITISERS[sanitiser]],
-        env={**os.environ, **options, "LD_PRELOAD": found}, capture_output=True, text=True,
+        env={**os.environ, **options, "LD_PRELOAD": found, "PYTHONPATH": paths},
+        capture_output=True, text=True,
     )  # fmt: skip
 
 

@@ -18,8 +18,8 @@ THREADS = {"grow": 128, "attach": 256, "solve": 512, "electrocardiogram": 512}  
 NAME = r"cuda(?::(\d{1,3}))?"
 
 
-def card(name: str) -> Card:
-    """The card of a name: ``"cuda"``, or ``"cuda:1"`` for the second one.
+def card_number(name: str) -> int:
+    """The number of a card: 0 of ``"cuda"``, 1 of ``"cuda:1"``.
 
     Raises
     ------
@@ -33,7 +33,6 @@ def card(name: str) -> Card:
         raise InputError(f"device '{name}' needs CuPy; install it: pip install 'cupy-cuda12x[ctk]'")
     import cupy
 
-    number, found = int(match[1] or 0), 0
     try:
         found = cupy.cuda.runtime.getDeviceCount()
     except cupy.cuda.runtime.CUDARuntimeError as error:
@@ -41,9 +40,10 @@ def card(name: str) -> Card:
             f"device '{name}': no NVIDIA card can be used ({one_line(error)}); install the card's "
             "driver, or leave the device out"
         ) from error
+    number = int(match[1] or 0)
     if number >= found:
         raise InputError(f"device '{name}': the cards of this machine end at cuda:{found - 1}")
-    return Card(number)
+    return number
 
 
 class Card:
@@ -51,11 +51,12 @@ class Card:
 
     Parameters
     ----------
-    number : int
-        Of the card.
+    name : str
+        See `card_number`.
     """
 
-    def __init__(self, number: int) -> None:
+    def __init__(self, name: str) -> None:
+        number = card_number(name)
         import cupy
 
         self._cupy, self._device = cupy, cupy.cuda.Device(number)

@@ -31,7 +31,9 @@ def library(*options):
     compiler = shutil.which("g++")
     if compiler is None:
         pytest.skip("no C++ compiler (g++)")
-    text = source((HERE / "block.h").read_text()) + (HERE / "launch.h").read_text()
+    text = (
+        source((HERE / "emulated_block.h").read_text()) + (HERE / "emulated_launch.h").read_text()
+    )
     # no fused multiply-add, as on a card: every operation rounds as in the kernels of Python
     command = [compiler, "-std=c++20", "-O2", "-Wall", "-Werror", "-Wno-unused-function",
                "-ffp-contract=off", "-shared", "-fPIC", "-x", "c++", *options, "-"]  # fmt: skip
