@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import box, conduction_for, face_of, straight_times, vertex_at
-from emulated import drawn, on
+from emulated import Emulated, drawn, on
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
@@ -183,3 +183,8 @@ def test_a_missing_parameter_is_named(crtdemo_model, emulated):
 
 def drop(name):
     return {n: v for n, v in EXAMPLE_PARAMETERS.items() if n != name}
+
+
+def test_a_heart_that_is_too_large(crtdemo_model):
+    with pytest.raises(InputError, match="heart of 4569 vertices is too large for the card; leave"):
+        on(crtdemo_model, Emulated(shared_bytes=1000))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES, fascicles
 from fascicle.forward.device.packing import packed_heart
 from fascicle.forward.device.source import (
@@ -149,6 +150,11 @@ class Simulator:
         heart = packed_heart(prepared, electrocardiograph)
         self._vertices: int = heart["vertices"]
         self._bin_width: float = heart["bin_width"]
+        if _waiting(self._vertices + MOST_TREE_NODES) > device.shared_bytes:
+            raise InputError(
+                f"a heart of {self._vertices} vertices is too large for the card; leave the device "
+                "out"
+            )
         self._heart_buffers = self._uploaded(heart)
         self._heart = device.upload(structure(HEART, heart | self._addresses(self._heart_buffers)))
         sizes = _bytes(self._vertices + MOST_TREE_NODES)
@@ -218,7 +224,7 @@ class Simulator:
 
     def _solve(self, count: int, nodes: int, given: Mapping[str, NDArray[Any]]) -> None:
         """Solve the coupled problem; times are shared by the threads of a block if they fit."""
-        waiting, times = BITS // 8 * -(-nodes // BITS), 8 * nodes
+        waiting, times = _waiting(nodes), 8 * nodes
         shared = waiting + times <= self.device.shared_bytes
         size = waiting + times if shared else waiting
         self._launch("solve", count, size, given, times_are_shared=shared)
@@ -294,6 +300,11 @@ class Simulator:
         size = np.dtype(kind).itemsize
         part = self.device.download(self._buffers[name], first * size, count * size)
         return part.view(kind)
+
+
+def _waiting(nodes: int) -> int:
+    """Bytes of the bits that say which nodes wait."""
+    return BITS // 8 * -(-nodes // BITS)
 
 
 def _beat(network: Network) -> tuple[Any, ...]:

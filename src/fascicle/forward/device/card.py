@@ -70,13 +70,20 @@ class Card:
 
     def upload(self, values: Bytes) -> Any:
         """Copy bytes to a new buffer of the card."""
-        with self._device:
-            return self._cupy.asarray(values)
+        buffer = self.room(len(values))
+        buffer.set(values)
+        return buffer
 
     def room(self, size: int) -> Any:
         """Make a buffer of bytes that hold anything."""
         with self._device:
-            return self._cupy.empty(size, np.uint8)
+            try:
+                return self._cupy.empty(size, np.uint8)
+            except self._cupy.cuda.memory.OutOfMemoryError as error:
+                raise InputError(
+                    f"the card has no memory left for {size / 1e6:.0f} MB; free some, or leave the "
+                    "device out"
+                ) from error
 
     def address(self, buffer: Any) -> int:
         """Where a buffer is."""
