@@ -11,6 +11,8 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from emulated import Emulated
+
     from fascicle.forward.model import ForwardModel
     from fascicle.heart.heart import Heart
 
@@ -82,3 +84,11 @@ def crtdemo_model(crtdemo: Heart) -> ForwardModel:
     from fascicle.forward.model import ForwardModel
 
     return ForwardModel(crtdemo)
+
+
+@pytest.fixture(scope="session")
+def emulated() -> Emulated:
+    """A processor that stands in for a graphics card."""
+    from emulated import RANDOM, Emulated
+
+    return Emulated(order=RANDOM)

@@ -12,6 +12,7 @@ from .forward.scenario import Scenario as Scenario
 from .forward.scenario import Slowing as Slowing
 from .forward.scenario import Stimulus as Stimulus
 from .forward.scenario_files import read_scenarios as read_scenarios
+from .forward.simulation import SimulatedBeat as SimulatedBeat
 from .forward.simulation import Simulation as Simulation
 from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
@@ -35,6 +36,7 @@ from .study.bank import make_bank as make_bank
 from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
+from .study.pool import Card as Card
 from .study.pool import Elsewhere as Elsewhere
 from .study.settings import FitSettings as FitSettings
 

@@ -22,8 +22,9 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward import model as model_module
 from fascicle.forward.scenario import His, Scenario
+from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
-from fascicle.study.bank import Bank, Signals
+from fascicle.study.bank import Bank
 from fascicle.study.pool import JOBS, Elsewhere, Pool, Threads, parts
 from fascicle.study.problem import Problem
 

@@ -17,6 +17,7 @@ from fascicle.cli.arguments import (
     explicit,
     pool_at,
     settings_options,
+    simulated_by,
     with_scenario,
 )
 from fascicle.cli.cohorts import cohort as cohort_command
@@ -197,6 +198,12 @@ def fit(
     free: FreeOption = None,
     fix: FixOption = None,
     scheduler: SchedulerOption = None,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            help="An NVIDIA card that simulates: cuda, or cuda:1 for the second one (docs/gpu.md)."
+        ),
+    ] = None,
     **settings: Any,
 ) -> Result:
     """Learn the Purkinje networks that explain a target, and how sure the ECG is of them.
@@ -234,7 +241,8 @@ def fit(
     given |= explicit(context, settings)
     with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
-        pool = pool_at(scheduler, progress)
+        workers = given.get("workers", settings["workers"])
+        pool = simulated_by(scheduler, device, workers, progress)
         fitted = run_fit(
             heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
         )

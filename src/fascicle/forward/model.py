@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 from types import NoneType
+from typing import overload
 
 import numpy as np
 
@@ -31,12 +32,14 @@ from fascicle.forward.body import (
     write_response,
 )
 from fascicle.forward.cable.template import default_template
+from fascicle.forward.device import card
+from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation, check_activation
+from fascicle.forward.simulation import SimulatedBeat, Simulation, check_activation
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
@@ -121,6 +124,8 @@ class ForwardModel:
         self._body: BodyModel | None = None
         self._first_body = Lock()
         self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
+        parts = prepared, self.electrocardiograph, self.conduction, self.rules
+        self._device_model = lru_cache(1)(partial(_device_model, *parts))
 
     def __repr__(self) -> str:
         return f"ForwardModel({self.heart.name}, {len(self.heart.vertices)} vertices)"
@@ -297,12 +302,27 @@ class ForwardModel:
         scale = self.conduction.with_values(values).scale(self.heart)
         return np.asarray(values.get("gain", 1.0) * found.scaled(scale).leads(activation))
 
+    @overload
     def simulate_many(
         self,
         parameters: Iterable[Mapping[str, float]],
         executor: Executor,
         scenario: Scenario | None = None,
-    ) -> list[Simulation | InvalidTree | InvalidBody]:
+    ) -> list[Simulation | InvalidTree | InvalidBody]: ...
+
+    @overload
+    def simulate_many(
+        self, parameters: Iterable[Mapping[str, float]], *, device: str
+    ) -> list[SimulatedBeat | InvalidTree | InvalidBody]: ...
+
+    def simulate_many(
+        self,
+        parameters: Iterable[Mapping[str, float]],
+        executor: Executor | None = None,
+        scenario: Scenario | None = None,
+        *,
+        device: str | None = None,
+    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
         """Simulate many networks at a time.
 
         Parameters
@@ -315,15 +335,29 @@ class ForwardModel:
             the heart once, through a file in the temporary folder, which all must see.
         scenario : Scenario, optional
             The same for all.
+        device : str, optional
+            In place of an executor: ``"cuda"``, an NVIDIA card, or ``"cuda:1"``, the second one. It
+            simulates intrinsic beats, without a scenario; networks that are too large for it are
+            simulated here. What it gives is a `SimulatedBeat`: without the times in the trees, and
+            from where each vertex was fired.
 
         Returns
         -------
-        list of Simulation, InvalidTree or InvalidBody
+        list of Simulation, SimulatedBeat, InvalidTree or InvalidBody
             In the order of the parameters.
+
+        Raises
+        ------
+        InputError
+            As `simulate` does; and if the device is not to be had, or does not simulate this.
         """
-        check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
         check_kind(parameters, Iterable, "parameters", "a list of them, one a network")
         networks = [complete(p) for p in parameters]
+        if device is not None:
+            return self._on_device(device, networks, executor, scenario)
+        if executor is None:
+            raise InputError("give an executor, or a device such as 'cuda'")
+        check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
         bodies = [name for network in networks for name in body_values(network)]
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))
@@ -334,6 +368,39 @@ class ForwardModel:
                 for network in networks
             ]
             return [future.result() for future in futures]
+
+    def _on_device(
+        self,
+        device: str,
+        networks: Sequence[Mapping[str, float]],
+        executor: Executor | None,
+        scenario: Scenario | None,
+    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
+        if executor is not None or scenario is not None:
+            raise InputError(
+                f"device '{device}' simulates intrinsic beats, on its own; leave the scenario and "
+                "the executor out, or the device"
+            )
+        beats = self.on(device).beats(networks)
+        return [
+            beat if beat is not None else self.simulate(network)
+            for network, beat in zip(networks, beats, strict=True)
+        ]
+
+    def on(self, device: str) -> DeviceModel:
+        """The same model on a device, prepared when it is first asked for.
+
+        Parameters
+        ----------
+        device : str
+            ``"cuda"``, or ``"cuda:1"`` for the second card.
+
+        Raises
+        ------
+        InputError
+            If it is not to be had.
+        """
+        return self._device_model(device)
 
     def write(self, folder: Path, bodies: Sequence[str] = ()) -> WrittenModel:
         """Write a model into a folder, for other processes to read.
@@ -395,6 +462,16 @@ def _simulate_elsewhere(
     written: WrittenModel, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree | InvalidBody:
     return written.read().simulate(parameters, scenario)
+
+
+def _device_model(
+    prepared: Prepared,
+    electrocardiograph: Electrocardiograph,
+    conduction: Conduction,
+    rules: GrowthRules,
+    device: str,
+) -> DeviceModel:
+    return DeviceModel(card.Card(device), prepared, electrocardiograph, conduction, rules)
 
 
 def _grow_trees(

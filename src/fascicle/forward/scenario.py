@@ -373,13 +373,13 @@ class Scenario:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two trees are named '{name}'; give each a name of its own")
-        his, roots = None, _roots(root_time)
+        his, roots = None, root_times(root_time)
         own_trees = len(trees) - len(self.trees)
         if len(roots) != own_trees:
             raise InputError(f"{len(roots)} root times for {own_trees} trees; give one a tree")
         if self.his is not None:
             self._check_joined(names)
-            own = roots if self.his.root_time is None else _roots(self.his.root_time)
+            own = roots if self.his.root_time is None else root_times(self.his.root_time)
             roots, his = self.his.conducted(own, values.get("his_time", HIS_TIME))
             his = replace(his, branches=[*his.branches, *(np.inf for _ in self.trees)])
         times = [*roots, *(time for _, time in self.trees)]
@@ -429,7 +429,7 @@ def tree_number(trees: Sequence[PurkinjeTree], side: str) -> int:
     return names.index(side)
 
 
-def _roots(root_time: float | Sequence[float]) -> Sequence[float]:
+def root_times(root_time: float | Sequence[float]) -> Sequence[float]:
     """When the roots fire (ms): the left and the right one, the earlier at 0, or as given."""
     known = quantity("root_time")
     if isinstance(root_time, list | tuple | np.ndarray):

@@ -22,8 +22,8 @@ LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and mu
 
 
 @dataclass(frozen=True)
-class Simulation:
-    """What one run of the forward model gives.
+class SimulatedBeat:
+    """The beat that a network makes.
 
     Attributes
     ----------
@@ -35,15 +35,12 @@ class Simulation:
         Activation time of each vertex of the heart (ms); inf where no front arrives.
     trees : tuple of PurkinjeTree
         The trees, left first.
-    coupled : Activation
-        Times in the trees, how each junction fired, and from where each vertex was.
     """
 
     leads: Floats
     onset: float
     activation: Floats
     trees: tuple[PurkinjeTree, ...]
-    coupled: Activation
 
     __repr__ = brief
 
@@ -96,6 +93,46 @@ class Simulation:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
         onset, offset = global_qrs_window(self.leads, STEP)
         return (offset - onset) * STEP
+
+
+@dataclass(frozen=True)
+class Simulation(SimulatedBeat):
+    """What one run of the forward model gives: the beat, and how it came about.
+
+    Attributes
+    ----------
+    coupled : Activation
+        Times in the trees, how each junction fired, and from where each vertex was.
+    """
+
+    coupled: Activation
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What of a simulation is compared with a recording.
+
+    Attributes
+    ----------
+    leads : (12, n) array
+        Simulated ECG (mV).
+    first_activation : float
+        Sample of it.
+    junctions : tuple of int
+        Of each tree.
+    """
+
+    leads: Floats
+    first_activation: float
+    junctions: tuple[int, ...]
+
+    @classmethod
+    def of(cls, simulation: SimulatedBeat) -> Signals:
+        """Take them from a simulation."""
+        junctions = tuple(len(tree.junctions) for tree in simulation.trees)
+        return cls(simulation.leads, simulation.first_activation, junctions)
 
 
 def check_activation(times: Floats) -> None:

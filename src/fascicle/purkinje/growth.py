@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
@@ -181,17 +182,41 @@ def grow_tree(
             f"{growth.MOST_SPROUTS} ends at a time; choose fewer generations or segments, a larger "
             "clearance or longer branches"
         )
-    nodes = growth.lift(grown, chart)
     if status == growth.GROWN:
-        return PurkinjeTree(
-            side,
-            nodes,
-            grown["parent"].astype(np.int64),
-            grown["length"].copy(),
-            grown["branch"].astype(np.int64),
-        )
-    wanted = bundle_length if status == 0 else fascicle_lengths[status - 1]
-    return InvalidTree(side, status, wanted - missing, wanted, tuple(nodes[-1].tolist()))
+        return tree_of_nodes(side, grown, chart)
+    lengths = (bundle_length, *fascicle_lengths)
+    return tree_outside(side, status, lengths[status], missing, grown[-1:], chart)
+
+
+def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeTree:
+    """The tree of nodes, an array of NODE, that were grown in a chart."""
+    return PurkinjeTree(
+        side,
+        growth.lift(nodes, chart),
+        nodes["parent"].astype(np.int64),
+        nodes["length"].copy(),
+        nodes["branch"].astype(np.int64),
+    )
+
+
+def tree_outside(
+    side: str, branch: int, wanted: float, missing: float, end: NDArray[np.void], chart: Chart
+) -> InvalidTree:
+    """The outcome where a stretch leaves the endocardium.
+
+    Parameters
+    ----------
+    side, branch, wanted
+        See `InvalidTree`.
+    missing : float
+        How much of it could not be laid (mm).
+    end : (1,) array of NODE
+        Where it met the base.
+    chart : Chart
+        In which it was grown.
+    """
+    position = tuple(growth.lift(end, chart)[0].tolist())
+    return InvalidTree(side, branch, wanted - missing, wanted, position)
 
 
 def grow_from_parameters(

@@ -28,7 +28,7 @@ from fascicle.core.quantities import body_values
 from fascicle.core.ranges import check_count
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.simulation import Signals, Simulation
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
 from fascicle.study.pool import Pool, Threads, check_pool
@@ -39,31 +39,6 @@ FORMAT = 1
 PART = 500  # networks in a file
 SEED = 20240  # the networks of the prior are the same in every study
 SAME = 1e-4  # mV; stored leads have single precision
-
-
-@dataclass(frozen=True)
-class Signals:
-    """What of a simulation is compared with a recording.
-
-    Attributes
-    ----------
-    leads : (12, n) array
-        Simulated ECG (mV).
-    first_activation : float
-        Sample of it.
-    junctions : tuple of int
-        Of each tree.
-    """
-
-    leads: Floats
-    first_activation: float
-    junctions: tuple[int, ...]
-
-    @classmethod
-    def of(cls, simulation: Simulation) -> Signals:
-        """Take them from a simulation."""
-        junctions = tuple(len(tree.junctions) for tree in simulation.trees)
-        return cls(simulation.leads, simulation.first_activation, junctions)
 
 
 def prior_points(dimension: int, count: int) -> Floats:

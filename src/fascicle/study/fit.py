@@ -15,6 +15,7 @@ from fascicle.core.files import as_path
 from fascicle.core.progress import Progress, check_progress
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.device.model import check_simulated
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
@@ -24,7 +25,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.bank import Bank, prior_points
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.pool import Pool, Threads, check_pool
+from fascicle.study.pool import Card, Pool, Threads, check_pool
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
@@ -83,7 +84,7 @@ def fit(
     pool : Pool, optional
         Where networks are simulated: on `workers` threads, if nothing else is given;
         `fascicle.Elsewhere` takes any executor, `fascicle.Cluster` a Dask scheduler. The result is
-        the same wherever.
+        the same wherever, but for the last digits on a card (`fascicle.Card`).
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
@@ -217,6 +218,16 @@ def _check_method(method: str, recordings: Sequence[Recording]) -> None:
         )
 
 
+def _check_card(config: StudyConfig, recordings: Sequence[Recording]) -> None:
+    """Refuse what a card does not simulate."""
+    check_simulated([*config.parameter_space.names, *config.fixed])
+    if recordings[0].scenario is not None:
+        raise InputError(
+            "a card simulates intrinsic beats, and the first recording is of another; put an "
+            "intrinsic one first, or leave the card out"
+        )
+
+
 def _check_scenarios(problem: Problem) -> None:
     """Refuse a scenario that does not fit the heart, with the first network of the prior."""
     for each in problem.recordings:
@@ -346,6 +357,8 @@ def _problem(
     """The study's problem; takes a while on a new machine or with a large new heart."""
     if progress is not None:
         compile_kernels(progress)
+    if isinstance(pool, Card):
+        _check_card(config, recordings)
     model, pool = ForwardModel(heart, progress=progress), pool or Threads(config.workers)
     first, *others = (
         Problem(

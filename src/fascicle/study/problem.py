@@ -14,17 +14,18 @@ from fascicle.core.brief import brief
 from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.quantities import SIDES, body_values
+from fascicle.forward.device.batch import NETWORKS
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import Simulation
+from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
-from fascicle.study.bank import Bank, Signals
-from fascicle.study.pool import Pool, Threads
+from fascicle.study.bank import Bank
+from fascicle.study.pool import Card, Pool, Threads
 from fascicle.torso.variation.conductor import InvalidBody
 
 
@@ -129,9 +130,28 @@ class Problem:
 
     def __call__(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """Evaluate points of the unit cube; outcomes come in order, as soon as they are there."""
+        if isinstance(self.pool, Card):
+            return self._on_card(self.pool, points)
         if isinstance(self.pool, Threads):
             return self.pool.map(Problem.evaluate, self, points)
         return self._elsewhere(points)
+
+    def _on_card(self, card: Card, points: Sequence[Floats]) -> Iterator[Evaluation]:
+        """What the bank does not have comes from the card; threads compare, and do the rest."""
+        for start in range(0, len(points), NETWORKS):
+            part = points[start : start + NETWORKS]
+            stored = [self._stored_signals(point) for point in part]
+            missing = [
+                self._parameters(point)
+                for point, there in zip(part, stored, strict=True)
+                if there is None
+            ]
+            new = card.signals(self.model, missing)
+            given = [
+                (point, there if there is not None else next(new))
+                for point, there in zip(part, stored, strict=True)
+            ]
+            yield from card.map(Problem._evaluate_given, self, given)
 
     def _elsewhere(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """What the bank has all of is compared here, where the bank is; the rest elsewhere."""
@@ -151,11 +171,25 @@ class Problem:
         return list(self.pool.map(Problem._simulate, self, points))
 
     def _simulate(self, point: Floats) -> Simulation | InvalidTree | InvalidBody:
-        return self.model.simulate({**self.fixed, **self.space.from_unit(point)}, self.scenario)
+        return self.model.simulate(self._parameters(point), self.scenario)
+
+    def _parameters(self, point: Floats) -> dict[str, float]:
+        return {**self.fixed, **self.space.from_unit(point)}
 
     def evaluate(self, point: Floats) -> Evaluation:
         """Run the forward model at one point and compare it with the mean and with every beat."""
-        signals = self._signals(point)
+        return self._evaluated(point, self._signals(point))
+
+    def _evaluate_given(
+        self, item: tuple[Floats, Signals | InvalidTree | str | None]
+    ) -> Evaluation:
+        """The same where a card, or the bank, has given what it has."""
+        point, given = item
+        if given is None:
+            return self.evaluate(point)
+        return self._evaluated(point, given.reason if isinstance(given, InvalidTree) else given)
+
+    def _evaluated(self, point: Floats, signals: Signals | str) -> Evaluation:
         own = self._compare(point, signals)
         if not own.feasible or not self.others:
             return own
@@ -191,14 +225,19 @@ class Problem:
 
     def _signals(self, point: Floats) -> Signals | str:
         """What a network gives, from the bank if it is there, or why it is none."""
-        if self.bank is not None and self.scenario is None:
-            stored = self.bank.get(point)
-            if stored is not None:
-                return stored
+        stored = self._stored_signals(point)
+        if stored is not None:
+            return stored
         outcome = self._simulate(point)
         if isinstance(outcome, (InvalidTree, InvalidBody)):
             return outcome.reason
         return Signals.of(outcome)
+
+    def _stored_signals(self, point: Floats) -> Signals | str | None:
+        """What the bank has of a network."""
+        if self.bank is None or self.scenario is not None:
+            return None
+        return self.bank.get(point)
 
     def networks(self, parameters: Iterable[Mapping[str, float]]) -> Iterator[Network]:
         """Simulate parameters that are known to give trees, as those of a population are."""

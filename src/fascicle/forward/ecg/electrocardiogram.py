@@ -65,7 +65,8 @@ class Electrocardiograph:
     bins_per_step: int = 2
 
     @cached_property
-    def _response(self) -> tuple[int, Floats]:
+    def response(self) -> tuple[int, Floats]:
+        """Response to a bin of the histogram; see `bin_response`."""
         return bin_response(self.action_potential, STEP / self.bins_per_step)
 
     def channels(self, activation: Floats) -> Floats:
@@ -100,7 +101,7 @@ class Electrocardiograph:
         start = first_sample(activation)
         end = activation.max(where=activated, initial=-np.inf) + self.action_potential.span[1]
         samples = int(np.ceil((end - start) / STEP)) + 1
-        first, kernel = self._response
+        first, kernel = self.response
         width = STEP / self.bins_per_step
         # sample 0 draws on the bins from the first, `last` before it, to the one `-first` after it
         last = first + len(kernel) - 1

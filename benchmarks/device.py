@@ -1,0 +1,82 @@
+"""Networks on an NVIDIA card against all cores of the machine, in one run.
+
+    python -m benchmarks.device [--heart HEART] [--device cuda] [--networks 4096] [--workers N]
+
+The same networks of the prior, which neither has seen: first with `ForwardModel.simulate_many` on
+one thread a core, then on the card, each after a warm-up. Prints networks a second of both, their
+ratio, and how far activation and ECG of some are apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import SimulatedBeat
+from fascicle.heart.folder import load_heart
+
+COMPARED = 64  # networks, of which activation and ECG are compared
+WARM_UP = 64  # networks
+
+
+def drawn(count: int, seed: int) -> list[dict[str, float]]:
+    """Networks of the prior."""
+    points = np.random.default_rng(seed).uniform(size=(count, len(NETWORK_SPACE)))
+    return [NETWORK_SPACE.from_unit(point) for point in points]
+
+
+def rate(run: Callable[[Sequence[dict[str, float]]], object], count: int) -> float:
+    """Networks a second, after a warm-up."""
+    run(drawn(WARM_UP, 0))
+    networks = drawn(count, 1)
+    begin = time.perf_counter()
+    run(networks)
+    return count / (time.perf_counter() - begin)
+
+
+def differences(model: ForwardModel, device: str) -> tuple[float, float]:
+    """Largest differences of activation (ms) and leads (mV) between the card and the cores."""
+    ms = mv = 0.0
+    networks = drawn(COMPARED, 2)
+    for network, beat in zip(networks, model.simulate_many(networks, device=device), strict=True):
+        here = model.simulate(network)
+        if isinstance(here, SimulatedBeat) and isinstance(beat, SimulatedBeat):
+            ms = max(ms, float(np.abs(beat.activation - here.activation).max()))
+            mv = max(mv, float(np.abs(beat.leads - here.leads).max()))
+        elif isinstance(here, SimulatedBeat) or isinstance(beat, SimulatedBeat):
+            raise RuntimeError(f"one of the two finds no network: {network}")
+    return ms, mv
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--heart", default="default")
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--networks", type=int, default=4096)
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    given = parser.parse_args()
+    try:
+        model = ForwardModel(load_heart(given.heart))
+        on_card = model.on(given.device)
+    except InputError as error:
+        parser.error(str(error))
+    print(f"{model}, {given.networks} networks")
+    ms, mv = differences(model, given.device)
+    print(f"largest differences of {COMPARED}: {ms:.2g} ms, {mv:.2g} mV")
+    with ThreadPoolExecutor(given.workers) as executor:
+        cores = rate(lambda networks: model.simulate_many(networks, executor), given.networks)
+    card = rate(lambda networks: list(on_card.signals(networks)), given.networks)
+    print(f"{given.workers} cores: {cores:.1f} networks a second")
+    print(f"{given.device}: {card:.1f} networks a second, {card / cores:.2f} times as many")
+
+
+if __name__ == "__main__":
+    main()

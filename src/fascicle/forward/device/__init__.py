@@ -1,0 +1,1 @@
+"""Batches of networks on a graphics card."""

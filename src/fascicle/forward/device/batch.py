@@ -1,0 +1,347 @@
+"""Batches of networks: a heart on a card, and its kernels one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.errors import InputError
+from fascicle.core.quantities import SIDES, fascicles
+from fascicle.forward.device.packing import packed_heart
+from fascicle.forward.device.source import (
+    BATCH,
+    BEAT,
+    HEART,
+    MOVE_BYTES,
+    PLAN,
+    SITE,
+    SPROUT_BYTES,
+    Bytes,
+    structure,
+)
+from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
+from fascicle.forward.preparation import Prepared
+from fascicle.kernels.arrays import CORNERS, NODE
+from fascicle.kernels.deposit import CHANNELS
+from fascicle.purkinje.growth import GrowthRules
+
+# Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
+# processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.
+MOST_GROWN = 16_384
+MOST_SPROUTS = 2048
+MOST_SITES = 2048
+MOST_TREE_NODES = 2 * MOST_SITES + 2  # sites, forks and two roots
+NETWORKS = 512  # at a time: 3 MB each, and several for each of a card's processors
+LATEST = 2000.0  # ms; where activation ends later, the processor says whether that can be
+BITS = 64  # a bit of a word says that a node waits
+SPARE_BINS = 8  # of a histogram, beside those between the first activation and the last
+
+
+class Device(Protocol):
+    """Where kernels run: a card, or in tests a processor that stands in for it."""
+
+    @property
+    def shared_bytes(self) -> int:
+        """Memory (bytes) that the threads of a block can share."""
+
+    def upload(self, values: Bytes) -> Any:
+        """Copy bytes to a new buffer of the device."""
+
+    def room(self, size: int) -> Any:
+        """Make a buffer of bytes that hold anything."""
+
+    def address(self, buffer: Any) -> int:
+        """Where a buffer is."""
+
+    def download(self, buffer: Any, start: int, size: int) -> Bytes:
+        """Copy bytes of a buffer, once all kernels have ended."""
+
+    def launch(self, kernel: str, blocks: int, shared: int, heart: Any, batch: Any) -> None:
+        """Run a kernel of the two structures on so many blocks, with bytes for each to share."""
+
+
+class Network(NamedTuple):
+    """What is simulated of a network.
+
+    Attributes
+    ----------
+    anatomy : mapping of name to float
+        Quantities of the trees.
+    rules : GrowthRules
+        By which they grow.
+    roots : (float, float)
+        When they fire (ms); not before 0.
+    cv : float
+        Speed in the trees (mm/ms).
+    orthodromic, antidromic : float
+        Delays of the junctions (ms).
+    tissue_speed : float
+        Factor on all speeds of the myocardium.
+    """
+
+    anatomy: Mapping[str, float]
+    rules: GrowthRules
+    roots: tuple[float, float]
+    cv: float
+    orthodromic: float
+    antidromic: float
+    tissue_speed: float
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a batch of networks gives.
+
+    Attributes
+    ----------
+    simulated : (b,) bool array
+        Which were simulated; of the others all but `status`, `missing` and `ends` is anything.
+    status, missing : (b, 2) arrays
+        Of both trees: `fascicle.kernels.growth.grow`.
+    ends : (b, 2) array of NODE
+        Last node of both trees.
+    sizes, junctions : (b, 2) arrays
+        How many nodes and junctions both trees have.
+    first, last : (b,) arrays
+        When the first and the last vertex of those that are reached are activated (ms).
+    channels : list of (8, n_time) arrays
+        Potentials (mV), every `STEP` ms from 0; empty where a network was not simulated.
+    """
+
+    simulated: Booleans
+    status: Integers
+    missing: Floats
+    ends: NDArray[np.void]
+    sizes: Integers
+    junctions: Integers
+    first: Floats
+    last: Floats
+    channels: list[Floats]
+
+
+class Simulator:
+    """A heart on a device, with room for a batch of networks.
+
+    Parameters
+    ----------
+    device : Device
+        Where.
+    prepared, electrocardiograph
+        The heart: see `packed_heart`.
+    networks : int
+        How many it has room for.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        prepared: Prepared,
+        electrocardiograph: Electrocardiograph,
+        networks: int = NETWORKS,
+    ) -> None:
+        self.device, self.networks, self._seeds = device, networks, prepared.seeds
+        self._quiet = electrocardiograph.action_potential.span[1]
+        heart = packed_heart(prepared, electrocardiograph)
+        self._vertices: int = heart["vertices"]
+        self._bin_width: float = heart["bin_width"]
+        if _waiting(self._vertices + MOST_TREE_NODES) > device.shared_bytes:
+            raise InputError(
+                f"a heart of {self._vertices} vertices is too large for the card; leave the device "
+                "out"
+            )
+        self._heart_buffers = self._uploaded(heart)
+        self._heart = device.upload(structure(HEART, heart | self._addresses(self._heart_buffers)))
+        sizes = _bytes(self._vertices + MOST_TREE_NODES)
+        self._buffers = {name: device.room(networks * size) for name, size in sizes.items()}
+
+    def run(self, networks: Sequence[Network]) -> Results:
+        """Simulate networks, as many as there is room for at most."""
+        count = len(networks)
+        given = {
+            "plans": np.stack([self._plan(side, n) for n in networks for side in SIDES]),
+            "beats": np.array([_beat(network) for network in networks], BEAT),
+        }
+        self._launch("grow", 2 * count, 0, given)
+        self._launch("attach", count, 0, given)
+        simulated = self._array("site_count", np.int32, count) >= 0
+        nodes = self._array("node_count", np.int32, count)[simulated]
+        self._solve(count, self._vertices + int(nodes.max(initial=0)), given)
+        first, last = (
+            self._array("first", np.float64, count),
+            self._array("last", np.float64, count),
+        )
+        simulated &= last < LATEST  # infinite where nothing is reached
+        return Results(
+            simulated,
+            self._array("status", np.int32, count, 2),
+            self._array("missing", np.float64, count, 2),
+            self._array("ends", NODE, count, 2),
+            self._array("grown", np.int32, count, 2),
+            self._array("junctions", np.int32, count, 2),
+            first,
+            last,
+            self._channels(simulated, last, given),
+        )
+
+    def activation(self, number: int) -> Floats:
+        """Activation (ms) in one of the networks that were run last, in the mesh's numbers."""
+        first = number * (self._vertices + MOST_TREE_NODES)
+        return self._part("time", np.float64, first, self._vertices)
+
+    def nodes(self, number: int, side: int, size: int) -> NDArray[np.void]:
+        """The nodes, an array of NODE, of one of their trees; `Results.sizes` says how many."""
+        return self._part("nodes", NODE, (len(SIDES) * number + side) * MOST_GROWN, size)
+
+    def _plan(self, side: str, network: Network) -> NDArray[np.void]:
+        """What a tree grows by, a record.
+
+        Cosines and sines are of the same functions as on a processor, so that they round alike.
+        """
+        seed, anatomy, rules = self._seeds[side], network.anatomy, network.rules
+        step = rules.branch_length / rules.segments
+        plan = np.zeros((), PLAN)
+        plan["u"], plan["v"] = seed.point
+        plan["a"], plan["b"] = seed.heading
+        plan["triangle"] = seed.triangle
+        plan["bundle"] = anatomy[f"{side}_initial_length"]
+        plan["fascicles"] = fascicles(side, anatomy)
+        for k in range(int(plan["fascicles"])):
+            angle = anatomy[f"{side}_fascicle_angle_{k + 1}"]
+            plan["fascicle"][k] = anatomy[f"{side}_fascicle_length_{k + 1}"]
+            plan["cosine"][k], plan["sine"][k] = math.cos(angle), math.sin(angle)
+        plan["step"], plan["repulsion"] = step, rules.repulsion
+        plan["too_near"] = (rules.clearance * step) ** 2
+        plan["branch_cosine"] = math.cos(rules.branch_angle)
+        plan["branch_sine"] = math.sin(rules.branch_angle)
+        plan["segments"], plan["generations"] = rules.segments, rules.generations
+        return plan
+
+    def _solve(self, count: int, nodes: int, given: Mapping[str, NDArray[Any]]) -> None:
+        """Solve the coupled problem; times are shared by the threads of a block if they fit."""
+        waiting, times = _waiting(nodes), 8 * nodes
+        shared = waiting + times <= self.device.shared_bytes
+        size = waiting + times if shared else waiting
+        self._launch("solve", count, size, given, times_are_shared=shared)
+
+    def _channels(
+        self, simulated: Booleans, last: Floats, given: Mapping[str, NDArray[Any]]
+    ) -> list[Floats]:
+        """The ECG of those that were simulated."""
+        samples = np.zeros(len(last), np.int32)
+        samples[simulated] = np.ceil((last[simulated] + self._quiet) / STEP).astype(np.int32) + 1
+        most = int(samples.max(initial=1))
+        latest = last.max(where=simulated, initial=0.0)
+        bins = int(latest / self._bin_width) + SPARE_BINS
+        size = CHANNELS * bins * 8
+        shared = size <= self.device.shared_bytes
+        room = {
+            "channels": self.device.room(len(last) * CHANNELS * most * 8),
+            "bins": self.device.room(8 if shared else len(last) * size),
+        }
+        self._launch(
+            "electrocardiogram",
+            len(last),
+            size if shared else 0,
+            {**given, "samples": samples},
+            room,
+            bins_are_shared=shared,
+            most_bins=bins,
+            most_samples=most,
+        )
+        values = self.device.download(room["channels"], 0, len(last) * CHANNELS * most * 8)
+        rows = values.view(np.float64).reshape(len(last), -1)
+        return [
+            row[: CHANNELS * n].reshape(CHANNELS, n) for row, n in zip(rows, samples, strict=True)
+        ]
+
+    def _launch(
+        self,
+        kernel: str,
+        blocks: int,
+        shared: int,
+        given: Mapping[str, NDArray[Any]],
+        room: Mapping[str, Any] | None = None,
+        **numbers: int,
+    ) -> None:
+        """Run a kernel on what is given, in the batch's buffers and the room for its results."""
+        uploaded = self._uploaded(given)
+        members = dict.fromkeys(BATCH, 0) | {
+            "most_grown": MOST_GROWN,
+            "most_sprouts": MOST_SPROUTS,
+            "most_sites": MOST_SITES,
+            "most_tree_nodes": MOST_TREE_NODES,
+            "most_nodes": self._vertices + MOST_TREE_NODES,
+        }
+        members |= self._addresses({**self._buffers, **uploaded, **(room or {})}) | numbers
+        batch = self.device.upload(structure(BATCH, members))
+        self.device.launch(kernel, blocks, shared, self._heart, batch)
+
+    def _uploaded(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            name: self.device.upload(array.reshape(-1).view(np.uint8))
+            for name, array in values.items()
+            if isinstance(array, np.ndarray)
+        }
+
+    def _addresses(self, buffers: Mapping[str, Any]) -> dict[str, int]:
+        return {name: self.device.address(buffer) for name, buffer in buffers.items()}
+
+    def _array(self, name: str, kind: Any, *shape: int) -> NDArray[Any]:
+        """What a buffer of the batch begins with."""
+        return self._part(name, kind, 0, math.prod(shape)).reshape(shape)
+
+    def _part(self, name: str, kind: Any, first: int, count: int) -> NDArray[Any]:
+        size = np.dtype(kind).itemsize
+        part = self.device.download(self._buffers[name], first * size, count * size)
+        return part.view(kind)
+
+
+def _waiting(nodes: int) -> int:
+    """Bytes of the bits that say which nodes wait."""
+    return BITS // 8 * -(-nodes // BITS)
+
+
+def _beat(network: Network) -> tuple[Any, ...]:
+    """The times of a beat, on a clock on which the tissue conducts as it was prepared.
+
+    As in `fascicle.forward.eikonal.activation.solve`.
+    """
+    speed = network.tissue_speed
+    fires = tuple(speed * time for time in network.roots)
+    delays = speed * network.orthodromic, speed * network.antidromic
+    return fires, network.cv / speed, *delays, speed
+
+
+def _bytes(most_nodes: int) -> dict[str, int]:
+    """Bytes that each network takes in the buffers that kernels write to."""
+    node, number, integer = NODE.itemsize, 8, 4
+    return {
+        "nodes": 2 * MOST_GROWN * node,
+        "sprouts": 2 * MOST_SPROUTS * SPROUT_BYTES,
+        "moves": 2 * 2 * MOST_SPROUTS * MOVE_BYTES,
+        "grown": 2 * integer,
+        "status": 2 * integer,
+        "missing": 2 * number,
+        "ends": 2 * node,
+        "children": 2 * MOST_GROWN * integer,
+        "place": 2 * MOST_GROWN * integer,
+        "sites": MOST_SITES * SITE.itemsize,
+        "site_count": integer,
+        "junctions": 2 * integer,
+        "node_count": integer,
+        "up": MOST_TREE_NODES * integer,
+        "first_child": MOST_TREE_NODES * integer,
+        "next_child": MOST_TREE_NODES * integer,
+        "up_length": MOST_TREE_NODES * number,
+        "root": 2 * integer,
+        "seen": CORNERS * MOST_SITES * number,
+        "time": most_nodes * number,
+        "first": number,
+        "last": number,
+    }

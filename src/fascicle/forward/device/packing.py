@@ -1,0 +1,157 @@
+"""A heart's arrays as the kernels of a card want them: the one place that knows both layouts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from fascicle.core.arrays import Floats, Integers
+from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
+from fascicle.forward.eikonal.myocardium import Myocardium
+from fascicle.forward.eikonal.ray_travel_times import grouped
+from fascicle.forward.preparation import Prepared
+from fascicle.kernels.arrays import CORNERS
+from fascicle.kernels.ray_travel_times import BASIS
+from fascicle.mesh.topology import TETRAHEDRON_EDGES
+from fascicle.purkinje.chart import Chart
+
+# Nodes that wait are taken together if they are later than the earliest by up to so many times the
+# mean travel time of an edge: more work for the threads, and more of it in vain.
+BAND = 2.0
+
+# The other corners of each corner of a tetrahedron
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
+
+def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> dict[str, Any]:
+    """Numbers and arrays of `fascicle.forward.device.source.HEART`.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The heart.
+    electrocardiograph : Electrocardiograph
+        Its ECG integral, without what does not conduct.
+    """
+    return (
+        _mesh(prepared.myocardium)
+        | _table(prepared.myocardium)
+        | _charts(prepared)
+        | _ecg(electrocardiograph, prepared.myocardium.order)
+    )
+
+
+def _mesh(myocardium: Myocardium) -> dict[str, Any]:
+    mesh = myocardium.mesh
+    tetrahedron, place = mesh.star // CORNERS, mesh.star % CORNERS
+    others = np.take_along_axis(mesh.corners[tetrahedron], OTHERS[place], axis=1)
+    return {
+        "vertices": len(mesh.vertices),
+        "positions": _doubles(mesh.vertices),
+        "corners": _ints(mesh.corners),
+        "cells": _doubles(mesh.cells),
+        "solver": _doubles(mesh.solver),
+        "star_start": _ints(mesh.star_start),
+        "star": _ints(np.column_stack([others, mesh.star])),
+        "least": np.ascontiguousarray(mesh.least.min(axis=1), np.float32),
+        "link_start": _ints(mesh.link_start),
+        "link": _ints(mesh.link),
+        "link_time": _doubles(mesh.link_time),
+        "slowness": mesh.slowness,
+        "band": BAND * float(mesh.link_time.mean()),
+    }
+
+
+def _table(myocardium: Myocardium) -> dict[str, Any]:
+    mesh, table = myocardium.mesh, myocardium.travel_times
+    one, other = mesh.corners[:, TETRAHEDRON_EDGES].transpose(2, 0, 1)
+    longest = np.linalg.norm(mesh.vertices[one] - mesh.vertices[other], axis=2).max()
+    element = np.where(myocardium.conducts[myocardium.owner], myocardium.owner, -1)
+    return {
+        "row_start": _ints(table.start),
+        "row_vertex": _ints(table.vertex),
+        "row_square": np.ascontiguousarray(table.square, np.float32),
+        "basis": _doubles(BASIS),
+        # both sites are as near to the centre of a row's triangle as the row reaches, or nearer
+        # than an edge
+        "site_reach": float(table.reach + longest),
+        "surface": _ints(myocardium.surface),
+        "surface_element": _ints(element),
+        "surface_row": _ints(table.row),
+        "surface_opposite": _ints(table.opposite),
+    }
+
+
+def _charts(prepared: Prepared) -> dict[str, Any]:
+    packed: dict[str, Any] = {}
+    for side, chart in prepared.charts.items():
+        start, near = _nearest_candidates(chart, prepared.myocardium)
+        packed |= {
+            f"{side}_points": _doubles(chart.points),
+            f"{side}_vertices": _doubles(chart.vertices),
+            f"{side}_triangles": _ints(chart.triangles),
+            f"{side}_neighbours": _ints(chart.neighbours),
+            f"{side}_metric": _doubles(chart.metric),
+            f"{side}_near_start": _ints(start),
+            f"{side}_near": _ints(near),
+        }
+    return packed
+
+
+def _nearest_candidates(chart: Chart, myocardium: Myocardium) -> tuple[Integers, Integers]:
+    """The boundary triangles that can be nearest to a point of each triangle of a chart.
+
+    From the centre of the chart's triangle, which reaches r from there, the surface is d away: then
+    the nearest to any point of it is d + 2r from the centre at most.
+    """
+    centres, radii = _balls(chart.vertices[chart.triangles])
+    triangles = myocardium.mesh.vertices[myocardium.surface]
+    their_centres, their_radii = _balls(triangles)
+    square = myocardium.tree.squared_distance(myocardium.mesh.vertices, myocardium.surface, centres)
+    reach = np.sqrt(square[0]) + 2 * radii
+    around = KDTree(their_centres).query_ball_point(centres, reach * (1 + 1e-9) + their_radii.max())
+    found = [
+        np.sort(np.array(near)[_distances(centre, their_centres[near]) <= far + their_radii[near]])
+        for centre, near, far in zip(centres, around, reach * (1 + 1e-9), strict=True)
+    ]
+    return np.cumsum([0, *map(len, found)]), np.concatenate(found)
+
+
+def _balls(triangles: Floats) -> tuple[Floats, Floats]:
+    """Centres and radii of balls around triangles (m, 3, 3)."""
+    centres = triangles.mean(axis=1)
+    return centres, np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
+
+
+def _distances(point: Floats, others: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(others - point, axis=1))
+
+
+def _ecg(electrocardiograph: Electrocardiograph, order: Integers) -> dict[str, Any]:
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    corners = number[electrocardiograph.corners]
+    start, source = grouped(corners.ravel(), len(order))  # CORNERS·tetrahedron + corner
+    assert CORNERS == 4, "the kernel takes the corner from the two lowest bits"
+    first, response = electrocardiograph.response
+    return {
+        "source_corners": _ints(corners),
+        "source_weights": np.ascontiguousarray(electrocardiograph.weights, np.float32),
+        "source_start": _ints(start),
+        "source": _ints(source),
+        "response": _doubles(response),
+        "response_first": first,
+        "response_length": len(response),
+        "bins_per_step": electrocardiograph.bins_per_step,
+        "bin_width": STEP / electrocardiograph.bins_per_step,
+    }
+
+
+def _ints(values: Any) -> np.ndarray[Any, np.dtype[np.int32]]:
+    return np.ascontiguousarray(values, np.int32)
+
+
+def _doubles(values: Any) -> Floats:
+    return np.ascontiguousarray(values, np.float64)

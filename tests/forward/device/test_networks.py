@@ -1,0 +1,190 @@
+"""Networks on a device are those of the processor: trees to the last bit, times and ECGs closely.
+
+Times may differ by what is not worth passing on, 1e-10 ms, along a path: by 2e-10 ms in these
+networks. The ECG's histogram is summed in another order, whose rounding the running sums amplify
+to 1e-6 of an element's contribution at most: by 2e-10 mV in these networks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders import box, conduction_for, face_of, straight_times, vertex_at
+from emulated import Emulated, drawn, on
+
+from fascicle.core.errors import InputError
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward.device import batch
+from fascicle.forward.eikonal.activation import attach
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.simulation import Signals, SimulatedBeat
+from fascicle.heart.conduction import Conduction, Region
+from fascicle.purkinje.tree import InvalidTree
+
+MS, MV = 1e-7, 1e-7
+EDGE, ACROSS = 2.0, 0.3  # of the block (mm) and its slower speed (mm/ms)
+
+
+def assert_same(found, expected):
+    """Of one network."""
+    assert isinstance(found, SimulatedBeat)
+    for one, other in zip(found.trees, expected.trees, strict=True):
+        assert one.side == other.side
+        np.testing.assert_array_equal(one.nodes, other.nodes)
+        np.testing.assert_array_equal(one.parents, other.parents)
+        np.testing.assert_array_equal(one.lengths, other.lengths)
+        np.testing.assert_array_equal(one.labels, other.labels)
+    np.testing.assert_allclose(found.activation, expected.activation, rtol=0, atol=MS)
+    assert found.onset == expected.onset
+    np.testing.assert_allclose(found.leads, expected.leads, rtol=0, atol=MV)
+
+
+def assert_invalid(found, expected):
+    assert isinstance(found, InvalidTree)
+    assert (found.side, found.branch, found.wanted) == (
+        expected.side,
+        expected.branch,
+        expected.wanted,
+    )
+    assert (found.grown, found.position) == (expected.grown, expected.position)
+
+
+def compare(model, device, networks):
+    """Simulate on both; how many networks fit."""
+    fit = 0
+    for network, found in zip(networks, on(model, device).beats(networks), strict=True):
+        expected = model.simulate(network)
+        if isinstance(expected, InvalidTree):
+            assert_invalid(found, expected)
+        else:
+            assert_same(found, expected)
+            fit += 1
+    return fit
+
+
+def test_the_packaged_heart(default_model, device):
+    assert compare(default_model, device, drawn(4)) == 4
+
+
+def test_a_patients_heart(crtdemo_model, device):
+    """Where many bundles and fascicles leave the endocardium, of either side."""
+    assert compare(crtdemo_model, device, drawn(12)) == 8
+
+
+def test_quantities_that_change_trees_and_times(crtdemo_model, emulated):
+    network = next(n for n in drawn(9) if not isinstance(crtdemo_model.grow(n), InvalidTree))
+    changes = [
+        {"alpha": 0.083},
+        {"fibre_speed": 0.5, "orthodromic_delay": 3.0, "antidromic_delay": 1.5},
+        {"orthodromic_delay": 5.0, "antidromic_delay": np.inf, "alpha": 0.04},
+        {"antidromic_delay": 0.0, "root_time": -70.0, "cv": 4.0},
+        {"gain": 2.5, "his_time": 30.0},
+        {"branch_length": 5.0, "branch_angle": 0.4, "repulsion": 0.0},
+        {"clearance": 1.4, "repulsion": 0.5},
+        {"lv_fascicle_length_3": 8.0, "lv_fascicle_angle_3": 1.0},
+    ]
+    networks = [network | change for change in changes]
+    assert compare(crtdemo_model, emulated, networks) == len(networks)
+    times = [beat.activation for beat in on(crtdemo_model, emulated).beats(networks)]
+    assert np.abs(times[1] - times[2]).max() > 1.0
+
+
+def test_scar_is_not_activated(crtdemo, emulated):
+    """Vertices inside are never reached, and its elements add nothing to the ECG."""
+    centre = crtdemo.vertices[np.argmax(crtdemo.vertices[:, 0])]
+    scar = Region(0.0, centre=tuple(centre.tolist()), radius=12.0)
+    model = ForwardModel(crtdemo, Conduction(regions=(scar,)))
+    networks = [n for n in drawn(12) if not isinstance(model.grow(n), InvalidTree)][:2]
+    assert compare(model, emulated, networks) == 2
+    beat = next(on(model, emulated).beats(networks))
+    assert beat.unreached.sum() > 10
+
+
+def test_a_block_with_an_exact_solution(emulated):
+    """Straight fibres: a vertex is reached on the straight line from the junction that is first."""
+    block = box((40.0, 40.0, 8.0), (20, 20, 4), jitter=0.2)
+    electrodes = 200.0 * np.random.default_rng(0).normal(size=(9, 3))
+    sides = {}
+    for side, level in (("lv", 0.0), ("rv", 8.0)):
+        face = face_of(block, 2, level)
+        root = vertex_at(face.vertices, (20.0, 0.0, level))
+        middle = np.linalg.norm(face.vertices - (20.0, 20.0, level), axis=1).argmin()
+        sides[side] = replace(face, side=side, root=root, direction=int(middle))
+    model = ForwardModel(
+        replace(block, **sides, electrodes=electrodes), conduction_for(0.6, ACROSS)
+    )
+    network = EXAMPLE_PARAMETERS | {"root_time": 4.0} | {
+        f"{side}_{name}": value
+        for side in sides
+        for name, value in {
+            "initial_length": 12.0, "fascicle_length_1": 6.0, "fascicle_angle_1": 0.6,
+            "fascicle_length_2": 6.0, "fascicle_angle_2": -0.6,
+        }.items()
+    }  # fmt: skip
+    (beat,) = on(model, emulated).beats([network])
+    simulation = model.simulate(network)
+    assert_same(beat, simulation)
+    coupling = attach(model.myocardium, simulation.trees)
+    fired = [
+        times[tree.junctions]
+        for times, tree in zip(simulation.coupled.trees, simulation.trees, strict=True)
+    ]
+    exact = straight_times(model.myocardium, coupling.located.positions, np.concatenate(fired))
+    error = np.abs(beat.activation - exact)
+    assert np.median(error) < 0.03  # where rays reach, but for the table's precision
+    assert error.max() < 0.5 * EDGE / ACROSS  # first order beyond, and where fronts collide
+    assert np.ptp(exact) > 20.0
+
+
+def test_signals_are_what_is_compared(crtdemo_model, emulated):
+    networks = drawn(5)
+    device_model = on(crtdemo_model, emulated)
+    for network, found in zip(networks, device_model.signals(networks), strict=True):
+        expected = crtdemo_model.simulate(network)
+        if isinstance(expected, InvalidTree):
+            assert_invalid(found, expected)
+            continue
+        expected = Signals.of(expected)
+        assert found.junctions == expected.junctions
+        np.testing.assert_allclose(found.first_activation, expected.first_activation, atol=MS)
+        np.testing.assert_allclose(found.leads, expected.leads, rtol=0, atol=MV)
+
+
+@pytest.mark.parametrize(
+    ("room", "size"), [("MOST_GROWN", 900), ("MOST_GROWN", 60), ("MOST_SPROUTS", 40)]
+)
+def test_networks_that_are_too_large_are_left(crtdemo_model, emulated, monkeypatch, room, size):
+    """As nodes of a tree, as nodes of its bundle, as branches of a generation."""
+    monkeypatch.setattr(batch, room, size)
+    assert list(on(crtdemo_model, emulated).beats(drawn(11)[8:])) == [None] * 3
+
+
+def test_too_many_junctions_are_left(crtdemo_model, emulated, monkeypatch):
+    monkeypatch.setattr(batch, "MOST_SITES", 250)
+    networks = [n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), InvalidTree)]
+    many = [sum(len(t.junctions) for t in crtdemo_model.grow(n)) > 250 for n in networks]
+    assert 0 < sum(many) < len(networks)
+    found = on(crtdemo_model, emulated).beats(networks)
+    assert [beat is None for beat in found] == many
+
+
+@pytest.mark.parametrize("name", ["anisotropy_ratio", "heart_up", "region_3_conductivity"])
+def test_what_asks_for_another_tissue_or_body_is_refused(crtdemo_model, emulated, name):
+    with pytest.raises(InputError, match=f"parameter '{name}' changes .* card does not simulate"):
+        list(on(crtdemo_model, emulated).signals([EXAMPLE_PARAMETERS | {name: 1.0}]))
+
+
+def test_a_missing_parameter_is_named(crtdemo_model, emulated):
+    with pytest.raises(InputError, match="missing parameters cv; add them"):
+        list(on(crtdemo_model, emulated).signals([{**EXAMPLE_PARAMETERS, "cv": 2.0}, drop("cv")]))
+
+
+def drop(name):
+    return {n: v for n, v in EXAMPLE_PARAMETERS.items() if n != name}
+
+
+def test_a_heart_that_is_too_large(crtdemo_model):
+    with pytest.raises(InputError, match="heart of 4569 vertices is too large for the card; leave"):
+        on(crtdemo_model, Emulated(shared_bytes=1000))
