@@ -187,6 +187,17 @@ def test_junctions_without_rays_in_the_table_are_left(crtdemo_model, emulated):
     assert not all(found)
 
 
+def test_a_heart_in_which_nothing_fires_is_left(crtdemo_model, emulated):
+    """The processor says what is wrong with that."""
+    blocked = {"orthodromic_delay": np.inf, "antidromic_delay": np.inf}
+    networks = [n | blocked for n in drawn(2)]
+    assert isinstance(crtdemo_model.grow(networks[1]), tuple)
+    found = list(on(crtdemo_model, emulated).signals(networks))
+    assert found[1] is None
+    with pytest.raises(InputError, match="nothing activates the myocardium"):
+        crtdemo_model.simulate(networks[1])
+
+
 @pytest.mark.parametrize("name", ["anisotropy_ratio", "heart_up", "region_3_conductivity"])
 def test_what_asks_for_another_tissue_or_body_is_refused(crtdemo_model, emulated, name):
     with pytest.raises(InputError, match=f"parameter '{name}' changes .* card does not simulate"):
