@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,12 +13,15 @@ import fascicle
 from fascicle.cli import main
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.forward import model as model_module
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
+from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.scenario import His, Scenario
 from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
 from fascicle.study import pool as pool_module
+from fascicle.study import problem as problem_module
 from fascicle.study.bank import Bank
 from fascicle.study.fit import _check_card
 from fascicle.study.pool import Card, Threads
@@ -29,7 +33,8 @@ from fascicle.study.study import SAME_LOSS
 def card(emulated, default_model, monkeypatch):
     monkeypatch.setattr(pool_module, "card_number", lambda name: 0)
     monkeypatch.setattr(card_module, "Card", lambda name: emulated)
-    monkeypatch.setattr(batch, "NETWORKS", 4)
+    monkeypatch.setattr(model_module, "DeviceModel", partial(DeviceModel, networks=4))
+    monkeypatch.setattr(problem_module, "NETWORKS", 4)
     default_model._device_model.cache_clear()
     yield Card("cuda", workers=2)
     default_model._device_model.cache_clear()

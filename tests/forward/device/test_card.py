@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from functools import partial
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -13,9 +14,11 @@ from test_networks import assert_same
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.forward import model as model_module
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.card import OPTIONS, THREADS, card_number
+from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.device.source import source
 from fascicle.forward.scenario import Scenario
 
@@ -72,6 +75,7 @@ def test_simulate_many(crtdemo_model, emulated, monkeypatch):
     """On the card, in order; what is too large for it here, and the card is prepared once."""
     made = []
     monkeypatch.setattr(card_module, "Card", lambda name: made.append(name) or emulated)
+    monkeypatch.setattr(model_module, "DeviceModel", partial(DeviceModel, networks=5))
     monkeypatch.setattr(batch, "MOST_SITES", 250)
     networks = drawn(12)
     beats = crtdemo_model.simulate_many(networks, device="cuda:3")

@@ -91,15 +91,16 @@ def test_quantities_that_change_trees_and_times(crtdemo_model, emulated):
     assert np.abs(times[1] - times[2]).max() > 1.0
 
 
-def test_scar_is_not_activated(crtdemo, emulated):
-    """Vertices inside are never reached, and its elements add nothing to the ECG."""
-    centre = crtdemo.vertices[np.argmax(crtdemo.vertices[:, 0])]
-    scar = Region(0.0, centre=tuple(centre.tolist()), radius=12.0)
-    model = ForwardModel(crtdemo, Conduction(regions=(scar,)))
-    networks = [n for n in drawn(12) if not isinstance(model.grow(n), InvalidTree)][:2]
-    assert compare(model, emulated, networks) == 2
-    beat = next(on(model, emulated).beats(networks))
+def test_scar_is_not_activated(crtdemo_model, emulated):
+    """Vertices inside are never reached, junctions there fire nothing, and it makes no ECG."""
+    network = next(n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), InvalidTree))
+    tree = crtdemo_model.grow(network)[1]
+    scar = Region(0.0, centre=tuple(tree.nodes[tree.junctions[0]].tolist()), radius=12.0)
+    model = ForwardModel(crtdemo_model.heart, Conduction(regions=(scar,)))
+    assert compare(model, emulated, [network]) == 1
+    (beat,) = on(model, emulated).beats([network])
     assert beat.unreached.sum() > 10
+    assert (attach(model.myocardium, beat.trees).located.elements < 0).any()
 
 
 def test_a_block_with_an_exact_solution(emulated):
@@ -168,6 +169,33 @@ def test_too_many_junctions_are_left(crtdemo_model, emulated, monkeypatch):
     assert 0 < sum(many) < len(networks)
     found = on(crtdemo_model, emulated).beats(networks)
     assert [beat is None for beat in found] == many
+
+
+def test_junctions_without_rays_in_the_table_are_left(crtdemo_model, emulated):
+    networks = [n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), InvalidTree)]
+    junctions = [
+        attach(crtdemo_model.myocardium, crtdemo_model.grow(n)).located.triangles for n in networks
+    ]
+    table = crtdemo_model.myocardium.travel_times
+    rows = table.row.copy()
+    rows[junctions[0][0]] = -1  # another ray would have to be traced from it
+    myocardium = replace(crtdemo_model.myocardium, travel_times=table._replace(row=rows))
+    prepared = replace(crtdemo_model.prepared, myocardium=myocardium)
+    model = ForwardModel(crtdemo_model.heart, prepared=prepared)
+    found = [beat is None for beat in on(model, emulated).beats(networks)]
+    assert found == [junctions[0][0] in triangles for triangles in junctions]
+    assert not all(found)
+
+
+def test_a_heart_in_which_nothing_fires_is_left(crtdemo_model, emulated):
+    """The processor says what is wrong with that."""
+    blocked = {"orthodromic_delay": np.inf, "antidromic_delay": np.inf}
+    networks = [n | blocked for n in drawn(2)]
+    assert isinstance(crtdemo_model.grow(networks[1]), tuple)
+    found = list(on(crtdemo_model, emulated).signals(networks))
+    assert found[1] is None
+    with pytest.raises(InputError, match="nothing activates the myocardium"):
+        crtdemo_model.simulate(networks[1])
 
 
 @pytest.mark.parametrize("name", ["anisotropy_ratio", "heart_up", "region_3_conductivity"])

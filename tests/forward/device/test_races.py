@@ -61,5 +61,7 @@ def run_under(sanitiser, written):
 def test_under_a_sanitiser(sanitiser, written):
     """Addresses and overflow; threads that run at the same time."""
     ended = run_under(sanitiser, written)
+    if "unexpected memory mapping" in ended.stderr:
+        pytest.skip(f"{sanitiser} does not run on this kernel")
     assert ended.returncode == 0, ended.stderr[-3000:]
     assert "Sanitizer" not in ended.stderr

@@ -38,7 +38,8 @@ MOST_SPROUTS = 2048
 MOST_SITES = 2048
 MOST_TREE_NODES = 2 * MOST_SITES + 2  # sites, forks and two roots
 NETWORKS = 512  # at a time: 3 MB each, and several for each of a card's processors
-LATEST = 2000.0  # ms; where activation ends later, the processor says whether that can be
+# ms; where activation ends later, or never begins, the processor says whether that can be
+LATEST = 2000.0
 BITS = 64  # a bit of a word says that a node waits
 SPARE_BINS = 8  # of a histogram, beside those between the first activation and the last
 
@@ -172,11 +173,8 @@ class Simulator:
         simulated = self._array("site_count", np.int32, count) >= 0
         nodes = self._array("node_count", np.int32, count)[simulated]
         self._solve(count, self._vertices + int(nodes.max(initial=0)), given)
-        first, last = (
-            self._array("first", np.float64, count),
-            self._array("last", np.float64, count),
-        )
-        simulated &= last < LATEST  # infinite where nothing is reached
+        first, last = (self._array(name, np.float64, count) for name in ("first", "last"))
+        simulated &= (first < np.inf) & (last < LATEST)
         return Results(
             simulated,
             self._array("status", np.int32, count, 2),
