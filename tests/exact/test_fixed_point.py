@@ -22,7 +22,7 @@ from fascicle.forward.eikonal.myocardium import Myocardium, _reach, build_myocar
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.kernels.local_solver import from_new_corner
-from fascicle.kernels.star import STEEP
+from fascicle.kernels.star import LANES, STEEP
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
@@ -193,6 +193,16 @@ def test_times_in_elements_of_any_shape_solve_the_discrete_equation(
     time = solve_from_vertices(myocardium, fired)
     offered = offers(myocardium, time, HALVINGS)
     np.testing.assert_allclose(time, np.minimum(fired, offered), rtol=0, atol=TOLERANCE)
+
+
+def test_neighbours_in_a_star_are_the_corners_of_its_elements():
+    mesh = box_tissue(20.0, 8, jitter=0.2, fibre=OBLIQUE).mesh
+    node = np.repeat(np.arange(len(mesh.vertices)), np.diff(mesh.star_start))
+    t, s = np.divmod(mesh.star.astype(int), 4)
+    np.testing.assert_array_equal(mesh.corners[t, s], node)
+    neighbours = mesh.link[mesh.link_start[node, None] + mesh.others]
+    np.testing.assert_array_equal(neighbours, mesh.corners[t[:, None], np.array(OTHERS)[s]])
+    assert np.diff(mesh.star_start).max() > 2 * LANES, "no star takes more than two blocks"
 
 
 @given(seeds, thicknesses, st.sampled_from(list(SPEEDS)), st.floats(0.0, 20.0))
