@@ -64,7 +64,7 @@ class TestAnswers:
         assert said.trustworthy
         assert said.caution is None
         assert "Two independent runs agree" in said.meaning[0]
-        assert "(96% of the QRS, median)" in said.meaning[1]
+        assert "explains 96% of the QRS (median)" in said.meaning[1]
         assert [s.name for s in said.determined] == ["root_time"]
         assert [s.name for s in said.undetermined] == ["cv"]
         own, faster, mixed = said.predicted
@@ -88,7 +88,10 @@ class TestAnswers:
     def test_of_one_that_does_not_explain(self):
         said = answers(study(share=0.6, disagreeing={"V2": 0.001}), {"intrinsic": OWN})
         assert not said.trustworthy
-        assert "do not explain the ECG: 64% of the QRS (median), where 88% is " in said.meaning[1]
+        assert (
+            "do not explain the ECG: a network 64% of the QRS (median), where 88% is "
+            in said.meaning[1]
+        )
         assert "the least. V2 cannot be theirs." in said.meaning[1]
         assert said.caution is NOT_EXPLAINED
         assert said.predicted[0].startswith("by a model that does not fit: global QRS duration")

@@ -219,7 +219,7 @@ def print_analysis(analysis: Analysis) -> None:
     for finding in analysis.findings:
         print(
             f"{'':<{_WIDTH}}{finding.check.name:<34}{_figure(finding.value):>8}"
-            f"{_limit(finding):>10} {finding.check.unit:<3} {finding.severity.value}"
+            f"{_limit(finding):>10} {finding.check.unit:<3} {_outcome(finding)}"
         )
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
@@ -313,6 +313,12 @@ def _limit(finding: Finding) -> str:
     below, fine = finding.value < limit, finding.severity.value == "ok"
     unknown = math.isnan(finding.value)
     return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(limit)
+
+
+def _outcome(finding: Finding) -> str:
+    """How serious it is; of what the recording is too short for, or lacks, that it was not made."""
+    made = not math.isnan(finding.value) or finding.severity.value != "ok"
+    return finding.severity.value if made else "not checked"
 
 
 def _line(what: str, text: str) -> None:

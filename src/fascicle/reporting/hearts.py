@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -47,9 +48,11 @@ SPREAD = "standard deviation (ms)"
 VIEWS = ("RV side", "anterior", "LV side", "base")
 SCALE_BAR = 20.0  # mm
 PANEL = 1.95  # width, inch
-BAR_ROOM, TITLE_ROOM = 1.1, 0.5  # inch, at the right and above
+BAR_ROOM, TITLE_ROOM, NAME_ROOM = 1.1, 0.5, 0.5  # inch, at the right, above and at the left
+BAR_SHARE = 0.9  # of the height
 ROW_NAME = (-0.02, 0.5)  # of the first panel
 MOST_TIMES = 10  # of the colour bar
+LETTER, POINTS = 0.6, 72  # width of most letters, of the size of the font; points in an inch
 SEAM = 1.5  # points; a dark edge lets the light, early colours stand out from the wall
 FAR: dict[str, float] = {"linewidths": 0.9, "alpha": 1.0}  # of a tree's segments
 NEAR: dict[str, float] = {"linewidths": 0.6, "alpha": 0.35}
@@ -106,7 +109,11 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
     size = frame_size(boxes)
     shape = float(size[1] / size[0])
     columns = len(VIEWS) + len(cavities)
-    figure = new_figure(PANEL * columns + BAR_ROOM, PANEL * shape * len(rows) + TITLE_ROOM)
+    wide, high = PANEL * columns + BAR_ROOM + NAME_ROOM, PANEL * shape * len(rows) + TITLE_ROOM
+    figure = new_figure(wide, high)
+    # the layout knows nothing of names beside panels that keep the shape of the heart
+    left = NAME_ROOM / wide
+    figure.set_layout_engine("constrained", rect=(left, 0, 1 - left, 1))
     panels = figure.subplots(len(rows), columns, squeeze=False)
     norm = _bands(rows)
     for axes_row, row in zip(panels, rows, strict=True):
@@ -126,10 +133,11 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
         names = [f"{e.side.upper()} tree" for e in cavities]
         _frame_panels(panels[:, len(VIEWS) :], boxes, names, np.array([width, shape * width]))
     bar = figure.colorbar(
-        ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28, shrink=0.9,
-        ticks=norm.boundaries[:: 1 + len(norm.boundaries) // MOST_TIMES],
+        ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28,
+        shrink=BAR_SHARE, ticks=norm.boundaries[:: 1 + len(norm.boundaries) // MOST_TIMES],
     )  # fmt: skip
-    bar.set_label(what, fontsize=style.LABEL_SIZE)
+    letters = int(POINTS * BAR_SHARE * high / (LETTER * style.LABEL_SIZE))
+    bar.set_label(textwrap.fill(what, letters), fontsize=style.LABEL_SIZE)
     bar.ax.tick_params(labelsize=style.TICK_SIZE)
     return figure
 

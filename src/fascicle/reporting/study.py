@@ -227,7 +227,7 @@ def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str
         found[f"ecg{suffix}"] = Drawing(
             _ecg(recordings[number], its, agreed),
             f"Recorded beats{name} and what the networks predict: means, and what 90 % of beats "
-            "and of networks span. Time counts from the R peak; a fine square is 40 ms.",
+            "and of networks span. Time counts from the R peak.",
             agreed,
         )
         found[f"recording{suffix}"] = Drawing(

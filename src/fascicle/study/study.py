@@ -153,6 +153,8 @@ class Study:
     @classmethod
     def open(cls, folder: Path) -> Study:
         """Open the study that is in `folder`, to look at it or to resume it as it is."""
+        if not folder.is_dir():
+            raise InputError(f"{folder}: no such folder; give that of a study")
         if not (folder / CONFIGURATION).exists():
             raise InputError(f"{folder}: not a study; it has no {CONFIGURATION}")
         if not (folder / DATABASE).is_file():

@@ -125,13 +125,13 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
     each = f"{explained_share(checks):.0%}"
     if explained(checks):
         said.append(
-            f"Each explains the ECG ({each} of the QRS, median), and no lead, the window QRS "
-            "duration or the axis stands out."
+            f"A network explains {each} of the QRS (median), and none of the independent leads "
+            "stands out, nor the window QRS duration or the axis."
         )
     else:
         apart = f" {', '.join(checks.disagreeing)} cannot be theirs." if checks.disagreeing else ""
         said.append(
-            f"They do not explain the ECG: {each} of the QRS (median), where "
+            f"They do not explain the ECG: a network {each} of the QRS (median), where "
             f"{LEAST_EXPLAINED:.0%} is the least.{apart} The heart, the body or the model is not "
             "the patient's, so that the intervals below are those of a model that does not fit."
         )
