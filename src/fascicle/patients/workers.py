@@ -13,7 +13,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from fascicle.core.files import is_outside_allowed, outside_allowed
 from fascicle.core.progress import Progress
 from fascicle.patients.outcome import Outcome, Status
 from fascicle.patients.patient import Patient, bug, failed, fit_patient
-from fascicle.study.cluster import Cluster
+from fascicle.study.cluster import TIMEOUT, Cluster
 from fascicle.study.lock import HeldError
 from fascicle.study.pool import Threads
 
@@ -79,11 +79,12 @@ def fit_on_workers(
     running: dict[Any, tuple[_Waiting, str]] = {}  # futures: who, and at which worker
     if not patients:
         return
-    with cluster.scheduler_there(OSError, CancelledError), _marker(patients) as marker:
+    with _marker(patients) as marker:
         try:
             while waiting or running:
-                there = cluster.client.nthreads()
-                _start(cluster, there, waiting, running, marker)
+                with cluster.scheduler_there(OSError, CancelledError):
+                    there = cluster.client.nthreads()
+                    _start(cluster, there, waiting, running, marker)
                 report(f"{len(running)} at work" if there else "waiting for workers")
                 _pause(running)
                 for future, (tried, address) in list(running.items()):
@@ -150,8 +151,9 @@ def _pause(running: Iterable[Any]) -> None:
 def _ended(future: Any, tried: _Waiting, *, lost: bool) -> Outcome | None:
     """What has become of a patient who was at work; None if that goes on."""
     if future.status == "finished":
-        outcome: Outcome = future.result()
-        return outcome
+        with suppress(OSError, CancelledError):  # the worker is lost before it has told
+            outcome: Outcome = future.result(timeout=TIMEOUT)
+            return outcome
     error = future.exception() if future.status == "error" else None
     if isinstance(error, InputError):  # not of the patient, which is an outcome
         raise error
@@ -180,7 +182,8 @@ def _fit_here(patient: Patient, marker: Path, outside: bool) -> Outcome:
         try:
             return fit_patient(patient, Threads(worker.state.nthreads), _stopped(worker))
         except (HeldError, KeyboardInterrupt) as error:
-            return Outcome(patient=patient.name, status=Status.NOT_DONE, reason=str(error))
+            reason = str(error) or "its worker was about to close"
+            return Outcome(patient=patient.name, status=Status.NOT_DONE, reason=reason)
 
 
 def _check_seen(marker: Path) -> None:
