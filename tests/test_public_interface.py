@@ -179,6 +179,7 @@ TRIED_ABOVE = {
 # What the program itself makes, and what it raises
 MADE = {
     "Comparison", "Heart", "InputError", "InvalidTree", "Predicted", "PurkinjeTree", "Simulation",
+    "SimulatedBeat",
 }  # fmt: skip
 
 
@@ -241,6 +242,8 @@ def right(study, predicted, recording, default_heart, default_model):
         "report": (fascicle.report, dict(fitted)),
         "make_bank": (fascicle.make_bank, {"heart": default_heart}),
         "Cluster": (fascicle.Cluster, {"address": "tcp://localhost:1"}),
+        "Card": (fascicle.Card, {"device": "cuda", "workers": 1}),
+        "cohort": (fascicle.cohort, {"table": "patients.csv", "out": "new"}),
         "Elsewhere": (fascicle.Elsewhere, {"executor": ThreadPoolExecutor(1), "workers": 1}),
         "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
         "load_study": (fascicle.load_study, {"folder": study.folder}),
@@ -267,7 +270,8 @@ FUNCTIONS = [
     "ForwardModel.activate", "ForwardModel.simulate_many", "ForwardModel.grow", "Scenario",
     "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
     "read_recording", "read_target", "report", "make_bank", "Cluster", "Elsewhere", "fit",
-    "load_study", "plot.ecg", "plot.scenario_ecg", "plot.activation", "plot.activation_spread",
+    "load_study", "Card", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
+    "plot.activation_spread",
     "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",
 ]  # fmt: skip
 

@@ -77,7 +77,7 @@ def test_a_bad_file_stops_nobody_and_all_goes_on(table, tmp_path, fits):
     assert "2 of 2 patients fitted" in (out / "index.html").read_text()
     # another seed is another study
     (refused,) = fascicle.cohort(table("anna", seed="7"), out)
-    assert "holds a study with another seed (0 there, 7 now)" in refused.reason
+    assert "holds another study (seed: there 0, now 7)" in refused.reason
     assert results(out)["anna"]["verdict"] == ""
     assert fascicle.cohort(table("anna"), out)[0].status is Status.FITTED
     # more networks are the same study, which goes on

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable
-from fascicle.core.progress import Progress
+from fascicle.core.progress import Progress, check_progress
+from fascicle.core.ranges import check_text
 from fascicle.core.threads import cores
 from fascicle.patients.outcome import Outcome, Status
 from fascicle.patients.overview import PAGE, RESULTS, write_overview
 from fascicle.patients.patient import PATIENTS, STUDIES, Patient, check, fit_patient
 from fascicle.patients.table import part_of, read_table
 from fascicle.study.lock import HeldError
-from fascicle.study.pool import Threads
+from fascicle.study.pool import Threads, check_pool
 
 if TYPE_CHECKING:
     from fascicle.study.cluster import Cluster
@@ -69,6 +70,10 @@ def cohort(
     >>> outcomes = fascicle.cohort("patients.csv", "COHORT")  # doctest: +SKIP
     >>> [each.patient for each in outcomes if not each.trustworthy]  # doctest: +SKIP
     """
+    check_progress(progress)
+    check_pool(cluster)
+    if only is not None:
+        check_text(only, "only")
     return list(outcomes(table, out, only=only, cluster=cluster, progress=progress))
 
 

@@ -137,7 +137,8 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
         shrink=BAR_SHARE, ticks=norm.boundaries[:: 1 + len(norm.boundaries) // MOST_TIMES],
     )  # fmt: skip
     letters = int(POINTS * BAR_SHARE * high / (LETTER * style.LABEL_SIZE))
-    bar.set_label(textwrap.fill(what, letters), fontsize=style.LABEL_SIZE)
+    lines = [textwrap.fill(line, letters) for line in what.split("\n")]
+    bar.set_label("\n".join(lines), fontsize=style.LABEL_SIZE)
     bar.ax.tick_params(labelsize=style.TICK_SIZE)
     return figure
 

@@ -115,8 +115,10 @@ class Card(Threads):
     """
 
     def __init__(self, device: str = "cuda", workers: int | None = None) -> None:
-        super().__init__(workers if workers is not None else os.cpu_count() or 1)
+        if workers is not None:
+            check_count(workers, "workers")
         card_number(device)
+        super().__init__(workers if workers is not None else os.cpu_count() or 1)
         self.device = device
 
     def signals(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fascicle.core.errors import InputError, one_line
+from fascicle.core.ranges import check_text
 from fascicle.forward.device.source import Bytes, source
 
 # No fused multiply-add: every operation rounds as on a processor, so that trees are the same to the
@@ -26,6 +27,7 @@ def card_number(name: str) -> int:
     InputError
         If there is none of this name, or no CuPy.
     """
+    check_text(name, "device")
     match = re.fullmatch(NAME, name)
     if match is None:
         raise InputError(f"unknown device '{name}'; give cuda, or cuda:1 for the second card")
