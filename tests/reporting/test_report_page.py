@@ -12,7 +12,7 @@ import pytest
 
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.page import Picture, _safe, _template

@@ -7,7 +7,7 @@ import pytest
 
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.heart.segments import SEGMENTS
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES
 from fascicle.reporting.indices import SHOWN, index_figure
 from fascicle.reporting.names import index_label
 from fascicle.reporting.page.page import RESOLUTION

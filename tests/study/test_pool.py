@@ -24,7 +24,6 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward import model as model_module
 from fascicle.forward.scenario import His, Scenario
 from fascicle.forward.simulation import Signals
-from fascicle.recording.target import Target
 from fascicle.study.bank import Bank
 from fascicle.study.pool import JOBS, Elsewhere, Pool, Threads, parts
 from fascicle.study.problem import Problem
@@ -33,23 +32,9 @@ KILLS = 10
 
 
 @pytest.fixture(scope="module")
-def problem(default_model):
-    ecg = default_model.simulate(EXAMPLE_PARAMETERS).leads
-    beat = np.pad(ecg, ((0, 0), (40, 40)))
-    beats = beat + 0.02 * np.random.default_rng(0).normal(size=(5, *beat.shape))
-    time = np.arange(beat.shape[1]) - 60.0
-    return Problem(default_model, Target(beats, time, -20.0, 40.0, 60.0), NETWORK_SPACE)
-
-
-@pytest.fixture(scope="module")
 def points():
     longest = NETWORK_SPACE.to_unit(EXAMPLE_PARAMETERS | {"lv_initial_length": 300.0})
     return [*np.random.default_rng(1).uniform(0.2, 0.6, (7, len(NETWORK_SPACE))), longest]
-
-
-@pytest.fixture(scope="module")
-def expected(problem, points):
-    return list(problem(points))
 
 
 def assert_same(found, expected):

@@ -1,6 +1,7 @@
 """What is read off an activation and its ECG: durations, synchrony, peaks, the area of the QRS.
 
-Definitions and sources stand in docs/predictions.md, which `INDICES` is held to by a test.
+Definitions and sources stand in docs/predictions.md, which a test holds to the names of
+`fascicle.prediction.index_names`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.fibres.rules import Wall
 from fascicle.heart.heart import Heart
 from fascicle.heart.segments import APEX, RIGHT, Places
-from fascicle.prediction.index_names import INDICES as INDICES
 from fascicle.recording.window import qrs_window
 
 SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave
@@ -86,7 +86,7 @@ class Territories:
 def indices(
     simulation: Simulation, territories: Territories, stimulus: float | None = None
 ) -> dict[str, float]:
-    """Compute all `INDICES` of a simulation.
+    """Compute all indices of a simulation.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from fascicle.core.leads import LEADS
 from fascicle.core.parameters import complete
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import scenario_text
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.study.problem import Problem

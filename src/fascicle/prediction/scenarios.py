@@ -19,7 +19,8 @@ from fascicle.forward.loss import placed
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
-from fascicle.prediction.indices import INDICES, Territories, indices
+from fascicle.prediction.index_names import INDICES
+from fascicle.prediction.indices import Territories, indices
 from fascicle.prediction.kept import Kept
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window

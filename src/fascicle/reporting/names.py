@@ -6,7 +6,7 @@ import re
 import textwrap
 from typing import NamedTuple
 
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES
 
 _PART = re.compile(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?")
 _KEPT = "\N{NO-BREAK SPACE}"  # between words that stay on one line

@@ -19,7 +19,7 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.segments import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
 from fascicle.reporting.figures import FORMATS, save

@@ -18,7 +18,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
 from fascicle.heart.segments import SEGMENTS
 from fascicle.prediction.comparison import SIGNED
-from fascicle.prediction.indices import INDICES
+from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.sweeps import SEGMENT, Swept
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure, save
