@@ -271,7 +271,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
     model, space, fixed, bank, known, axis = prepared(heart, gain_sd, settings.method)
     rng = np.random.default_rng([1, number])
     true = (model, space, fixed) if given.physics == "same" else other_physics(heart, rng)
-    point, simulation = truth_of(*true, rng)
+    point, simulation = truth_of(true[0], true[1], true[2], rng)
     if given.physics == "other" and model.heart.lead_fields is not None:
         simulation = another_body(model, simulation, len(axis), rng)
     if of_paper:

@@ -153,7 +153,8 @@ def _between(interpolate: Callable[[Array, Array, Array], Array], fine: Array) -
 
 def activated(heart: Heart, parameters: dict[str, float]) -> ActivatedMesh:
     """The heart as the forward model activates it."""
-    from fascicle.forward.model import ForwardModel, InvalidTree
+    from fascicle.forward.model import ForwardModel
+    from fascicle.purkinje.tree import InvalidTree
 
     simulation = ForwardModel(heart).simulate(parameters)
     if isinstance(simulation, InvalidTree):

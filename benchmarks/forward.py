@@ -147,7 +147,8 @@ def measure_fascicle(case: Case, repeats: int) -> Report:
     from benchmarks.eikonal_residual import eikonal_residual
     from benchmarks.references import solve_from_vertices
     from fascicle.forward.eikonal.activation import attach, solve
-    from fascicle.forward.model import ForwardModel, InvalidTree
+    from fascicle.forward.model import ForwardModel
+    from fascicle.purkinje.tree import InvalidTree
 
     model = ForwardModel(_heart(case))
     parameters = _named_parameters(case)
@@ -218,9 +219,8 @@ def _heart(case: Case) -> Heart:
         root, direction = (int(seed) for seed in case[f"{side}_seed"])
         facing = oriented_into_cavity(points, triangles, side)
         endocardia.append(Endocardium(side, points, facing, root, direction))
-    return Heart(
-        case["vertices"], case["tetrahedra"], case["fibre"], *endocardia, case["electrodes"]
-    )
+    lv, rv = endocardia
+    return Heart(case["vertices"], case["tetrahedra"], case["fibre"], lv, rv, case["electrodes"])
 
 
 def _named_parameters(case: Case) -> dict[str, float]:

@@ -45,7 +45,7 @@ def main() -> None:
     starts = problem(list(np.hstack([networks, bodies])))
     found = list(starts)
 
-    def objective(points):  # type: ignore[no-untyped-def]
+    def objective(points):
         evaluations = problem(points)
         found.extend(evaluations)
         return evaluations

@@ -48,6 +48,7 @@ import numpy.typing as npt
 
 from fascicle.inference.optimisation import acquisition as own
 from fascicle.inference.optimisation.step import Surrogates, latin_hypercube, step
+from fascicle.inference.surrogate.exponential import ExponentialGP
 from fascicle.inference.surrogate.surrogates import Observations
 from fascicle.study.settings import FitSettings
 
@@ -207,7 +208,7 @@ def botorch_acquisition(acquisition: own.FeasibleLogImprovement) -> Any:
     from botorch.acquisition import LogExpectedImprovement
     from botorch.models.model import Model
 
-    def moments(gp: own.ExponentialGP) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
+    def moments(gp: ExponentialGP) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
         prior = gp.hyperparameters.variance
         scales = torch.tensor(gp.hyperparameters.length_scales, dtype=torch.float64)
         centre, scaled = torch.tensor(gp.centre), torch.tensor(gp.scaled)
@@ -224,7 +225,7 @@ def botorch_acquisition(acquisition: own.FeasibleLogImprovement) -> Any:
 
     loss, feasibility = moments(acquisition.gp), acquisition.feasibility
 
-    class Surrogate(Model):  # type: ignore[misc]
+    class Surrogate(Model):
         num_outputs = 1
 
         def posterior(self, X: Tensor, **_: Any) -> SimpleNamespace:

@@ -43,7 +43,7 @@ from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.forward.simulation import Simulation
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.figures import new_figure, save
-from fascicle.reporting.hearts import activation_figure
+from fascicle.reporting.hearts import SINCE_FIRST, activation_figure
 from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.rendering import heart_views
 from fascicle.reporting.study import activation_row
@@ -156,8 +156,9 @@ def write_figures(
     problem, population = fitted.problem, fitted.population
     heart, window = problem.model.heart, problem.target.qrs_samples
     true = simulate(problem.model, truth)
-    rows = [activation_row("truth", true), activation_row("best", fitted.best_network.simulation)]
-    save(activation_figure(heart, rows), folder / "activation.png")
+    drawn = {"truth": true, "best": fitted.best_network.simulation}
+    rows = [activation_row(name, simulation).since_first() for name, simulation in drawn.items()]
+    save(activation_figure(heart, rows, SINCE_FIRST), folder / "activation.png")
     time_axis = problem.target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     reference = EcgGroup("reference", "beat", time_axis, problem.target.qrs_beats, BLUE)
