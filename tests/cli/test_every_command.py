@@ -110,6 +110,14 @@ def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
     assert said[-1].startswith("error: --cv")
 
 
+def test_what_takes_long_says_how_long_it_took(run, monkeypatch, tmp_path):
+    assert "took" not in run("scenarios").err
+    monkeypatch.setattr("fascicle.cli.output.TOLD", 0.0)
+    log = tmp_path / "a.log"
+    assert re.fullmatch(r"took \d s\n", run("scenarios", "--log", log).err)
+    assert re.fullmatch(STAMP + r"took \d s", log.read_text().splitlines()[-1])
+
+
 def test_log_that_cannot_be_written(refused, tmp_path):
     refused(["scenarios", "--log", tmp_path], tmp_path, "--log")
 

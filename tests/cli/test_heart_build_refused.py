@@ -397,3 +397,8 @@ class TestOut:  # told before the work is done, so that the error stands alone
         (outside / "file").write_text("mine")
         arguments = ["heart", "build", mesh, *AROUND, "--out", outside / "file" / "heart"]
         refused(arguments, "cannot be written", "; choose another place (--out)")
+
+
+def test_kinds_of_files_that_are_no_anatomy_are_told_those_that_are(build_refused):
+    (build_refused.folder / "heart.csv").write_text("x,y,z\n")
+    build_refused("heart.csv", words=["cannot read '.csv' as anatomy", ".vtu", ".nii.gz", ".nrrd"])

@@ -53,6 +53,9 @@ def test_of_each_lead_and_over_all(target, networks):
         )
         assert found.correlation[row] == pytest.approx(np.corrcoef(r, p)[0, 1])
         every.append((r, p))
+    # a share that is rounded to whole percent is the same from the summary
+    shares = found.content()["explained_power"]
+    assert shares["II"] == pytest.approx(found.explained[LEADS.index("II")], abs=1e-6)
     r, p = np.hstack(every)
     assert found.explained_over_all == pytest.approx(1 - np.sum((r - p) ** 2) / np.sum(r**2))
     assert found.correlation_over_all == pytest.approx(np.corrcoef(r, p)[0, 1])

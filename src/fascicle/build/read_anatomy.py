@@ -25,11 +25,12 @@ from fascicle.build.surface_repair import closed_surface, prepared_surface
 from fascicle.build.volume_meshing import check_memory, mesh_surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
-from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 
 SCAR = "region_1_conductivity"  # quantity that says how the scar of a segmentation conducts
 SEGMENTATIONS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
@@ -59,6 +60,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
     if source.file.name.lower().endswith(SEGMENTATIONS):
         source.check_unused("a segmentation", "array", "labels_file", "remesh")
         return _from_segmentation(source, source.file, edge_length, progress)
+    check_file(source.file, MESH_FORMATS + SEGMENTATIONS, "anatomy")
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
         return _from_tetrahedra(source, mesh, progress)

@@ -285,7 +285,7 @@ def predict(
     with TerminalProgress() as progress:
         fitted = load_study(study, progress, pool_at(scheduler, progress))
         predicted = predict_scenarios(fitted, scenarios, progress)
-        write_prediction(fitted, predicted, out, kind)
+        write_prediction(fitted, predicted, out, kind, progress)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
             networks = prior_networks(fitted.problem, progress)
             prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")

@@ -74,6 +74,6 @@ def run_demo(
     fitted = fit("default", analysis.target, out / "study", progress=progress, **settings)
     networks = fitted.networks(progress)
     predicted = predict(fitted, blocked_scenarios(), progress, networks)
-    write_prediction(fitted, predicted, out / "pacings")
+    write_prediction(fitted, predicted, out / "pacings", progress=progress)
     write_report(fitted, networks, predicted, out / "report.html", ["png"], BLOCK)
     return analysis, fitted, predicted

@@ -46,7 +46,12 @@ LabelsOption = Annotated[
     ),
 ]
 LabelArrayOption = Annotated[
-    str | None, _option(ANATOMY, "Array that holds them; otherwise 'class'.")
+    str | None,
+    _option(
+        ANATOMY,
+        "Name of the file's array that holds them; without it 'label', 'class', 'surface' or "
+        "'boundary' is looked for.",
+    ),
 ]
 LabelsFileOption = Annotated[Path | None, _option(ANATOMY, "Labels of an STL: one number a line.")]
 FirstPartOption = Annotated[

@@ -24,6 +24,8 @@ from fascicle.core.files import outside_allowed
 PANEL = "Every command"
 Result = Mapping[str, Any] | Sequence[Any]  # of a command, for --json
 NOT_ALL = 1  # exit status
+LONG = 10  # min, from which on seconds are not spoken of
+TOLD = 60.0  # s, from which on a command says at its end how long it took
 
 
 class NotAllDoneError(Exception):
@@ -143,7 +145,7 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     def run(
         *given: Any, quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **named: Any
     ) -> None:
-        status = 0
+        status, begun = 0, time.monotonic()
         with ExitStack() as around:
             if allow_outside:
                 around.enter_context(outside_allowed())
@@ -152,6 +154,9 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
                 result = command(*given, **named)
             except NotAllDoneError as ended:
                 result, status = ended.result, NOT_ALL
+            taken = time.monotonic() - begun
+            if taken >= TOLD:
+                print(f"took {duration(taken)}", file=sys.stderr)
         if as_json:
             print(json.dumps(_plain(result), indent=2))
         if status:
@@ -192,6 +197,14 @@ def _opened(log: Path) -> TextIO:
         return log.open("a", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{log}: {error.strerror}; give another --log") from None
+
+
+def duration(seconds: float) -> str:
+    """Minutes and seconds, as people say them."""
+    minutes, left = divmod(round(seconds), 60)
+    if minutes >= LONG:
+        return f"{round(seconds / 60)} min"
+    return f"{minutes} min {left} s" if minutes else f"{left} s"
 
 
 def _plain(value: Any) -> Any:

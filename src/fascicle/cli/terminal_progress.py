@@ -22,7 +22,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from fascicle.cli.output import Output, current_output
+from fascicle.cli.output import Output, current_output, duration
 from fascicle.core.errors import InputError
 
 # of the stages that are not called by their own names
@@ -46,7 +46,6 @@ STEADY = ("patients",)  # whose steps take long: all that was done says how much
 FIRST, EVERY = 2.0, 10.0  # s after which a stage is spoken of in a line, and then again
 WINDOW, APART = 60.0, 0.5  # s, whose work says how much time is left, and between its reports
 FEWEST = 5.0  # s of work before anything is said of that
-LONG = 10  # min, from which on seconds are not spoken of
 
 
 class TerminalProgress:
@@ -138,7 +137,7 @@ class _Stage:
         if rate <= 0:
             return ""
         most = "at most " if self.name in ENDS_EARLIER else ""
-        return f"{most}{_duration((self.total - self.done) / rate)} left"
+        return f"{most}{duration((self.total - self.done) / rate)} left"
 
     def _rate(self, since: float, now: float) -> float:
         """What has been done a second since the last report before a time."""
@@ -146,7 +145,7 @@ class _Stage:
         return (self.done - done) / (now - begin)
 
     def __str__(self) -> str:
-        elapsed = _duration(time.monotonic() - self.began)
+        elapsed = duration(time.monotonic() - self.began)
         text = f"{self.name} {self.done}/{self.total}, {elapsed}"
         if left := self.time_left:
             text += f", {left}"
@@ -200,11 +199,3 @@ class _Lines:
         self._output.note(str(stage))
         if self._screen is not None:
             print(time.strftime("%H:%M:%S"), stage, file=self._screen, flush=True)
-
-
-def _duration(seconds: float) -> str:
-    """Minutes and seconds, as people say them."""
-    minutes, left = divmod(round(seconds), 60)
-    if minutes >= LONG:
-        return f"{round(seconds / 60)} min"
-    return f"{minutes} min {left} s" if minutes else f"{left} s"

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
+from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.heart import Heart
 from fascicle.heart.segments import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
@@ -37,7 +38,11 @@ INTERVAL = (5, 50, 95)  # percentiles
 
 
 def write_prediction(
-    fitted: FittedStudy, predicted: Mapping[str, Predicted], out: Path, kind: str = "png"
+    fitted: FittedStudy,
+    predicted: Mapping[str, Predicted],
+    out: Path,
+    kind: str = "png",
+    progress: Progress | None = None,
 ) -> None:
     """Write what scenarios do in a population.
 
@@ -57,7 +62,10 @@ def write_prediction(
         Folder to write.
     kind : str
         Of the pictures: ``"png"``, ``"svg"`` or ``"pdf"``.
+    progress : Progress, optional
+        Called after each scenario.
     """
+    report = stage_progress(progress, "pictures")
     heart, own, caution = fitted.problem.model.heart, predicted[OWN_BEAT], caution_text(fitted)
     with atomic_folder(out, disposable=_pictures(predicted)) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
@@ -66,10 +74,12 @@ def write_prediction(
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
         compared = index_figure({name: found.indices for name, found in predicted.items()})
         save(compared, folder / f"indices.{kind}", caution)
-        for name, found in predicted.items():
+        for number, (name, found) in enumerate(predicted.items()):
+            report(number, len(predicted))
             _write_scenario(folder / name, found, heart)
             for stem, figure in _drawn(heart, predicted, name).items():
                 save(figure, folder / name / f"{stem}.{kind}", caution)
+        report(len(predicted), len(predicted))
 
 
 def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> dict[str, Figure]:

@@ -51,10 +51,10 @@ class Agreement:
 
         def by_lead(values: Floats, over_all: float) -> dict[str, float | None]:
             found = {
-                lead: round(float(v), 4) if np.isfinite(v) else None
+                lead: round(float(v), 6) if np.isfinite(v) else None
                 for lead, v in zip(LEADS, values, strict=True)
             }
-            return found | {OVER_ALL: round(over_all, 4)}
+            return found | {OVER_ALL: round(over_all, 6)}
 
         content: dict[str, Any] = {
             "explained_power": by_lead(self.explained, self.explained_over_all),

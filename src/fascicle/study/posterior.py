@@ -160,6 +160,6 @@ class _Said:
         evidences = " and ".join(f"{state.log_evidence:.1f}" for state in self.states.values())
         effective = sum(state.effective for state in self.states.values())
         return (
-            f"{self.begin}, log evidence {evidences}, effective sample {effective:.0f} of "
-            f"{self.wanted}"
+            f"{self.begin}, log evidence {evidences}, effective sample about "
+            f"{effective:.0f} of {self.wanted}"
         )

@@ -20,6 +20,8 @@ VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
 
 MESHIO_FORMATS = (".ply", ".msh")  # VTK's PLY reader crashes on truncated files
 
+MESH_FORMATS = VTK_FORMATS + MESHIO_FORMATS + OPENCARP_FORMATS
+
 # What a complete file has near its end: VTK reads a truncated one as far as it goes.
 HEAD, TAIL = 512, 1024  # bytes
 
@@ -37,7 +39,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         has coordinates that are not finite.
     """
     path = Path(path)
-    check_file(path, VTK_FORMATS + MESHIO_FORMATS + OPENCARP_FORMATS, purpose)
+    check_file(path, MESH_FORMATS, purpose)
     if path.suffix.lower() in OPENCARP_FORMATS:
         return read_opencarp_mesh(path, purpose)
     _check_complete(path)

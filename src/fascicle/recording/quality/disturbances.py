@@ -17,7 +17,7 @@ from fascicle.recording.resampling import MAINS
 FLAT = 1e-3  # mV; standard deviation below which there is no signal
 SMALLEST = Check("smallest lead", "uV", UV_PER_MV * FLAT)
 CONSTANT = Check("longest constant stretch", "s", 2.0)  # longer than between two beats of most
-COPIES = Check("largest correlation between leads", "", 0.9999)
+COPIES = Check("leads of one size, correlation", "", 0.9999)
 SAME_SIZE = 0.01  # relative difference of the standard deviations of copies
 
 NOISE = Check("noise above 37 Hz", "uV", 50.0)  # a band 3 mm wide on paper
