@@ -177,7 +177,7 @@ def test_a_steep_filter_changes_the_ecg_and_no_index(problem, networks, predicte
 
 
 def test_ecgs_begin_at_their_onsets(predicted):
-    time, ecgs = qrs_aligned(predicted["left-bundle-pacing"])
+    time, (ecgs,) = qrs_aligned(predicted["left-bundle-pacing"])
     assert time[0] == -LEAD_IN
     assert ecgs.shape == (3, 12, len(time))
     strength = np.abs(ecgs).max(axis=(0, 1))

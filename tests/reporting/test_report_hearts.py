@@ -297,6 +297,18 @@ def test_no_tree_leaves_its_endocardium_where_the_base_is_seen_from_above(heart)
     assert inside.all()
 
 
+def test_the_scale_bar_is_below_the_names_of_rows(heart):
+    times = 20 + heart.vertices[:, 0]
+    for name in ("best network", "a-scenario-without-end" * 4):
+        figure = activation_figure(heart, [ActivationRow(name, times)], SPREAD)
+        for _ in range(2):  # as when it is saved
+            figure.canvas.draw()
+        named, scale = figure.axes[0].texts
+        assert scale.get_text() == "20 mm"
+        assert 0 < scale.get_window_extent().y1 < named.get_window_extent().y0
+        assert scale.get_window_extent().y0 >= 0
+
+
 def test_long_names_of_rows_stay_beside_their_rows(heart):
     names = [f"{k}-a-scenario-without-end" * 4 for k in range(2)]
     times = 20 + heart.vertices[:, 0]

@@ -17,7 +17,7 @@ from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.page import Picture, _safe, _template
 from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene
-from fascicle.reporting.scenario import scenario_ecg_figure
+from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.caution import NOT_CONVERGED, NOT_EXPLAINED
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
@@ -254,6 +254,39 @@ def test_no_text_can_end_the_page_or_its_script():
     text = _template().render(title=evil, heart=evil, answers=verdict, pictures=pictures)
     assert "<script>alert" not in text
     assert "&lt;script&gt;" in text
+
+
+def test_the_own_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
+    simulation, _ = shown
+    own = kept(simulation)
+    later = np.pad(simulation.leads, ((0, 0), (60, 0)))
+    later[:, : simulation.leads.shape[1]] += simulation.leads
+    found = {
+        name: Predicted(Scenario(), [beat], {"total_activation_time": np.ones(1)})
+        for name, beat in (
+            ("intrinsic", own),
+            ("longer", replace(own, leads=later, filtered=later)),
+        )
+    }
+    for axes in scenario_ecg_figure(found, "longer").axes:
+        first, last = (line.get_xdata() for line in axes.lines)
+        np.testing.assert_array_equal(first, last)
+        assert last[-1] == axes.get_xlim()[1]
+
+
+def test_rows_of_activations_say_which_time_they_give(default_heart, shown):
+    simulation, _ = shown
+    beats = [kept(simulation)] * 3
+    totals = {"total_activation_time": np.array([90.0, 80.0, 85.0])}
+    found = {name: Predicted(Scenario(), beats, totals) for name in ("intrinsic", "paced")}
+    figure = scenario_activation_figure(default_heart, found, "paced")
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert [text for text in texts if "time" in text] == [
+        "intrinsic: median\ntotal activation\ntime 85 ms",
+        "minimum\ntotal activation\ntime 80 ms",
+        "median\ntotal activation\ntime 85 ms",
+        "maximum\ntotal activation\ntime 90 ms",
+    ]
 
 
 def test_the_ecg_of_a_scenario_says_when_time_begins_and_holds_long_names(shown):

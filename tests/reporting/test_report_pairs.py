@@ -47,6 +47,14 @@ def test_scatter_shows_column_against_row_and_marks_best_and_truth():
     assert marks == [(0.0, 2.5), (0.4, 3.1)]
 
 
+@pytest.mark.parametrize("count", [10, 300, 1000])
+def test_points_can_be_seen_and_leave_room_for_others(count):
+    (size,) = panel(pair_figure(SPACE, samples(count), BEST), 1, 0).collections[0].get_sizes()
+    across = np.sqrt(size)  # points
+    assert 1.2 < across <= 3
+    assert count * size < 0.5 * (72 * 0.95) ** 2  # of the panel
+
+
 def test_diagonal_is_a_density_over_the_range_against_the_flat_prior():
     figure = pair_figure(SPACE, samples(400), BEST)
     for index, parameter in enumerate(SPACE.parameters):
@@ -66,6 +74,18 @@ def test_outer_axes_name_parameter_and_unit():
     assert panel(figure, 2, 1).get_xlabel() == "RV\nfascicle\N{NO-BREAK SPACE}1\nangle\n(rad)"
     assert panel(figure, 2, 0).get_ylabel() == "tree speed\n(mm/ms)"
     assert panel(figure, 1, 1).get_xlabel() == ""
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, len(NETWORK_SPACE)])
+def test_the_legend_hides_neither_panels_nor_the_title(count):
+    space = ParameterSpace(NETWORK_SPACE.parameters[:count])
+    values, best = spread(space)
+    figure = pair_figure(space, values, best, best, title="10 networks, a population")
+    figure.canvas.draw()
+    legend = figure.legends[0].get_window_extent()
+    hidden = [figure._suptitle, *figure.axes]
+    assert not any(legend.overlaps(each.get_window_extent()) for each in hidden)
+    assert legend.x1 <= figure.bbox.width
 
 
 def test_names_stay_apart_and_on_the_page():

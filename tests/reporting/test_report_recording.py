@@ -16,7 +16,7 @@ from fascicle.recording.target import Target
 from fascicle.reporting.beat_panels import MOST_DRAWN
 from fascicle.reporting.ecg_paper import strip_start
 from fascicle.reporting.figures import RESOLUTION, save
-from fascicle.reporting.fitted_text import drawable, shortened, width, wrapped
+from fascicle.reporting.fitted_text import KEPT, drawable, shortened, width, wrapped
 from fascicle.reporting.recording import class_colours, recording_figure
 from fascicle.reporting.style import BLUE
 
@@ -532,4 +532,6 @@ def test_text_is_shortened_in_the_middle_and_wrapped_between_words():
     assert " ".join(lines).split() == ["one", "two", "three"] * 30
     assert max(width(line, 7.0) for line in lines) <= 50.0
     assert min(width(line, 7.0) for line in lines[:-1]) > 40.0
+    lines = wrapped(f"frontal axis 59{KEPT}degrees", 9.0, 1.01 * width("frontal axis 59", 9.0))
+    assert lines == ["frontal axis", f"59{KEPT}degrees"]
     assert drawable("a\x00b\u200bc\r\nd\u5fc3é") == "a?b?c d?é"

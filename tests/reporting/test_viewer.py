@@ -179,6 +179,24 @@ def test_a_click_tells_the_time(page, content, default_heart):
     assert page.evaluate("([x, y]) => viewer.pick(x, y)", [box["x"] + 3, box["y"] + 3]) is None
 
 
+def test_a_clicked_value_is_read_anew_from_what_is_shown(page):
+    box = page.locator("canvas").first.bounding_box()
+    middle = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
+    page.mouse.click(*middle)
+    read = page.locator(".fv-read")
+    for control, chosen in (("scenario", "block"), ("shown", "1"), ("scenario", "intrinsic")):
+        before = read.inner_text()
+        page.get_by_label(control).select_option(chosen)
+        text = read.inner_text()
+        assert text != before
+        assert text.endswith(f", {state(page)['scenario']}")
+        value = page.evaluate("([x, y]) => viewer.pick(x, y)", middle)
+        assert text.startswith(f"{value:.0f} ms — ")
+        assert read.inner_text() == text
+    page.mouse.click(box["x"] + 3, box["y"] + 3)
+    assert read.inner_text() == "Click on the heart for a value."
+
+
 def test_the_camera_turns(page):
     before, image = state(page)["camera"], picture(page)
     box = page.locator("canvas").first.bounding_box()

@@ -103,8 +103,8 @@ export class Heart {
     this.mesh.material.depthWrite = !yes;
   }
 
-  // Value at the vertex of a triangle that is nearest to a point.
-  near(face, point) {
+  // The vertex of a triangle that is nearest to a point.
+  nearest(face, point) {
     const place = this.mesh.geometry.getAttribute("position");
     let best = [Infinity, face.a];
     for (const vertex of [face.a, face.b, face.c]) {
@@ -113,7 +113,11 @@ export class Heart {
       );
       if (apart < best[0]) best = [apart, vertex];
     }
-    return this.values[this.index[best[1]]];
+    return best[1];
+  }
+
+  valueAt(vertex) {
+    return this.values[this.index[vertex]];
   }
 
   dispose() {

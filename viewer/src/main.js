@@ -42,6 +42,7 @@ class Viewer {
     this.scenario = 0;
     this.field = 0;
     this.playing = false;
+    this.picked = null;
     addStyle();
     this.canvas = make("canvas", {
       tabindex: 0, role: "img", "aria-label": "heart; drag or use the arrow keys to turn it",
@@ -74,7 +75,7 @@ class Viewer {
     this.clock = make("span", {});
     this.box = make("input", { type: "checkbox" });
     this.box.addEventListener("change", () => this.showTrees());
-    this.read = make("span", { "aria-live": "polite" }, "Click on the heart for a value.");
+    this.read = make("span", { "aria-live": "polite" });
     this.barUnit = make("span", {});
     this.bar = make("canvas", { class: "fv-bar", role: "img" });
     const views = ["anterior", "left", "right", "inferior", "base"].map((name) =>
@@ -184,6 +185,7 @@ class Viewer {
     this.fieldSelect.value = String(k);
     this.shown = this.data.scenarios[this.scenario].fields[k];
     this.heart.show(this.shown);
+    this.readPicked();
     this.end = Math.ceil(this.shown.high);
     this.slider.max = this.end;
     this.stop();
@@ -256,15 +258,18 @@ class Viewer {
     ray.setFromCamera(place, this.camera);
     const [hit] = ray.intersectObject(this.heart.mesh);
     this.marker.visible = Boolean(hit);
-    let value = null;
-    if (hit) {
-      value = this.heart.near(hit.face, hit.point);
-      this.marker.position.copy(hit.point);
-      this.read.textContent = `${this.written(value)} — ${this.shown.label}, ${
-        this.data.scenarios[this.scenario].name}`;
-    }
+    this.picked = hit ? this.heart.nearest(hit.face, hit.point) : null;
+    if (hit) this.marker.position.copy(hit.point);
+    this.readPicked();
     this.draw();
-    return value;
+    return hit ? this.heart.valueAt(this.picked) : null;
+  }
+
+  // Writes the value at the place that was picked.
+  readPicked() {
+    this.read.textContent = this.picked === null ? "Click on the heart for a value." : `${
+      this.written(this.heart.valueAt(this.picked))} — ${this.shown.label}, ${
+      this.data.scenarios[this.scenario].name}`;
   }
 
   written(value) {

@@ -216,25 +216,27 @@ def prior_networks(problem: Problem, progress: Progress | None = None) -> list[N
     return networks
 
 
-def qrs_aligned(predicted: Predicted) -> tuple[Floats, Floats]:
-    """ECGs as the recorder would have them, from the QRS onsets on.
+def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
+    """ECGs as the recorder would have them, from the QRS onsets on, on one time axis.
 
     Parameters
     ----------
-    predicted : Predicted
-        Of n networks.
+    *predicted : Predicted
+        Scenarios, each in n networks.
 
     Returns
     -------
     time : (t,) array
         Time from QRS onset (ms).
-    ecgs : (n, 12, t) array
-        Potentials (mV), of all until the longest QRS has ended.
+    ecgs : list of (n, 12, t) arrays
+        Potentials (mV) of each scenario, of all until the longest QRS of all has ended.
     """
-    windows = [qrs_window(beat.leads, STEP) for beat in predicted.beats]
-    length = LEAD_IN + max(offset - onset for onset, offset in windows) + LEAD_OUT
-    ecgs = np.zeros((len(windows), len(LEADS), length))
-    for ecg, beat, (onset, _) in zip(ecgs, predicted.beats, windows, strict=True):
-        begin = RINGING + onset - LEAD_IN
-        ecg[:] = np.pad(beat.filtered, ((0, 0), (0, length)))[:, begin : begin + length]
+    windows = [[qrs_window(beat.leads, STEP) for beat in each.beats] for each in predicted]
+    longest = max(offset - onset for each in windows for onset, offset in each)
+    length = LEAD_IN + longest + LEAD_OUT
+    ecgs = [np.zeros((len(each.beats), len(LEADS), length)) for each in predicted]
+    for of_scenario, each, its in zip(ecgs, predicted, windows, strict=True):
+        for ecg, beat, (onset, _) in zip(of_scenario, each.beats, its, strict=True):
+            begin = RINGING + onset - LEAD_IN
+            ecg[:] = np.pad(beat.filtered, ((0, 0), (0, length)))[:, begin : begin + length]
     return np.asarray((np.arange(length) - LEAD_IN) * STEP, dtype=np.float64), ecgs

@@ -18,10 +18,11 @@ from fascicle.mesh.topology import boundary_triangles
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
 from fascicle.reporting.labels import COLOURS, ENDOCARDIA
-from fascicle.reporting.rendering import View, heart_views, paint
+from fascicle.reporting.rendering import View, frame_panel, frame_size, heart_views, paint
 from fascicle.torso.variation.body_axes import body_axes
 
-WIDTH, HEIGHT = 12.0, 7.6  # inch
+WIDTH, BELOW = 12.0, 3.8  # inch; of the lower half
+HEARTS, HEART_ROOM = 3, 0.75  # pictures in the upper half; inch for their titles and scale bar
 MOST_FIBRES = 1500  # lines in one picture
 FIBRE = 0.02  # half the length of such a line, of the heart's extent
 HEART_BAR, BODY_BAR = 20.0, 100.0  # mm
@@ -53,16 +54,22 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
         the endocardia. Below: the body with its electrodes from the front and from the left;
         helix angles through the walls, and their thickness.
     """
-    figure = new_figure(WIDTH, HEIGHT)
-    halves = np.asarray(figure.subfigures(2, 1))
-    upper = halves[0].subplots(1, 3)
-    lower = halves[1].subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
     view = heart_views(heart)["anterior"]
+    box = view.box(heart.vertices)
+    size = frame_size([box])
+    above = WIDTH / HEARTS * float(size[1] / size[0]) + HEART_ROOM
+    figure = new_figure(WIDTH, above + BELOW)
+    halves = np.asarray(figure.subfigures(2, 1, height_ratios=(above, BELOW)))
+    upper = halves[0].subplots(1, HEARTS)
+    lower = halves[1].subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
     _draw_seeds(upper[0], view, heart)
     epicardium = check.mesh.labels == Label.EPICARDIUM
     _draw_fibres(upper[1], view, heart, epicardium, "epicardium")
     cavities = np.isin(check.mesh.labels, ENDOCARDIA)
     _draw_fibres(upper[2], view, heart, cavities, "endocardia, front half", cast=True)
+    for axes in upper:
+        frame_panel(axes, box, size, axes.get_title())
+    style.scale_bar(upper[0], HEART_BAR, below=True)
     for axes, view in zip(lower, body_views(heart.electrodes), strict=False):
         _draw_body(axes, view, heart)
     _plot_helix(lower[2], check)
@@ -97,7 +104,7 @@ def _draw_seeds(axes: Axes, view: View, heart: Heart) -> None:
             f"{endocardium.side.upper()} root", root, away, textcoords="offset points",
             fontsize=style.TICK_SIZE, color=style.BLACK, ha=side,
         )  # fmt: skip
-    _finish(axes, "endocardia and bundles (front)", HEART_BAR)
+    axes.set_title("endocardia and bundles (front)")
 
 
 def _draw_fibres(
@@ -115,7 +122,7 @@ def _draw_fibres(
     along = length * (heart.fibres[owner[visible]] @ view.axes[:2].T)
     lines = np.stack([middle - along, middle + along], axis=1)
     axes.add_collection(LineCollection(list(lines), colors=style.BLACK, linewidths=0.6))
-    _finish(axes, f"fibres, {title}")
+    axes.set_title(f"fibres, {title}")
 
 
 def _draw_body(axes: Axes, view: View, heart: Heart) -> None:
@@ -141,7 +148,12 @@ def _draw_body(axes: Axes, view: View, heart: Heart) -> None:
             color=style.BLACK, ha="center", va="center",
             arrowprops={"arrowstyle": "-", "color": style.GREY, "lw": 0.4, "shrinkB": 2},
         )  # fmt: skip
-    _finish(axes, f"body, {view.name}", BODY_BAR)
+    axes.autoscale_view()
+    style.scale_bar(axes, BODY_BAR, below=True)
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_title(f"body, {view.name}", fontsize=style.TITLE_SIZE, color=style.BLACK)
 
 
 def label_places(points: Floats) -> Floats:
@@ -219,14 +231,3 @@ def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
         )  # fmt: skip
     axes.set_title("wall thickness", fontsize=style.TITLE_SIZE)
     style.finish_axes(axes, "wall thickness (mm)", "endocardial points (%)")
-
-
-def _finish(axes: Axes, title: str, bar: float | None = None) -> None:
-    """Frame a picture, with a scale bar of so many mm below it."""
-    axes.autoscale_view()
-    if bar is not None:
-        style.scale_bar(axes, bar, below=True)
-        axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_axis_off()
-    axes.set_title(title, fontsize=style.TITLE_SIZE, color=style.BLACK)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,14 +17,14 @@ from fascicle.reporting.figures import new_figure
 
 SIZE = (7.0, 3.8)  # inch
 INFEASIBLE_ROW, NAME_ROW = 0.985, 1.02  # of the axes' height
-NO_LIMITS = (1e-6, 1.0)  # mV²; where no loss is above zero
 SHADES = ("#F3F3F3", "#FFFFFF")  # of one stage and the next
 NARROW = 0.15  # share of the evaluations below which a stage is too narrow for its name
+FLAT: dict[str, Any] = {"color": style.BLACK, "linewidth": 1.0, "linestyle": (0, (4, 3))}
 HEADROOM = 1.5  # free space above the largest and below the smallest loss, as a factor
 
 
-def convergence_figure(losses: Floats, stages: Sequence[str]) -> Figure:
-    """Loss of every evaluation and the best so far.
+def convergence_figure(losses: Floats, stages: Sequence[str], flat: float) -> Figure:
+    """Loss of every evaluation and the best so far, beside that of a flat line.
 
     Parameters
     ----------
@@ -31,12 +32,14 @@ def convergence_figure(losses: Floats, stages: Sequence[str]) -> Figure:
         Loss (mV²) in the order of evaluation; NaN where the parameters were infeasible.
     stages : sequence of n str
         Stage of each evaluation, such as ``"initial"``, ``"optimisation"``, ``"rejection"``.
+    flat : float
+        Loss of a flat line (mV²).
 
     Returns
     -------
     Figure
         One panel: dots on a logarithmic axis, running best as steps, infeasible ones as ticks along
-        the upper edge, stages shaded and named.
+        the upper edge, stages shaded and named, a broken line at the loss of a flat line.
     """
     figure = new_figure(*SIZE)
     axes = figure.subplots()
@@ -44,13 +47,14 @@ def convergence_figure(losses: Floats, stages: Sequence[str]) -> Figure:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_ylim(*_limits(losses[losses > 0]))
+    axes.set_ylim(*_limits(np.append(losses[losses > 0], flat)))
     axes.set_xlim(0.5, len(losses) + 0.5)
     _draw_stages(axes, stages)
     _draw_losses(axes, losses)
+    axes.axhline(flat, label=f"flat line ({flat:.3g} mV²)", **FLAT)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
     style.finish_axes(axes, "evaluation number", "loss (mV²)")
-    figure.legend(loc="outside lower center", ncols=3, **style.LEGEND_STYLE)
+    figure.legend(loc="outside lower center", ncols=4, **style.LEGEND_STYLE)
     return figure
 
 
@@ -60,8 +64,6 @@ def running_best(losses: Floats) -> Floats:
 
 
 def _limits(positive: Floats) -> tuple[float, float]:
-    if not positive.size:
-        return NO_LIMITS
     return float(positive.min()) / HEADROOM, float(positive.max()) * HEADROOM
 
 

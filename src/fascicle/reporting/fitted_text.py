@@ -11,12 +11,13 @@ from fascicle.reporting.figures import RESOLUTION
 
 INCH = 25.4  # mm
 MISSING, DOTS = "?", "…"
+KEPT = "\N{NO-BREAK SPACE}"  # no line is broken there
 
 
 def drawable(text: str) -> str:
     """Text on one line, with a question mark for what the figure's font cannot draw."""
     glyphs = _glyphs()
-    return " ".join("".join(_drawn(character, glyphs) for character in text).split())
+    return " ".join(_words("".join(_drawn(character, glyphs) for character in text)))
 
 
 def width(text: str, size: float, weight: str = "normal") -> float:
@@ -61,7 +62,7 @@ def shortened(text: str, size: float, room: float, weight: str = "normal") -> st
 
 
 def wrapped(text: str, size: float, room: float) -> list[str]:
-    """Lines broken between words.
+    """Lines broken between words, but not at no-break spaces.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def wrapped(text: str, size: float, room: float) -> list[str]:
         As for `shortened`, for each line.
     """
     lines: list[str] = []
-    for word in drawable(text).split():
+    for word in _words(drawable(text)):
         longer = f"{lines[-1]} {word}" if lines else word
         if lines and width(longer, size) <= room:
             lines[-1] = longer
@@ -84,7 +85,13 @@ def _without_middle(text: str, kept: int) -> str:
     return text[:start] + DOTS + text[len(text) - kept // 2 :]
 
 
+def _words(text: str) -> list[str]:
+    return [word for word in text.split(" ") if word]
+
+
 def _drawn(character: str, glyphs: frozenset[int]) -> str:
+    if character == KEPT:
+        return character
     if character.isspace():
         return " "
     return character if character.isprintable() and ord(character) in glyphs else MISSING

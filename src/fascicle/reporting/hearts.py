@@ -48,7 +48,9 @@ SPREAD = "standard deviation (ms)"
 VIEWS = ("RV side", "anterior", "LV side", "base")
 SCALE_BAR = 20.0  # mm
 PANEL = 1.95  # width, inch
-BAR_ROOM, TITLE_ROOM, NAME_ROOM = 1.1, 0.5, 0.5  # inch, at the right, above and at the left
+BAR_ROOM, TITLE_ROOM = 1.1, 0.5  # inch, at the right and above
+NAME_ROOM, LINE_ROOM = 0.15, 0.175  # inch at the left, and more for each line of a name
+SCALE_ROOM = 0.25  # inch, below
 BAR_SHARE = 0.9  # of the height
 ROW_NAME = (-0.02, 0.5)  # of the first panel
 MOST_TIMES = 10  # of the colour bar
@@ -83,6 +85,11 @@ class ActivationRow:
         return ActivationRow(self.label, since_first(self.activation), trees)
 
 
+def total_time(value: float) -> str:
+    """A total activation time (ms) as rows are named, on lines that are short enough."""
+    return f"total activation\ntime {value:.0f} ms"
+
+
 def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
     """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
@@ -109,10 +116,12 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
     size = frame_size(boxes)
     shape = float(size[1] / size[0])
     columns = len(VIEWS) + len(cavities)
-    wide, high = PANEL * columns + BAR_ROOM + NAME_ROOM, PANEL * shape * len(rows) + TITLE_ROOM
+    room = NAME_ROOM + LINE_ROOM * max(len(row.label.split("\n")) for row in rows)
+    wide = PANEL * columns + BAR_ROOM + room
+    high = PANEL * shape * len(rows) + TITLE_ROOM + SCALE_ROOM
     figure = new_figure(wide, high)
     # the layout knows nothing of names beside panels that keep the shape of the heart
-    left = NAME_ROOM / wide
+    left = room / wide
     figure.set_layout_engine("constrained", rect=(left, 0, 1 - left, 1))
     panels = figure.subplots(len(rows), columns, squeeze=False)
     norm = _bands(rows)
@@ -121,8 +130,8 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
             _draw_surface(axes, views[name], heart, row.activation, norm)
         for axes, cavity in zip(axes_row[len(VIEWS) :], cavities, strict=True):
             _draw_cavity(axes, views[f"{cavity.side.upper()} side"], cavity, row, norm)
-        room = INCH * PANEL * shape
-        lines = [shortened(line, style.TITLE_SIZE, room) for line in row.label.split("\n")]
+        beside = INCH * PANEL * shape
+        lines = [shortened(line, style.TITLE_SIZE, beside) for line in row.label.split("\n")]
         name = "\n".join(lines)
         style.write_in(axes_row[0], *ROW_NAME, name, rotation=90, ha="right", va="center")
     _frame_panels(panels[:, : len(VIEWS)], boxes, VIEWS, size)
@@ -150,7 +159,7 @@ def _frame_panels(
     for row, axes_row in enumerate(panels):
         for axes, box, name in zip(axes_row, boxes, names, strict=True):
             frame_panel(axes, box, size, "" if row else name)
-    style.scale_bar(panels[-1][0], SCALE_BAR)
+    style.scale_bar(panels[-1][0], SCALE_BAR, below=True)
 
 
 def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:

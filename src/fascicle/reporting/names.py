@@ -7,9 +7,9 @@ import textwrap
 from typing import NamedTuple
 
 from fascicle.prediction.index_names import INDICES
+from fascicle.reporting.fitted_text import KEPT
 
 _PART = re.compile(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?")
-_KEPT = "\N{NO-BREAK SPACE}"  # between words that stay on one line
 CAPITALS = {"lv": "LV", "rv": "RV", "qrs": "QRS", **{f"v{k}": f"V{k}" for k in range(1, 7)}}
 NARROW = 10  # characters of a line on a narrow axis
 
@@ -48,7 +48,7 @@ def parameter_name(name: str) -> str:
     match = _PART.fullmatch(name)
     if match is not None:
         side, stretch, what, number = match.groups()
-        part = "bundle" if stretch == "initial" else f"fascicle{_KEPT}{number}"
+        part = "bundle" if stretch == "initial" else f"fascicle{KEPT}{number}"
         return f"{side.upper()} {part} {what}"
     return {"cv": "tree speed"}.get(name, _words(name))
 

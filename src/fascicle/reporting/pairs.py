@@ -20,6 +20,7 @@ from fascicle.reporting.names import on_narrow_axis, parameter_name, with_unit
 
 PANEL = 0.95  # inch
 MARGIN = 1.25  # inch, at the left and below, for names on four lines
+FEW, LEGEND_ROOM = 4, 1.75  # parameters whose empty triangle holds the legend; inch beside fewer
 LEGEND_SIZE = 14.0  # points, where the empty triangle has room
 NAME_SIZE, TICK_SIZE = 11.0, 9.5  # points
 PRIOR_POINTS = 101  # of the curve of a prior
@@ -65,10 +66,11 @@ def pair_figure(
     """
     size = len(space)
     side = max(PANEL * size + MARGIN + 0.4, 4.0)
-    figure = new_figure(side, side, constrained=False)
+    wide = side + (LEGEND_ROOM if size < FEW else 0.0)
+    figure = new_figure(wide, side, constrained=False)
     grid = figure.add_gridspec(
         size, size, hspace=0.09, wspace=0.09,
-        left=MARGIN / side, bottom=MARGIN / side, right=1 - 0.25 / side, top=1 - 0.4 / side,
+        left=MARGIN / wide, bottom=MARGIN / side, right=(side - 0.25) / wide, top=1 - 0.4 / side,
     )  # fmt: skip
     marks: Marks = [(best, BEST_MARK)]
     if truth is not None:
@@ -86,7 +88,7 @@ def pair_figure(
     figure.align_ylabels()
     if title is not None:
         figure.suptitle(
-            title, fontsize=1.2 * style.TITLE_SIZE, x=0.25 / side, y=1 - 0.15 / side, ha="left"
+            title, fontsize=1.2 * style.TITLE_SIZE, x=0.25 / wide, y=1 - 0.15 / side, ha="left"
         )
     return figure
 
@@ -113,9 +115,9 @@ def _bins(count: int) -> int:
 def _draw_pair(
     axes: Axes, x: Parameter, y: Parameter, samples: Mapping[str, Floats], marks: Marks
 ) -> None:
-    size = float(np.clip(300 / len(samples[x.name]), 1.0, 9.0))  # points²
+    size = float(np.clip(1200 / len(samples[x.name]), 1.5, 9.0))  # points²
     axes.scatter(
-        samples[x.name], samples[y.name], s=size, color=style.BLUE, alpha=0.55, linewidths=0
+        samples[x.name], samples[y.name], s=size, color=style.BLUE, alpha=0.65, linewidths=0
     )
     for point, mark in marks:
         axes.plot(
@@ -160,5 +162,5 @@ def _legend(figure: Figure, count: int, marks: Marks) -> None:
     size = style.LABEL_SIZE if figure.get_figwidth() < 8 else LEGEND_SIZE
     figure.legend(
         handles=handles, loc="upper right", frameon=False, fontsize=size,
-        bbox_to_anchor=(0.98, 0.97),
+        bbox_to_anchor=(0.98, 1 - 0.35 / figure.get_figheight()),
     )  # fmt: skip

@@ -153,7 +153,7 @@ def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:
         for which, k in found.extremes().items()
     }
     write_grid(folder / "activation.vtu", heart.vertices, heart.tetrahedra, TETRAHEDRON, maps)
-    time, ecgs = qrs_aligned(found)
+    time, (ecgs,) = qrs_aligned(found)
     array = xr.DataArray(
         ecgs, {"lead": list(LEADS), "time": time}, ("network", "lead", "time"), "ecg",
         {"units": "mV"},

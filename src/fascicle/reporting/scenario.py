@@ -15,7 +15,13 @@ from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
 from fascicle.reporting import style
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.fitted_text import shortened
-from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
+from fascicle.reporting.hearts import (
+    SINCE_FIRST,
+    SPREAD,
+    ActivationRow,
+    activation_figure,
+    total_time,
+)
 
 BAND = 0.9  # of the networks
 LEGEND_ROOM = 60.0  # mm, for the name of a scenario
@@ -38,10 +44,13 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
         If there is no such scenario.
     """
     own, found = _with_own(predicted, name)
-    groups = [EcgGroup(OWN_BEAT, "network", *qrs_aligned(own), style.GREY, BAND)]
-    if found is not own:
-        called = shortened(name, style.LABEL_SIZE, LEGEND_ROOM)
-        groups.append(EcgGroup(called, "network", *qrs_aligned(found), style.VERMILION, BAND))
+    shown = [own] if found is own else [own, found]
+    time, ecgs = qrs_aligned(*shown)
+    called = (OWN_BEAT, shortened(name, style.LABEL_SIZE, LEGEND_ROOM))
+    groups = [
+        EcgGroup(label, "network", time, leads, colour, BAND)
+        for label, leads, colour in zip(called, ecgs, (style.GREY, style.VERMILION), strict=False)
+    ]
     return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
 
 
@@ -67,7 +76,7 @@ def scenario_activation_figure(
     own, found = _with_own(predicted, name)
     rows = [_row(found, which, k) for which, k in found.extremes().items()]
     if found is not own:
-        rows.insert(0, _row(own, f"{OWN_BEAT}, median", own.extremes()["median"]))
+        rows.insert(0, _row(own, f"{OWN_BEAT}: median", own.extremes()["median"]))
     return activation_figure(heart, rows, SINCE_FIRST)
 
 
@@ -102,5 +111,6 @@ def _row(found: Predicted, label: str, number: int) -> ActivationRow:
     """One network, from its first activation on."""
     beat, total = found.beats[number], found.indices["total_activation_time"][number]
     trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
-    row = ActivationRow(f"{label}\n{total:.0f} ms", beat.activation.astype(float), trees)
+    name = f"{label}\n{total_time(total)}"
+    row = ActivationRow(name, beat.activation.astype(float), trees)
     return row.since_first()

@@ -11,7 +11,7 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.figures import save
-from fascicle.reporting.hearts import ActivationRow, activation_figure
+from fascicle.reporting.hearts import ActivationRow, activation_figure, total_time
 from fascicle.reporting.style import VERMILION
 
 
@@ -41,7 +41,7 @@ def draw_simulation(
     group = EcgGroup("simulated", "network", time, leads, VERMILION)
     trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
     row = ActivationRow(
-        f"{simulation.total_activation_time:.0f} ms", np.asarray(simulation.activation), trees
+        total_time(simulation.total_activation_time), np.asarray(simulation.activation), trees
     )
     return [
         save(ecg_figure([group], "Simulated ECG", time_zero=time_zero), folder / f"ecg.{kind}"),

@@ -20,6 +20,7 @@ from fascicle.reporting.check import check_figure
 from fascicle.reporting.convergence import convergence_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.figures import FORMATS, save
+from fascicle.reporting.fitted_text import KEPT
 from fascicle.reporting.hearts import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.names import MEASURES
@@ -107,7 +108,8 @@ def drawings(
         ),
         "convergence": Drawing(
             loss_figure(fitted),
-            "Mismatch of every evaluation, in the order they were made.",
+            "Mismatch of every evaluation, in the order they were made. Along the broken line lie "
+            "networks whose ECG is no closer to the recording than a flat line.",
             of_networks=False,
         ),
         "heart": Drawing(
@@ -159,7 +161,8 @@ def loss_figure(fitted: FittedStudy) -> Figure:
     """Draw the mismatch of every evaluation of a study."""
     records = fitted.study.records()
     losses = np.array([record.evaluation.loss for record in records])
-    return convergence_figure(losses, [record.stage for record in records])
+    stages = [record.stage for record in records]
+    return convergence_figure(losses, stages, fitted.problem.flat)
 
 
 def recorded_ecg_figure(
@@ -196,13 +199,15 @@ def _ecg(problem: Problem, networks: Sequence[Network], found: Agreement) -> Fig
 
 def _caption(found: Agreement) -> str:
     """What the mean of the networks explains, and durations and axis, recorded and predicted."""
-    said = [f"mean explains {found.explained_over_all:.0%}, r {found.correlation_over_all:.2f}"]
+    said = [
+        f"mean explains {found.explained_over_all:.0%}, r{KEPT}{found.correlation_over_all:.2f}"
+    ]
     for key, measure in MEASURES.items():
         if key in found.recorded:
             low, middle, high = found.percentiles(key)
             said.append(
-                f"{measure.name} {found.recorded[key]:.0f} {measure.unit}, predicted {middle:.0f} "
-                f"({low:.0f} to {high:.0f})"
+                f"{measure.name} {found.recorded[key]:.0f}{KEPT}{measure.unit}, "
+                f"predicted {middle:.0f} ({low:.0f}{KEPT}to{KEPT}{high:.0f})"
             )
     return "; ".join(said)
 
