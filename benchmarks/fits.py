@@ -47,8 +47,8 @@ from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target import Target
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.results import FittedStudy
 
 DTI_NOISE = 0.03  # mV, of its one averaged beat
 

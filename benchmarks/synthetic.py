@@ -49,8 +49,8 @@ from fascicle.reporting.rendering import heart_views
 from fascicle.reporting.study import activation_row
 from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.study.evaluations import Stage
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.problem import Network
-from fascicle.study.results import FittedStudy
 
 LARGEST_ANGLE = 3 * math.pi / 4
 PAPER = {

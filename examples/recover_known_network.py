@@ -30,7 +30,7 @@ from fascicle.reporting.figures import save
 from fascicle.reporting.pairs import pair_figure
 from fascicle.reporting.study import drawings, write_figures
 from fascicle.study.fit import fit
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 
 MARGIN = 60  # samples before and after the simulated ECG
 

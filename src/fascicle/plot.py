@@ -34,7 +34,7 @@ from fascicle.reporting.scenario import (
 from fascicle.reporting.study import loss_figure, recorded_ecg_figure
 from fascicle.reporting.target import target_figure
 from fascicle.study.fit import HEART, GivenStudy, as_study
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.study import CONFIGURATION
 
 

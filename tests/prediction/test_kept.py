@@ -13,10 +13,10 @@ from fascicle.forward.model import ForwardModel
 from fascicle.prediction.comparison import compare
 from fascicle.prediction.kept import FOLDER
 from fascicle.prediction.scenarios import predict
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population
 from fascicle.study.problem import Network
-from fascicle.study.results import FittedStudy
 
 ROOT_TIMES = np.array([-50.0, -20.0])
 

@@ -20,7 +20,7 @@ from fascicle.reporting.page.page import PACINGS, write_report
 from fascicle.reporting.prediction import write_prediction
 from fascicle.reporting.recording import recording_figure
 from fascicle.study.fit import fit
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 
 # The paper's method with a fraction of its budget: enough to see every stage work, not to trust the
 # numbers.

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from fascicle.forward.simulation import Simulation
     from fascicle.prediction.predicted import Predicted
     from fascicle.prediction.sweeps import Swept
+    from fascicle.study.fitted import FittedStudy
     from fascicle.study.population import Population, Posterior
-    from fascicle.study.results import FittedStudy
 
 
 def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None:

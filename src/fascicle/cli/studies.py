@@ -16,7 +16,7 @@ from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
-    from fascicle.study.results import FittedStudy
+    from fascicle.study.fitted import FittedStudy
 
 study_app = typer.Typer(
     no_args_is_help=True, help="Say again what finished studies found, and compare them."

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fascicle.core.files import write_text
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.results import FittedStudy
 from fascicle.study.verdict import INTERVAL, explained, statements
 
 

@@ -21,8 +21,8 @@ from fascicle.forward.scenario_files import scenario_text
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.problem import Problem
-from fascicle.study.results import FittedStudy
 
 FOLDER = "predictions"  # in a study's
 FORMAT = 1  # of the files; raised when what they hold changes

@@ -26,8 +26,8 @@ from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window
 from fascicle.study.bank import prior_points
 from fascicle.study.fit import GivenStudy, as_study
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.problem import Network, Problem
-from fascicle.study.results import FittedStudy
 
 OWN_BEAT = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end

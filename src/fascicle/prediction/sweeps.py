@@ -14,7 +14,7 @@ from fascicle.heart.segments import SEGMENTS
 from fascicle.heart.sites import LAYERS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population, simulate_scenarios
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 
 MOST = 200  # scenarios of a sweep
 SEGMENT = "segment"

@@ -32,7 +32,7 @@ from fascicle.reporting.scenario import (
 )
 from fascicle.study.activation_maps import since_first
 from fascicle.study.caution import caution_text
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 
 INTERVAL = (5, 50, 95)  # percentiles
 

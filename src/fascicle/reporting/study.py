@@ -30,8 +30,8 @@ from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.reporting.target import target_figure
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.agreement import Agreement, agreement
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.problem import Network, Problem
-from fascicle.study.results import FittedStudy
 
 SHARE = 0.9  # of beats and of networks, in bands: ranges of unequal numbers cannot be compared
 

@@ -25,7 +25,7 @@ from fascicle.reporting.figures import new_figure, save
 from fascicle.reporting.names import index_label, index_name
 from fascicle.reporting.prediction import index_table
 from fascicle.study.caution import caution_text
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 
 SIZE, EYE = (5.6, 3.6), (4.6, 4.2)  # inch
 HALF, MOST = (25, 75), (5, 95)  # percentiles of the bands

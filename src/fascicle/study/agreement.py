@@ -85,7 +85,7 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
     power = (recorded**2).sum(axis=1)
     correlation = np.full(len(LEADS), np.nan)
     pairs = zip(recorded[used], predicted[used], strict=True)
-    correlation[used] = [_correlation(*pair) for pair in pairs]
+    correlation[used] = [pearson(*pair) for pair in pairs]
     simulations = [network.simulation for network in networks]
     found = {
         "qrs_duration_ms": [each.qrs_duration for each in simulations],
@@ -103,14 +103,14 @@ def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
         1 - left / power,
         correlation,
         float(1 - left[used].sum() / power[used].sum()),
-        _correlation(recorded[used].ravel(), predicted[used].ravel()),
+        pearson(recorded[used].ravel(), predicted[used].ravel()),
         known,
         {name: np.array(values, dtype=float) for name, values in found.items()},
     )
 
 
-def _correlation(one: Floats, other: Floats) -> float:
-    """Pearson's; 0 where one does not change."""
+def pearson(one: Floats, other: Floats) -> float:
+    """Pearson's correlation of (n,) values; 0 where one does not change."""
     one, other = one - one.mean(), other - other.mean()
     size = float(np.sqrt((one**2).sum() * (other**2).sum()))
     return float((one * other).sum() / size) if size else 0.0

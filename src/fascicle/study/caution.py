@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.results import FittedStudy
 from fascicle.study.verdict import explained
 
 

@@ -23,6 +23,7 @@ from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.study.agreement import agreement
 from fascicle.study.bank import Bank, prior_points
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.pool import Card, Pool, Threads, check_pool
@@ -37,7 +38,7 @@ from fascicle.study.recordings import (
     read_recordings,
     write_recordings,
 )
-from fascicle.study.results import FittedStudy, write_results
+from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder

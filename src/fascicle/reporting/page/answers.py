@@ -13,8 +13,8 @@ from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.reporting.names import index_name, parameter_name
 from fascicle.study.caution import Caution, caution
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.results import FittedStudy
 from fascicle.study.verdict import (
     LEAST_EXPLAINED,
     Statement,

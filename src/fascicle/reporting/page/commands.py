@@ -13,8 +13,8 @@ from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.recording.target import Target
 from fascicle.reporting.page.inputs import settings
 from fascicle.study.fit import HEART
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
-from fascicle.study.results import FittedStudy
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import study_space
 from fascicle.study.study import StudyConfig

@@ -8,7 +8,7 @@ from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import SPEED, quantity
 from fascicle.heart.heart import Heart
 from fascicle.reporting.names import parameter_name
-from fascicle.study.results import FittedStudy
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
 from fascicle.study.study import StudyConfig
 

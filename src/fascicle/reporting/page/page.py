@@ -39,9 +39,9 @@ from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figur
 from fascicle.study.agreement import Agreement
 from fascicle.study.caution import caution_text
 from fascicle.study.fit import GivenStudy, as_study
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
 from fascicle.study.problem import Network
-from fascicle.study.results import FittedStudy
 
 RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
 PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")

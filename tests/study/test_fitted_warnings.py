@@ -11,9 +11,9 @@ from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.heart.conduction import Conduction
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Population
 from fascicle.study.predictive import Checks
-from fascicle.study.results import FittedStudy
 
 MIDDLE = NETWORK_SPACE.from_unit(np.full(len(NETWORK_SPACE), 0.5))
 
