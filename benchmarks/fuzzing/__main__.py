@@ -11,12 +11,13 @@ from pathlib import Path
 
 from benchmarks import fuzzing
 from benchmarks.fuzzing.attempts import outcomes
+from benchmarks.fuzzing.calls import CALLS
 from benchmarks.fuzzing.kinds import KINDS
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=fuzzing.__doc__)
-    parser.add_argument("kinds", nargs="*", default=list(KINDS), metavar="KIND")
+    parser.add_argument("kinds", nargs="*", default=[*KINDS, *CALLS], metavar="KIND")
     parser.add_argument("--number", type=int, default=20_000)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()

@@ -70,10 +70,13 @@ def _heart(path: Path) -> Any:
 
 
 @cache
-def _small_model() -> ForwardModel:
+def small_model() -> ForwardModel:
+    """A heart that is simulated in no time; prepared, and all that it runs compiled."""
     from fascicle.forward.model import ForwardModel
 
-    return ForwardModel(seeds.small_heart())
+    model = ForwardModel(seeds.small_heart())
+    model.simulate(seeds.parameters())
+    return model
 
 
 def _scenario(path: Path) -> Any:
@@ -82,7 +85,7 @@ def _scenario(path: Path) -> Any:
     from fascicle.heart.conduction import Conduction
 
     scenario, regions = read_scenario(path)
-    model = _small_model()
+    model = small_model()
     if regions:
         model = ForwardModel(model.heart, Conduction.of(model.heart, regions))
     return model.simulate(seeds.parameters(), scenario)
@@ -91,7 +94,7 @@ def _scenario(path: Path) -> Any:
 def _parameters(path: Path) -> Any:
     from fascicle.core.parameters import read_parameters
 
-    return _small_model().simulate(read_parameters(path))
+    return small_model().simulate(read_parameters(path))
 
 
 def _settings(path: Path) -> Any:
@@ -101,7 +104,7 @@ def _settings(path: Path) -> Any:
     given = read_settings(path)
     wanted = given.pop(PARAMETERS, {})
     settings = checked_settings(given)
-    return study_space(settings.method, wanted, _small_model().heart)
+    return study_space(settings.method, wanted, small_model().heart)
 
 
 def _target(path: Path) -> Any:
