@@ -134,8 +134,8 @@ def _from_tree_node(node, vertices, forest, sites, front, size):
 def sweep(front, sources, mesh, forest, sites):
     """Solve the coupled problem in place: the paper's equations `eikotree` and `eikomyo` at once.
 
-    Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is the
-    earliest, and again if its time is lowered later; nothing is skipped for being early, since
+    Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is among
+    the earliest, and again if its time is lowered later; nothing is skipped for being early, since
     with anisotropy and obtuse elements times need not settle in order.
 
     Linear interpolation is late where fronts are curved, most of all near a point source. So a
@@ -148,8 +148,8 @@ def sweep(front, sources, mesh, forest, sites):
     Parameters
     ----------
     front : Front
-        Times (ms): inf but at the sources, with trees settled (`settle_trees`). Origins, sites that
-        trees were entered from and places in the queue: -1. Overwritten.
+        Times (ms): inf but at the sources, with trees settled (`settle_trees`). Origins and sites
+        that trees were entered from: -1. An empty queue. Overwritten.
     sources : (s,) array
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.
     mesh, forest, sites : EikonalMesh, Forest, Sites

@@ -50,9 +50,11 @@ LANES = 8  # in a block: as many as the widest registers hold
 PRODUCT, DA, DB, DC, RISE = 0, 6 * LANES, 7 * LANES, 8 * LANES, 9 * LANES
 ELEMENTS_BLOCK = 10 * LANES  # numbers in such a block
 
-# Rows of a block of faces s, j, k opposite to a corner: what `from_new_corner` is given, its result
-FACE_PRODUCT, FACE_SQUARE, TJ, TK, DELAY = 0, 6 * LANES, 11 * LANES, 12 * LANES, 13 * LANES
-FACES_BLOCK = 14 * LANES
+# Rows of a block of faces s, j, k opposite to a corner: what `from_new_corner` is given, products
+# and squares first, and its result
+SHAPE = COLUMNS.shape[2]  # how many products and squares
+TJ, TK, DELAY = SHAPE * LANES, (SHAPE + 1) * LANES, (SHAPE + 2) * LANES
+FACES_BLOCK = (SHAPE + 3) * LANES
 
 
 @kernel()
@@ -192,7 +194,7 @@ def _lay_out_faces(n, mesh, around):
         e, at = around.chosen.item[c], around.chosen.at[c]
         t, s = mesh.star[e] >> PLACE_BITS, mesh.star[e] & PLACE_MASK
         lane = (i // LANES) * FACES_BLOCK + i % LANES
-        for m in range(11):
+        for m in range(SHAPE):
             f[lane + m * LANES] = mesh.solver[t, COLUMNS[s, k, m]]
         now = around.now[at]
         f[lane + TJ] = around.lent[at + mesh.others[e, REST[k, 0]]] - now
