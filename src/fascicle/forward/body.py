@@ -23,7 +23,7 @@ from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.heart.torso import Torso
-from fascicle.kernels.deposit import CHANNELS
+from fascicle.kernels.channels import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.electrode_sites import FARTHEST
 from fascicle.torso.idealised import idealised_torso

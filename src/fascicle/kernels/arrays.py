@@ -203,48 +203,91 @@ class Sites(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Room for the nodes that wait to be taken.
+    """The nodes that wait to be taken, in buckets of time; see `fascicle.kernels.queue`.
 
     Attributes
     ----------
-    heap : (n + k,) array
-        Anything.
-    place : (n + k,) array
-        -1: where in the heap each node is.
+    head : (RING,) array
+        The first node in the list of each bucket, -1 where there is none.
+    before, after : (n + k,) arrays
+        The nodes on both sides of each in its list, -1 at the ends.
+    bucket : (n + k,) array
+        The bucket of each node; `WAITS_NOT` if it is in none.
+    now : (1,) array
+        A bucket before which all are empty.
     """
 
-    heap: NDArray[np.int64]
-    place: NDArray[np.int64]
+    head: NDArray[np.int32]
+    before: NDArray[np.int32]
+    after: NDArray[np.int32]
+    bucket: NDArray[np.int32]
+    now: NDArray[np.int64]
+
+
+class Chosen(NamedTuple):
+    """Elements around vertices of a batch.
+
+    Attributes
+    ----------
+    item : (e,) array
+        The item of `EikonalMesh.star` that each is.
+    corners : (e,) array
+        Which corners may be lowered, the sum of 1, 2 and 4.
+    vertex, at : (e,) arrays
+        The vertex, and where its neighbours start in `Surroundings.time`.
+    """
+
+    item: NDArray[np.uint32]
+    corners: NDArray[np.uint32]
+    vertex: NDArray[np.uint32]
+    at: NDArray[np.uint32]
+
+
+class ChosenFaces(NamedTuple):
+    """Faces of chosen elements.
+
+    Attributes
+    ----------
+    row, corner : (f,) arrays
+        The element's place in `Chosen`, and which of its corners the face is opposite to.
+    """
+
+    row: NDArray[np.uint32]
+    corner: NDArray[np.uint32]
 
 
 class Surroundings(NamedTuple):
-    """Room for what is around the vertex that is taken: its neighbours, elements and their faces.
+    """Room for a batch of vertices and what is around them: neighbours, elements and their faces.
 
     Blocks hold a few elements or faces side by side, each number of all of them in a row; see
     `fascicle.kernels.star`.
 
     Attributes
     ----------
-    time, lent, by : (k,) arrays
-        Of each neighbour: when the front comes to it (ms), as far as is known; the time that it
-        lends to faces, inf while it waits in the queue; and the face by which it was lowered,
-        or `BY_EDGE` or `NOT_LOWERED`.
-    chosen : (e, 2) array
-        Which elements may lower a corner, and which corners: the sum of 1, 2 and 4.
+    batch : (b,) array
+        The vertices.
+    now : (b·k,) array
+        Time of each vertex (ms), at the first of its k items.
+    time, lent : (b·k,) arrays
+        Of each vertex's neighbours: when the front comes to them (ms), as far as is known; and the
+        time that they lend to faces, inf while they wait in the queue.
+    chosen : Chosen
+        The elements that may lower a corner.
     elements : array
         Blocks of those.
-    corners : (f, 3) array
-        Of each face the neighbours that it may lower, and its two others.
+    face : ChosenFaces
+        The faces by which a corner may be lowered.
     faces : array
         Blocks of those.
     """
 
+    batch: NDArray[np.int64]
+    now: NDArray[np.float64]
     time: NDArray[np.float64]
     lent: NDArray[np.float64]
-    by: NDArray[np.int64]
-    chosen: NDArray[np.uint32]
+    chosen: Chosen
     elements: NDArray[np.float64]
-    corners: NDArray[np.uint16]
+    face: ChosenFaces
     faces: NDArray[np.float64]
 
 

@@ -5,8 +5,8 @@ import numpy as np
 from fascicle.kernels.arrays import CORNERS, FACES, SQUARES
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_face
-from fascicle.kernels.queue import lower, pop
-from fascicle.kernels.star import PAIRS, SETTLED, fetch_next, through_star
+from fascicle.kernels.queue import IN_BATCH, lower, take
+from fascicle.kernels.star import PAIRS, SETTLED, fetch_star, through_stars
 
 
 @kernel()
@@ -120,12 +120,22 @@ def _into_trees(node, sites, mesh, front, size):
     return size
 
 
+@kernel(inline="always")
+def _from_tree_node(node, vertices, forest, sites, front, size):
+    """From a tree node along its segments, and as a site; returns the queue's size."""
+    size = _through_tree(node - vertices, vertices, forest, front, size)
+    site = forest.site[node - vertices]
+    if site >= 0 and sites.orthodromic[site] < np.inf:
+        size = _fire(site, front.time[node] + sites.orthodromic[site], sites, front, size)
+    return size
+
+
 @kernel()
 def sweep(front, sources, mesh, forest, sites):
     """Solve the coupled problem in place: the paper's equations `eikotree` and `eikomyo` at once.
 
-    Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is the
-    earliest, and again if its time is lowered later; nothing is skipped for being early, since
+    Nodes are numbered mesh vertices first, tree nodes after them. A node is taken when it is among
+    the earliest, and again if its time is lowered later; nothing is skipped for being early, since
     with anisotropy and obtuse elements times need not settle in order.
 
     Linear interpolation is late where fronts are curved, most of all near a point source. So a
@@ -138,8 +148,8 @@ def sweep(front, sources, mesh, forest, sites):
     Parameters
     ----------
     front : Front
-        Times (ms): inf but at the sources, with trees settled (`settle_trees`). Origins, sites that
-        trees were entered from and places in the queue: -1. Overwritten.
+        Times (ms): inf but at the sources, with trees settled (`settle_trees`). Origins and sites
+        that trees were entered from: -1. An empty queue. Overwritten.
     sources : (s,) array
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.
     mesh, forest, sites : EikonalMesh, Forest, Sites
@@ -148,14 +158,17 @@ def sweep(front, sources, mesh, forest, sites):
     vertices, size = len(mesh.vertices), 0
     for source in sources:
         size = lower(source, front.time, front.queue, size)
+    batch, bucket = front.around.batch, front.queue.bucket
     while size > 0:
-        node, size = pop(front.time, front.queue, size)
-        fetch_next(front.queue.heap, size, mesh)
-        if node < vertices:
-            size = through_star(node, mesh, front, size)
-            size = _into_trees(node, sites, mesh, front, size)
-            continue
-        size = _through_tree(node - vertices, vertices, forest, front, size)
-        site = forest.site[node - vertices]
-        if site >= 0 and sites.orthodromic[site] < np.inf:
-            size = _fire(site, front.time[node] + sites.orthodromic[site], sites, front, size)
+        taken = 0
+        while taken < len(batch) and size > 0:
+            node, size = take(front.queue), size - 1
+            if node < vertices:
+                batch[taken], bucket[node] = node, IN_BATCH
+                taken += 1
+                fetch_star(node, mesh)
+            else:
+                size = _from_tree_node(node, vertices, forest, sites, front, size)
+        size = through_stars(taken, mesh, front, size)
+        for k in range(taken):
+            size = _into_trees(batch[k], sites, mesh, front, size)

@@ -9,10 +9,10 @@ bins give the histogram back.
 
 import numpy as np
 
+from fascicle.kernels.channels import CHANNELS, add_to_rows
 from fascicle.kernels.jit import allocating_kernel
 from fascicle.kernels.prefetch import prefetch
 
-CHANNELS = 8  # contiguous in every array
 ROW = CHANNELS * 8  # bytes of a row of channels
 AHEAD = 6  # how many elements before its turn what an element adds to is fetched
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
@@ -21,45 +21,23 @@ AHEAD = 6  # how many elements before its turn what an element adds to is fetche
 GAP = 0.05
 
 
-@allocating_kernel(inline="always")
-def _add(row, c, s):
-    """Add c·s; written out because LLVM does not unroll it as a loop."""
-    row[0] += c * s[0]
-    row[1] += c * s[1]
-    row[2] += c * s[2]
-    row[3] += c * s[3]
-    row[4] += c * s[4]
-    row[5] += c * s[5]
-    row[6] += c * s[6]
-    row[7] += c * s[7]
-
-
-@allocating_kernel(inline="always")
-def _dot(w, n, x, y, z):
-    return w[0, n] * x + w[1, n] * y + w[2, n] * z
-
-
-@allocating_kernel(inline="always")
-def _strengths(w, x, y, z):
-    """|e|·(Gᵢ∇τ·∇Z) in each channel from the differences of the times to the first."""
-    return (
-        _dot(w, 0, x, y, z), _dot(w, 1, x, y, z), _dot(w, 2, x, y, z), _dot(w, 3, x, y, z),
-        _dot(w, 4, x, y, z), _dot(w, 5, x, y, z), _dot(w, 6, x, y, z), _dot(w, 7, x, y, z),
-    )  # fmt: skip
-
-
 @allocating_kernel()
-def _smear(jumps, t, c, s):
-    """Add the jump c·s at time t: third difference of hats, a quartic B-spline (times 4!)."""
+def _smear(histogram, t, c, source, first, shares):
+    """Add the jump c·Σᵢ shareᵢ·source[first + i] at time t: third difference of hats.
+
+    That is a quartic B-spline, times 4!.
+    """
     i = int(t)
     g = t - i
     f = 1.0 - g
-    rows = jumps[i : i + 5]
-    _add(rows[0], c * (f * f * f * f), s)
-    _add(rows[1], c * (1.0 + f * (4.0 + f * (6.0 + f * (4.0 - 4.0 * f)))), s)
-    _add(rows[2], c * (11.0 + f * (12.0 - f * (6.0 + f * (12.0 - 6.0 * f)))), s)
-    _add(rows[3], c * (1.0 + g * (4.0 + g * (6.0 + g * (4.0 - 4.0 * g)))), s)
-    _add(rows[4], c * (g * g * g * g), s)
+    spline = (
+        c * (f * f * f * f),
+        c * (1.0 + f * (4.0 + f * (6.0 + f * (4.0 - 4.0 * f)))),
+        c * (11.0 + f * (12.0 - f * (6.0 + f * (12.0 - 6.0 * f)))),
+        c * (1.0 + g * (4.0 + g * (6.0 + g * (4.0 - 4.0 * g)))),
+        c * (g * g * g * g),
+    )
+    add_to_rows(histogram, (i, i + 1, i + 2, i + 3, i + 4), spline, source, first, shares)
 
 
 @allocating_kernel()
@@ -148,23 +126,21 @@ def deposit(time, corners, weights, origin, width, bins):
         a, b, c, d = time[i], time[j], time[k], time[l]
         if not a + b + c + d < np.inf:
             continue
-        s = _strengths(weights[e], b - a, c - a, d - a)
+        # |e|·(Gᵢ∇τ·∇Z) in each channel is the sum of these times rows 3e, 3e + 1, 3e + 2 of weights
+        later = (b - a, c - a, d - a)
         if _closest(a, b, c, d) > GAP:
-            at_a, at_b, at_c, at_d = _jumps(a, b, c, d)
-            _add(at_vertex[i], at_a, s)
-            _add(at_vertex[j], at_b, s)
-            _add(at_vertex[k], at_c, s)
-            _add(at_vertex[l], at_d, s)
+            jumps = _jumps(a, b, c, d)
+            add_to_rows(at_vertex, (i, j, k, l), jumps, weights, 3 * e, later)
         else:
             a, b, c, d = _spread(a, b, c, d)
             at_a, at_b, at_c, at_d = _jumps(a, b, c, d)
-            _smear(histogram, a, at_a, s)
-            _smear(histogram, b, at_b, s)
-            _smear(histogram, c, at_c, s)
-            _smear(histogram, d, at_d, s)
+            _smear(histogram, a, at_a, weights, 3 * e, later)
+            _smear(histogram, b, at_b, weights, 3 * e, later)
+            _smear(histogram, c, at_c, weights, 3 * e, later)
+            _smear(histogram, d, at_d, weights, 3 * e, later)
     for v in range(len(time)):
         if time[v] < np.inf:
-            _smear(histogram, time[v], 1.0, at_vertex[v])
+            _smear(histogram, time[v], 1.0, at_vertex, v, (1.0,))
     for _ in range(3):
         for i in range(1, bins):
             for n in range(CHANNELS):

@@ -1,11 +1,38 @@
-"""A binary heap of node numbers, ordered by time, in which a node's time can be lowered."""
+"""A queue of nodes in buckets of time, of which the earliest gives the next node.
+
+Who is taken too early is taken again, so that exact order is not asked for; and a node is entered,
+moved and taken at a cost that does not grow with the queue. Buckets form a ring: one list holds the
+nodes of one bucket of every lap.
+"""
+
+import numpy as np
 
 from fascicle.kernels.jit import kernel
+
+PER_MS = 20.0  # buckets; an element's delay is longer than one, but on the finest meshes
+RING = 4096  # buckets in a lap, a power of 2: nearly all times that wait lie within 200 ms
+LAST = 2_000_000_000.0  # bucket that holds all later times, too; and the first likewise
+
+# Instead of the bucket of a node that is not in the queue: of one that nothing is to be done with,
+# and of one whose turn in a batch of taken ones is to come
+WAITS_NOT, IN_BATCH = np.iinfo(np.int32).min, np.iinfo(np.int32).min + 1
+
+
+@kernel(inline="always")
+def _unlink(node, queue):
+    """Take a node out of its list."""
+    before, after = queue.before[node], queue.after[node]
+    if before >= 0:
+        queue.after[before] = after
+    else:
+        queue.head[queue.bucket[node] & (RING - 1)] = after
+    if after >= 0:
+        queue.before[after] = before
 
 
 @kernel()
 def lower(node, time, queue, size):
-    """Enter a node, or move it up after its time was lowered; returns the heap's size.
+    """Enter a node, or move it after its time was lowered; returns the queue's size.
 
     Parameters
     ----------
@@ -16,55 +43,49 @@ def lower(node, time, queue, size):
     queue : Queue
         See `fascicle.kernels.arrays`.
     size : int
-        How many nodes are in the heap.
+        How many nodes are in the queue.
     """
-    heap, place = queue
-    i = place[node]
-    if i < 0:
-        i = size
-        size += 1
-    key = time[node]
-    while i > 0:
-        up = (i - 1) >> 1
-        if time[heap[up]] <= key:
-            break
-        heap[i] = heap[up]
-        place[heap[i]] = i
-        i = up
-    heap[i] = node
-    place[node] = i
-    return size
+    bucket = int(min(max(time[node] * PER_MS, -LAST), LAST))
+    known = queue.bucket[node]
+    if known == bucket:
+        return size
+    if known > IN_BATCH:
+        _unlink(node, queue)
+        size -= 1
+    first = queue.head[bucket & (RING - 1)]
+    queue.before[node], queue.after[node], queue.bucket[node] = -1, first, bucket
+    if first >= 0:
+        queue.before[first] = node
+    queue.head[bucket & (RING - 1)] = node
+    queue.now[0] = min(queue.now[0], bucket)
+    return size + 1
 
 
 @kernel()
-def pop(time, queue, size):
-    """Take the earliest node out; returns it and the heap's size.
+def _earliest(queue):
+    """Find the earliest bucket that holds a node, of whatever lap."""
+    earliest = int(LAST)
+    for k in range(RING):
+        node = queue.head[k]
+        while node >= 0:
+            earliest = min(earliest, queue.bucket[node])
+            node = queue.after[node]
+    return earliest
 
-    Parameters
-    ----------
-    time, queue, size
-        See `lower`.
-    """
-    heap, place = queue
-    first = heap[0]
-    place[first] = -1
-    size -= 1
-    if size == 0:
-        return first, size
-    node = heap[size]
-    key = time[node]
-    i = 0
+
+@kernel()
+def take(queue):
+    """Take a node of the earliest bucket out of a queue that holds one; returns the node."""
+    now, passed = queue.now[0], 0
     while True:
-        child = 2 * i + 1
-        if child >= size:
+        node = queue.head[now & (RING - 1)]
+        while node >= 0 and queue.bucket[node] != now:
+            node = queue.after[node]
+        if node >= 0:
             break
-        if child + 1 < size and time[heap[child + 1]] < time[heap[child]]:
-            child += 1
-        if time[heap[child]] >= key:
-            break
-        heap[i] = heap[child]
-        place[heap[i]] = i
-        i = child
-    heap[i] = node
-    place[node] = i
-    return first, size
+        now, passed = now + 1, passed + 1
+        if passed == RING:
+            now, passed = _earliest(queue), 0
+    _unlink(node, queue)
+    queue.bucket[node], queue.now[0] = WAITS_NOT, now
+    return node

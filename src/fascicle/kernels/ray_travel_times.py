@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from fascicle.kernels.arrays import CORNERS, FACES, SQUARES, RayMedium
-from fascicle.kernels.jit import kernel
+from fascicle.kernels.arrays import CORNERS, FACES, SQUARES, RayMedium, RayTravelTimes
+from fascicle.kernels.jit import allocating_kernel, kernel
 from fascicle.kernels.ray import barycentric_coordinate, ray_time, travel
 
 # The six points, as barycentric coordinates. Inside the triangle, so that rays start in its
@@ -102,20 +102,25 @@ def _from_table(row, coordinates, site, table, mesh, rays, used):
     x, y, z = site
     w0, w1, w2 = _weight(0, a, b, c), _weight(1, a, b, c), _weight(2, a, b, c)
     w3, w4, w5 = _weight(3, a, b, c), _weight(4, a, b, c), _weight(5, a, b, c)
-    square = table.square
-    for k in range(table.start[row], table.start[row + 1]):
-        between = (
-            w0 * square[k, 0] + w1 * square[k, 1] + w2 * square[k, 2]
-            + w3 * square[k, 3] + w4 * square[k, 4] + w5 * square[k, 5]
+    begin, count = table.start[row], table.start[row + 1] - table.start[row]
+    vertex = table.vertex[begin : begin + count]
+    square = table.square[begin : begin + count].reshape(6 * count)
+    target, time = rays.target[used : used + count], rays.time[used : used + count]
+    for k in range(count):
+        time[k] = (
+            w0 * square[6 * k] + w1 * square[6 * k + 1] + w2 * square[6 * k + 2]
+            + w3 * square[6 * k + 3] + w4 * square[6 * k + 4] + w5 * square[6 * k + 5]
         )  # fmt: skip
-        vertex = table.vertex[k]
+    for k in range(count):
+        target[k] = vertex[k]
         # between rays that bend differently, interpolation can be faster than any fibre
-        gx, gy = mesh.vertices[vertex, 0] - x, mesh.vertices[vertex, 1] - y
-        gz = mesh.vertices[vertex, 2] - z
+        gx, gy = mesh.vertices[vertex[k], 0] - x, mesh.vertices[vertex[k], 1] - y
+        gz = mesh.vertices[vertex[k], 2] - z
         least = (gx * gx + gy * gy + gz * gz) * mesh.slowness * mesh.slowness
-        rays.target[used], rays.time[used] = vertex, math.sqrt(max(between, least))
-        used += 1
-    return used
+        time[k] = max(time[k], least)
+    for k in range(count):
+        time[k] = math.sqrt(time[k])
+    return used + count
 
 
 @kernel(inline="always")
@@ -202,39 +207,62 @@ def _time_inside(site, sites, mesh, time_to):
     return max(math.sqrt(max(square, 0.0)), least) if known else np.inf
 
 
-@kernel()
-def rays_to_sites(sites, first_start, first, mesh, to_vertices, time_to, rays):
+@allocating_kernel()
+def _longer(rays):
+    """The same rays, with room for twice as many."""
+    used = len(rays.target)
+    target, time = np.empty(2 * used, np.int32), np.empty(2 * used)
+    target[:used], time[:used] = rays.target, rays.time
+    return RayTravelTimes(rays.start, target, time)
+
+
+@allocating_kernel()
+def rays_to_sites(sites, order, first, mesh, to_vertices, time_to, rays):
     """Ray travel times from each site to the other sites around it.
 
     Parameters
     ----------
-    sites, mesh, rays
+    sites, mesh
         See `rays_to_vertices`.
-    first_start, first : (n + 1,) and (j,) arrays
-        The sites whose element has each vertex as its first corner.
+    order, first : (k,) arrays
+        The sites that have an element, and its first corner; sorted by that.
     to_vertices : RayTravelTimes
         To the vertices around each site.
     time_to : (n,) array
         inf, and inf again afterwards.
+    rays : RayTravelTimes
+        Overwritten, as far as there is need.
+
+    Returns
+    -------
+    RayTravelTimes
+        The rays, in longer arrays where they have found no room.
     """
     rays.start[0] = used = 0
     for s in range(len(sites.elements)):
-        begin, end = to_vertices.start[s], to_vertices.start[s + 1]
+        target = to_vertices.target[to_vertices.start[s] : to_vertices.start[s + 1]]
+        time = to_vertices.time[to_vertices.start[s] : to_vertices.start[s + 1]]
         x, y, z = _row(sites.positions, s)
-        for k in range(begin, end):
-            time_to[to_vertices.target[k]] = to_vertices.time[k]
-        for k in range(begin, end):
-            vertex = to_vertices.target[k]
-            for f in range(first_start[vertex], first_start[vertex + 1]):
-                other = first[f]
-                time = _time_inside(other, sites, mesh, time_to)
-                # as in `_from_table`
-                gx, gy, gz = _row(sites.positions, other)
-                gx, gy, gz = gx - x, gy - y, gz - z
-                time = max(time, mesh.slowness * math.sqrt(gx * gx + gy * gy + gz * gz))
-                if time < np.inf and other != s:
-                    rays.target[used], rays.time[used] = other, time
-                    used += 1
-        for k in range(begin, end):
-            time_to[to_vertices.target[k]] = np.inf
+        lowest, highest = np.int32(len(time_to)), np.int32(-1)
+        for k in range(len(target)):
+            lowest, highest = min(lowest, target[k]), max(highest, target[k])
+        for k in range(len(target)):
+            time_to[np.uint32(target[k])] = time[k]
+        for f in range(np.searchsorted(first, lowest), np.searchsorted(first, highest + 1)):
+            other = order[f]
+            if not time_to[first[f]] < np.inf or other == s:
+                continue
+            there = _time_inside(other, sites, mesh, time_to)
+            # as in `_from_table`
+            gx, gy, gz = _row(sites.positions, other)
+            gx, gy, gz = gx - x, gy - y, gz - z
+            there = max(there, mesh.slowness * math.sqrt(gx * gx + gy * gy + gz * gz))
+            if there < np.inf:
+                if used == len(rays.target):
+                    rays = _longer(rays)
+                rays.target[used], rays.time[used] = other, there
+                used += 1
+        for k in range(len(target)):
+            time_to[np.uint32(target[k])] = np.inf
         rays.start[s + 1] = used
+    return rays

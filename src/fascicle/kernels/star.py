@@ -1,9 +1,10 @@
-"""From a vertex through the edges and the elements around it, its star.
+"""From vertices through the edges and the elements around them, their stars.
 
 What the sweep spends its time on, and so arranged that the processor need not wait: neither for
-memory, which is asked for before its turn, nor to learn which way a branch goes. Elements that may
-lower a corner are picked out first, what is known of them is laid side by side in blocks of
-`LANES`, and each block is worked on at once.
+memory, which is asked for before its turn, nor to learn which way a branch goes. So a batch of
+vertices is worked on at a time, in steps: elements that may lower a corner are picked out first,
+what is known of them is laid side by side in blocks of `LANES`, and each block is worked on at
+once.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from fascicle.kernels.arrays import CORNERS, SQUARES
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_new_corner
 from fascicle.kernels.prefetch import CACHE_LINE, prefetch
-from fascicle.kernels.queue import lower
+from fascicle.kernels.queue import IN_BATCH, WAITS_NOT, lower
 
 # Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
 SETTLED = 1e-10
@@ -20,28 +21,40 @@ SETTLED = 1e-10
 # A slope of the times in an element that exceeds 1 by less is rounding.
 STEEP = 1.0 + 1e-12
 
+BATCH = 8  # vertices worked on at a time, at most
+
 # PAIRS[s]: where, among the six pairs of a tetrahedron's corners, stand those of corner s with the
 # others a, b, c, and the pairs ab, ac, bc
 PAIRS = np.array(
     [[0, 1, 2, 3, 4, 5], [0, 3, 4, 1, 2, 5], [1, 3, 5, 0, 2, 4], [2, 4, 5, 0, 1, 3]], np.uint32
 )
 
+# COLUMNS[s, k]: the columns of `EikonalMesh.solver` with what `from_new_corner` is given for the
+# face of corner s opposite to a, b or c: products, and all squares but the one of the far edge
+_PAIRS_FROM = PAIRS[:, PAIRS[1:]]
+COLUMNS = np.ascontiguousarray(
+    np.concatenate([_PAIRS_FROM, _PAIRS_FROM[:, :, :5] + np.uint32(SQUARES)], axis=2)
+)
+
+REST = np.array([[1, 2], [0, 2], [0, 1]], np.uint32)  # of a, b, c without one of them
+
 # An item of a mesh's star is CORNERS·tetrahedron + place, CORNERS being a power of 2:
 PLACE_BITS = np.uint32(CORNERS.bit_length() - 1)  # what is above these bits is the tetrahedron,
 PLACE_MASK = np.uint32(CORNERS - 1)  # what is in them the vertex's place among its corners
 
-BY_EDGE, NOT_LOWERED = -1, -2  # instead of the face that a neighbour was lowered by
-
 LANES = 8  # in a block: as many as the widest registers hold
 
-# Rows of a block of elements, for a vertex s and the other corners a, b, c: products and squares
-# (`EikonalMesh.solver`) of the pairs sa, sb, sc, ab, ac, bc; times less that of s; squared slope
-PRODUCT, SQUARE, DA, DB, DC, SLOPE = 0, 6 * LANES, 12 * LANES, 13 * LANES, 14 * LANES, 15 * LANES
-ELEMENTS_BLOCK = 16 * LANES  # numbers in such a block
+# Rows of a block of elements, for a vertex s and the other corners a, b, c: products
+# (`EikonalMesh.solver`) of the pairs sa, sb, sc, ab, ac, bc; times less that of s; whether
+# they rise too steeply
+PRODUCT, DA, DB, DC, RISE = 0, 6 * LANES, 7 * LANES, 8 * LANES, 9 * LANES
+ELEMENTS_BLOCK = 10 * LANES  # numbers in such a block
 
-# Rows of a block of faces s, j, k opposite to a corner: what `from_new_corner` is given, its result
-FACE_PRODUCT, FACE_SQUARE, TJ, TK, DELAY = 0, 6 * LANES, 11 * LANES, 12 * LANES, 13 * LANES
-FACES_BLOCK = 14 * LANES
+# Rows of a block of faces s, j, k opposite to a corner: what `from_new_corner` is given, products
+# and squares first, and its result
+SHAPE = COLUMNS.shape[2]  # how many products and squares
+TJ, TK, DELAY = SHAPE * LANES, (SHAPE + 1) * LANES, (SHAPE + 2) * LANES
+FACES_BLOCK = (SHAPE + 3) * LANES
 
 
 @kernel()
@@ -67,140 +80,125 @@ def number_neighbours(star_start, corners, link_start, link, others):
 
 
 @kernel(inline="always")
-def fetch_next(heap, size, mesh):
-    """Ask for the elements of the vertex that is next, and for the stars of the two after it."""
-    vertices = len(mesh.vertices)
-    for k in range(min(size, 3)):
-        node = heap[k]
-        if node >= vertices:
-            continue
-        first, last = mesh.star_start[node], mesh.star_start[node + 1]
-        if k == 0:
-            for e in range(first, last):
-                row = np.int64(mesh.star[e] >> PLACE_BITS) * 2 * SQUARES * 8
-                prefetch(mesh.solver, row)
-                prefetch(mesh.solver, row + CACHE_LINE)
-            continue
-        for byte in range(first * 4, last * 4, CACHE_LINE):
-            prefetch(mesh.star, byte)
-        for byte in range(first * 6, last * 6, CACHE_LINE):
-            prefetch(mesh.others, byte)
-        for byte in range(first * 12, last * 12, CACHE_LINE):
-            prefetch(mesh.least, byte)
-        first, last = mesh.link_start[node], mesh.link_start[node + 1]
-        for byte in range(first * 4, last * 4, CACHE_LINE):
-            prefetch(mesh.link, byte)
-        for byte in range(first * 8, last * 8, CACHE_LINE):
-            prefetch(mesh.link_time, byte)
+def fetch_star(node, mesh):
+    """Ask for the lists of a vertex's neighbours and elements."""
+    first, last = mesh.star_start[node], mesh.star_start[node + 1]
+    for byte in range(first * 4, last * 4, CACHE_LINE):
+        prefetch(mesh.star, byte)
+    for byte in range(first * 6, last * 6, CACHE_LINE):
+        prefetch(mesh.others, byte)
+    for byte in range(first * 12, last * 12, CACHE_LINE):
+        prefetch(mesh.least, byte)
+    first, last = mesh.link_start[node], mesh.link_start[node + 1]
+    for byte in range(first * 4, last * 4, CACHE_LINE):
+        prefetch(mesh.link, byte)
+    for byte in range(first * 8, last * 8, CACHE_LINE):
+        prefetch(mesh.link_time, byte)
 
 
 @kernel(inline="always")
-def _through_edges(node, mesh, front):
-    """What the neighbours' times are, after the edges from the vertex, and which they lend."""
-    time, place, around = front.time, front.queue.place, front.around
+def _through_edges(node, at, mesh, front, size):
+    """Lower the neighbours through edges, and note their times from `at` on.
+
+    Returns the queue's size. Corners that wait in the queue lend their times to no face: when the
+    last corner of a face is taken, it passes on what comes through all of it.
+    """
+    time, bucket, around = front.time, front.queue.bucket, front.around
     now, first = time[node], mesh.link_start[node]
     for k in range(mesh.link_start[node + 1] - first):
-        other, arrival = mesh.link[first + k], now + mesh.link_time[first + k]
-        known = time[other]
-        lowered = arrival < known - SETTLED
-        around.time[k] = arrival if lowered else known
-        around.by[k] = BY_EDGE if lowered else NOT_LOWERED
-        around.lent[k] = known if (place[other] < 0) and not lowered else np.inf
+        other, arrival = np.int64(mesh.link[first + k]), now + mesh.link_time[first + k]
+        if arrival < time[other] - SETTLED:
+            time[other], front.origin[other] = arrival, front.origin[node]
+            size = lower(other, time, front.queue, size)
+        around.time[at + k] = time[other]
+        around.lent[at + k] = time[other] if bucket[other] == WAITS_NOT else np.inf
+    return size
 
 
 @kernel(inline="always")
-def _choose(node, mesh, front):
-    """List the elements around the vertex that it may lower a corner of; returns how many.
+def _choose(node, at, count, mesh, front):
+    """List the elements around a vertex that it may lower a corner of; returns how many there are.
 
-    Corners that wait in the queue lend their times to no face: when the last corner of a face is
-    taken, it passes on what comes through all of it.
+    What is known of them is asked for.
     """
-    time, lent, chosen = front.around.time, front.around.lent, front.around.chosen
-    now, count = front.time[node], 0
-    for e in range(mesh.star_start[node], mesh.star_start[node + 1]):
-        a, b, c = mesh.others[e, 0], mesh.others[e, 1], mesh.others[e, 2]
-        ready_a, ready_b, ready_c = lent[a] < np.inf, lent[b] < np.inf, lent[c] < np.inf
-        to_a = (ready_b | ready_c) & (now + mesh.least[e, 0] < time[a])
-        to_b = (ready_a | ready_c) & (now + mesh.least[e, 1] < time[b])
-        to_c = (ready_a | ready_b) & (now + mesh.least[e, 2] < time[c])
-        chosen[count, 0], chosen[count, 1] = e, to_a + 2 * to_b + 4 * to_c
-        count += to_a | to_b | to_c
+    around = front.around
+    now, begin, chosen = front.time[node], count, around.chosen
+    for e in range(np.uint32(mesh.star_start[node]), np.uint32(mesh.star_start[node + 1])):
+        a, b, c = at + mesh.others[e, 0], at + mesh.others[e, 1], at + mesh.others[e, 2]
+        ready_a, ready_b = around.lent[a] < np.inf, around.lent[b] < np.inf
+        ready_c = around.lent[c] < np.inf
+        to_a = (ready_b | ready_c) & (now + mesh.least[e, 0] < around.time[a])
+        to_b = (ready_a | ready_c) & (now + mesh.least[e, 1] < around.time[b])
+        to_c = (ready_a | ready_b) & (now + mesh.least[e, 2] < around.time[c])
+        chosen.item[count], chosen.corners[count] = e, to_a + 2 * to_b + 4 * to_c
+        chosen.vertex[count], chosen.at[count] = node, at
+        count += np.uint64(to_a | to_b | to_c)
+    for i in range(begin, count):
+        row = np.int64(mesh.star[chosen.item[i]] >> PLACE_BITS) * 2 * SQUARES * 8
+        prefetch(mesh.solver, row)
+        prefetch(mesh.solver, row + CACHE_LINE)
     return count
 
 
 @kernel(inline="always")
-def _lay_out(count, now, mesh, around):
-    """Lay what is known of the chosen elements side by side."""
-    rows, solver = around.elements, mesh.solver
+def _lay_out(count, mesh, front):
+    """Lay what the slopes in the chosen elements depend on side by side."""
+    around = front.around
+    rows = around.elements
     for i in range(count):
-        e = around.chosen[i, 0]
+        e, at = around.chosen.item[i], around.chosen.at[i]
         t, s = mesh.star[e] >> PLACE_BITS, mesh.star[e] & PLACE_MASK
         lane = (i // LANES) * ELEMENTS_BLOCK + i % LANES
         for k in range(6):
-            pair = PAIRS[s, k]
-            rows[lane + PRODUCT + k * LANES] = solver[t, pair]
-            rows[lane + SQUARE + k * LANES] = solver[t, pair + np.uint32(SQUARES)]
+            rows[lane + PRODUCT + k * LANES] = mesh.solver[t, PAIRS[s, k]]
         for k in range(3):
-            rows[lane + DA + k * LANES] = around.time[mesh.others[e, k]] - now
+            rows[lane + DA + k * LANES] = around.time[at + mesh.others[e, k]] - around.now[at]
 
 
 @kernel(error_model="numpy")
 def _slopes(f):
-    """Squared slope of the times in each element of a block."""
+    """Which elements of a block have times that rise steeper than a front does: 1, or 0."""
     for i in range(LANES):
         psa, psb, psc = f[i], f[LANES + i], f[2 * LANES + i]
         pab, pac, pbc = f[3 * LANES + i], f[4 * LANES + i], f[5 * LANES + i]
         da, db, dc = f[DA + i], f[DB + i], f[DC + i]
-        f[SLOPE + i] = -(
+        square = -(
             psa * da * da + psb * db * db + psc * dc * dc
             + pab * (da - db) ** 2 + pac * (da - dc) ** 2 + pbc * (db - dc) ** 2
         )  # fmt: skip
+        f[RISE + i] = 1.0 if square > STEEP else 0.0
 
 
 @kernel(inline="always")
-def _enter(n, corners, products, squares, tj, tk, around):
-    """Write face number n, opposite corner a, with the others j and k."""
-    f, lane = around.faces, (n // LANES) * FACES_BLOCK + n % LANES
-    for k in range(6):
-        f[lane + FACE_PRODUCT + k * LANES] = products[k]
-    for k in range(5):
-        f[lane + FACE_SQUARE + k * LANES] = squares[k]
-    f[lane + TJ], f[lane + TK] = tj, tk
-    around.corners[n, 0], around.corners[n, 1], around.corners[n, 2] = corners
-
-
-@kernel(inline="always")
-def _faces(count, now, mesh, around):
+def _faces(count, front):
     """List the faces through which a corner may be lowered; returns how many.
 
-    In names, a, b, c are the other corners of an element and s is the vertex: p.. are products,
-    q.. squared travel times, t. the times that the corners lend, less that of the vertex. Each face
-    is written, and written over by the next where it is not wanted.
+    Where times rise no steeper than a front does, nothing in the element can be earlier.
     """
-    rows, lent, n = around.elements, around.lent, 0
+    around, n = front.around, np.uint64(0)
     for i in range(count):
         lane = (i // LANES) * ELEMENTS_BLOCK + i % LANES
-        # where times rise no steeper than a front does, nothing in the element can be earlier
-        if rows[lane + SLOPE] <= STEEP:
-            continue
-        e, wanted = around.chosen[i, 0], around.chosen[i, 1]
-        a, b, c = mesh.others[e, 0], mesh.others[e, 1], mesh.others[e, 2]
-        psa, psb, psc = rows[lane], rows[lane + LANES], rows[lane + 2 * LANES]
-        pab, pac, pbc = rows[lane + 3 * LANES], rows[lane + 4 * LANES], rows[lane + 5 * LANES]
-        lane += SQUARE
-        qsa, qsb, qsc = rows[lane], rows[lane + LANES], rows[lane + 2 * LANES]
-        qab, qac, qbc = rows[lane + 3 * LANES], rows[lane + 4 * LANES], rows[lane + 5 * LANES]
-        ta, tb, tc = lent[a] - now, lent[b] - now, lent[c] - now
-        products, squares = (psa, pab, pac, psb, psc, pbc), (qsa, qab, qac, qsb, qsc)
-        _enter(n, (a, b, c), products, squares, tb, tc, around)
-        n += wanted & 1
-        products, squares = (psb, pab, pbc, psa, psc, pac), (qsb, qab, qbc, qsa, qsc)
-        _enter(n, (b, a, c), products, squares, ta, tc, around)
-        n += (wanted >> 1) & 1
-        products, squares = (psc, pac, pbc, psa, psb, pab), (qsc, qac, qbc, qsa, qsb)
-        _enter(n, (c, a, b), products, squares, ta, tb, around)
-        n += (wanted >> 2) & 1
-    return n
+        wanted = around.chosen.corners[i] * np.uint32(around.elements[lane + RISE])
+        for k in range(CORNERS - 1):
+            around.face.row[n], around.face.corner[n] = i, k
+            n += np.uint64((wanted >> np.uint32(k)) & np.uint32(1))
+    return np.int64(n)
+
+
+@kernel(inline="always")
+def _lay_out_faces(n, mesh, around):
+    """Lay what the delays through the faces depend on side by side."""
+    f = around.faces
+    for i in range(n):
+        c, k = around.face.row[i], around.face.corner[i]
+        e, at = around.chosen.item[c], around.chosen.at[c]
+        t, s = mesh.star[e] >> PLACE_BITS, mesh.star[e] & PLACE_MASK
+        lane = (i // LANES) * FACES_BLOCK + i % LANES
+        for m in range(SHAPE):
+            f[lane + m * LANES] = mesh.solver[t, COLUMNS[s, k, m]]
+        now = around.now[at]
+        f[lane + TJ] = around.lent[at + mesh.others[e, REST[k, 0]]] - now
+        f[lane + TK] = around.lent[at + mesh.others[e, REST[k, 1]]] - now
 
 
 @kernel(error_model="numpy")
@@ -220,65 +218,62 @@ def _delays(f):
 
 
 @kernel(inline="always")
-def _take(n, now, around):
-    """Lower the neighbours' times to what the first n faces offer."""
+def _take(n, mesh, front, size):
+    """Lower corners to what the first n faces offer; returns the queue's size."""
+    time, around = front.time, front.around
     for i in range(n):
-        arrival = now + around.faces[(i // LANES) * FACES_BLOCK + i % LANES + DELAY]
-        a = around.corners[i, 0]
-        if arrival < around.time[a] - SETTLED:
-            around.time[a], around.by[a] = arrival, i
-
-
-@kernel(inline="always")
-def _earliest(node, first, face, mesh, front):
-    """The earliest corner of a face with the vertex."""
-    around, earliest, soonest = front.around, node, front.time[node]
-    for k in range(1, 3):
-        other = around.corners[face, k]
-        if around.lent[other] < soonest:
-            earliest, soonest = np.int64(mesh.link[first + other]), around.lent[other]
-    return earliest
-
-
-@kernel(inline="always")
-def _pass_on(node, mesh, front, size):
-    """Enter the neighbours that were lowered into the queue; returns its size."""
-    time, origin, around = front.time, front.origin, front.around
-    first = mesh.link_start[node]
-    for k in range(mesh.link_start[node + 1] - first):
-        by = around.by[k]
-        if by == NOT_LOWERED:
-            continue
-        source = _earliest(node, first, by, mesh, front) if by >= 0 else node
-        other = np.int64(mesh.link[first + k])
-        time[other], origin[other] = around.time[k], origin[source]
-        size = lower(other, time, front.queue, size)
+        c, k = around.face.row[i], around.face.corner[i]
+        e, node, at = around.chosen.item[c], around.chosen.vertex[c], around.chosen.at[c]
+        lane = (i // LANES) * FACES_BLOCK + i % LANES
+        arrival = around.now[at] + around.faces[lane + DELAY]
+        first = mesh.link_start[node]
+        other = np.int64(mesh.link[first + mesh.others[e, k]])
+        if arrival < time[other] - SETTLED:
+            # the origin of the face's earliest corner
+            source, soonest = np.int64(node), 0.0
+            for m in range(2):
+                if around.faces[lane + TJ + m * LANES] < soonest:
+                    soonest = around.faces[lane + TJ + m * LANES]
+                    source = np.int64(mesh.link[first + mesh.others[e, REST[k, m]]])
+            time[other], front.origin[other] = arrival, front.origin[source]
+            size = lower(other, time, front.queue, size)
     return size
 
 
 @kernel(inline="always")
-def through_star(node, mesh, front, size):
-    """From a vertex along its edges and through the elements around it; returns the queue's size.
+def through_stars(taken, mesh, front, size):
+    """From a batch of vertices along their edges and through the elements around them.
+
+    Returns the queue's size.
 
     Parameters
     ----------
-    node : int
-        The vertex.
+    taken : int
+        How many vertices are in `front.around.batch`.
     mesh, front : EikonalMesh, Front
         See `fascicle.kernels.arrays`.
     size : int
         How many nodes are in the queue.
     """
-    now, around = front.time[node], front.around
-    _through_edges(node, mesh, front)
-    count = _choose(node, mesh, front)
-    _lay_out(count, now, mesh, around)
+    around, bucket = front.around, front.queue.bucket
+    room, chosen = len(around.time) // len(around.batch), np.uint64(0)
+    for k in range(taken):
+        node = around.batch[k]
+        if bucket[node] != IN_BATCH:
+            continue  # lowered by another of the batch, it is to be taken again
+        bucket[node] = WAITS_NOT
+        at = np.uint32(k * room)
+        around.now[at] = front.time[node]
+        size = _through_edges(node, at, mesh, front, size)
+        chosen = _choose(node, at, chosen, mesh, front)
+    count = np.int64(chosen)
+    _lay_out(count, mesh, front)
     for first in range(0, count, LANES):
         block = (first // LANES) * ELEMENTS_BLOCK
         _slopes(around.elements[block : block + ELEMENTS_BLOCK])
-    count = _faces(count, now, mesh, around)
+    count = _faces(count, front)
+    _lay_out_faces(count, mesh, around)
     for first in range(0, count, LANES):
         block = (first // LANES) * FACES_BLOCK
         _delays(around.faces[block : block + FACES_BLOCK])
-    _take(count, now, around)
-    return _pass_on(node, mesh, front, size)
+    return _take(count, mesh, front, size)

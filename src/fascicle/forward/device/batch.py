@@ -28,7 +28,7 @@ from fascicle.forward.device.source import (
 from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS, NODE
-from fascicle.kernels.deposit import CHANNELS
+from fascicle.kernels.channels import CHANNELS
 from fascicle.purkinje.growth import GrowthRules
 
 # Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the

@@ -19,9 +19,20 @@ from fascicle.forward.eikonal.ray_travel_times import (
     grouped,
     rays_between_sites,
 )
-from fascicle.kernels.arrays import CORNERS, EikonalMesh, Forest, Front, Queue, Sites, Surroundings
+from fascicle.kernels.arrays import (
+    CORNERS,
+    Chosen,
+    ChosenFaces,
+    EikonalMesh,
+    Forest,
+    Front,
+    Queue,
+    Sites,
+    Surroundings,
+)
 from fascicle.kernels.coupled import settle_trees, sweep
-from fascicle.kernels.star import ELEMENTS_BLOCK, FACES_BLOCK, LANES
+from fascicle.kernels.queue import LAST, RING, WAITS_NOT
+from fascicle.kernels.star import BATCH, ELEMENTS_BLOCK, FACES_BLOCK, LANES
 from fascicle.purkinje.tree import PurkinjeTree
 
 FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
@@ -290,23 +301,35 @@ def front_at_rest(mesh: EikonalMesh, tree_nodes: int, sites: int) -> Front:
         time=np.full(nodes, np.inf),
         origin=np.full(nodes, FROM_ROOT),
         entered_by=np.full(sites, -1),
-        queue=Queue(np.empty(nodes, dtype=np.int64), np.full(nodes, -1)),
+        queue=empty_queue(nodes),
         around=_room_around(mesh),
     )
 
 
+def empty_queue(nodes: int) -> Queue:
+    """A queue that may take so many nodes and holds none."""
+    return Queue(
+        head=np.full(RING, -1, np.int32),
+        before=np.empty(nodes, np.int32),
+        after=np.empty(nodes, np.int32),
+        bucket=np.full(nodes, WAITS_NOT, np.int32),
+        now=np.array([LAST], np.int64),
+    )
+
+
 def _room_around(mesh: EikonalMesh) -> Surroundings:
-    """Room for what is around any of the vertices, and for one item that is written over."""
-    neighbours = int(np.diff(mesh.link_start).max(initial=0))
-    elements = int(np.diff(mesh.star_start).max(initial=0)) + 1
+    """Room for what is around any batch of vertices, and for one item that is written over."""
+    neighbours = BATCH * int(np.diff(mesh.link_start).max(initial=0))
+    elements = BATCH * int(np.diff(mesh.star_start).max(initial=0)) + 1
     faces = (CORNERS - 1) * elements
     return Surroundings(
+        batch=np.empty(BATCH, dtype=np.int64),
+        now=np.empty(neighbours),
         time=np.empty(neighbours),
         lent=np.empty(neighbours),
-        by=np.empty(neighbours, dtype=np.int64),
-        chosen=np.empty((elements, 2), dtype=np.uint32),
+        chosen=Chosen(*np.empty((4, elements), np.uint32)),
         elements=np.zeros(-(-elements // LANES) * ELEMENTS_BLOCK),
-        corners=np.empty((faces, CORNERS - 1), dtype=np.uint16),
+        face=ChosenFaces(*np.empty((2, faces), np.uint32)),
         faces=np.zeros(-(-faces // LANES) * FACES_BLOCK),
     )
 

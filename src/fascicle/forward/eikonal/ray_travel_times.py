@@ -35,6 +35,7 @@ RAYS_PER_VERTEX = 150
 MOST = 8_000_000
 SAMPLE = 500  # triangles by which the number of rays is estimated
 CHUNK = 1024  # triangles worked on at a time, which bounds the memory
+AROUND = 16  # sites within reach of a site, usually
 SILENCE = 1.0  # s before the first report of progress
 
 
@@ -190,12 +191,14 @@ def find_neighbourhood(
 def rays_between_sites(neighbourhood: SiteNeighbourhood, mesh: EikonalMesh) -> RayTravelTimes:
     """Find the ray travel times from sites to the other sites around them."""
     sites, to_vertices = neighbourhood
-    vertices, attached = len(mesh.vertices), np.flatnonzero(sites.elements >= 0)
-    first_start, order = grouped(mesh.corners[sites.elements[attached], 0], vertices)
-    rays = _room(len(sites.elements), int(np.diff(first_start)[to_vertices.target].sum()))
-    time_to = np.full(vertices, np.inf)
-    rays_to_sites(sites, first_start, attached[order], mesh, to_vertices, time_to, rays)
-    return _used(rays)
+    attached = np.flatnonzero(sites.elements >= 0)
+    first = mesh.corners[sites.elements[attached], 0]
+    order = np.argsort(first, kind="stable")
+    time_to = np.full(len(mesh.vertices), np.inf)
+    room = _room(len(sites.elements), AROUND * len(attached) + 1)
+    return _used(
+        rays_to_sites(sites, attached[order], first[order], mesh, to_vertices, time_to, room)
+    )
 
 
 def _room(sites: int, most: int) -> RayTravelTimes:
