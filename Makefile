@@ -7,20 +7,22 @@ BIN := $(VENV)/bin
 # on all cores, tests of one file together, since they share what takes long to make
 PYTEST := $(BIN)/pytest -n auto --dist loadfile
 INSTALLED := $(VENV)/.installed
+KERNELS := src/fascicle/kernels
+COMPILED := $(VENV)/.compiled
 
 .PHONY: demo test test-slow docs clean
 
-demo: $(INSTALLED)
+demo: $(INSTALLED) $(COMPILED)
 	$(BIN)/fascicle demo
 
-test: $(INSTALLED)
+test: $(INSTALLED) $(COMPILED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(PYTEST) -m "not slow"
 
-test-slow: $(INSTALLED)
+test-slow: $(INSTALLED) $(COMPILED)
 	$(PYTEST) -m slow
 
 docs: $(INSTALLED)
@@ -33,6 +35,11 @@ $(INSTALLED): pyproject.toml constraints.txt
 		{ echo "fascicle needs Python 3.11 or newer; try: make $(MAKECMDGOALS) PYTHON=python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+# Numba does not see that what a kernel imports has changed: all are compiled anew if any has.
+$(COMPILED): $(INSTALLED) $(wildcard $(KERNELS)/*.py)
+	rm -f $(KERNELS)/__pycache__/*.nb[ic]
 	@touch $@
 
 clean:
