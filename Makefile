@@ -1,5 +1,5 @@
-# Two commands: `make demo` and `make test`; `make test-slow` runs the slow tests, `make docs` builds
-# the documentation. All set up .venv first, once.
+# Three commands: `make demo`, `make test` and `make test-slow`; `make docs` builds the documentation.
+# All set up .venv first, once.
 
 PYTHON ?= python3
 VENV := .venv

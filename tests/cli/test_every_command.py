@@ -118,6 +118,12 @@ def test_what_takes_long_says_how_long_it_took(run, monkeypatch, tmp_path):
     assert re.fullmatch(STAMP + r"took \d s", log.read_text().splitlines()[-1])
 
 
+def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):
+    assert 'site = "left bundle"' in run("scenarios", "left-bundle-pacing").out
+    refused(["scenarios", tmp_path / "none.toml"], "no such file")
+    refused(["scenarios", "his-pacin"], "did you mean 'his-pacing'")
+
+
 def test_log_that_cannot_be_written(refused, tmp_path):
     refused(["scenarios", "--log", tmp_path], tmp_path, "--log")
 

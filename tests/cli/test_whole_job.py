@@ -332,7 +332,7 @@ def test_a_report_against_another_scenario(study, tmp_path, monkeypatch, capsys)
     capsys.readouterr()
     assert run(monkeypatch, *asked, "--against", "blok") == 2
     error = capsys.readouterr().err
-    assert error.endswith("is none of the scenarios intrinsic, his-pacing\n")
+    assert error.endswith("intrinsic, his-pacing; add it to them (--scenario blok)\n")
 
 
 def test_gains_are_those_that_were_drawn(study):

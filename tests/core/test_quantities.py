@@ -153,3 +153,8 @@ def test_impossible_rules_of_growth_are_refused(wrong):
 def test_impossible_conduction_is_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         Conduction(**wrong)
+
+
+def test_groups_are_among_what_may_have_been_meant():
+    with pytest.raises(InputError, match="did you mean 'pose'"):
+        quantity("poses")

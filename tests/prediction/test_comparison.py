@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.forward.scenario import Scenario
-from fascicle.prediction.comparison import FEWEST, compare
+from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
+from fascicle.prediction.comparison import FEWEST, compare, undone_blocks
 from fascicle.prediction.predicted import Predicted
 
 
@@ -37,6 +38,32 @@ def test_counts_networks():
         "0 ms (0 to 0)"
     )
     assert compare(b, a, "qrs_duration").probability() == 1 - found.probability()
+
+
+def test_a_threshold_is_a_number():
+    found = compare(*[predicted(qrs_duration=[1.0, 2.0])] * 2, "qrs_duration")
+    with pytest.raises(InputError, match="threshold is '10'; give a number"):
+        found.probability("10")
+
+
+def test_a_pacing_without_the_block_it_is_compared_with():
+    pacing = Scenario(stimuli=(Stimulus(0.0, site="rv apex"),), his=His(time=np.inf))
+    slow = Slowing("lv", 0.0, part="fascicle 1")
+    scenarios = {
+        "block": Scenario(his=His(left=0.0), slowings=(slow,)),
+        "intrinsic": Scenario(),
+        "his": Scenario(his=His(root_time=0.0)),
+        "pacing": pacing,
+        "half": replace(pacing, his=His(time=np.inf, left=0.0)),
+        "blocked": replace(pacing, his=His(time=np.inf, left=0.0), slowings=(slow,)),
+    }
+    found = {name: replace(predicted(), scenario=each) for name, each in scenarios.items()}
+    said = undone_blocks("pacing", found, "block")
+    assert said.startswith("in pacing LV fascicle 1 and the left bundle branch is not blocked, as")
+    assert "LV fascicle 1 is" in undone_blocks("half", found, "block")
+    for name in ("his", "intrinsic", "blocked", "block"):
+        assert undone_blocks(name, found, "block") == ""
+    assert undone_blocks("pacing", found, "intrinsic") == ""
 
 
 def test_other_networks_are_refused():

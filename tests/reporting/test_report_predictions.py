@@ -12,7 +12,7 @@ from fascicle.reporting.indices import SHOWN, index_figure
 from fascicle.reporting.names import index_label
 from fascicle.reporting.page.page import RESOLUTION
 from fascicle.reporting.priors import prior_figure
-from fascicle.reporting.sweep import bulls_eye_figure, curve_figure
+from fascicle.reporting.sweep import _bulls_eye, bulls_eye_figure, curve_figure
 
 
 def test_indices_of_scenarios_are_medians_and_intervals():
@@ -77,9 +77,27 @@ def test_bulls_eye_has_each_segment_in_its_place():
     assert np.hypot(*at(1)) > np.hypot(*at(7)) > np.hypot(*at(13)) > np.hypot(*at(17))
 
 
+@pytest.mark.parametrize(
+    "name", ["his-pacing", "a-pacing-with-a-name-that-is-much-longer-than-others" * 2]
+)
+def test_the_titles_of_a_sweep_name_the_scenario_and_are_whole(name):
+    delay = {0.0: np.ones(3), 10.0: np.ones(3)}
+    segment = {float(k): np.full(3, float(k)) for k in range(1, 18)}
+    for figure in (
+        curve_figure(delay, "total_activation_time", "delay (ms)", name),
+        _bulls_eye(segment, "total_activation_time", name),
+    ):
+        title = figure._suptitle
+        assert title.get_text().startswith(name[:10])
+        figure.draw_without_rendering()
+        box = title.get_window_extent()
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.x1
+
+
 def test_a_delay_has_its_median():
     values = {float(d): np.array([d, d + 1.0, d + 5.0]) for d in (-10, 0, 10)}
-    axes = curve_figure(values, "total_activation_time", "delay (ms)").axes[0]
+    axes = curve_figure(values, "total_activation_time", "delay (ms)", "pacing").axes[0]
     (line,) = axes.lines
     np.testing.assert_array_equal(line.get_xdata(), [-10, 0, 10])
     np.testing.assert_array_equal(line.get_ydata(), [-9, 1, 11])

@@ -107,7 +107,7 @@ def test_parts_hold_everything_in_order(count):
 
 
 @pytest.mark.parametrize(
-    ("count", "workers", "jobs"), [(1000, 2, 16), (1000, 64, 250), (1000, 1024, 256), (5, 2, 2)]
+    ("count", "workers", "jobs"), [(1000, 2, 16), (1000, 64, 125), (1000, 1024, 128), (5, 2, 2)]
 )
 def test_parts_are_as_many_as_workers_need_and_a_scheduler_passes(count, workers, jobs):
     assert len(parts(list(range(count)), workers)) == jobs

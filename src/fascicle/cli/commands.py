@@ -378,7 +378,7 @@ def sweep(
     from fascicle.study.fit import load_study
 
     check_index(index)
-    (case,) = read_scenarios([scenario]).values()
+    ((name, case),) = read_scenarios([scenario]).items()
     ways = {delays: delay, segments: layer, radii: radius}
     asked = [(vary, how) for vary, how in ways.items() if how is not None]
     if len(asked) != 1:
@@ -388,7 +388,7 @@ def sweep(
     with TerminalProgress() as progress:
         fitted = load_study(study, progress, pool_at(scheduler, progress))
         swept = simulate_sweep(fitted, family, networks, progress)
-        write_sweep(fitted, swept, index, out)
+        write_sweep(fitted, swept, name, index, out)
     print_verdict(fitted)
     print_sweep(swept, index)
     print(f"sweep in {out}")
@@ -397,10 +397,21 @@ def sweep(
 
 @app.command()
 @every_command
-def scenarios() -> Result:
+def scenarios(
+    name: Annotated[
+        str | None, typer.Argument(help="Print the file of this one, to copy and change.")
+    ] = None,
+) -> Result:
     """List the scenarios that come with fascicle, for `predict` and `simulate`."""
-    from fascicle.forward.scenario_files import library, read_scenario
+    from fascicle.core.files import check_file
+    from fascicle.forward.scenario_files import find_scenario, library, read_scenario
 
+    if name is not None:
+        path = find_scenario(name)
+        check_file(path, (".toml",), "scenario")
+        text = path.read_text(encoding="utf-8")
+        print(text, end="")
+        return {"name": name, "file": text}
     found = {name: read_scenario(path)[0].description for name, path in library().items()}
     for name, description in found.items():
         print(f"{name:<34}{description}")

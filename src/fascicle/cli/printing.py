@@ -219,6 +219,8 @@ def print_comparison(
 
     one, other = (predicted[name] for name in names)
     _print_capture({name: predicted[name] for name in names})
+    for said in _undone(names, predicted):
+        print(f"warning: {said}")
     print(f"{' against '.join(names)}, {len(one.beats)} networks")
     print(f"{'less is better':<24}{'probability':<14}{'median gain (90 % of the networks)'}")
     for name in COMPARED:
@@ -240,6 +242,15 @@ def print_comparison(
         print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
 
 
+def _undone(names: Sequence[str], predicted: Mapping[str, Predicted]) -> list[str]:
+    """What is to be known of two scenarios of which one blocks what the other does not."""
+    from fascicle.prediction.comparison import undone_blocks
+
+    first, second = names
+    pairs = (first, second), (second, first)
+    return [said for a, b in pairs if (said := undone_blocks(a, predicted, b))]
+
+
 def comparison_result(
     names: Sequence[str],
     predicted: Mapping[str, Predicted],
@@ -256,6 +267,7 @@ def comparison_result(
     chosen = compared[index]
     return {
         "scenarios": list(names),
+        "warnings": _undone(names, predicted),
         "networks": len(one.beats),
         "indices": {
             name: {

@@ -231,7 +231,7 @@ def quantity(name: str) -> Quantity:
         return QUANTITIES[name]
     match = _REGION.fullmatch(str(name))
     if match is None:
-        near = difflib.get_close_matches(str(name), QUANTITIES, n=1)
+        near = difflib.get_close_matches(str(name), [*QUANTITIES, *GROUPS], n=1)
         hint = f"did you mean '{near[0]}'?" if near else "'fascicle parameters' lists what there is"
         raise InputError(f"unknown parameter '{name}'; {hint}")
     return Quantity(

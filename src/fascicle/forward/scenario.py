@@ -296,6 +296,17 @@ class Scenario:
         return min(times) if times else None
 
     @property
+    def blocks(self) -> set[str]:
+        """What it blocks, in words."""
+        his = self.his or His()
+        branches = {side for side in ("left", "right") if getattr(his, side) == 0}
+        blocked = [slowing for slowing in self.slowings if slowing.speed == 0]
+        return {f"the {side} bundle branch" for side in branches} | {
+            f"{s.tree.upper()} {s.part or ('tree' if s.centre is None else f'tree at {s.centre}')}"
+            for s in blocked
+        }
+
+    @property
     def points(self) -> Floats:
         """Positions of the stimuli in the myocardium (mm), shape (s, 3)."""
         positions = [s.place for s in self.stimuli if s.tree is None]

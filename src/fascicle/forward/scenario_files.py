@@ -215,7 +215,7 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
                 f"{path}: has regions; put them into the heart (heart.toml) and fit anew"
             )
         if path.stem in found:
-            raise InputError(f"two scenarios are called '{path.stem}'; rename one")
+            raise InputError(f"two scenarios are called '{path.stem}'; give another, or rename one")
         found[path.stem] = scenario
     return found
 

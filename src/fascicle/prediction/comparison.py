@@ -11,7 +11,7 @@ from scipy.stats import rankdata
 from fascicle.core.arrays import Floats
 from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
-from fascicle.core.ranges import check_kind
+from fascicle.core.ranges import check_kind, within
 from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
@@ -30,6 +30,29 @@ MEASURABLE = {
     (OWN_BEAT, "lv_rv_delay"): 5.0,
     (OWN_BEAT, "lv_activation_time"): 5.0,
 }
+
+
+def undone_blocks(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
+    """Say that a pacing lacks a block of what it is compared with; empty if it does not.
+
+    His bundle pacing, which may capture below a block, is no such pacing.
+
+    Parameters
+    ----------
+    name, against : str
+        The pacing, and the scenario that it is compared with.
+    predicted : mapping of name to Predicted
+        Both of them.
+    """
+    pacing, other = predicted[name].scenario, predicted[against].scenario
+    missing = sorted(other.blocks - pacing.blocks)
+    if not missing or not pacing.stimuli:
+        return ""
+    return (
+        f"in {name} {' and '.join(missing)} is not blocked, as in {against}, so that its gain is "
+        "also that of having no block; give the pacing the block, too (docs/predictions.md, "
+        "'Blocks')"
+    )
 
 
 @dataclass(frozen=True)
@@ -55,6 +78,7 @@ class Comparison:
 
     def probability(self, threshold: float = 0.0) -> float:
         """How probable it is that the first gains more than a threshold; of ties, half counts."""
+        threshold = within("threshold", threshold, "threshold")
         more, same = self.gains > threshold, self.gains == threshold
         return float(more.mean() + same.mean() / 2)
 

@@ -22,12 +22,14 @@ from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.sweeps import SEGMENT, Swept
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure, save
+from fascicle.reporting.fitted_text import INCH, wrapped
 from fascicle.reporting.names import index_label, index_name
 from fascicle.reporting.prediction import index_table
 from fascicle.study.caution import caution_text
 from fascicle.study.fitted import FittedStudy
 
 SIZE, EYE = (5.6, 3.6), (4.6, 4.2)  # inch
+TITLE_SHARE = 0.95  # of a figure's width
 HALF, MOST = (25, 75), (5, 95)  # percentiles of the bands
 COLOURS = "cividis_r"  # ordered for every colour vision; less is lighter, and better
 # Rings of the bull's eye from outside: how many sectors, and the middle of the first one (degrees
@@ -35,7 +37,7 @@ COLOURS = "cividis_r"  # ordered for every colour vision; less is lighter, and b
 RINGS = ((6, 90.0), (6, 90.0), (4, 90.0), (1, 90.0))
 
 
-def write_sweep(fitted: FittedStudy, swept: Swept, index: str, out: Path) -> None:
+def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: Path) -> None:
     """Write what a family of scenarios does.
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``
@@ -47,8 +49,8 @@ def write_sweep(fitted: FittedStudy, swept: Swept, index: str, out: Path) -> Non
         The study.
     swept : Swept
         What `fascicle.prediction.sweeps.simulate_sweep` found.
-    index : str
-        What to draw.
+    name, index : str
+        Of the scenario that was varied, and what to draw.
     out : Path
         Folder to write.
     """
@@ -63,24 +65,33 @@ def write_sweep(fitted: FittedStudy, swept: Swept, index: str, out: Path) -> Non
         "medians": dict(zip(named, medians, strict=True)),
         "impossible": {swept.called(key): why for key, why in swept.impossible.items()},
     }
-    draw = _bulls_eye if swept.varied == SEGMENT else partial(curve_figure, varied=swept.varied)
+    draw = partial(_bulls_eye, name=name)
+    if swept.varied != SEGMENT:
+        draw = partial(curve_figure, varied=swept.varied, name=name)
     with atomic_folder(out) as folder:
         write_text(folder / "indices.csv", index_table(named))
         write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
         save(draw(values, index), folder / "sweep.png", content["caution"])
 
 
-def _bulls_eye(values: Mapping[float, Floats], index: str) -> Figure:
+def _bulls_eye(values: Mapping[float, Floats], index: str, name: str) -> Figure:
     """Medians of an index with the stimulus in each segment; of a delay, of its size."""
-    medians, title = np.full(len(SEGMENTS), np.nan), f"Median {index_name(index)}"
+    medians, title = np.full(len(SEGMENTS), np.nan), f"median {index_name(index)}"
     for key, each in values.items():
         medians[int(key) - 1] = np.nanmedian(np.abs(each) if index in SIGNED else each)
     if index in SIGNED:
         title += ", either way,"
-    return bulls_eye_figure(medians, f"{title} with the stimulus in each segment", INDICES[index])
+    title = f"{name}: {title}, stimulus in each segment"
+    return bulls_eye_figure(medians, title, INDICES[index])
 
 
-def curve_figure(values: Mapping[float, Floats], index: str, varied: str) -> Figure:
+def _head(figure: Figure, title: str, wide: float) -> None:
+    """Write a title in as many lines as a figure of this width (inch) asks for."""
+    lines = wrapped(title, style.TITLE_SIZE, TITLE_SHARE * wide * INCH)
+    style.set_title(figure, "\n".join(lines))
+
+
+def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: str) -> Figure:
     """Draw an index over what was varied.
 
     Parameters
@@ -91,6 +102,8 @@ def curve_figure(values: Mapping[float, Floats], index: str, varied: str) -> Fig
         One of `INDICES`.
     varied : str
         What was varied, and its unit.
+    name : str
+        Of the scenario.
 
     Returns
     -------
@@ -105,7 +118,8 @@ def curve_figure(values: Mapping[float, Floats], index: str, varied: str) -> Fig
         axes.fill_between(list(values), low, high, color=style.VERMILION, alpha=opacity, lw=0)
     axes.plot(list(values), np.nanmedian(found, axis=1), "o-", color=style.VERMILION, ms=3.0)
     style.finish_axes(axes, x=varied, y=index_label(index))
-    style.set_title(figure, "Median, half and 90 % of the networks")
+    title = f"{name}: median, half and 90 % of the networks"
+    _head(figure, title, SIZE[0])
     return figure
 
 
@@ -143,7 +157,7 @@ def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
     bar = figure.colorbar(colours, ax=axes, fraction=0.04, pad=0.08)
     bar.set_label(unit, fontsize=style.LABEL_SIZE)
     bar.ax.tick_params(labelsize=style.TICK_SIZE)
-    style.set_title(figure, title)
+    _head(figure, title, EYE[0])
     return figure
 
 

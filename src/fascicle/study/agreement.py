@@ -61,9 +61,9 @@ class Agreement:
             "correlation": by_lead(self.correlation, self.correlation_over_all),
         }
         for name, value in self.recorded.items():
-            shares = (round(share, 1) for share in self.percentiles(name))
+            shares = (round(share, 3) for share in self.percentiles(name))
             networks = dict(zip(("5 %", "median", "95 %"), shares, strict=True))
-            content[name] = {"recorded": round(value, 1), "networks": networks}
+            content[name] = {"recorded": round(value, 3), "networks": networks}
         return content
 
 

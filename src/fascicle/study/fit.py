@@ -63,8 +63,7 @@ def fit(
 
     Started again on the same folder it resumes, and gives exactly the result of a run that was
     never interrupted. The numbers of steps and samples may then be others: what is stored is used
-    again. So may that of workers, which decides how many points a step of the optimisation
-    proposes; steps that were taken stay as they are.
+    again. So may that of workers.
 
     Parameters
     ----------

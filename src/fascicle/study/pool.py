@@ -25,8 +25,8 @@ Result = TypeVar("Result")
 
 # How items become jobs: a scheduler passes some hundreds a second, and workers should end together
 JOBS = 8  # a worker and call at most
-FEWEST = 4  # items of each, if there are then enough jobs for all workers
-CROWD = 256  # jobs that are enough, however many workers there are
+FEWEST = 8  # items of each, if there are then enough jobs for all workers
+CROWD = 128  # jobs that are enough, however many workers there are
 
 
 class Question(Protocol):

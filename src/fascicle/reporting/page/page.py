@@ -144,7 +144,7 @@ def report(
     if against not in scenarios:
         raise InputError(
             f"'{against}', which others are to be compared with, is none of the scenarios "
-            f"{', '.join(scenarios)}"
+            f"{', '.join(scenarios)}; add it to them (--scenario {against})"
         )
     out = as_path(out, "out") if out is not None else fitted.folder / "report.html"
     check_writable(out)
