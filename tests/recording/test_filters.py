@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from quality_recordings import beating
+from scipy.signal import butter, sosfiltfilt
 
+from fascicle.cli.demo import demo_recording
 from fascicle.core.errors import InputError
 from fascicle.recording.choices import Choices
 from fascicle.recording.detection import r_peaks
@@ -20,6 +22,7 @@ from fascicle.recording.filters import (
 )
 from fascicle.recording.passed_filters import passed_filters
 from fascicle.recording.pipeline import analyse
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 from fascicle.recording.resampling import filtered
 from fascicle.study.recordings import target_digest
@@ -112,3 +115,17 @@ def test_a_target_knows_what_it_has_passed():
     assert target_digest(stated) != target_digest(plain)
     other = replace(stated, filters=(replace(stated.filters[0], origin=FilterOrigin.ESTIMATED),))
     assert target_digest(other) == target_digest(stated)
+
+
+def test_a_stated_lowpass_is_set_against_the_spectrum():
+    whole = replace(read_recording(demo_recording()), filters=Filters())
+    rate = whole.sampling_rate
+    steep = butter(10, 40.0, fs=rate, output="sos")
+    smoothed = replace(whole, signal=sosfiltfilt(steep, np.nan_to_num(whole.signal)))
+
+    def said(recording, **choices):
+        return analyse(recording, Choices(**choices)).target.provenance["warnings"]
+
+    assert "the spectrum shows a low-pass at 3" in said(smoothed, recorder_lowpass=60.0)
+    assert "the spectrum shows" not in said(smoothed)
+    assert "the spectrum shows" not in said(whole, recorder_lowpass=60.0)

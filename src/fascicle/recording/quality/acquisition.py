@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.recording.filter_estimate import estimated_lowpass
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.quality.finding import Check, Finding, Severity
 from fascicle.recording.quality.lead_signals import UV_PER_MV, measured
@@ -17,6 +19,8 @@ DURATION = Check("duration", "s", 5.0)  # half of the 10 s of a standard recordi
 LOWPASS = Check("recorder's low-pass", "Hz", 150.0)  # for adults: AHA/ACC/HRS
 HIGHPASS = Check("recorder's high-pass", "Hz", 0.5)  # above it the QRS itself changes, not only ST
 MAINS_FILTER = Check("recorder's mains filter", "Hz", np.nan)
+AS_STATED = 1.1  # ratio of cut-offs that may be one
+STEEPER = 2.0  # ratio of orders from which on a filter rings otherwise
 STRONG_LOWPASS = 40.0  # Hz; at and below it small deflections of the QRS vanish
 
 STEP = Check("amplitude step", "uV", 20.0)  # recorders store 5 uV or finer
@@ -46,12 +50,12 @@ def check_extent_in_time(recording: Recording, n_beats: int) -> list[Finding]:
     return [RATE.found(rate, slow), DURATION.found(duration, short)]
 
 
-def check_filters(recording: Recording, passed: Sequence[Filter]) -> list[Finding]:
+def check_filters(recording: Recording, peaks: Integers, passed: Sequence[Filter]) -> list[Finding]:
     """Say what the recorder's filters do to the QRS.
 
     The figures are the low-pass, high-pass and notch (Hz); NaN where none is known, which is fine.
     Of the filters that were `passed` the recorder's low-pass counts, which is not always in the
-    file.
+    file; one that the user states is set against the spectrum of the beats about the `peaks`.
 
     References
     ----------
@@ -68,6 +72,8 @@ def check_filters(recording: Recording, passed: Sequence[Filter]) -> list[Findin
             f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{known} {much}smooths the QRS "
             f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered"
         )
+    if lowpass is not None and lowpass.origin is FilterOrigin.STATED:
+        low = "; ".join(filter(None, (low, _contradicted(lowpass, recording, peaks))))
     if filters.highpass is not None and filters.highpass > HIGHPASS.limit:
         high = (
             f"the recorder's high-pass at {filters.highpass:g} Hz bends the QRS and ST (0.05 Hz "
@@ -80,6 +86,21 @@ def check_filters(recording: Recording, passed: Sequence[Filter]) -> list[Findin
         HIGHPASS.found(_or_nan(filters.highpass), high),
         MAINS_FILTER.found(_or_nan(filters.notch), notch, Severity.FINE),
     ]
+
+
+def _contradicted(stated: Filter, recording: Recording, peaks: Integers) -> str:
+    """Say that the spectrum shows another low-pass than the user states; empty if it does not."""
+    seen = estimated_lowpass(recording.signal, recording.sampling_rate, peaks)
+    if seen is None:
+        return ""
+    apart = abs(math.log(seen.frequency / stated.frequency)) > math.log(AS_STATED)
+    if not apart and seen.shape < STEEPER * stated.shape:
+        return ""
+    return (
+        f"the spectrum shows a low-pass at {seen.frequency:.3g} Hz of order {seen.shape:.2g}, not "
+        f"one at {stated.frequency:.3g} Hz of order {stated.shape:.2g}, as --recorder-lowpass is "
+        "taken: it rings, and the QRS is marked too wide unless that option is left out"
+    )
 
 
 def _recorder_lowpass(filters: Sequence[Filter]) -> Filter | None:

@@ -45,5 +45,5 @@ def check_recording(
         *disturbances.check_wander(recording),
         *acquisition.check_resolution(recording),
         *acquisition.check_extent_in_time(recording, len(peaks)),
-        *acquisition.check_filters(recording, filters),
+        *acquisition.check_filters(recording, peaks, filters),
     )
