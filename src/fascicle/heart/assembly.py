@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.core.ranges import check_array
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.endocardium import oriented_into_cavity
 from fascicle.heart.heart import Heart
@@ -117,6 +118,7 @@ def _surface(side: str, surface: MeshFile) -> tuple[Floats, Integers]:
             f"{name}: {unused} of {len(surface.points)} points belong to no triangle; remove them "
             "(ParaView: Clean)"
         )
+    check_array("coordinate", surface.points, f"{name}: a coordinate")
     return surface.points, oriented_into_cavity(surface.points, triangles, name)
 
 

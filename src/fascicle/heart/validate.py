@@ -23,6 +23,7 @@ FURTHEST_ENDOCARDIUM = 5.0  # mm, median distance of an endocardium to the tissu
 ELECTRODES_EXTENT = (120.0, 1200.0)  # mm, of most; the chest's alone 150 to 250 on an adult
 MOST_ELECTRODES = 7  # the two furthest may be misplaced
 FURTHEST_ELECTRODE = 1500.0  # mm
+LONGEST_FIBRE = 1e100  # any length serves, as long as its square is a number
 
 
 def check_units(name: str, points: Floats, limits: tuple[float, float] = HEART_EXTENT) -> None:
@@ -109,12 +110,12 @@ def _check_no_overlap(name: str, tetrahedra: Integers) -> None:
 
 
 def check_fibres(name: str, fibres: Floats) -> None:
-    """Refuse fibre directions that are not finite or have no length."""
-    bad = np.flatnonzero(~np.isfinite(fibres).all(axis=1))
+    """Refuse fibre directions that are not finite, far too long, or have no length."""
+    bad = np.flatnonzero(~(np.abs(fibres) < LONGEST_FIBRE).all(axis=1))
     if bad.size:
         raise InputError(
-            f"{name}: {bad.size} of {len(fibres)} fibres are not finite (first: {bad[0]}); "
-            "correct them"
+            f"{name}: {bad.size} of {len(fibres)} fibres are not finite, or longer than "
+            f"{LONGEST_FIBRE:g} (first: {bad[0]}); correct them"
         )
     bad = np.flatnonzero(np.linalg.norm(fibres, axis=1) < 1e-6)
     if bad.size:

@@ -95,10 +95,14 @@ def build_chart(endocardium: Endocardium) -> Chart:
 
 
 def stretch(metric: Floats) -> Floats:
-    """Ratio of the largest to the smallest stretch for each metric (m, 3), shape (m,)."""
+    """Ratio of the largest to the smallest stretch for each metric (m, 3), shape (m,).
+
+    Infinite where a triangle is a line.
+    """
     g11, g12, g22 = metric.T
     mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)
-    return np.asarray(np.sqrt((mean + half) / (mean - half)))
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.sqrt((mean + half) / (mean - half)))
 
 
 def signed_areas(points: Floats, triangles: Integers) -> Floats:
@@ -137,7 +141,8 @@ def _mean_value_map(
         to_j, to_l = vertices[j] - vertices[i], vertices[l] - vertices[i]
         length_j, length_l = np.linalg.norm(to_j, axis=1), np.linalg.norm(to_l, axis=1)
         cosine = np.einsum("ij,ij->i", to_j, to_l) / (length_j * length_l)
-        half_tangent = np.sqrt((1 - cosine) / (1 + cosine))  # tan(α/2)
+        with np.errstate(divide="ignore"):  # of a triangle that is a line; see below
+            half_tangent = np.sqrt((1 - cosine) / (1 + cosine))  # tan(α/2)
         for column, length in ((j, length_j), (l, length_l)):
             weights += sp.csr_matrix((half_tangent / length, (i, column)), shape=(n, n))
     inner = np.setdiff1d(np.arange(n), loop)
