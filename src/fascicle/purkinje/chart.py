@@ -102,7 +102,7 @@ def stretch(metric: Floats) -> Floats:
     g11, g12, g22 = metric.T
     mean, half = (g11 + g22) / 2, np.hypot((g11 - g22) / 2, g12)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.sqrt((mean + half) / (mean - half)))
+        return np.asarray(np.sqrt((mean + half) / np.maximum(mean - half, 0.0)))
 
 
 def signed_areas(points: Floats, triangles: Integers) -> Floats:
@@ -141,6 +141,7 @@ def _mean_value_map(
         to_j, to_l = vertices[j] - vertices[i], vertices[l] - vertices[i]
         length_j, length_l = np.linalg.norm(to_j, axis=1), np.linalg.norm(to_l, axis=1)
         cosine = np.einsum("ij,ij->i", to_j, to_l) / (length_j * length_l)
+        cosine = cosine.clip(-1.0, 1.0)  # but for rounding
         with np.errstate(divide="ignore"):  # of a triangle that is a line; see below
             half_tangent = np.sqrt((1 - cosine) / (1 + cosine))  # tan(α/2)
         for column, length in ((j, length_j), (l, length_l)):
