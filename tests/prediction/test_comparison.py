@@ -59,8 +59,10 @@ def test_a_pacing_without_the_block_it_is_compared_with():
     }
     found = {name: replace(predicted(), scenario=each) for name, each in scenarios.items()}
     said = undone_blocks("pacing", found, "block")
-    assert said.startswith("in pacing LV fascicle 1 and the left bundle branch is not blocked, as")
-    assert "LV fascicle 1 is" in undone_blocks("half", found, "block")
+    assert said.startswith(
+        "block blocks LV fascicle 1 and the left bundle branch, and pacing does not: its gain is"
+    )
+    assert "block blocks LV fascicle 1, and half" in undone_blocks("half", found, "block")
     for name in ("his", "intrinsic", "blocked", "block"):
         assert undone_blocks(name, found, "block") == ""
     assert undone_blocks("pacing", found, "intrinsic") == ""

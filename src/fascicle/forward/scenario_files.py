@@ -169,6 +169,11 @@ def library() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
+def name_in_library(scenario: Scenario) -> str | None:
+    """What the `library` calls a scenario that was read from it; None of any other."""
+    return next((name for name, path in library().items() if str(path) == scenario.source), None)
+
+
 def find_scenario(name: str) -> Path:
     """The file of a scenario of the `library`, or of one's own.
 

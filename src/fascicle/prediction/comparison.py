@@ -49,9 +49,8 @@ def undone_blocks(name: str, predicted: Mapping[str, Predicted], against: str) -
     if not missing or not pacing.stimuli:
         return ""
     return (
-        f"in {name} {' and '.join(missing)} is not blocked, as in {against}, so that its gain is "
-        "also that of having no block; give the pacing the block, too (docs/predictions.md, "
-        "'Blocks')"
+        f"{against} blocks {' and '.join(missing)}, and {name} does not: its gain is also that of "
+        "having no block; give the pacing the block, too (docs/predictions.md, 'Blocks')"
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario, Stimulus
-from fascicle.forward.scenario_files import library
+from fascicle.forward.scenario_files import name_in_library
 from fascicle.heart.segments import SEGMENTS
 from fascicle.heart.sites import LAYERS
 from fascicle.prediction.predicted import Predicted
@@ -186,8 +186,7 @@ def radii(scenario: Scenario, given: str) -> Sweep:
 
 def _called(scenario: Scenario) -> str:
     """Its name, if it is of the library, or its file."""
-    source = scenario.source or "the scenario"
-    return next((name for name, path in library().items() if str(path) == source), source)
+    return name_in_library(scenario) or scenario.source or "the scenario"
 
 
 def _numbers(given: str) -> list[float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +22,7 @@ from fascicle.heart.heart import Heart
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
-from fascicle.reporting.fitted_text import INCH, shortened
+from fascicle.reporting.fitted_text import INCH, shortened, wrapped
 from fascicle.reporting.rendering import (
     View,
     add_polygons,
@@ -54,7 +53,6 @@ SCALE_ROOM = 0.25  # inch, below
 BAR_SHARE = 0.9  # of the height
 ROW_NAME = (-0.02, 0.5)  # of the first panel
 MOST_TIMES = 10  # of the colour bar
-LETTER, POINTS = 0.6, 72  # width of most letters, of the size of the font; points in an inch
 SEAM = 1.5  # points; a dark edge lets the light, early colours stand out from the wall
 FAR: dict[str, float] = {"linewidths": 0.9, "alpha": 1.0}  # of a tree's segments
 NEAR: dict[str, float] = {"linewidths": 0.6, "alpha": 0.35}
@@ -145,8 +143,8 @@ def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) ->
         ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28,
         shrink=BAR_SHARE, ticks=norm.boundaries[:: 1 + len(norm.boundaries) // MOST_TIMES],
     )  # fmt: skip
-    letters = int(POINTS * BAR_SHARE * high / (LETTER * style.LABEL_SIZE))
-    lines = [textwrap.fill(line, letters) for line in what.split("\n")]
+    along = INCH * BAR_SHARE * high
+    lines = [part for line in what.split("\n") for part in wrapped(line, style.LABEL_SIZE, along)]
     bar.set_label("\n".join(lines), fontsize=style.LABEL_SIZE)
     bar.ax.tick_params(labelsize=style.TICK_SIZE)
     return figure

@@ -27,7 +27,7 @@ from fascicle.study.study import Study
 from fascicle.study.verdict import explained, how_to_go_on, verdict
 
 FEWEST_BEATS = 30  # below which a kernel density of their errors says little
-LEAST_EXPLAINED = 0.5  # share of the QRS; less is not the patient's network, whatever else it is
+LEAST_OF_THE_PAPER = 0.5  # share of the QRS; less is not the patient's network, by its method
 AT_END = 0.01  # share of a prior; nearer to its end a value was stopped, not found
 CROWDED = 0.4  # share of the networks in an outer tenth of a prior, where the prior has 0.1
 LEAST_CORRELATION = 0.7  # of a lead's QRS; below, less than half of it (0.7²) is explained
@@ -181,7 +181,7 @@ def _to_go_on(fitted: FittedStudy) -> str:
 
 def _unexplained(fitted: FittedStudy) -> str:
     """Warn of networks that are not the patient's; empty if they may be."""
-    if fitted.of_the_paper and fitted.explained < LEAST_EXPLAINED:
+    if fitted.of_the_paper and fitted.explained < LEAST_OF_THE_PAPER:
         return (
             f"the best network explains {max(fitted.explained, 0):.0%} of the recorded QRS: "
             "heart, body or ECG do not fit together; look at its size (--free-gain) and speed "

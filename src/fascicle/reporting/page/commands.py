@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from fascicle.core.parameters import Parameter, free
 from fascicle.core.quantities import SIDES, USUAL_FASCICLES, fascicles
-from fascicle.forward.scenario_files import library
+from fascicle.forward.scenario_files import name_in_library
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.recording.target import Target
@@ -84,12 +84,11 @@ def report_words(
     fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
 ) -> list[str]:
     """Words of the command that makes the page, with files of scenarios where they were."""
-    known = {str(path) for path in library().values()}
     words = ["fascicle", "report", str(fitted.folder)]
     for name, found in predicted.items():
-        source = found.scenario.source
         if name != OWN_BEAT:
-            words += ["--scenario", name if source is None or source in known else source]
+            own_file = None if name_in_library(found.scenario) else found.scenario.source
+            words += ["--scenario", own_file or name]
     return words if against == OWN_BEAT else [*words, "--against", against]
 
 
