@@ -28,7 +28,7 @@ from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium, fi
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
-from fascicle.kernels.arrays import EikonalMesh, TravelTimeTable
+from fascicle.kernels.arrays import EikonalMesh, TravelTimeTable, aligned
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
@@ -225,7 +225,7 @@ def load(
         for key in file.files:
             part, name = key.split(".")
             value = file[key]
-            parts[part][name] = value if value.ndim else value.item()
+            parts[part][name] = aligned(value) if value.ndim else value.item()
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
         heart = Heart(lv=lv, rv=rv, **parts["heart"])

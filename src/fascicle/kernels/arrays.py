@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+CACHE_LINE = 64  # bytes
 
 # The corners of a tetrahedron's faces, in ascending order: of the one opposite each corner
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
@@ -20,6 +22,21 @@ CELL_COLUMNS = 22
 
 # Columns of `EikonalMesh.solver`: the six pairs of corners in the order 01, 02, 03, 12, 13, 23
 PRODUCTS, SQUARES = 0, 6  # the first of six each
+
+
+def aligned(array: NDArray[Any]) -> NDArray[Any]:
+    """Copy an array to where a cache line begins, if it does not begin with one.
+
+    Memory comes from the system 16 bytes after that, and rows of a line's length, read in any
+    order, then lie in two lines each.
+    """
+    if array.ctypes.data % CACHE_LINE == 0:
+        return array
+    room = np.empty(array.nbytes + CACHE_LINE, np.uint8)
+    first = -room.ctypes.data % CACHE_LINE
+    copy = room[first : first + array.nbytes].view(array.dtype).reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 class EikonalMesh(NamedTuple):

@@ -5,7 +5,6 @@ from numba.core import types
 from numba.extending import intrinsic
 
 READ, KEEP, DATA = 0, 3, 1  # how LLVM is told that data will be read, and more than once
-CACHE_LINE = 64  # bytes
 
 
 @intrinsic

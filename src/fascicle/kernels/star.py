@@ -9,10 +9,10 @@ once.
 
 import numpy as np
 
-from fascicle.kernels.arrays import CORNERS, SQUARES
+from fascicle.kernels.arrays import CACHE_LINE, CORNERS, SQUARES
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_new_corner
-from fascicle.kernels.prefetch import CACHE_LINE, prefetch
+from fascicle.kernels.prefetch import prefetch
 from fascicle.kernels.queue import IN_BATCH, WAITS_NOT, lower
 
 # Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.

@@ -30,6 +30,7 @@ from fascicle.kernels.arrays import (
     XX,
     EikonalMesh,
     TravelTimeTable,
+    aligned,
 )
 from fascicle.kernels.star import number_neighbours
 from fascicle.mesh.measures import barycentric_gradients
@@ -168,7 +169,7 @@ def build_myocardium(
         corners,
         cells,
         _face_neighbours(corners, conducts),
-        solver,
+        aligned(solver),
         start,
         star,
         others,
