@@ -13,7 +13,6 @@ from pathlib import Path
 from pydicom.data import get_testdata_file
 
 import fascicle
-from fascicle.cli.terminal_progress import TerminalProgress
 
 folder = Path(tempfile.mkdtemp())
 
@@ -35,8 +34,7 @@ _ = fascicle.plot.target(target)
 
 # %%
 SMALL = {"bank": 300, "effective": 20, "evaluations": 500}
-with TerminalProgress() as progress:
-    study = fascicle.fit("default", target, folder / "study", progress=progress, **SMALL)
+study = fascicle.fit("default", target, folder / "study", **SMALL)
 print(study.verdict)
 
 # %%

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fascicle
-from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.core.parameters import read_parameters
 from fascicle.recording.resampling import SAMPLING_STEP
 from fascicle.recording.synthetic import smooth_noise
@@ -101,8 +100,7 @@ def recover(
     if isinstance(simulation, fascicle.InvalidTree):
         raise fascicle.InputError(f"truth: {simulation.reason}; choose another")
     target = synthetic_target(simulation.ecg.to_numpy(), np.random.default_rng(seed))
-    with TerminalProgress() as progress:
-        return fit(model.heart, target, out, seed=seed, progress=progress, **budget)
+    return fit(model.heart, target, out, seed=seed, **budget)
 
 
 def main() -> None:

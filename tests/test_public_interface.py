@@ -191,7 +191,8 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
     for argument, known in inspect.signature(function).parameters.items():
         if known.kind is known.VAR_KEYWORD:
             continue
-        taken = ALSO.get((name, argument), set()) | ({"none"} if known.default is None else set())
+        taken = ALSO.get((name, argument), set())
+        taken = taken | ({"none"} if known.default in (None, "lines") else set())
         for kind, value in WRONG.items():
             if kind in taken:
                 continue

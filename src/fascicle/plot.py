@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.progress import Progress
+from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.heart.folder import load_heart
 from fascicle.heart.heart import Heart
@@ -38,7 +39,9 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.study import CONFIGURATION
 
 
-def ecg(fitted: GivenStudy, recording: int = 0, progress: Progress | None = None) -> list[Axes]:
+def ecg(
+    fitted: GivenStudy, recording: int = 0, progress: Progress | Lines | None = "lines"
+) -> list[Axes]:
     """Recorded and predicted QRS of a study, one axes a lead.
 
     Parameters
@@ -47,11 +50,12 @@ def ecg(fitted: GivenStudy, recording: int = 0, progress: Progress | None = None
         The study, or its folder.
     recording : int
         Which of its recordings, counted from 0.
-    progress : Progress, optional
-        Called after each network that is simulated.
+    progress : Progress, "lines" or None
+        Called with how many networks are simulated; by default lines on standard error say so.
     """
     fitted = as_study(fitted, progress)
-    networks = fitted.networks(progress, recording)
+    with shown_progress(progress) as shown:
+        networks = fitted.networks(shown, recording)
     return _shown(recorded_ecg_figure(fitted, recording, networks))
 
 

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from fascicle.cli.output import Output, _plain
-from fascicle.cli.terminal_progress import TerminalProgress, _Stage
+from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.core.errors import InputError
+from fascicle.core.progress_lines import Stage, shown_progress
 from fascicle.prediction.index_names import COMPARED, INDICES
 
 COMMANDS = (
@@ -140,10 +142,10 @@ class TestProgress:
 
     @pytest.fixture
     def progress(self, monkeypatch, tmp_path):
-        monkeypatch.setattr("fascicle.cli.terminal_progress.FIRST", 0.05)
-        monkeypatch.setattr("fascicle.cli.terminal_progress.EVERY", 0.2)
-        monkeypatch.setattr("fascicle.cli.terminal_progress.FEWEST", 0.1)
-        monkeypatch.setattr("fascicle.cli.terminal_progress.APART", 0.0)
+        monkeypatch.setattr("fascicle.core.progress_lines.FIRST", 0.05)
+        monkeypatch.setattr("fascicle.core.progress_lines.EVERY", 0.2)
+        monkeypatch.setattr("fascicle.core.progress_lines.FEWEST", 0.1)
+        monkeypatch.setattr("fascicle.core.progress_lines.APART", 0.0)
         path = tmp_path / "screen"
         with path.open("w") as screen:
             monkeypatch.setattr(
@@ -185,6 +187,28 @@ class TestProgress:
             assert bar.start_time > began
             assert not bar.finished
 
+    def test_python_shows_lines_unless_told_otherwise(self, monkeypatch, capsys):
+        monkeypatch.setattr("fascicle.core.progress_lines.FIRST", 0.05)
+        with shown_progress("lines") as progress:
+            progress("prior", 1, 4, "")
+            time.sleep(0.2)
+            progress("prior", 4, 4, "")
+            progress("sampling", 1, 4, "")  # its first line is not due yet
+        time.sleep(0.2)
+        said = capsys.readouterr().err
+        assert re.fullmatch(
+            r"\d\d:\d\d:\d\d networks of the prior 1/4, 0 s\n"
+            r"\d\d:\d\d:\d\d networks of the prior 4/4, 0 s\n",
+            said,
+        )
+        with shown_progress(None) as progress:
+            assert progress is None
+        with shown_progress(print) as progress:
+            assert progress is print
+        with pytest.raises(InputError, match="progress is 5; give a function"):  # noqa: SIM117
+            with shown_progress(5):
+                pass
+
     def test_what_is_done_soon_is_not_spoken_of(self, progress):
         report, said = progress
         for done in range(3):
@@ -199,7 +223,7 @@ class TestTimeLeft:
     @pytest.fixture
     def clock(self, monkeypatch):
         now = [0.0]
-        monkeypatch.setattr("fascicle.cli.terminal_progress.time.monotonic", lambda: now[0])
+        monkeypatch.setattr("fascicle.core.progress_lines.time.monotonic", lambda: now[0])
         return now
 
     @staticmethod
@@ -209,7 +233,7 @@ class TestTimeLeft:
             stage.update(stage.done + rate, stage.total, "")
 
     def begun(self, name="networks", done=0):
-        stage = _Stage(name, done, 10_000, "", began=0.0)
+        stage = Stage(name, done, 10_000, "", began=0.0)
         stage.update(done, 10_000, "")
         return stage
 

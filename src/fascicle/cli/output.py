@@ -20,11 +20,11 @@ import typer
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import outside_allowed
+from fascicle.core.progress_lines import duration
 
 PANEL = "Every command"
 Result = Mapping[str, Any] | Sequence[Any]  # of a command, for --json
 NOT_ALL = 1  # exit status
-LONG = 10  # min, from which on seconds are not spoken of
 TOLD = 60.0  # s, from which on a command says at its end how long it took
 
 
@@ -197,14 +197,6 @@ def _opened(log: Path) -> TextIO:
         return log.open("a", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{log}: {error.strerror}; give another --log") from None
-
-
-def duration(seconds: float) -> str:
-    """Minutes and seconds, as people say them."""
-    minutes, left = divmod(round(seconds), 60)
-    if minutes >= LONG:
-        return f"{round(seconds / 60)} min"
-    return f"{minutes} min {left} s" if minutes else f"{left} s"
 
 
 def _plain(value: Any) -> Any:

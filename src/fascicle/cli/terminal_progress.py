@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import deque
-from dataclasses import dataclass, field
-from math import inf
 from types import TracebackType
 
 from rich.console import Console
@@ -22,30 +18,9 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from fascicle.cli.output import Output, current_output, duration
+from fascicle.cli.output import current_output
 from fascicle.core.errors import InputError
-
-# of the stages that are not called by their own names
-NAMES = {
-    "compilation": "compiling (first run)",
-    "template": "cables",
-    "preparation": "preparing the heart",
-    "repair": "evaluations kept",
-    "initial": "Latin hypercube",
-    "optimisation": "Bayesian optimisation",
-    "prior": "networks of the prior",
-    "draws": "drawing from the prior",
-    "stored": "evaluations stored before",
-    "sampling": "sampling",
-    "rejection": "networks accepted",
-    "networks": "simulating the networks",
-    "workers": "workers of the cluster",
-}
-ENDS_EARLIER = ("sampling",)  # names of stages whose total is a maximum
-STEADY = ("patients",)  # whose steps take long: all that was done says how much time is left
-FIRST, EVERY = 2.0, 10.0  # s after which a stage is spoken of in a line, and then again
-WINDOW, APART = 60.0, 0.5  # s, whose work says how much time is left, and between its reports
-FEWEST = 5.0  # s of work before anything is said of that
+from fascicle.core.progress_lines import NAMES, ProgressLines
 
 
 class TerminalProgress:
@@ -53,7 +28,8 @@ class TerminalProgress:
 
     def __init__(self) -> None:
         output = current_output()
-        self._lines = _Lines(output)
+        self._output = output
+        self._lines = ProgressLines(self._say)
         self._console = Console(file=output.screen, stderr=True, quiet=output.screen is None)
         self._tasks: dict[str, TaskID] = {}
         self._bars = Progress(
@@ -99,57 +75,12 @@ class TerminalProgress:
             self._bars.reset(task)
         self._bars.update(task, completed=done, total=total, message=message, stage=stage_now)
 
-
-@dataclass
-class _Stage:
-    """How far a stage is, how fast it goes, and when it was last spoken of (s)."""
-
-    name: str
-    done: int
-    total: int
-    message: str
-    began: float = field(default_factory=time.monotonic)
-    said: float | None = None
-    # when (s) so many were done, over the last `WINDOW`
-    reports: deque[tuple[float, int]] = field(default_factory=deque)
-
-    def update(self, done: int, total: int, message: str) -> None:
-        """Take note of how far it is."""
-        now = time.monotonic()
-        self.done, self.total, self.message = done, total, message
-        if not self.reports or now - self.reports[-1][0] >= APART:
-            self.reports.append((now, done))
-        memory = inf if self.name in STEADY else WINDOW
-        while len(self.reports) > 2 and self.reports[1][0] <= now - memory:
-            self.reports.popleft()
-
-    @property
-    def time_left(self) -> str:
-        """How long it still takes; empty while nothing can be said of that."""
-        now = time.monotonic()
-        if self.done >= self.total or now - self.reports[0][0] < FEWEST:
-            return ""
-        # the slower of the window and of its later half, as what was quick may be over
-        first = self.reports[0][0]
-        rate = self._rate(first, now)
-        if self.name not in STEADY:
-            rate = min(rate, self._rate((first + now) / 2, now))
-        if rate <= 0:
-            return ""
-        most = "at most " if self.name in ENDS_EARLIER else ""
-        return f"{most}{duration((self.total - self.done) / rate)} left"
-
-    def _rate(self, since: float, now: float) -> float:
-        """What has been done a second since the last report before a time."""
-        begin, done = [report for report in self.reports if report[0] <= since][-1]
-        return (self.done - done) / (now - begin)
-
-    def __str__(self) -> str:
-        elapsed = duration(time.monotonic() - self.began)
-        text = f"{self.name} {self.done}/{self.total}, {elapsed}"
-        if left := self.time_left:
-            text += f", {left}"
-        return f"{text}: {self.message}" if self.message else text
+    def _say(self, line: str) -> None:
+        """Add a line to the log, and to what is no terminal."""
+        self._output.note(line)
+        screen = self._output.screen
+        if screen is not None and not screen.isatty():
+            print(time.strftime("%H:%M:%S"), line, file=screen, flush=True)
 
 
 class _TimeLeft(ProgressColumn):
@@ -158,44 +89,3 @@ class _TimeLeft(ProgressColumn):
     def render(self, task: Task) -> Text:
         stage = task.fields["stage"]
         return Text(stage.time_left if stage is not None else "", style="progress.remaining")
-
-
-class _Lines:
-    """Lines that say how far a stage is: after 2 s, then every 10 s, and at its end."""
-
-    def __init__(self, output: Output) -> None:
-        screen = output.screen
-        self._screen = screen if screen is not None and not screen.isatty() else None
-        self._output = output
-        self._stages: dict[str, _Stage] = {}
-        self._timers: list[threading.Timer] = []
-
-    def update(self, name: str, done: int, total: int, message: str) -> _Stage:
-        """Take note of a stage, say it if it is time to, and give it."""
-        stage = self._stages.get(name)
-        if stage is None or done < stage.done:
-            stage = self._stages[name] = _Stage(name, done, total, message)
-            timer = threading.Timer(FIRST, self._say_first, [stage])
-            timer.daemon = True
-            timer.start()
-            self._timers.append(timer)
-        ended = stage.done < stage.total and done >= total
-        stage.update(done, total, message)
-        if stage.said is not None and (ended or time.monotonic() - stage.said >= EVERY):
-            self._say(stage)
-        return stage
-
-    def end(self) -> None:
-        """Say nothing more."""
-        for timer in self._timers:
-            timer.cancel()
-
-    def _say_first(self, stage: _Stage) -> None:
-        if stage.done < stage.total:
-            self._say(stage)
-
-    def _say(self, stage: _Stage) -> None:
-        stage.said = time.monotonic()
-        self._output.note(str(stage))
-        if self._screen is not None:
-            print(time.strftime("%H:%M:%S"), stage, file=self._screen, flush=True)

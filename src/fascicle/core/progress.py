@@ -28,7 +28,7 @@ class Progress(Protocol):
 def check_progress(progress: object) -> None:
     """Refuse what is neither None nor a progress callback."""
     if progress is not None and not callable(progress):
-        raise InputError(f"progress is {shown(progress)}; give a function, or None")
+        raise InputError(f"progress is {shown(progress)}; give a function, 'lines' or None")
 
 
 def no_progress(done: int, total: int) -> None:

@@ -224,8 +224,8 @@ def load(
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         for key in file.files:
             part, name = key.split(".")
-            value = file[key]
-            parts[part][name] = aligned(value) if value.ndim else value.item()
+            value = aligned(file[key]) if name == "solver" else file[key]
+            parts[part][name] = value if value.ndim else value.item()
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
         heart = Heart(lv=lv, rv=rv, **parts["heart"])

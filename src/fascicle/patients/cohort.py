@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable
-from fascicle.core.progress import Progress, check_progress
+from fascicle.core.progress import Progress
+from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_text
 from fascicle.core.threads import cores
 from fascicle.patients.outcome import Outcome, Status
@@ -30,7 +31,7 @@ def cohort(
     *,
     only: str | None = None,
     cluster: Cluster | None = None,
-    progress: Progress | None = None,
+    progress: Progress | Lines | None = "lines",
 ) -> list[Outcome]:
     """Fit every patient of a table, and write a report of each and a page of all.
 
@@ -70,11 +71,11 @@ def cohort(
     >>> outcomes = fascicle.cohort("patients.csv", "COHORT")  # doctest: +SKIP
     >>> [each.patient for each in outcomes if not each.trustworthy]  # doctest: +SKIP
     """
-    check_progress(progress)
     check_pool(cluster)
     if only is not None:
         check_text(only, "only")
-    return list(outcomes(table, out, only=only, cluster=cluster, progress=progress))
+    with shown_progress(progress) as shown:
+        return list(outcomes(table, out, only=only, cluster=cluster, progress=shown))
 
 
 def outcomes(

@@ -13,6 +13,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.loss import placed
@@ -53,7 +54,7 @@ def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
 def predict(
     fitted: GivenStudy,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path,
-    progress: Progress | None = None,
+    progress: Progress | Lines | None = "lines",
     networks: Sequence[Network] | None = None,
 ) -> dict[str, Predicted]:
     """Simulate the own beat and scenarios in every network of a study.
@@ -66,8 +67,8 @@ def predict(
         The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
         What to predict; names of the library (``"his-pacing"``) and files are read.
-    progress : Progress, optional
-        Called after each network that is simulated.
+    progress : Progress, "lines" or None
+        Called with how many networks are simulated; by default lines on standard error say so.
     networks : sequence of Network, optional
         Those of the study, all of them, where they are simulated already.
 
@@ -95,8 +96,9 @@ def predict(
     found = _still_so(fitted, kept.read(wanted))
     missing = {name: scenario for name, scenario in wanted.items() if name not in found}
     if missing:
-        networks = fitted.networks(progress) if networks is None else networks
-        simulated = simulate_scenarios(fitted.problem, networks, missing, progress)
+        with shown_progress(progress) as shown:
+            networks = fitted.networks(shown) if networks is None else networks
+            simulated = simulate_scenarios(fitted.problem, networks, missing, shown)
         kept.write(simulated)
         found |= simulated
     effective = fitted.population.effective_size

@@ -23,7 +23,8 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.progress import Progress, check_progress, stage_progress
+from fascicle.core.progress import Progress, stage_progress
+from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.quantities import body_values
 from fascicle.core.ranges import check_count
 from fascicle.forward.compile_kernels import compile_kernels
@@ -216,7 +217,7 @@ def make_bank(
     networks: int | None = None,
     *,
     workers: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | Lines | None = "lines",
     pool: Pool | None = None,
 ) -> Path:
     """Simulate networks of the prior of a heart once, so that its fits need not.
@@ -231,8 +232,8 @@ def make_bank(
         How many; by default as many as a fit begins with (`fascicle.FitSettings.bank`).
     workers : int, optional
         Simulations that run at the same time; by default one a core.
-    progress : Progress, optional
-        Called as networks are simulated.
+    progress : Progress, "lines" or None
+        Called with how many networks are simulated; by default lines on standard error say so.
     pool : Pool, optional
         Where they are simulated, as in `fascicle.fit`; by default on `workers` threads.
 
@@ -246,7 +247,6 @@ def make_bank(
     InputError
         If the heart cannot be used, or its folder cannot be written to.
     """
-    check_progress(progress)
     check_pool(pool)
     heart = as_heart(heart)
     count = FitSettings.model_fields["bank"].default if networks is None else networks
@@ -257,17 +257,18 @@ def make_bank(
     bank = Bank.beside(heart, space, fixed)
     if bank is None or not os.access(str(heart.folder), os.W_OK):
         raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
-    if progress is not None:
-        compile_kernels(progress)
-    model = ForwardModel(heart, progress=progress)
-    bank.check(model, space, fixed)
-    report = stage_progress(progress, "bank")
-    pool = pool or Threads(workers or os.cpu_count() or 1)
-    prior = _Prior(model, space, fixed)
-    for number in range(len(bank) // PART, -(-count // PART)):
-        outcomes: list[Signals | str] = []
-        for outcome in pool.map(_Prior.signals, prior, list(_part(len(space), number))):
-            outcomes.append(outcome)
-            report(number * PART + len(outcomes), -(-count // PART) * PART)
-        bank.add(number, outcomes)
+    with shown_progress(progress) as shown:
+        if shown is not None:
+            compile_kernels(shown)
+        model = ForwardModel(heart, progress=shown)
+        bank.check(model, space, fixed)
+        report = stage_progress(shown, "bank")
+        pool = pool or Threads(workers or os.cpu_count() or 1)
+        prior = _Prior(model, space, fixed)
+        for number in range(len(bank) // PART, -(-count // PART)):
+            outcomes: list[Signals | str] = []
+            for outcome in pool.map(_Prior.signals, prior, list(_part(len(space), number))):
+                outcomes.append(outcome)
+                report(number * PART + len(outcomes), -(-count // PART) * PART)
+            bank.add(number, outcomes)
     return bank.folder

@@ -12,7 +12,8 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
-from fascicle.core.progress import Progress, check_progress
+from fascicle.core.progress import Progress
+from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.device.model import check_simulated
@@ -55,7 +56,7 @@ def fit(
     out: Path | str,
     *,
     parameters: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
+    progress: Progress | Lines | None = "lines",
     pool: Pool | None = None,
     **settings: Any,
 ) -> FittedStudy:
@@ -79,8 +80,8 @@ def fit(
         `method` says: a number fixes one, ``"free"`` frees it with its usual prior, a mapping with
         another one: ``{"prior": "log-normal", "median": 0.07, "sd": 0.2}``; keys are `prior`,
         `lower`, `upper`, `median`, `sd` (`fascicle.core.parameters.Parameter`).
-    progress : Progress, optional
-        Called with the stage, and how far it is.
+    progress : Progress, "lines" or None
+        Called with the stage, and how far it is; by default lines on standard error say so.
     pool : Pool, optional
         Where networks are simulated: on `workers` threads, if nothing else is given;
         `fascicle.Elsewhere` takes any executor, `fascicle.Cluster` a Dask scheduler. The result is
@@ -108,13 +109,14 @@ def fit(
     >>> fitted.population.values["cv"].mean()  # doctest: +SKIP
     """
     checked = checked_settings(settings)
-    check_progress(progress)
     check_pool(pool)
     check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
     folder = as_path(out, "out")
     check_study_folder(folder)
     refuse_held(folder)
-    return fit_inputs(read_inputs(heart, target, parameters or {}, checked), folder, progress, pool)
+    with shown_progress(progress) as shown:
+        inputs = read_inputs(heart, target, parameters or {}, checked)
+        return fit_inputs(inputs, folder, shown, pool)
 
 
 @dataclass(frozen=True)
@@ -279,14 +281,14 @@ def _gain_sd(config: StudyConfig) -> float:
     return 0.0 if own else config.gain_sd
 
 
-def as_study(given: GivenStudy, progress: Progress | None = None) -> FittedStudy:
+def as_study(given: GivenStudy, progress: Progress | Lines | None = None) -> FittedStudy:
     """A study as it was given, or read from its folder by `load_study`.
 
     Parameters
     ----------
     given : FittedStudy or path
         The study.
-    progress : Progress, optional
+    progress : Progress, "lines" or None
         Called while a large heart is prepared.
 
     Raises
@@ -294,7 +296,6 @@ def as_study(given: GivenStudy, progress: Progress | None = None) -> FittedStudy
     InputError
         If it is neither, or the folder cannot be used.
     """
-    check_progress(progress)
     if isinstance(given, FittedStudy):
         return given
     folder = as_path(given, "study", "a fitted study, or the path of its folder")
@@ -302,7 +303,7 @@ def as_study(given: GivenStudy, progress: Progress | None = None) -> FittedStudy
 
 
 def load_study(
-    folder: Path | str, progress: Progress | None = None, pool: Pool | None = None
+    folder: Path | str, progress: Progress | Lines | None = "lines", pool: Pool | None = None
 ) -> FittedStudy:
     """Read a finished study.
 
@@ -310,8 +311,8 @@ def load_study(
     ----------
     folder : path
         The study.
-    progress : Progress, optional
-        Called while a large heart is prepared.
+    progress : Progress, "lines" or None
+        Called while a large heart is prepared; by default lines on standard error say so.
     pool : Pool, optional
         Where networks are simulated; by default as when it was fitted, on threads.
 
@@ -321,7 +322,6 @@ def load_study(
         If the folder is not a study, the study is not finished, or its forward model is not the
         present one.
     """
-    check_progress(progress)
     check_pool(pool)
     folder = as_path(folder, "study")
     study = Study.open(folder)
@@ -342,7 +342,8 @@ def load_study(
         )
     now = study.config.model_copy(update=growth_and_conduction(heart))
     check_same(folder, study.config, now)
-    problem = _problem(study.config, heart, recordings, pool, progress)
+    with shown_progress(progress) as shown:
+        problem = _problem(study.config, heart, recordings, pool, shown)
     study.check_objective(problem)
     return FittedStudy(study, problem, population, read_checks(result), read_gains(result))
 

@@ -18,6 +18,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress
+from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.segments import SEGMENTS
@@ -103,7 +104,7 @@ def report(
     fitted: GivenStudy,
     scenarios: Mapping[str, Scenario] | Sequence[str | Path] | str | Path = PACINGS,
     out: Path | str | None = None,
-    progress: Progress | None = None,
+    progress: Progress | Lines | None = "lines",
     figures: Sequence[str] = (),
     against: str = OWN_BEAT,
 ) -> list[Path]:
@@ -117,8 +118,8 @@ def report(
         What to predict, as `fascicle.predict` takes it; the own beat is always among them.
     out : Path or str, optional
         File to write; ``report.html`` in the study.
-    progress : Progress, optional
-        Called after each network that is simulated.
+    progress : Progress, "lines" or None
+        Called with how many networks are simulated; by default lines on standard error say so.
     figures : sequence of str
         Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the folder ``figures``
         beside it.
@@ -148,8 +149,9 @@ def report(
         )
     out = as_path(out, "out") if out is not None else fitted.folder / "report.html"
     check_writable(out)
-    networks = fitted.networks(progress)
-    predicted = predict(fitted, scenarios, progress, networks)
+    with shown_progress(progress) as shown:
+        networks = fitted.networks(shown)
+        predicted = predict(fitted, scenarios, shown, networks)
     return write_report(fitted, networks, predicted, out, figures, against)
 
 
