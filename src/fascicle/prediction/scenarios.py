@@ -82,7 +82,8 @@ def predict(
     InputError
         If the study has no network, there is no such scenario, or it does not fit the heart.
     """
-    fitted = as_study(fitted, progress)
+    with shown_progress(progress) as shown:
+        fitted = as_study(fitted, shown)
     check_population(fitted)
     wanted = with_own_beat(as_scenarios(scenarios))
     if networks is not None:
