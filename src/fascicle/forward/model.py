@@ -259,16 +259,14 @@ class ForwardModel:
         )
         times = coupled.myocardium
         check_activation(times)
-        leads = self._leads(times, conduction, values)
+        leads = self._leads(times, tissue, values)
         return Simulation(leads, first_sample(times), times, trees, coupled)
 
-    def _leads(self, times: Floats, conduction: Conduction, values: Mapping[str, float]) -> Floats:
+    def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
         """The twelve leads (mV), in the body that the values say."""
-        gain = values.get("gain", 1.0)
-        tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
         body = body_values(values)
         if not body:
-            return np.asarray(gain * tissue.electrocardiograph.leads(times))
+            return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
         found = self._in_body(times, values)
         if isinstance(found, InvalidBody):
             raise InputError(f"{', '.join(body)}: {found.reason}; give smaller changes")
