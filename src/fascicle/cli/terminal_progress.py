@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from types import TracebackType
 
 from rich.console import Console
@@ -20,7 +19,7 @@ from rich.text import Text
 
 from fascicle.cli.output import current_output
 from fascicle.core.errors import InputError
-from fascicle.core.progress_lines import NAMES, ProgressLines
+from fascicle.core.progress_lines import NAMES, ProgressLines, write_with_time
 
 
 class TerminalProgress:
@@ -80,7 +79,7 @@ class TerminalProgress:
         self._output.note(line)
         screen = self._output.screen
         if screen is not None and not screen.isatty():
-            print(time.strftime("%H:%M:%S"), line, file=screen, flush=True)
+            write_with_time(line, screen)
 
 
 class _TimeLeft(ProgressColumn):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import inf
-from typing import Literal
+from typing import Literal, TextIO
 
 from fascicle.core.progress import Progress, check_progress
 
@@ -49,7 +49,7 @@ def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]
         A callback; lines on standard error, while the context lasts; or nothing.
     """
     if isinstance(wanted, str) and wanted == "lines":
-        lines = ProgressLines(_to_standard_error)
+        lines = ProgressLines(lambda line: write_with_time(line, sys.stderr))
         try:
             yield lines
         finally:
@@ -59,9 +59,10 @@ def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]
         yield wanted
 
 
-def _to_standard_error(line: str) -> None:
-    sys.stderr.write(f"{time.strftime('%H:%M:%S')} {line}\n")
-    sys.stderr.flush()
+def write_with_time(line: str, stream: TextIO) -> None:
+    """Write a line of progress, and the time of day before it."""
+    stream.write(f"{time.strftime('%H:%M:%S')} {line}\n")
+    stream.flush()
 
 
 @dataclass

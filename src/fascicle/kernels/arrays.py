@@ -27,8 +27,8 @@ PRODUCTS, SQUARES = 0, 6  # the first of six each
 def aligned(array: NDArray[Any]) -> NDArray[Any]:
     """Copy an array to where a cache line begins, if it does not begin with one.
 
-    Memory comes from the system 16 bytes after that, and rows of a line's length, read in any
-    order, then lie in two lines each.
+    The system gives large arrays memory that begins 16 bytes after that, where many rows lie across
+    one line more than they need to.
     """
     if array.ctypes.data % CACHE_LINE == 0:
         return array

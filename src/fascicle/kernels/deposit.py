@@ -9,7 +9,6 @@ bins give the histogram back.
 
 import numpy as np
 
-from fascicle.kernels.arrays import CACHE_LINE
 from fascicle.kernels.channels import CHANNELS, add_to_rows
 from fascicle.kernels.jit import allocating_kernel
 from fascicle.kernels.prefetch import prefetch
@@ -20,14 +19,6 @@ AHEAD = 6  # how many elements before its turn what an element adds to is fetche
 # are close, the jumps grow as 1/gap³ and with them the rounding error that the running sums leave:
 # 0.05 keeps it near 1e-6 of what that element contributes, over 500 bins.
 GAP = 0.05
-
-
-@allocating_kernel()
-def _aligned_zeros(rows):
-    """Rows of channels, each in a cache line of its own: elements add to them in any order."""
-    room = np.zeros((rows + 1) * CHANNELS)
-    first = (-room.ctypes.data % CACHE_LINE) // room.itemsize
-    return room[first : first + rows * CHANNELS].reshape(rows, CHANNELS)
 
 
 @allocating_kernel()
@@ -125,7 +116,7 @@ def deposit(time, corners, weights, origin, width, bins):
     (bins, 8) array
     """
     time = (time - origin) / width
-    at_vertex = _aligned_zeros(len(time))
+    at_vertex = np.zeros((len(time), CHANNELS))
     histogram = np.zeros((bins, CHANNELS))
     for e in range(len(corners)):
         if e + AHEAD < len(corners):
