@@ -15,6 +15,7 @@ import fascicle
 from fascicle.core.errors import InputError
 from fascicle.patients.outcome import Status
 from fascicle.patients.table import read_table
+from tests.dask_processes import LOST, a_scheduler, a_worker_of
 
 distributed = pytest.importorskip("distributed")
 # so that a worker can be killed within
@@ -139,3 +140,23 @@ def test_such_a_worker_stops_all(address, workers, table, tmp_path, monkeypatch)
 
 def refuse(*_):
     raise InputError("not seen")
+
+
+def test_a_scheduler_that_is_lost_while_a_patient_is_fitted(table, tmp_path):
+    """One line; what its workers have evaluated is kept."""
+    out = tmp_path / "out"
+    stored = out / "studies" / "anna" / "evaluations.sqlite"
+    with a_scheduler() as (process, address), a_worker_of(address, threads=2):
+
+        def kill():
+            while not stored.exists():
+                time.sleep(0.05)
+            process.kill()
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        with pytest.raises(InputError, match=LOST):
+            fascicle.cohort(table("anna", **LONGER), out, cluster=fascicle.Cluster(address))
+        killer.join()
+    assert stored.exists()
+    assert not list((out / "patients").glob(".seen-*"))

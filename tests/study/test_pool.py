@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 
@@ -27,6 +27,7 @@ from fascicle.forward.simulation import Signals
 from fascicle.study.bank import Bank
 from fascicle.study.pool import JOBS, Elsewhere, Pool, Threads, parts
 from fascicle.study.problem import Problem
+from tests.dask_processes import LOST, a_scheduler, a_worker_of
 
 KILLS = 10
 
@@ -143,6 +144,10 @@ def test_errors_arrive_as_themselves(problem, points):
         list(Elsewhere(executor, 1).map(refuse, problem, points))
 
 
+def fill(problem, point):
+    raise OSError("the disk is full")
+
+
 def pause(seconds, problem, point):
     """A slow evaluation, in which a worker can be killed."""
     time.sleep(seconds)
@@ -156,6 +161,32 @@ def cluster():
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as found:
         yield found
+
+
+@pytest.fixture
+def scheduler(monkeypatch):
+    """Give the process of a scheduler without workers, and its address."""
+    pytest.importorskip("distributed")
+    from fascicle.study import cluster
+
+    monkeypatch.setattr(cluster, "TIMEOUT", 5)
+    with a_scheduler() as found:
+        yield found
+
+
+@pytest.fixture
+def connected():
+    """Give a function for a cluster at an address, whose client is closed in the end."""
+    from fascicle.study.cluster import Cluster
+
+    with ExitStack() as stack:
+
+        def connect(*given):
+            pool = Cluster(*given)
+            stack.callback(pool.client.close)
+            return pool
+
+        yield connect
 
 
 class TestCluster:
@@ -174,7 +205,12 @@ class TestCluster:
         """Nothing is lost, and nothing is counted twice."""
         from fascicle.study.cluster import Cluster
 
-        pool, rng, killed = Cluster(cluster.scheduler_address), random.Random(0), []
+        def watch(*news):
+            waits.append(news)
+            assert len(waits) < 300, "no worker is started again"
+
+        waits, rng, killed = [], random.Random(0), []
+        pool = Cluster(cluster.scheduler_address, watch)
         ended = threading.Event()
 
         def kill():
@@ -200,33 +236,58 @@ class TestCluster:
         assert len(killed) == KILLS
         assert_same(found, expected * 6)
 
-    def test_a_scheduler_that_is_lost(self, problem, points, monkeypatch):
-        import distributed
-
-        from fascicle.study import cluster
-
-        monkeypatch.setattr(cluster, "TIMEOUT", 5)
-        scheduler = subprocess.Popen(
-            [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0",
-             "--no-dashboard"], stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        address = next(
-            line.split()[-1] for line in scheduler.stderr if "Scheduler at:" in line
-        )  # it says so when it is there
-        pool = cluster.Cluster(address)
+    def test_a_scheduler_that_is_lost(self, scheduler, connected, problem, points):
+        process, address = scheduler
+        pool = connected(address)
 
         def kill():
             while not pool.client.futures:
                 time.sleep(0.05)
-            scheduler.kill()
+            process.kill()
 
         threading.Thread(target=kill).start()
-        with pytest.raises(InputError, match=r"the Dask scheduler was lost .* start it again"):
+        with pytest.raises(InputError, match=LOST):
             list(pool.map(Problem.evaluate, problem, points))  # there is no worker
-        scheduler.wait()
-        with pytest.raises(InputError, match=r"the Dask scheduler was lost"):
-            pool._hold({}, "something else")
-        distributed.Client.close(pool.client)
+        process.wait()
+        for call in (lambda: pool._hold({}, "something else"), lambda: pool.workers):
+            with pytest.raises(InputError, match=LOST):
+                call()
+
+    def test_a_scheduler_that_is_silent_and_then_lost(self, scheduler, connected, monkeypatch):
+        """While results are fetched: it is waited for as long as it is there."""
+        from fascicle.study import cluster
+
+        monkeypatch.setattr(cluster, "ANSWERED", 0.2)
+        process, address = scheduler
+        seen = []
+
+        def watch(*news):
+            seen.append(news)
+            process.send_signal(signal.SIGCONT if len(seen) < 4 else signal.SIGKILL)
+
+        pool = connected(address, watch)
+        with a_worker_of(address):
+            futures = [pool.client.submit(str, number) for number in range(4)]
+            while not all(future.done() for future in futures):
+                time.sleep(0.05)
+            process.send_signal(signal.SIGSTOP)
+            assert pool._results(futures) == ["0", "1", "2", "3"]
+            assert seen[0] == ("workers", 0, 1, f"{address} does not answer; waiting for it")
+            seen[:] = [()] * 3
+            process.send_signal(signal.SIGSTOP)
+            with pytest.raises(InputError, match=LOST):
+                pool._results(futures)
+
+    def test_errors_of_the_system_arrive_as_themselves(self, cluster, problem, points):
+        """They are of the worker, not of the connection to the scheduler."""
+        from fascicle.study.cluster import Cluster
+
+        pool = Cluster(cluster.scheduler_address)
+        begun = time.monotonic()
+        with pytest.raises(OSError, match="the disk is full"):
+            list(pool.map(fill, problem, points))
+        assert pool.client.status == "running"
+        assert time.monotonic() - begun < 30
 
     def test_a_scheduler_without_workers(self, problem, points, expected):
         """It is said once a second that nobody works, until somebody does."""

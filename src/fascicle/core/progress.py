@@ -18,7 +18,8 @@ class Progress(Protocol):
     earlier run that are gone through again) and "sampling", whose total is a maximum; that of a
     bank is "bank"; those of the paper's method "initial", "optimisation", "rejection" (networks
     accepted), and within it "draws" (uniform draws of a round). Before them come "compilation" and
-    "preparation" of a large heart, after them "networks"; "workers" while a cluster has none.
+    "preparation" of a large heart, after them "networks"; "workers" while a cluster has none
+    or does not answer.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

@@ -82,9 +82,8 @@ def fit_on_workers(
     with _marker(patients) as marker:
         try:
             while waiting or running:
-                with cluster.scheduler_there(OSError, CancelledError):
-                    there = cluster.client.nthreads()
-                    _start(cluster, there, waiting, running, marker)
+                there = cluster.threads()
+                _start(cluster, there, waiting, running, marker)
                 report(f"{len(running)} at work" if there else "waiting for workers")
                 _pause(running)
                 for future, (tried, address) in list(running.items()):
@@ -92,14 +91,15 @@ def fit_on_workers(
                     if outcome is None:
                         continue
                     del running[future]
-                    future.cancel()  # of a lost worker, so that it is not begun again there
+                    cluster.cancel(
+                        [future]
+                    )  # of a lost worker, so that it is not begun again there
                     if outcome.status is Status.NOT_DONE and not tried.tried_enough:
                         waiting.append(tried.again)
                     else:
                         yield outcome
         finally:
-            for future in running:
-                future.cancel()
+            cluster.cancel(list(running))
 
 
 @contextmanager

@@ -6,14 +6,14 @@ keeps it for them. Jobs are named by their content, so that one that is sent aga
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import pickle
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, TypeVar
@@ -31,8 +31,11 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 TIMEOUT = 30  # s, until a scheduler has answered
-NOTICED = 1  # s, after which it is seen that no worker is there
+NOTICED = 1  # s, after which it is seen what is waited for
+ANSWERED = 5  # s, in which a scheduler says which workers it has
+PAUSE = 0.5  # s, in which a client notices that its scheduler is lost
 RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
+RUNNING = "running"  # a client that has its scheduler
 ADDRESS = r"(tcp|tls)://[^/\s]+:\d{1,5}"
 KEY = 24  # digits of a name by content
 
@@ -77,7 +80,7 @@ class Cluster(Remote):
     address : str
         Of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
     progress : Progress, optional
-        Called, with the stage "workers", while it has none.
+        Called, with the stage "workers", while it has none or does not answer.
 
     Raises
     ------
@@ -106,62 +109,107 @@ class Cluster(Remote):
     @property
     def workers(self) -> int:  # type: ignore[override]
         """Threads of the workers that are there now, 1 at least."""
-        return max(1, self._threads())
+        return max(1, sum(self.threads().values()))
 
-    def _threads(self) -> int:
-        threads: dict[str, int] = self.client.nthreads()
-        return sum(threads.values())
+    def threads(self) -> dict[str, int]:
+        """Threads of each worker that is there now, by its address."""
+        there: dict[str, int] = self._ask(self.client.nthreads)
+        return there
 
     def _submit(self, *job: Any) -> Any:
+        self._check_there()
         key = f"fascicle-{_name(pickle.dumps(job))}"
         return self.client.submit(_job, *job, key=key, pure=False)
+
+    def cancel(self, futures: Sequence[Any]) -> None:
+        """Let jobs be that are not begun."""
+        if self.client.status == RUNNING:  # else they are cancelled by now
+            self.client.cancel(futures)
 
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
         """Fetch together what jobs have given: one by one each would take some milliseconds."""
         first = self._result(futures[0])
         try:
-            with self.scheduler_there(CancelledError):
-                return [first, *self.client.gather(list(futures[1:]))]
+            return [first, *self._gather(futures[1:])]
         except KilledWorker:  # of one that had ended: what it had given was lost with it
             return [first, *map(self._result, futures[1:])]
 
     def _result(self, future: Any) -> Any:
         """Wait for a job; where its workers were lost it is done again, by others."""
-        with self.scheduler_there(CancelledError):
-            for _ in range(RETRIES):
-                try:
-                    return self._awaited(future)
-                except KilledWorker:
-                    future.retry()
-            return self._awaited(future)
-
-    def _awaited(self, future: Any) -> Any:
-        """Result of a job; while it waits for one, it is said that no worker is there."""
-        while not future.done():
+        for _ in range(RETRIES):
             try:
-                return future.result(timeout=NOTICED)
-            except TimeoutError:
-                self._say_whether_it_waits()
-        return future.result()
+                return self._gather([future])[0]
+            except KilledWorker:
+                self._ask(self.client.retry, [future])
+        return self._gather([future])[0]
 
-    def _say_whether_it_waits(self) -> None:
-        with self.scheduler_there(OSError):
-            waits = self._threads() == 0
-        if self.progress is not None and (waits or self._waits):
-            message = f"{self.address} has no worker; waiting for one" if waits else ""
-            self.progress("workers", int(not waits), 1, message)
-        self._waits = waits
+    def _gather(self, futures: Sequence[Any]) -> list[Any]:
+        """Wait for jobs, and fetch what they have given."""
+        if not futures:
+            return []
+        results: list[Any] = self._ask(self.client.gather, list(futures), jobs=futures)
+        return results
 
-    @contextmanager
-    def scheduler_there(self, *errors: type[Exception]) -> Iterator[None]:
-        """Say so in one line when it is lost, of which these errors tell."""
+    def _ask(self, method: Callable[..., Any], *given: Any, jobs: Sequence[Any] = ()) -> Any:
+        """Ask the client for something, again where a connection broke, as a lost worker's does.
+
+        What it raises is a job's own error if one of the jobs has ended in an error.
+        """
+        for _ in range(RETRIES):
+            try:
+                return self._wait_for(method, *given)
+            except OSError as error:
+                if any(job.status == "error" for job in jobs):
+                    raise
+                self._check_there(error)
+                time.sleep(PAUSE)
+            except CancelledError as error:  # by the client, which has lost its scheduler
+                raise self._lost() from error
+        return self._wait_for(method, *given)
+
+    def _wait_for(self, method: Callable[..., Any], *given: Any) -> Any:
+        """Wait without end, since jobs may be long, but see meanwhile what it is waited for."""
+        answer = self._begin(method, *given)
         try:
-            yield
-        except errors as error:
-            raise InputError(
-                f"{self.address}: the Dask scheduler was lost ({one_line(error)}); what is "
-                "evaluated is kept: start it again, and the same command goes on"
-            ) from error
+            while not wait([answer], NOTICED).done:
+                self._say_what_is_waited_for()
+            return answer.result()
+        finally:
+            answer.cancel()  # if it is interrupted
+
+    def _begin(self, method: Callable[..., Any], *given: Any) -> Future[Any]:
+        """Call a method of the client in its loop, where it waits for nothing."""
+        self._check_there()
+
+        async def call() -> Any:
+            return await method(*given)
+
+        return asyncio.run_coroutine_threadsafe(call(), self.client.loop.asyncio_loop)
+
+    def _say_what_is_waited_for(self) -> None:
+        answer = self._begin(self.client.nthreads)
+        try:
+            waits_for = "" if answer.result(ANSWERED) else "has no worker; waiting for one"
+        except OSError as error:  # no answer in time is one
+            self._check_there(error)
+            waits_for = "does not answer; waiting for it"
+        finally:
+            answer.cancel()
+        if self.progress is not None and (waits_for or self._waits):
+            message = f"{self.address} {waits_for}" if waits_for else ""
+            self.progress("workers", int(not waits_for), 1, message)
+        self._waits = bool(waits_for)
+
+    def _check_there(self, error: OSError | None = None) -> None:
+        """Say so in one line if the scheduler is lost."""
+        if self.client.status != RUNNING:
+            raise self._lost() from error
+
+    def _lost(self) -> InputError:
+        return InputError(
+            f"{self.address}: the Dask scheduler was lost; what is evaluated is kept: start it "
+            "again, and the same command goes on"
+        )
 
     def _send(self, question: Question) -> str:
         with TemporaryDirectory(prefix="fascicle-") as folder:
@@ -176,22 +224,9 @@ class Cluster(Remote):
         """Give all workers, those that come later too, something to keep; its name."""
         name = f"fascicle-{_name(pickle.dumps((files, small)))}"
         if name not in self._known:
-            with self.scheduler_there(OSError, CancelledError):
-                self._register(Held(name, files, small))
+            self._ask(self.client.register_plugin, Held(name, files, small))
             self._known.add(name)
         return name
-
-    def _register(self, held: Held) -> None:
-        """Give it to all; again where a worker was lost meanwhile, of which its others know too."""
-        for _ in range(RETRIES):
-            try:
-                self.client.register_plugin(held)
-                return
-            except OSError:
-                if self.client.status != "running":  # the scheduler itself is gone
-                    raise
-                time.sleep(0.5)
-        self.client.register_plugin(held)
 
 
 def _name(content: bytes) -> str:

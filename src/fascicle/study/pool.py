@@ -164,8 +164,7 @@ class Remote(Pool):
                 for results in self._results(next_ones):
                     yield from results
         finally:
-            for future in futures:
-                future.cancel()
+            self.cancel(futures)
 
     @abstractmethod
     def _send(self, question: Question) -> Any:
@@ -178,6 +177,11 @@ class Remote(Pool):
     @abstractmethod
     def _submit(self, *job: Any) -> Any:
         """Send a job, of model, rest, function and items; its future."""
+
+    def cancel(self, futures: Sequence[Any]) -> None:
+        """Let jobs be that are not begun."""
+        for future in futures:
+            future.cancel()
 
     @abstractmethod
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:

@@ -1,0 +1,40 @@
+"""A Dask scheduler and its workers, in processes that a test can stop and kill."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import contextmanager
+
+LOST = r"^tcp://\S+: the Dask scheduler was lost; what is evaluated is kept: start it again"
+
+
+@contextmanager
+def a_scheduler():
+    """Give the process of a scheduler without workers, and its address."""
+    with _process("scheduler", "--port", "0") as process:
+        yield process, _last_word(process, "Scheduler at:")
+
+
+@contextmanager
+def a_worker_of(address, threads=1):
+    with _process("worker", address, "--no-nanny", "--nthreads", f"{threads}") as process:
+        _last_word(process, "Registered to:")
+        yield
+
+
+@contextmanager
+def _process(kind, *options):
+    with subprocess.Popen(
+        [sys.executable, "-m", f"distributed.cli.dask_{kind}", *options, "--no-dashboard"],
+        stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def _last_word(process, text):
+    """Wait until a process says something; the last word of the line."""
+    return next(line.split()[-1] for line in process.stderr if text in line)
