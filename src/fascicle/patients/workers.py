@@ -91,9 +91,7 @@ def fit_on_workers(
                     if outcome is None:
                         continue
                     del running[future]
-                    cluster.cancel(
-                        [future]
-                    )  # of a lost worker, so that it is not begun again there
+                    cluster.cancel([future])  # a lost worker's is not begun again there
                     if outcome.status is Status.NOT_DONE and not tried.tried_enough:
                         waiting.append(tried.again)
                     else:

@@ -153,7 +153,7 @@ class Cluster(Remote):
     def _ask(self, method: Callable[..., Any], *given: Any, jobs: Sequence[Any] = ()) -> Any:
         """Ask the client for something, again where a connection broke, as a lost worker's does.
 
-        What it raises is a job's own error if one of the jobs has ended in an error.
+        Where one of the jobs has ended in an error, what is raised is the job's own.
         """
         for _ in range(RETRIES):
             try:
@@ -168,7 +168,7 @@ class Cluster(Remote):
         return self._wait_for(method, *given)
 
     def _wait_for(self, method: Callable[..., Any], *given: Any) -> Any:
-        """Wait without end, since jobs may be long, but see meanwhile what it is waited for."""
+        """Wait as long as it takes, since jobs may be long; say meanwhile what is waited for."""
         answer = self._begin(method, *given)
         try:
             while not wait([answer], NOTICED).done:
