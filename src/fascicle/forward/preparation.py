@@ -25,6 +25,7 @@ from fascicle.forward.ecg.electrocardiogram import (
 )
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium, find_on_surface
+from fascicle.forward.eikonal.nearest_triangles import Candidates
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
@@ -34,7 +35,7 @@ from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
-FORMAT = 8  # of the files; another number makes them anew
+FORMAT = 9  # of the files; another number makes them anew
 ONCE = "once per heart"
 READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 KEPT = 4  # files in a heart's cache; the oldest go
@@ -189,6 +190,7 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
         "myocardium": _attributes(myocardium, "order", "conducts", "surface", "owner"),
         "ecg": _attributes(prepared.electrocardiograph, "corners", "weights"),
         **{side: chart._asdict() for side, chart in prepared.charts.items()},
+        **{f"{side} candidates": c._asdict() for side, c in myocardium.candidates.items()},
     }
     if heart is not None:
         parts["heart"] = _attributes(heart, "vertices", "tetrahedra", "fibres", "electrodes")
@@ -233,9 +235,10 @@ def load(
     mesh, myocardium = EikonalMesh(**parts["mesh"]), parts["myocardium"]
     tree = find_on_surface(mesh.vertices, myocardium["surface"])
     table = TravelTimeTable(**parts["travel_times"])
+    candidates = {side: Candidates(**parts[f"{side} candidates"]) for side in charts}
     return heart, Prepared(
         charts,
         _seeds(heart, charts),
-        Myocardium(mesh, table, **myocardium, tree=tree),
+        Myocardium(mesh, table, **myocardium, tree=tree, candidates=candidates),
         Electrocardiograph(**parts["ecg"], action_potential=action_potential),
     )

@@ -196,6 +196,7 @@ def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeT
         nodes["parent"].astype(np.int64),
         nodes["length"].copy(),
         nodes["branch"].astype(np.int64),
+        nodes["triangle"].astype(np.int64),
     )
 
 

@@ -35,6 +35,8 @@ class PurkinjeTree:
     labels : (n,) array, optional
         What the segment that ends in each node belongs to: 0 the bundle, k fascicle k, above that
         the branches. Without labels these follow from how the tree forks.
+    triangles : (n,) array, optional
+        The triangle of its side's endocardium that each node was grown in.
     """
 
     side: str
@@ -42,6 +44,7 @@ class PurkinjeTree:
     parents: Integers
     lengths: Floats
     labels: Integers | None = None
+    triangles: Integers | None = None
 
     __repr__ = brief
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
@@ -15,7 +14,6 @@ from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.ray_travel_times import BASIS
 from fascicle.mesh.topology import TETRAHEDRON_EDGES
-from fascicle.purkinje.chart import Chart
 
 # Nodes that wait are taken together if they are later than the earliest by up to so many times the
 # mean travel time of an edge: more work for the threads, and more of it in vain.
@@ -87,46 +85,17 @@ def _table(myocardium: Myocardium) -> dict[str, Any]:
 def _charts(prepared: Prepared) -> dict[str, Any]:
     packed: dict[str, Any] = {}
     for side, chart in prepared.charts.items():
-        start, near = _nearest_candidates(chart, prepared.myocardium)
+        candidates = prepared.myocardium.candidates[side]
         packed |= {
             f"{side}_points": _doubles(chart.points),
             f"{side}_vertices": _doubles(chart.vertices),
             f"{side}_triangles": _ints(chart.triangles),
             f"{side}_neighbours": _ints(chart.neighbours),
             f"{side}_metric": _doubles(chart.metric),
-            f"{side}_near_start": _ints(start),
-            f"{side}_near": _ints(near),
+            f"{side}_near_start": _ints(candidates.start),
+            f"{side}_near": _ints(candidates.triangle),
         }
     return packed
-
-
-def _nearest_candidates(chart: Chart, myocardium: Myocardium) -> tuple[Integers, Integers]:
-    """The boundary triangles that can be nearest to a point of each triangle of a chart.
-
-    From the centre of the chart's triangle, which reaches r from there, the surface is d away: then
-    the nearest to any point of it is d + 2r from the centre at most.
-    """
-    centres, radii = _balls(chart.vertices[chart.triangles])
-    triangles = myocardium.mesh.vertices[myocardium.surface]
-    their_centres, their_radii = _balls(triangles)
-    square = myocardium.tree.squared_distance(myocardium.mesh.vertices, myocardium.surface, centres)
-    reach = np.sqrt(square[0]) + 2 * radii
-    around = KDTree(their_centres).query_ball_point(centres, reach * (1 + 1e-9) + their_radii.max())
-    found = [
-        np.sort(np.array(near)[_distances(centre, their_centres[near]) <= far + their_radii[near]])
-        for centre, near, far in zip(centres, around, reach * (1 + 1e-9), strict=True)
-    ]
-    return np.cumsum([0, *map(len, found)]), np.concatenate(found)
-
-
-def _balls(triangles: Floats) -> tuple[Floats, Floats]:
-    """Centres and radii of balls around triangles (m, 3, 3)."""
-    centres = triangles.mean(axis=1)
-    return centres, np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
-
-
-def _distances(point: Floats, others: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(others - point, axis=1))
 
 
 def _ecg(electrocardiograph: Electrocardiograph, order: Integers) -> dict[str, Any]:

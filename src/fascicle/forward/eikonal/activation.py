@@ -180,8 +180,7 @@ def attach(
         captures around itself, as far as from junctions. Without: from all.
     """
     stimuli = np.empty((0, 3)) if points is None else np.asarray(points, float).reshape(-1, 3)
-    leaves = np.concatenate([*(tree.nodes[tree.junctions] for tree in trees), np.empty((0, 3))])
-    located = myocardium.on_surface(leaves)
+    located = _locate_junctions(myocardium, trees)
     neighbourhood = _neighbourhood(located, located.triangles, myocardium)
     if len(stimuli):
         sources = len(stimuli) if sources is None else sources
@@ -411,6 +410,19 @@ def _neighbourhood(
     return find_neighbourhood(
         located.positions, located.elements, triangles, myocardium.mesh, myocardium.travel_times
     )
+
+
+def _locate_junctions(myocardium: Myocardium, trees: Sequence[PurkinjeTree]) -> LocatedPoints:
+    """Find the points of the tissue's surface that are nearest to the trees' junctions."""
+    found = [myocardium.on_surface(np.empty((0, 3)))] if not trees else []
+    for tree in trees:
+        points = tree.nodes[tree.junctions]
+        if tree.triangles is None:
+            found.append(myocardium.on_surface(points))
+        else:
+            triangles = tree.triangles[tree.junctions]
+            found.append(myocardium.on_surface_from(tree.side, triangles, points))
+    return LocatedPoints._make(map(np.concatenate, zip(*found, strict=True)))
 
 
 def _locate_stimuli(

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
+from fascicle.forward.eikonal.nearest_triangles import Candidates, find_candidates
 from fascicle.forward.eikonal.ray_travel_times import (
     SiteNeighbourhood,
     build_travel_time_table,
@@ -32,6 +33,7 @@ from fascicle.kernels.arrays import (
     TravelTimeTable,
     aligned,
 )
+from fascicle.kernels.nearest_triangle import nearest_of
 from fascicle.kernels.star import number_neighbours
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles
@@ -80,6 +82,8 @@ class Myocardium:
         tetrahedron of each.
     tree : igl.AABB
         Finds the nearest boundary triangle.
+    candidates : dict of side to Candidates
+        The boundary triangles that can be nearest to each triangle of an endocardium.
     last_stimuli : dict
         The stimuli that were looked for last, and what is around them: a scenario's are the same
         for every network.
@@ -92,6 +96,7 @@ class Myocardium:
     surface: Integers
     owner: Integers
     tree: igl.AABB
+    candidates: dict[str, Candidates]
     last_stimuli: dict[tuple[bytes, int], tuple[LocatedPoints, SiteNeighbourhood]] = field(
         default_factory=dict
     )
@@ -101,9 +106,26 @@ class Myocardium:
         square, triangle, nearest = self.tree.squared_distance(
             self.mesh.vertices, self.surface, np.ascontiguousarray(points)
         )
-        elements = self.owner[triangle]
+        return self._located(np.asarray(nearest), np.asarray(triangle), square)
+
+    def on_surface_from(self, side: str, triangles: Integers, points: Floats) -> LocatedPoints:
+        """The same of points in or near triangles of the endocardium of a side, without a search.
+
+        Those that do not lie there are searched for after all.
+        """
+        positions, found = np.empty_like(points), np.empty(len(points), np.int64)
+        squares = np.empty(len(points))
+        mesh, candidates = self.mesh, self.candidates[side]
+        if nearest_of(
+            points, triangles, candidates, mesh.vertices, self.surface, positions, found, squares
+        ):
+            return self._located(positions, found, squares)
+        return self.on_surface(points)
+
+    def _located(self, positions: Floats, triangles: Integers, squares: Floats) -> LocatedPoints:
+        elements = self.owner[triangles]
         elements = np.where(self.conducts[elements], elements, -1)
-        return LocatedPoints(np.asarray(nearest), elements, np.asarray(triangle), np.sqrt(square))
+        return LocatedPoints(positions, elements, triangles, np.sqrt(squares))
 
     def inside(self, points: Floats) -> LocatedPoints:
         """The same points where they lie in the tissue, else the nearest of its surface."""
@@ -182,7 +204,11 @@ def build_myocardium(
     endocardia = _triangles_at(heart, vertices, surface, tree)
     endocardia = endocardia[conducts[owner[endocardia]]]
     table = build_travel_time_table(mesh, surface, owner, endocardia, progress)
-    return Myocardium(mesh, table, order, conducts, surface, owner, tree)
+    candidates = {
+        e.side: find_candidates(e.vertices[e.triangles], vertices, surface, tree)
+        for e in heart.endocardia
+    }
+    return Myocardium(mesh, table, order, conducts, surface, owner, tree, candidates)
 
 
 def _elements(

@@ -1,0 +1,71 @@
+"""Which boundary triangles of the tissue can be nearest to a point of an endocardium."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import igl
+import numpy as np
+from scipy.spatial import KDTree
+
+from fascicle.core.arrays import Floats, Integers
+
+A_LITTLE = 1 + 1e-9  # more than rounding
+
+
+class Candidates(NamedTuple):
+    """For each triangle of an endocardium the boundary triangles that can be nearest to it.
+
+    Attributes
+    ----------
+    start : (m + 1,) array
+        Where each one's candidates begin in the list.
+    triangle : (c,) array
+        The list; those whose centres are nearest come first.
+    centre, square : (m, 3) and (m,) arrays
+        A ball around each one: its centre (mm) and its squared radius (mm²). What is nearest to
+        any point of it is among the candidates.
+    """
+
+    start: Integers
+    triangle: Integers
+    centre: Floats
+    square: Floats
+
+
+def find_candidates(
+    triangles: Floats, vertices: Floats, surface: Integers, tree: igl.AABB
+) -> Candidates:
+    """Find the boundary triangles that can be nearest to points of an endocardium.
+
+    From the centre of a triangle, which reaches r from there, the surface is d away: then the
+    nearest to any point of the ball of radius r is d + 2r from the centre at most.
+
+    Parameters
+    ----------
+    triangles : (m, 3, 3) array
+        Corners of the endocardium's triangles (mm).
+    vertices, surface : (v, 3) and (b, 3) arrays
+        The tissue's boundary.
+    tree : igl.AABB
+        Finds its nearest triangle.
+    """
+    centres, radii = _balls(triangles)
+    their_centres, their_radii = _balls(vertices[surface])
+    square, _, _ = tree.squared_distance(vertices, surface, centres)
+    radii *= A_LITTLE
+    reach = (np.sqrt(square) + 2 * radii) * A_LITTLE
+    around = KDTree(their_centres).query_ball_point(centres, reach + their_radii.max())
+    found = []
+    for centre, near, far in zip(centres, map(np.array, around), reach, strict=True):
+        distance = np.linalg.norm(their_centres[near] - centre, axis=1)
+        can_be = distance <= far + their_radii[near]
+        found.append(near[can_be][np.argsort(distance[can_be], kind="stable")])
+    start = np.cumsum([0, *map(len, found)])
+    return Candidates(start, np.concatenate(found), centres, radii**2)
+
+
+def _balls(triangles: Floats) -> tuple[Floats, Floats]:
+    """Centres and radii of balls around triangles (m, 3, 3)."""
+    centres = triangles.mean(axis=1)
+    return centres, np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
