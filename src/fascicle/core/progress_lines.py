@@ -48,15 +48,20 @@ def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]
     wanted : Progress, "lines" or None
         A callback; lines on standard error, while the context lasts; or nothing.
     """
+    shown = progress_of(wanted)
+    try:
+        yield shown
+    finally:
+        if isinstance(shown, ProgressLines):
+            shown.end()
+
+
+def progress_of(wanted: Progress | Lines | None) -> Progress | None:
+    """The progress callback of what lives on: see `shown_progress`."""
     if isinstance(wanted, str) and wanted == "lines":
-        lines = ProgressLines(lambda line: write_with_time(line, sys.stderr))
-        try:
-            yield lines
-        finally:
-            lines.end()
-    else:
-        check_progress(wanted)
-        yield wanted
+        return ProgressLines(lambda line: write_with_time(line, sys.stderr))
+    check_progress(wanted)
+    return wanted
 
 
 def write_with_time(line: str, stream: TextIO) -> None:

@@ -22,6 +22,7 @@ from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.progress import Progress
+from fascicle.core.progress_lines import Lines, progress_of
 from fascicle.core.ranges import shown
 from fascicle.core.threads import keep_one_thread
 from fascicle.forward.model import WrittenModel
@@ -79,8 +80,9 @@ class Cluster(Remote):
     ----------
     address : str
         Of the scheduler, such as ``"tcp://10.0.0.1:8786"``.
-    progress : Progress, optional
-        Called, with the stage "workers", while it has none or does not answer.
+    progress : Progress, "lines" or None
+        Called, with the stage "workers", while it has none or does not answer; or lines on standard
+        error; or nothing.
 
     Raises
     ------
@@ -88,12 +90,13 @@ class Cluster(Remote):
         If it is no address, or no scheduler answers there.
     """
 
-    def __init__(self, address: str, progress: Progress | None = None) -> None:
+    def __init__(self, address: str, progress: Progress | Lines | None = "lines") -> None:
         if not isinstance(address, str) or not re.fullmatch(ADDRESS, address):
             raise InputError(
                 f"{shown(address)} is no address of a Dask scheduler; it prints its own when it "
                 "starts, such as tcp://10.0.0.1:8786"
             )
+        self.progress = progress_of(progress)
         try:
             self.client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
         except (OSError, TypeError) as error:  # the second of TLS that is not configured
@@ -102,7 +105,7 @@ class Cluster(Remote):
                 "'dask scheduler', and workers with 'dask worker ADDRESS'"
             ) from error
         super().__init__()
-        self.address, self.progress = address, progress
+        self.address = address
         self._known: set[str] = set()
         self._waits = False  # for a worker
 
