@@ -1,5 +1,7 @@
 """The point of a surface that is nearest to a point, among the triangles that can have it."""
 
+import math
+
 import numpy as np
 
 from fascicle.kernels.jit import kernel
@@ -65,18 +67,20 @@ def nearest_of(points, rows, candidates, vertices, surface, found, triangles, sq
     bool
         False, with the rest left as it is, if a point lies outside its row's ball, or none is near.
     """
-    start, triangle, centre, square = candidates
+    start, triangle, least, centre, square = candidates
     for n in range(len(points)):
         row = rows[n]
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        if not (
-            0 <= row < len(square)
-            and (x - centre[row, 0]) ** 2 + (y - centre[row, 1]) ** 2 + (z - centre[row, 2]) ** 2
-            <= square[row]
-        ):
+        if not 0 <= row < len(square):
             return False
+        off = (x - centre[row, 0]) ** 2 + (y - centre[row, 1]) ** 2 + (z - centre[row, 2]) ** 2
+        if off > square[row]:
+            return False
+        off = math.sqrt(off)
         best = np.inf
         for k in range(start[row], start[row + 1]):
+            if least[k] - off > math.sqrt(best):
+                break
             t = triangle[k]
             a, b, c = surface[t, 0], surface[t, 1], surface[t, 2]
             ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]

@@ -22,7 +22,10 @@ def nearest(points, vertices, surface, candidates, rows):
 def all_of(surface, *, radius):
     """One row, around the origin, whose candidates are all triangles."""
     every = np.arange(len(surface))
-    return Candidates(np.array([0, len(every)]), every, np.zeros((1, 3)), np.array([radius**2]))
+    return Candidates(
+        np.array([0, len(every)]), every, np.full(len(every), -np.inf), np.zeros((1, 3)),
+        np.array([radius**2]),
+    )  # fmt: skip
 
 
 def test_nearest_points_are_those_of_libigl():

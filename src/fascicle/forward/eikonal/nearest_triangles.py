@@ -20,8 +20,8 @@ class Candidates(NamedTuple):
     ----------
     start : (m + 1,) array
         Where each one's candidates begin in the list.
-    triangle : (c,) array
-        The list; those whose centres are nearest come first.
+    triangle, least : (c,) arrays
+        The list, and how far each is from its ball's centre at least (mm), by which it ascends.
     centre, square : (m, 3) and (m,) arrays
         A ball around each one: its centre (mm) and its squared radius (mm²). What is nearest to
         any point of it is among the candidates.
@@ -29,6 +29,7 @@ class Candidates(NamedTuple):
 
     start: Integers
     triangle: Integers
+    least: Floats
     centre: Floats
     square: Floats
 
@@ -58,11 +59,13 @@ def find_candidates(
     around = KDTree(their_centres).query_ball_point(centres, reach + their_radii.max())
     found = []
     for centre, near, far in zip(centres, map(np.array, around), reach, strict=True):
-        distance = np.linalg.norm(their_centres[near] - centre, axis=1)
-        can_be = distance <= far + their_radii[near]
-        found.append(near[can_be][np.argsort(distance[can_be], kind="stable")])
-    start = np.cumsum([0, *map(len, found)])
-    return Candidates(start, np.concatenate(found), centres, radii**2)
+        least = np.linalg.norm(their_centres[near] - centre, axis=1) - their_radii[near]
+        order = np.argsort(least, kind="stable")
+        order = order[: np.searchsorted(least[order], far, "right")]
+        found.append((near[order], least[order]))
+    triangle, least = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    start = np.cumsum([0, *(len(each) for each, _ in found)])
+    return Candidates(start, triangle, least, centres, radii**2)
 
 
 def _balls(triangles: Floats) -> tuple[Floats, Floats]:
