@@ -10,9 +10,9 @@ LOST = r"^tcp://\S+: the Dask scheduler was lost; what is evaluated is kept: sta
 
 
 @contextmanager
-def a_scheduler():
+def a_scheduler(port="0"):
     """Give the process of a scheduler without workers, and its address."""
-    with _process("scheduler", "--port", "0") as process:
+    with _process("scheduler", "--port", port) as process:
         yield process, _last_word(process, "Scheduler at:")
 
 

@@ -143,7 +143,7 @@ def refuse(*_):
 
 
 def test_a_scheduler_that_is_lost_while_a_patient_is_fitted(table, tmp_path):
-    """One line; what its workers have evaluated is kept."""
+    """One line, and the next one goes on with what was evaluated."""
     out = tmp_path / "out"
     stored = out / "studies" / "anna" / "evaluations.sqlite"
     with a_scheduler() as (process, address), a_worker_of(address, threads=2):
@@ -153,10 +153,11 @@ def test_a_scheduler_that_is_lost_while_a_patient_is_fitted(table, tmp_path):
                 time.sleep(0.05)
             process.kill()
 
-        killer = threading.Thread(target=kill)
+        killer = threading.Thread(target=kill, daemon=True)
         killer.start()
         with pytest.raises(InputError, match=LOST):
             fascicle.cohort(table("anna", **LONGER), out, cluster=fascicle.Cluster(address))
         killer.join()
-    assert stored.exists()
     assert not list((out / "patients").glob(".seen-*"))
+    found = fascicle.cohort(out.parent / "patients.csv", out)
+    assert [str(each.status) for each in found] == ["fitted"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import random
@@ -278,16 +279,45 @@ class TestCluster:
             with pytest.raises(InputError, match=LOST):
                 pool._results(futures)
 
-    def test_errors_of_the_system_arrive_as_themselves(self, cluster, problem, points):
-        """They are of the worker, not of the connection to the scheduler."""
-        from fascicle.study.cluster import Cluster
-
-        pool = Cluster(cluster.scheduler_address)
-        begun = time.monotonic()
+    def test_errors_of_the_system_arrive_as_themselves(
+        self, cluster, connected, problem, points, monkeypatch
+    ):
+        """They are of the worker, not of the connection: nothing is tried again."""
+        monkeypatch.setattr("fascicle.study.cluster.PAUSE", None)  # no such time to wait
+        pool = connected(cluster.scheduler_address)
         with pytest.raises(OSError, match="the disk is full"):
             list(pool.map(fill, problem, points))
-        assert pool.client.status == "running"
-        assert time.monotonic() - begun < 30
+
+    def test_workers_that_take_no_heart(self, cluster, connected):
+        """One line, which does not say that the disk of this machine is full."""
+
+        async def full():
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        with pytest.raises(InputError, match=r"its workers fail \(.*No space left on device"):
+            connected(cluster.scheduler_address)._ask(full)
+
+    def test_jobs_that_are_cancelled(self, cluster, connected):
+        """By whom ever, while the scheduler is there."""
+        pool = connected(cluster.scheduler_address)
+        futures = [pool.client.submit(time.sleep, 20, pure=False)]
+        threading.Timer(1.0, pool.client.cancel, [futures]).start()
+        with pytest.raises(InputError, match=r"jobs were cancelled there .* the same command goes"):
+            pool._results(futures)
+
+    def test_a_scheduler_that_is_restarted(self, connected, problem, points, expected):
+        """What was sent to the first is sent again to the second."""
+        with a_scheduler() as (process, address):
+            pool = connected(address)
+            with a_worker_of(address):
+                assert_same(replace(problem, pool=pool)(points[:2]), expected[:2])
+            process.kill()
+            process.wait()
+        with a_scheduler(address.rpartition(":")[2]), a_worker_of(address):
+            until = time.monotonic() + 30
+            while pool.client.status != "running" and time.monotonic() < until:
+                time.sleep(0.1)
+            assert_same(replace(problem, pool=pool)(points[:2]), expected[:2])
 
     def test_a_scheduler_without_workers(self, problem, points, expected):
         """It is said once a second that nobody works, until somebody does."""

@@ -65,7 +65,7 @@ def nearest_of(points, rows, candidates, vertices, surface, found, triangles, sq
     Returns
     -------
     bool
-        False, with the rest left as it is, if a point lies outside its row's ball, or none is near.
+        False, and what is written is of no use, if a point lies outside its row's ball.
     """
     start, triangle, least, centre, square = candidates
     for n in range(len(points)):

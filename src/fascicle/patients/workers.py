@@ -152,6 +152,8 @@ def _ended(future: Any, tried: _Waiting, *, lost: bool) -> Outcome | None:
         with suppress(OSError, CancelledError):  # the worker is lost before it has told
             outcome: Outcome = future.result(timeout=TIMEOUT)
             return outcome
+        if future.status == "finished":  # the scheduler is silent, and will tell
+            return None
     error = future.exception() if future.status == "error" else None
     if isinstance(error, InputError):  # not of the patient, which is an outcome
         raise error

@@ -13,7 +13,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import CancelledError, Future, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, TypeVar
@@ -62,8 +62,12 @@ class Held(WorkerPlugin):
         """Write the files for this worker to read; BLAS takes one thread here from now on."""
         keep_one_thread()  # jobs of several threads would set it back for one another
         folder = Path(mkdtemp(prefix="fascicle-", dir=worker.local_directory))
-        for name, content in self.files.items():
-            (folder / name).write_bytes(content)
+        try:
+            for name, content in self.files.items():
+                (folder / name).write_bytes(content)
+        except OSError:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
         self.files.clear()  # they are on the worker's disk
         self.folder = folder  # last: a job may already be waiting for it
 
@@ -107,7 +111,8 @@ class Cluster(Remote):
         super().__init__()
         self.address = address
         self._known: set[str] = set()
-        self._waits = False  # for a worker
+        self._connection = self.client.scheduler_comm
+        self._waits = False  # for a worker, or for the scheduler
 
     @property
     def workers(self) -> int:  # type: ignore[override]
@@ -156,27 +161,39 @@ class Cluster(Remote):
     def _ask(self, method: Callable[..., Any], *given: Any, jobs: Sequence[Any] = ()) -> Any:
         """Ask the client for something, again where a connection broke, as a lost worker's does.
 
-        Where one of the jobs has ended in an error, what is raised is the job's own.
+        A job's own error is raised as it is.
         """
-        for _ in range(RETRIES):
+        for tried in range(RETRIES + 1):
             try:
                 return self._wait_for(method, *given)
             except OSError as error:
-                if any(job.status == "error" for job in jobs):
+                if any(job.status == "error" and job.exception() is error for job in jobs):
                     raise
                 self._check_there(error)
+                of_workers = error.errno is not None and not isinstance(error, ConnectionError)
+                if of_workers or tried == RETRIES:
+                    raise InputError(
+                        f"{self.address}: its workers fail ({one_line(error)}); see what they say"
+                    ) from error
                 time.sleep(PAUSE)
-            except CancelledError as error:  # by the client, which has lost its scheduler
-                raise self._lost() from error
-        return self._wait_for(method, *given)
+            except CancelledError as error:
+                if self._same_scheduler:
+                    raise InputError(
+                        f"{self.address}: jobs were cancelled there ({one_line(error)}); what is "
+                        "evaluated is kept, and the same command goes on"
+                    ) from error
+                raise self._lost() from error  # by the client, when it lost its scheduler
+        raise AssertionError("the last try returns or raises")
 
     def _wait_for(self, method: Callable[..., Any], *given: Any) -> Any:
         """Wait as long as it takes, since jobs may be long; say meanwhile what is waited for."""
         answer = self._begin(method, *given)
         try:
             while not wait([answer], NOTICED).done:
-                self._say_what_is_waited_for()
-            return answer.result()
+                self._say(self._what_is_missing(answer))
+            result = answer.result()
+            self._say("")
+            return result
         finally:
             answer.cancel()  # if it is interrupted
 
@@ -189,19 +206,31 @@ class Cluster(Remote):
 
         return asyncio.run_coroutine_threadsafe(call(), self.client.loop.asyncio_loop)
 
-    def _say_what_is_waited_for(self) -> None:
-        answer = self._begin(self.client.nthreads)
+    def _what_is_missing(self, answer: Future[Any]) -> str:
+        """Say why an answer does not come, in words; empty if it just takes its time."""
+        threads = self._begin(self.client.nthreads)
         try:
-            waits_for = "" if answer.result(ANSWERED) else "has no worker; waiting for one"
+            wait([threads, answer], ANSWERED, FIRST_COMPLETED)
+            if answer.done() or threads.result(timeout=0):
+                return ""
+            return "has no worker; waiting for one"
         except OSError as error:  # no answer in time is one
             self._check_there(error)
-            waits_for = "does not answer; waiting for it"
+            return "does not answer; waiting for it"
         finally:
-            answer.cancel()
-        if self.progress is not None and (waits_for or self._waits):
-            message = f"{self.address} {waits_for}" if waits_for else ""
-            self.progress("workers", int(not waits_for), 1, message)
-        self._waits = bool(waits_for)
+            threads.cancel()
+
+    def _say(self, missing: str) -> None:
+        if self.progress is not None and (missing or self._waits):
+            message = f"{self.address} {missing}" if missing else ""
+            self.progress("workers", int(not missing), 1, message)
+        self._waits = bool(missing)
+
+    @property
+    def _same_scheduler(self) -> bool:
+        """Whether the connection is the one through which models were sent."""
+        there: bool = self.client.status == RUNNING
+        return there and self.client.scheduler_comm is self._connection
 
     def _check_there(self, error: OSError | None = None) -> None:
         """Say so in one line if the scheduler is lost."""
@@ -213,6 +242,13 @@ class Cluster(Remote):
             f"{self.address}: the Dask scheduler was lost; what is evaluated is kept: start it "
             "again, and the same command goes on"
         )
+
+    def _model(self, question: Question) -> Any:
+        if not self._same_scheduler:  # it was restarted, and knows of nothing
+            self._connection = self.client.scheduler_comm
+            self._known.clear()
+            self._models.clear()
+        return super()._model(question)
 
     def _send(self, question: Question) -> str:
         with TemporaryDirectory(prefix="fascicle-") as folder:

@@ -73,19 +73,26 @@ def test_candidates_hold_the_nearest_of_every_point_of_a_ball(default_model):
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         far = np.sqrt(candidates.square[rows]) * rng.uniform(0, 0.999999, len(rows))
         points = candidates.centre[rows] + far[:, None] * direction
-        found = myocardium.on_surface_from(side, rows, points)
+        done, found, _, squares = nearest(
+            points, myocardium.mesh.vertices, myocardium.surface, candidates, rows
+        )
+        assert done
         expected = myocardium.on_surface(points)
         assert expected.distances.max() > 0.3
-        np.testing.assert_allclose(found.distances, expected.distances, atol=1e-9)
+        np.testing.assert_allclose(np.sqrt(squares), expected.distances, atol=1e-9)
+        away = np.linalg.norm(found - points, axis=1)
+        np.testing.assert_allclose(away, expected.distances, atol=1e-9)
 
 
 def test_grown_trees_are_attached_as_others(default_model):
-    """And so are those that say they were grown where they are not."""
+    """And so are those that say they were grown where they are not, or have another name."""
     trees = default_model.grow(EXAMPLE_PARAMETERS)
     myocardium = default_model.prepared.myocardium
     expected = attach(myocardium, [replace(tree, triangles=None) for tree in trees])
     elsewhere = [replace(tree, triangles=np.roll(tree.triangles, 100)) for tree in trees]
-    for given in (trees, elsewhere):
+    unequal = [replace(tree, triangles=tree.triangles[:-1]) for tree in trees]
+    named = [replace(tree, side=f"my {tree.side}") for tree in trees]
+    for given in (trees, elsewhere, unequal, named):
         found = attach(myocardium, given)
         np.testing.assert_array_equal(found.located.triangles, expected.located.triangles)
         np.testing.assert_array_equal(found.located.elements, expected.located.elements)
@@ -95,6 +102,7 @@ def test_grown_trees_are_attached_as_others(default_model):
 
 def test_junctions_of_grown_trees_are_not_searched_for(default_model, monkeypatch):
     trees = default_model.grow(EXAMPLE_PARAMETERS)
+    trees = [*trees, replace(trees[1], side="mine")]
     myocardium = default_model.prepared.myocardium
     monkeypatch.setattr(type(myocardium), "on_surface", None)
     assert len(attach(myocardium, trees).located.positions) == sum(

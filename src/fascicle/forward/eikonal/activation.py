@@ -417,11 +417,10 @@ def _locate_junctions(myocardium: Myocardium, trees: Sequence[PurkinjeTree]) -> 
     found = [myocardium.on_surface(np.empty((0, 3)))] if not trees else []
     for tree in trees:
         points = tree.nodes[tree.junctions]
-        if tree.triangles is None:
+        if tree.triangles is None or len(tree.triangles) != len(tree.nodes):
             found.append(myocardium.on_surface(points))
         else:
-            triangles = tree.triangles[tree.junctions]
-            found.append(myocardium.on_surface_from(tree.side, triangles, points))
+            found.append(myocardium.on_surface_from(tree.triangles[tree.junctions], points))
     return LocatedPoints._make(map(np.concatenate, zip(*found, strict=True)))
 
 

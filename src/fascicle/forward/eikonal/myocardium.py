@@ -108,18 +108,16 @@ class Myocardium:
         )
         return self._located(np.asarray(nearest), np.asarray(triangle), square)
 
-    def on_surface_from(self, side: str, triangles: Integers, points: Floats) -> LocatedPoints:
-        """The same of points in or near triangles of the endocardium of a side, without a search.
+    def on_surface_from(self, triangles: Integers, points: Floats) -> LocatedPoints:
+        """The same of points that lie in or near triangles of an endocardium, without a search.
 
-        Those that do not lie there are searched for after all.
+        All are searched for if one does not.
         """
         positions, found = np.empty_like(points), np.empty(len(points), np.int64)
-        squares = np.empty(len(points))
-        mesh, candidates = self.mesh, self.candidates[side]
-        if nearest_of(
-            points, triangles, candidates, mesh.vertices, self.surface, positions, found, squares
-        ):
-            return self._located(positions, found, squares)
+        squares, surface = np.empty(len(points)), (self.mesh.vertices, self.surface)
+        for candidates in self.candidates.values():  # where it is tried tells of which side
+            if nearest_of(points, triangles, candidates, *surface, positions, found, squares):
+                return self._located(positions, found, squares)
         return self.on_surface(points)
 
     def _located(self, positions: Floats, triangles: Integers, squares: Floats) -> LocatedPoints:

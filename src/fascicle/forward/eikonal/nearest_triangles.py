@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from fascicle.core.arrays import Floats, Integers
 
 A_LITTLE = 1 + 1e-9  # more than rounding
+CHUNK = 1 << 12  # triangles of an endocardium at a time, which bounds the memory
 
 
 class Candidates(NamedTuple):
@@ -56,13 +57,17 @@ def find_candidates(
     square, _, _ = tree.squared_distance(vertices, surface, centres)
     radii *= A_LITTLE
     reach = (np.sqrt(square) + 2 * radii) * A_LITTLE
-    around = KDTree(their_centres).query_ball_point(centres, reach + their_radii.max())
-    found = []
-    for centre, near, far in zip(centres, map(np.array, around), reach, strict=True):
-        least = np.linalg.norm(their_centres[near] - centre, axis=1) - their_radii[near]
-        order = np.argsort(least, kind="stable")
-        order = order[: np.searchsorted(least[order], far, "right")]
-        found.append((near[order], least[order]))
+    others, found = KDTree(their_centres), []
+    for first in range(0, len(centres), CHUNK):
+        part = slice(first, first + CHUNK)
+        around = others.query_ball_point(centres[part], reach[part] + their_radii.max())
+        for centre, near, far in zip(
+            centres[part], map(np.array, around), reach[part], strict=True
+        ):
+            least = np.linalg.norm(their_centres[near] - centre, axis=1) - their_radii[near]
+            order = np.argsort(least, kind="stable")
+            order = order[: np.searchsorted(least[order], far, "right")]
+            found.append((near[order], least[order]))
     triangle, least = (np.concatenate(parts) for parts in zip(*found, strict=True))
     start = np.cumsum([0, *(len(each) for each, _ in found)])
     return Candidates(start, triangle, least, centres, radii**2)
