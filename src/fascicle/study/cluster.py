@@ -32,9 +32,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 TIMEOUT = 30  # s, until a scheduler has answered
-NOTICED = 1  # s, after which it is seen what is waited for
-ANSWERED = 5  # s, in which a scheduler says which workers it has
-PAUSE = 0.5  # s, in which a client notices that its scheduler is lost
+NOTICED = 1  # s between looks at what is waited for
+ANSWERED = 5  # s that a scheduler has to say which workers it has
+PAUSE = 0.5  # s before a broken connection is tried again
 RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
 RUNNING = "running"  # a client that has its scheduler
 ADDRESS = r"(tcp|tls)://[^/\s]+:\d{1,5}"
@@ -130,8 +130,8 @@ class Cluster(Remote):
         return self.client.submit(_job, *job, key=key, pure=False)
 
     def cancel(self, futures: Sequence[Any]) -> None:
-        """Let jobs be that are not begun."""
-        if self.client.status == RUNNING:  # else they are cancelled by now
+        """Cancel jobs, unless losing the scheduler has done so."""
+        if self.client.status == RUNNING:
             self.client.cancel(futures)
 
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
@@ -244,7 +244,7 @@ class Cluster(Remote):
         )
 
     def _model(self, question: Question) -> Any:
-        if not self._same_scheduler:  # it was restarted, and knows of nothing
+        if not self._same_scheduler:  # a restarted one has no models
             self._connection = self.client.scheduler_comm
             self._known.clear()
             self._models.clear()

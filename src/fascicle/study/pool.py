@@ -179,7 +179,7 @@ class Remote(Pool):
         """Send a job, of model, rest, function and items; its future."""
 
     def cancel(self, futures: Sequence[Any]) -> None:
-        """Let jobs be that are not begun."""
+        """Cancel jobs that have not begun."""
         for future in futures:
             future.cancel()
 

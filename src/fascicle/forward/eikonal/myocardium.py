@@ -115,7 +115,7 @@ class Myocardium:
         """
         positions, found = np.empty_like(points), np.empty(len(points), np.int64)
         squares, surface = np.empty(len(points)), (self.mesh.vertices, self.surface)
-        for candidates in self.candidates.values():  # where it is tried tells of which side
+        for candidates in self.candidates.values():  # they lie on one side or on none
             if nearest_of(points, triangles, candidates, *surface, positions, found, squares):
                 return self._located(positions, found, squares)
         return self.on_surface(points)
