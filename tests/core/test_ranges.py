@@ -17,8 +17,16 @@ from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
 from fascicle.heart.conduction import CONDUCTIVITIES, Conduction, Region
 from fascicle.recording.recording import Recording
 
+
+class Thing:
+    """Something that Python writes with its address, here one of many decimal digits."""
+
+    def __repr__(self):
+        return "<Thing at 0x7f9755524970>"
+
+
 HUGE = (1e9, -1e9, 1e308, -1e308, 1e155, np.float32(3e38), 10**400, -(10**5000))
-NO_NUMBERS = ("a", [1.0], True, np.array([1.0, 2.0]), object())
+NO_NUMBERS = ("a", [1.0], True, np.array([1.0, 2.0]), Thing())
 NONE = (np.nan, np.inf, -np.inf)
 IDS = [f"{k}" for k in range(len(HUGE) + len(NO_NUMBERS) + len(NONE))]
 PLACE = (0.0, 0.0, 0.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 LONGEST = 40  # characters of what is no number that are shown
 LONGEST_TEXT = 200  # characters of a name
+ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")  # where an object is in memory: says nothing to anybody
 
 
 @dataclass(frozen=True)
@@ -220,6 +222,5 @@ def shown(value: object) -> str:
         return f"a whole number of {int(value.bit_length() * math.log10(2)) + 1} digits"
     if hasattr(value, "shape") and value.shape:
         return f"an array of shape {value.shape}"
-    written = repr(value)
-    written = " ".join(written.split())
+    written = ADDRESS.sub("", " ".join(repr(value).split()))
     return written if len(written) <= LONGEST else f"{written[:LONGEST]}…"
