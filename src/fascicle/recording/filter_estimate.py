@@ -9,7 +9,7 @@ parabola above it. Gentle filters look like the spectrum of a smooth QRS and are
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +44,7 @@ STEEPER = 2.0  # times as steep as the recording's own spectrum
 BETTER = 0.8  # largest ratio of its misfit to that without a low-pass
 # Where the spectrum falls by less there is none of that order and depth, and nothing is fitted.
 APART, LEAST_FALL = 1.4, 15.0  # ratio of two frequencies, and dB from one to the other
-AGREEMENT = 0.05  # between the cut-offs found about two neighbouring centres
+AGREEMENT = 0.05  # between the cut-offs found about two centres
 AT_BOUND = 0.01  # of the cut-off; nearer to the end of its range it is not found, but stopped
 
 
@@ -94,19 +94,18 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
     if found is None:
         return None
     frequency, level = _levels(*found, sampling_rate)
-    fits = []
+    believed = []
     for centre in CENTRES:
         near = (frequency > RANGE[0] * centre) & (frequency < RANGE[1] * centre)
         if near.sum() < FEWEST or frequency[-1] < CUTOFFS[1] * centre:
             continue
-        steep = _steepest_fall(frequency[near], level[near]) > LEAST_FALL
-        fits.append(_fit(frequency[near], level[near], centre) if steep else None)
-    # one that is there is found from both sides
+        if _steepest_fall(frequency[near], level[near]) > LEAST_FALL:
+            fit = _fit(frequency[near], level[near], centre)
+            believed += [fit] if fit.believed else []
+    # one that is there is found about more than one centre
     agreeing = [
         min(one, other, key=lambda fit: fit.misfit)
-        for one, other in pairwise(fits)
-        if one is not None and other is not None
-        if one.believed and other.believed
+        for one, other in combinations(believed, 2)
         if abs(one.cutoff / other.cutoff - 1) < AGREEMENT
     ]
     if not agreeing:
