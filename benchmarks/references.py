@@ -85,9 +85,9 @@ def solve_from_vertices(myocardium: Myocardium, times: NDArray[np.float64]) -> N
     """
     coupling = attach(myocardium, ())
     front = front_at_rest(myocardium.mesh, len(coupling.lengths), 0)
-    front.time[: len(times)] = times[myocardium.order]
-    sources = np.flatnonzero(np.isfinite(front.time))
+    front.nodes["time"][: len(times)] = times[myocardium.order]
+    sources = np.flatnonzero(np.isfinite(front.nodes["time"]))
     sweep(front, sources, myocardium.mesh, coupling.forest, coupling.sites)
     solved = np.empty(len(times))
-    solved[myocardium.order] = front.time[: len(times)]
+    solved[myocardium.order] = front.nodes["time"][: len(times)]
     return solved

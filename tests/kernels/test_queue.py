@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fascicle.forward.eikonal.activation import empty_queue
+from fascicle.kernels.arrays import STATE
 from fascicle.kernels.queue import PER_MS, RING, WAITS_NOT, lower, take
 
 LAP = RING / PER_MS  # ms
@@ -17,26 +18,33 @@ TIMES = {
 }
 
 
+def nodes_with(times):
+    """Nodes that are not in the queue yet."""
+    nodes = np.zeros(len(times), STATE)
+    nodes["time"], nodes["bucket"] = times, WAITS_NOT
+    return nodes
+
+
 @pytest.mark.parametrize("times", TIMES.values(), ids=TIMES)
 def test_the_earliest_leaves_first(times):
     shuffled = np.random.default_rng(0).permutation(times)
-    queue, size = empty_queue(len(times)), 0
+    nodes, queue, size = nodes_with(shuffled), empty_queue(), 0
     for node in range(len(times)):
-        size = lower(node, shuffled, queue, size)
+        size = lower(node, nodes, queue, size)
     assert size == len(times)
-    taken = [take(queue) for _ in times]
+    taken = [take(nodes, queue) for _ in times]
     np.testing.assert_array_equal(shuffled[taken], times)
-    assert (queue.bucket == WAITS_NOT).all()
+    assert (nodes["bucket"] == WAITS_NOT).all()
 
 
 def test_a_node_that_is_lowered_moves():
-    time, queue, size = np.array([5.0, 6.0, 7.0]), empty_queue(3), 0
+    nodes, queue, size = nodes_with([5.0, 6.0, 7.0]), empty_queue(), 0
     for node in range(3):
-        size = lower(node, time, queue, size)
-    time[2] = 1.0
-    size = lower(2, time, queue, size)
+        size = lower(node, nodes, queue, size)
+    nodes[2]["time"] = 1.0
+    size = lower(2, nodes, queue, size)
     assert size == 3
-    assert take(queue) == 2
-    time[1] = 0.0  # earlier than what was taken
-    lower(1, time, queue, 2)
-    assert [take(queue), take(queue)] == [1, 0]
+    assert take(nodes, queue) == 2
+    nodes[1]["time"] = 0.0  # earlier than what was taken
+    lower(1, nodes, queue, 2)
+    assert [take(nodes, queue), take(nodes, queue)] == [1, 0]

@@ -35,7 +35,7 @@ from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
-FORMAT = 10  # of the files; another number makes them anew
+FORMAT = 11  # of the files; another number makes them anew
 ONCE = "once per heart"
 READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 KEPT = 4  # files in a heart's cache; the oldest go

@@ -39,6 +39,28 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
     return copy
 
 
+# An element around a vertex, its other corners a, b and c in ascending order of their place in it.
+# What the sweep reads of it lies together: fewer lines come from memory, and its loops have one
+# address to keep at hand, not many.
+STAR = np.dtype(
+    [
+        # by how much (ms) each corner is at least later than the vertex if the front comes to it
+        # through the vertex and the rest of the opposite face; may be negative
+        ("least_a", np.float32),
+        ("least_b", np.float32),
+        ("least_c", np.float32),
+        ("item", np.uint32),  # CORNERS * tetrahedron + the vertex's own place in it
+        # which of the vertices that share an edge with the vertex each corner is
+        ("a", np.uint16),
+        ("b", np.uint16),
+        ("c", np.uint16),
+    ]
+)
+
+# A vertex that shares an edge with another one, and the travel time between them (ms)
+LINK = np.dtype([("time", np.float64), ("vertex", np.uint32)])
+
+
 class EikonalMesh(NamedTuple):
     """The conducting myocardium; elements that do not conduct are in no list.
 
@@ -60,16 +82,10 @@ class EikonalMesh(NamedTuple):
         What the local solver needs of each: the products ∇λᵢ·D∇λⱼ (1/ms²) of its corners'
         barycentric coordinates for each pair of corners, and the squared travel times (ms²) along
         those edges.
-    star_start, star : (n + 1,) and (4m,) arrays
-        The tetrahedra of each vertex: `CORNERS`·tetrahedron + the vertex's own place in it.
-    others : (4m, 3) array
-        Their other three corners, in ascending order of their place in the tetrahedron: which of
-        the vertices that share an edge with the vertex each is.
-    least : (4m, 3) array
-        By how much (ms) each of those corners is at least later than the vertex if the front
-        comes to it through the vertex and the rest of the opposite face; may be negative.
-    link_start, link, link_time : (n + 1,), (l,) and (l,) arrays
-        The vertices that share an edge with each vertex, and the travel times to them (ms).
+    star_start, star : (n + 1,) array, and (4m,) array of STAR
+        The elements around each vertex.
+    link_start, link : (n + 1,) array, and (l,) array of LINK
+        The vertices that share an edge with each vertex.
     slowness : float
         Least travel time over distance anywhere (ms/mm).
     """
@@ -80,12 +96,9 @@ class EikonalMesh(NamedTuple):
     neighbours: NDArray[np.int32]
     solver: NDArray[np.float64]
     star_start: NDArray[np.int64]
-    star: NDArray[np.uint32]
-    others: NDArray[np.uint16]
-    least: NDArray[np.float32]
+    star: NDArray[np.void]
     link_start: NDArray[np.int64]
-    link: NDArray[np.uint32]
-    link_time: NDArray[np.float64]
+    link: NDArray[np.void]
     slowness: float
 
     @property
@@ -219,6 +232,18 @@ class Sites(NamedTuple):
     to_sites: RayTravelTimes
 
 
+# What the sweep knows of a node, of the mesh or of a tree
+STATE = np.dtype(
+    [
+        ("time", np.float64),  # when the front arrives (ms)
+        ("bucket", np.int32),  # the node's bucket in the queue; `WAITS_NOT` if it is in none
+        ("before", np.int32),  # the nodes on both sides of it in its bucket's list, -1 at the ends
+        ("after", np.int32),
+        ("origin", np.int32),  # site that fired it, or by which the front entered its tree; else -1
+    ]
+)
+
+
 class Queue(NamedTuple):
     """The nodes that wait to be taken, in buckets of time; see `fascicle.kernels.queue`.
 
@@ -226,85 +251,47 @@ class Queue(NamedTuple):
     ----------
     head : (RING,) array
         The first node in the list of each bucket, -1 where there is none.
-    before, after : (n + k,) arrays
-        The nodes on both sides of each in its list, -1 at the ends.
-    bucket : (n + k,) array
-        The bucket of each node; `WAITS_NOT` if it is in none.
     now : (1,) array
         A bucket before which all are empty.
     """
 
     head: NDArray[np.int32]
-    before: NDArray[np.int32]
-    after: NDArray[np.int32]
-    bucket: NDArray[np.int32]
     now: NDArray[np.int64]
 
 
-class Chosen(NamedTuple):
-    """Elements around vertices of a batch.
-
-    Attributes
-    ----------
-    item : (e,) array
-        The item of `EikonalMesh.star` that each is.
-    corners : (e,) array
-        Which corners may be lowered, the sum of 1, 2 and 4.
-    vertex, at : (e,) arrays
-        The vertex, and where its neighbours start in `Surroundings.time`.
-    """
-
-    item: NDArray[np.uint32]
-    corners: NDArray[np.uint32]
-    vertex: NDArray[np.uint32]
-    at: NDArray[np.uint32]
-
-
-class ChosenFaces(NamedTuple):
-    """Faces of chosen elements.
-
-    Attributes
-    ----------
-    row, corner : (f,) arrays
-        The element's place in `Chosen`, and which of its corners the face is opposite to.
-    """
-
-    row: NDArray[np.uint32]
-    corner: NDArray[np.uint32]
+# By what elements around a vertex are chosen, of each neighbour: how much later than the vertex it
+# is, as far as is known (ms, rounded up), and 1 if it lends its time to faces, as those do that do
+# not wait in the queue
+NEAR = np.dtype([("later", np.float32), ("lends", np.uint32)])
 
 
 class Surroundings(NamedTuple):
     """Room for a batch of vertices and what is around them: neighbours, elements and their faces.
 
-    Blocks hold a few elements or faces side by side, each number of all of them in a row; see
-    `fascicle.kernels.star`.
+    See `fascicle.kernels.star`.
 
     Attributes
     ----------
-    batch : (b,) array
-        The vertices.
-    now : (b·k,) array
-        Time of each vertex (ms), at the first of its k items.
-    time, lent : (b·k,) arrays
-        Of each vertex's neighbours: when the front comes to them (ms), as far as is known; and the
-        time that they lend to faces, inf while they wait in the queue.
-    chosen : Chosen
+    batch, now : (b,) arrays
+        The vertices, and their times (ms).
+    time, near : (b·k,) array, and (b·k,) array of NEAR
+        Of up to k neighbours of each: when the front comes to them (ms), as far as is known, and
+        what is chosen by.
+    chosen : (e,) array
         The elements that may lower a corner.
-    elements : array
-        Blocks of those.
-    face : ChosenFaces
-        The faces by which a corner may be lowered.
+    face : (f,) array
+        The faces by which a corner may be lowered: `CORNERS`·place of the element in `chosen` +
+        which of its corners the face is opposite to.
     faces : array
-        Blocks of those.
+        Blocks of a few faces side by side, each number of all of them in a row.
     """
 
     batch: NDArray[np.int64]
     now: NDArray[np.float64]
     time: NDArray[np.float64]
-    lent: NDArray[np.float64]
-    chosen: Chosen
-    elements: NDArray[np.float64]
-    face: ChosenFaces
+    near: NDArray[np.void]
+    chosen: NDArray[np.uint64]
+    face: NDArray[np.uint32]
     faces: NDArray[np.float64]
 
 
@@ -313,10 +300,8 @@ class Front(NamedTuple):
 
     Attributes
     ----------
-    time : (n + k,) array
-        When the front arrives (ms).
-    origin : (n + k,) array
-        The site that fired each vertex, or by which the front entered a tree; else -1.
+    nodes : (n + k,) array of STATE
+        When it arrives at each, and from where.
     entered_by : (j,) array
         The site whose front entered a tree at each site, or -1.
     queue : Queue
@@ -325,8 +310,7 @@ class Front(NamedTuple):
         Anything.
     """
 
-    time: NDArray[np.float64]
-    origin: NDArray[np.int64]
+    nodes: NDArray[np.void]
     entered_by: NDArray[np.int64]
     queue: Queue
     around: Surroundings

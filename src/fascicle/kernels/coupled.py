@@ -36,19 +36,19 @@ def settle_trees(time, forest):
 @kernel(inline="always")
 def _to_tree_node(other, arrival, by, vertices, forest, front, size):
     """Within a tree: a front that site `by` let in comes to node `other`; returns the size."""
-    time = front.time
-    if arrival < time[vertices + other] - SETTLED:
-        time[vertices + other], front.origin[vertices + other] = arrival, by
+    it = front.nodes[vertices + other]
+    if arrival < it.time - SETTLED:
+        it.time, it.origin = arrival, by
         if forest.site[other] >= 0:
             front.entered_by[forest.site[other]] = -1
-        size = lower(vertices + other, time, front.queue, size)
+        size = lower(vertices + other, front.nodes, front.queue, size)
     return size
 
 
 @kernel(inline="always")
 def _through_tree(node, vertices, forest, front, size):
     """From a tree node along its segments; returns the queue's size."""
-    now, by = front.time[vertices + node], front.origin[vertices + node]
+    now, by = front.nodes[vertices + node].time, front.nodes[vertices + node].origin
     parent = forest.parent[node]
     if parent >= 0:
         arrival = now + forest.time[node]
@@ -67,24 +67,25 @@ def _fire(site, now, sites, front, size):
     The paper's coupling, τ(xⱼ) = √(D⁻¹(xⱼ − p)·(xⱼ − p)) + τ(p), for all xⱼ that rays come to, not
     only for the corners of the element around p.
     """
-    time, origin = front.time, front.origin
+    nodes = front.nodes
     for k in range(sites.to_vertices.start[site], sites.to_vertices.start[site + 1]):
         vertex, arrival = sites.to_vertices.target[k], now + sites.to_vertices.time[k]
-        if arrival < time[vertex] - SETTLED:
-            time[vertex], origin[vertex] = arrival, site
-            size = lower(vertex, time, front.queue, size)
+        if arrival < nodes[vertex].time - SETTLED:
+            nodes[vertex].time, nodes[vertex].origin = arrival, site
+            size = lower(vertex, nodes, front.queue, size)
     for k in range(sites.to_sites.start[site], sites.to_sites.start[site + 1]):
         entered = sites.to_sites.target[k]
         arrival = now + sites.to_sites.time[k] + sites.antidromic[entered]
         other = sites.node[entered]
-        if arrival < time[other] - SETTLED:
-            time[other], origin[other], front.entered_by[entered] = arrival, entered, site
-            size = lower(other, time, front.queue, size)
+        if arrival < nodes[other].time - SETTLED:
+            nodes[other].time, nodes[other].origin = arrival, entered
+            front.entered_by[entered] = site
+            size = lower(other, nodes, front.queue, size)
     return size
 
 
 @kernel()
-def _arrival_inside(site, t, sites, mesh, time):
+def _arrival_inside(site, t, sites, mesh, nodes):
     """Earliest arrival (ms) at a site in tetrahedron t, from its four faces."""
     best = np.inf
     for skip in range(CORNERS):
@@ -95,28 +96,29 @@ def _arrival_inside(site, t, sites, mesh, time):
             0.5 * (qi + qk - mesh.solver[t, SQUARES + PAIRS[skip, 4]]), qj,
             0.5 * (qj + qk - mesh.solver[t, SQUARES + PAIRS[skip, 5]]), qk,
         )  # fmt: skip
-        ti, tj = time[mesh.corners[t, i]], time[mesh.corners[t, j]]
-        best = min(best, from_face(gram, (ti, tj, time[mesh.corners[t, k]])))
+        ti, tj = nodes[mesh.corners[t, i]].time, nodes[mesh.corners[t, j]].time
+        best = min(best, from_face(gram, (ti, tj, nodes[mesh.corners[t, k]].time)))
     return best
 
 
 @kernel(inline="always")
 def _into_trees(node, sites, mesh, front, size):
     """From a vertex to the sites in the elements around it; returns the queue's size."""
-    time, origin = front.time, front.origin
+    nodes = front.nodes
     for k in range(sites.reader_start[node], sites.reader_start[node + 1]):
         site = sites.reader[k]
         other, t, delay = sites.node[site], sites.element[site], sites.antidromic[site]
         earliest = node
         for c in range(CORNERS):
-            if time[mesh.corners[t, c]] < time[earliest]:
+            if nodes[mesh.corners[t, c]].time < nodes[earliest].time:
                 earliest = mesh.corners[t, c]
-        if time[earliest] + delay >= time[other]:
+        if nodes[earliest].time + delay >= nodes[other].time:
             continue
-        arrival = delay + _arrival_inside(site, t, sites, mesh, time)
-        if arrival < time[other] - SETTLED:
-            time[other], origin[other], front.entered_by[site] = arrival, site, origin[earliest]
-            size = lower(other, time, front.queue, size)
+        arrival = delay + _arrival_inside(site, t, sites, mesh, nodes)
+        if arrival < nodes[other].time - SETTLED:
+            nodes[other].time, nodes[other].origin = arrival, site
+            front.entered_by[site] = nodes[earliest].origin
+            size = lower(other, nodes, front.queue, size)
     return size
 
 
@@ -126,7 +128,7 @@ def _from_tree_node(node, vertices, forest, sites, front, size):
     size = _through_tree(node - vertices, vertices, forest, front, size)
     site = forest.site[node - vertices]
     if site >= 0 and sites.orthodromic[site] < np.inf:
-        size = _fire(site, front.time[node] + sites.orthodromic[site], sites, front, size)
+        size = _fire(site, front.nodes[node].time + sites.orthodromic[site], sites, front, size)
     return size
 
 
@@ -157,14 +159,14 @@ def sweep(front, sources, mesh, forest, sites):
     """
     vertices, size = len(mesh.vertices), 0
     for source in sources:
-        size = lower(source, front.time, front.queue, size)
-    batch, bucket = front.around.batch, front.queue.bucket
+        size = lower(source, front.nodes, front.queue, size)
+    batch, nodes = front.around.batch, front.nodes
     while size > 0:
         taken = 0
         while taken < len(batch) and size > 0:
-            node, size = take(front.queue), size - 1
+            node, size = take(nodes, front.queue), size - 1
             if node < vertices:
-                batch[taken], bucket[node] = node, IN_BATCH
+                batch[taken], nodes[node].bucket = node, IN_BATCH
                 taken += 1
                 fetch_star(node, mesh)
             else:

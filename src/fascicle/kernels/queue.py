@@ -19,73 +19,74 @@ WAITS_NOT, IN_BATCH = np.iinfo(np.int32).min, np.iinfo(np.int32).min + 1
 
 
 @kernel(inline="always")
-def _unlink(node, queue):
+def _unlink(node, nodes, queue):
     """Take a node out of its list."""
-    before, after = queue.before[node], queue.after[node]
+    before, after = nodes[node].before, nodes[node].after
     if before >= 0:
-        queue.after[before] = after
+        nodes[before].after = after
     else:
-        queue.head[queue.bucket[node] & (RING - 1)] = after
+        queue.head[nodes[node].bucket & (RING - 1)] = after
     if after >= 0:
-        queue.before[after] = before
+        nodes[after].before = before
 
 
 @kernel()
-def lower(node, time, queue, size):
+def lower(node, nodes, queue, size):
     """Enter a node, or move it after its time was lowered; returns the queue's size.
 
     Parameters
     ----------
     node : int
         The node.
-    time : (n,) array
-        Time of each node (ms).
+    nodes : array of STATE
+        What is known of each node; its list is written.
     queue : Queue
         See `fascicle.kernels.arrays`.
     size : int
         How many nodes are in the queue.
     """
-    bucket = int(min(max(time[node] * PER_MS, -LAST), LAST))
-    known = queue.bucket[node]
+    it = nodes[node]
+    bucket = int(min(max(it.time * PER_MS, -LAST), LAST))
+    known = it.bucket
     if known == bucket:
         return size
     if known > IN_BATCH:
-        _unlink(node, queue)
+        _unlink(node, nodes, queue)
         size -= 1
     first = queue.head[bucket & (RING - 1)]
-    queue.before[node], queue.after[node], queue.bucket[node] = -1, first, bucket
+    it.before, it.after, it.bucket = -1, first, bucket
     if first >= 0:
-        queue.before[first] = node
+        nodes[first].before = node
     queue.head[bucket & (RING - 1)] = node
     queue.now[0] = min(queue.now[0], bucket)
     return size + 1
 
 
 @kernel()
-def _earliest(queue):
+def _earliest(nodes, queue):
     """Find the earliest bucket that holds a node, of whatever lap."""
     earliest = int(LAST)
     for k in range(RING):
         node = queue.head[k]
         while node >= 0:
-            earliest = min(earliest, queue.bucket[node])
-            node = queue.after[node]
+            earliest = min(earliest, nodes[node].bucket)
+            node = nodes[node].after
     return earliest
 
 
 @kernel()
-def take(queue):
+def take(nodes, queue):
     """Take a node of the earliest bucket out of a queue that holds one; returns the node."""
     now, passed = queue.now[0], 0
     while True:
         node = queue.head[now & (RING - 1)]
-        while node >= 0 and queue.bucket[node] != now:
-            node = queue.after[node]
+        while node >= 0 and nodes[node].bucket != now:
+            node = nodes[node].after
         if node >= 0:
             break
         now, passed = now + 1, passed + 1
         if passed == RING:
-            now, passed = _earliest(queue), 0
-    _unlink(node, queue)
-    queue.bucket[node], queue.now[0] = WAITS_NOT, now
+            now, passed = _earliest(nodes, queue), 0
+    _unlink(node, nodes, queue)
+    nodes[node].bucket, queue.now[0] = WAITS_NOT, now
     return node

@@ -3,13 +3,13 @@
 What the sweep spends its time on, and so arranged that the processor need not wait: neither for
 memory, which is asked for before its turn, nor to learn which way a branch goes. So a batch of
 vertices is worked on at a time, in steps: elements that may lower a corner are picked out first,
-what is known of them is laid side by side in blocks of `LANES`, and each block is worked on at
-once.
+then those of their faces that may; what is known of the faces is laid side by side in blocks of
+`LANES`, and each block is worked on at once.
 """
 
 import numpy as np
 
-from fascicle.kernels.arrays import CACHE_LINE, CORNERS, SQUARES
+from fascicle.kernels.arrays import CACHE_LINE, CORNERS, LINK, SQUARES, STAR
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_new_corner
 from fascicle.kernels.prefetch import prefetch
@@ -22,6 +22,10 @@ SETTLED = 1e-10
 STEEP = 1.0 + 1e-12
 
 BATCH = 8  # vertices worked on at a time, at most
+
+# Cache lines asked for: as many as most vertices' lists take. A loop as long as a list is dearer.
+LINK_LINES, STAR_LINES = 4, 8
+LINK_BYTES, STAR_BYTES = LINK.itemsize, STAR.itemsize
 
 # PAIRS[s]: where, among the six pairs of a tetrahedron's corners, stand those of corner s with the
 # others a, b, c, and the pairs ab, ac, bc
@@ -36,25 +40,24 @@ COLUMNS = np.ascontiguousarray(
     np.concatenate([_PAIRS_FROM, _PAIRS_FROM[:, :, :5] + np.uint32(SQUARES)], axis=2)
 )
 
-REST = np.array([[1, 2], [0, 2], [0, 1]], np.uint32)  # of a, b, c without one of them
-
 # An item of a mesh's star is CORNERS·tetrahedron + place, CORNERS being a power of 2:
 PLACE_BITS = np.uint32(CORNERS.bit_length() - 1)  # what is above these bits is the tetrahedron,
 PLACE_MASK = np.uint32(CORNERS - 1)  # what is in them the vertex's place among its corners
 
 LANES = 8  # in a block: as many as the widest registers hold
 
-# Rows of a block of elements, for a vertex s and the other corners a, b, c: products
-# (`EikonalMesh.solver`) of the pairs sa, sb, sc, ab, ac, bc; times less that of s; whether
-# they rise too steeply
-PRODUCT, DA, DB, DC, RISE = 0, 6 * LANES, 7 * LANES, 8 * LANES, 9 * LANES
-ELEMENTS_BLOCK = 10 * LANES  # numbers in such a block
-
 # Rows of a block of faces s, j, k opposite to a corner: what `from_new_corner` is given, products
 # and squares first, and its result
 SHAPE = COLUMNS.shape[2]  # how many products and squares
 TJ, TK, DELAY = SHAPE * LANES, (SHAPE + 1) * LANES, (SHAPE + 2) * LANES
 FACES_BLOCK = (SHAPE + 3) * LANES
+
+# A chosen element in one number: from the lowest bits on, which corners may be lowered (the sum of
+# 1, 2 and 4), the vertex's place in the batch, and the element's place in the star
+CORNERS_MASK, SLOT_BITS = np.uint64(7), np.uint64(3)
+SLOT_MASK, ITEM_BITS = np.uint64(BATCH - 1), np.uint64(3 + (BATCH - 1).bit_length())
+
+UP = np.float32(2.0**-22)  # by so much of itself more, no single precision number is rounded down
 
 
 @kernel()
@@ -63,10 +66,12 @@ def number_neighbours(star_start, corners, link_start, link, others):
 
     Parameters
     ----------
-    star_start, link_start, link
+    star_start, link_start
         See `EikonalMesh`.
     corners : (4m, 3) array
         The other three corners of each of the vertices' tetrahedra.
+    link : (l,) array
+        The vertices that share an edge with each vertex.
     others : (4m, 3) array
         Overwritten: their places in the list of the vertex's neighbours.
     """
@@ -82,123 +87,117 @@ def number_neighbours(star_start, corners, link_start, link, others):
 @kernel(inline="always")
 def fetch_star(node, mesh):
     """Ask for the lists of a vertex's neighbours and elements."""
-    first, last = mesh.star_start[node], mesh.star_start[node + 1]
-    for byte in range(first * 4, last * 4, CACHE_LINE):
-        prefetch(mesh.star, byte)
-    for byte in range(first * 6, last * 6, CACHE_LINE):
-        prefetch(mesh.others, byte)
-    for byte in range(first * 12, last * 12, CACHE_LINE):
-        prefetch(mesh.least, byte)
-    first, last = mesh.link_start[node], mesh.link_start[node + 1]
-    for byte in range(first * 4, last * 4, CACHE_LINE):
-        prefetch(mesh.link, byte)
-    for byte in range(first * 8, last * 8, CACHE_LINE):
-        prefetch(mesh.link_time, byte)
+    first = mesh.link_start[node] * LINK_BYTES
+    for line in range(LINK_LINES):
+        prefetch(mesh.link, first + line * CACHE_LINE)
+    first = mesh.star_start[node] * STAR_BYTES
+    for line in range(STAR_LINES):
+        prefetch(mesh.star, first + line * CACHE_LINE)
 
 
 @kernel(inline="always")
 def _through_edges(node, at, mesh, front, size):
-    """Lower the neighbours through edges, and note their times from `at` on.
+    """Lower the neighbours through edges, and note what is known of them from `at` on.
 
     Returns the queue's size. Corners that wait in the queue lend their times to no face: when the
     last corner of a face is taken, it passes on what comes through all of it.
     """
-    time, bucket, around = front.time, front.queue.bucket, front.around
-    now, first = time[node], mesh.link_start[node]
+    nodes, around = front.nodes, front.around
+    now, first = nodes[node].time, mesh.link_start[node]
     for k in range(mesh.link_start[node + 1] - first):
-        other, arrival = np.int64(mesh.link[first + k]), now + mesh.link_time[first + k]
-        if arrival < time[other] - SETTLED:
-            time[other], front.origin[other] = arrival, front.origin[node]
-            size = lower(other, time, front.queue, size)
-        around.time[at + k] = time[other]
-        around.lent[at + k] = time[other] if bucket[other] == WAITS_NOT else np.inf
+        other = np.int64(mesh.link[first + k].vertex)
+        arrival, time = now + mesh.link[first + k].time, nodes[other].time
+        if arrival < time - SETTLED:
+            time = arrival
+            nodes[other].time, nodes[other].origin = arrival, nodes[node].origin
+            size = lower(other, nodes, front.queue, size)
+        later = np.float32(time - now)
+        around.time[at + k] = time
+        around.near[at + k].later = later + abs(later) * UP
+        around.near[at + k].lends = (nodes[other].bucket == WAITS_NOT) & (time < np.inf)
     return size
 
 
 @kernel(inline="always")
-def _choose(node, at, count, mesh, front):
+def _choose(node, slot, at, count, mesh, front):
     """List the elements around a vertex that it may lower a corner of; returns how many there are.
 
-    What is known of them is asked for.
+    `slot` is the vertex's place in the batch, and what is known of its neighbours stands from `at`
+    on. What is known of the chosen is asked for.
     """
-    around = front.around
-    now, begin, chosen = front.time[node], count, around.chosen
+    around, begin = front.around, count
+    chosen, near = around.chosen, around.near[at:]
     for e in range(np.uint32(mesh.star_start[node]), np.uint32(mesh.star_start[node + 1])):
-        a, b, c = at + mesh.others[e, 0], at + mesh.others[e, 1], at + mesh.others[e, 2]
-        ready_a, ready_b = around.lent[a] < np.inf, around.lent[b] < np.inf
-        ready_c = around.lent[c] < np.inf
-        to_a = (ready_b | ready_c) & (now + mesh.least[e, 0] < around.time[a])
-        to_b = (ready_a | ready_c) & (now + mesh.least[e, 1] < around.time[b])
-        to_c = (ready_a | ready_b) & (now + mesh.least[e, 2] < around.time[c])
-        chosen.item[count], chosen.corners[count] = e, to_a + 2 * to_b + 4 * to_c
-        chosen.vertex[count], chosen.at[count] = node, at
-        count += np.uint64(to_a | to_b | to_c)
+        row = mesh.star[e]
+        a, b, c = row.a, row.b, row.c
+        lends_a, lends_b, lends_c = near[a].lends, near[b].lends, near[c].lends
+        to_a = (lends_b | lends_c) & np.uint32(row.least_a < near[a].later)
+        to_b = (lends_a | lends_c) & np.uint32(row.least_b < near[b].later)
+        to_c = (lends_a | lends_b) & np.uint32(row.least_c < near[c].later)
+        corners = np.uint64(to_a + 2 * to_b + 4 * to_c)
+        chosen[count] = (np.uint64(e) << ITEM_BITS) | (slot << SLOT_BITS) | corners
+        count += np.uint64(corners > 0)
     for i in range(begin, count):
-        row = np.int64(mesh.star[chosen.item[i]] >> PLACE_BITS) * 2 * SQUARES * 8
+        row = np.int64(mesh.star[chosen[i] >> ITEM_BITS].item >> PLACE_BITS) * 2 * SQUARES * 8
         prefetch(mesh.solver, row)
         prefetch(mesh.solver, row + CACHE_LINE)
     return count
 
 
 @kernel(inline="always")
-def _lay_out(count, mesh, front):
-    """Lay what the slopes in the chosen elements depend on side by side."""
-    around = front.around
-    rows = around.elements
-    for i in range(count):
-        e, at = around.chosen.item[i], around.chosen.at[i]
-        t, s = mesh.star[e] >> PLACE_BITS, mesh.star[e] & PLACE_MASK
-        lane = (i // LANES) * ELEMENTS_BLOCK + i % LANES
-        for k in range(6):
-            rows[lane + PRODUCT + k * LANES] = mesh.solver[t, PAIRS[s, k]]
-        for k in range(3):
-            rows[lane + DA + k * LANES] = around.time[at + mesh.others[e, k]] - around.now[at]
+def _steep(p, s, da, db, dc):
+    """Whether times in an element rise steeper than in a front.
 
-
-@kernel(error_model="numpy")
-def _slopes(f):
-    """Which elements of a block have times that rise steeper than a front does: 1, or 0."""
-    for i in range(LANES):
-        psa, psb, psc = f[i], f[LANES + i], f[2 * LANES + i]
-        pab, pac, pbc = f[3 * LANES + i], f[4 * LANES + i], f[5 * LANES + i]
-        da, db, dc = f[DA + i], f[DB + i], f[DC + i]
-        square = -(
-            psa * da * da + psb * db * db + psc * dc * dc
-            + pab * (da - db) ** 2 + pac * (da - dc) ** 2 + pbc * (db - dc) ** 2
-        )  # fmt: skip
-        f[RISE + i] = 1.0 if square > STEEP else 0.0
+    `p` are its products, and the corners beside s are later than that by da, db and dc.
+    """
+    square = -(
+        p[PAIRS[s, 0]] * da * da + p[PAIRS[s, 1]] * db * db + p[PAIRS[s, 2]] * dc * dc
+        + p[PAIRS[s, 3]] * (da - db) ** 2 + p[PAIRS[s, 4]] * (da - dc) ** 2
+        + p[PAIRS[s, 5]] * (db - dc) ** 2
+    )  # fmt: skip
+    return square > STEEP
 
 
 @kernel(inline="always")
-def _faces(count, front):
-    """List the faces through which a corner may be lowered; returns how many.
+def _faces(count, room, mesh, front):
+    """List the faces of chosen elements that may lower a corner; returns how many there are.
 
-    Where times rise no steeper than a front does, nothing in the element can be earlier.
+    `room` is how many neighbours of a vertex there is room for. Where times rise no steeper than a
+    front does, nothing in the element can be earlier.
     """
     around, n = front.around, np.uint64(0)
-    for i in range(count):
-        lane = (i // LANES) * ELEMENTS_BLOCK + i % LANES
-        wanted = around.chosen.corners[i] * np.uint32(around.elements[lane + RISE])
+    for i in range(np.uint32(count)):
+        element = around.chosen[i]
+        row, slot = mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
+        at = slot * room
+        t, s = row.item >> PLACE_BITS, row.item & PLACE_MASK
+        now = around.now[slot]
+        da, db = around.time[at + row.a] - now, around.time[at + row.b] - now
+        steep = _steep(mesh.solver[t], s, da, db, around.time[at + row.c] - now)
+        wanted = np.uint32(element & CORNERS_MASK) * np.uint32(steep)
         for k in range(CORNERS - 1):
-            around.face.row[n], around.face.corner[n] = i, k
+            around.face[n] = i * np.uint32(CORNERS) + np.uint32(k)
             n += np.uint64((wanted >> np.uint32(k)) & np.uint32(1))
     return np.int64(n)
 
 
 @kernel(inline="always")
-def _lay_out_faces(n, mesh, around):
+def _lay_out_faces(n, room, mesh, around):
     """Lay what the delays through the faces depend on side by side."""
     f = around.faces
     for i in range(n):
-        c, k = around.face.row[i], around.face.corner[i]
-        e, at = around.chosen.item[c], around.chosen.at[c]
-        t, s = mesh.star[e] >> PLACE_BITS, mesh.star[e] & PLACE_MASK
+        k, element = around.face[i] & PLACE_MASK, around.chosen[around.face[i] >> PLACE_BITS]
+        row, slot = mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
+        at = slot * room
+        t, s = row.item >> PLACE_BITS, row.item & PLACE_MASK
         lane = (i // LANES) * FACES_BLOCK + i % LANES
         for m in range(SHAPE):
             f[lane + m * LANES] = mesh.solver[t, COLUMNS[s, k, m]]
-        now = around.now[at]
-        f[lane + TJ] = around.lent[at + mesh.others[e, REST[k, 0]]] - now
-        f[lane + TK] = around.lent[at + mesh.others[e, REST[k, 1]]] - now
+        now = around.now[slot]
+        one = at + (row.b if k == 0 else row.a)
+        other = at + (row.b if k == 2 else row.c)
+        f[lane + TJ] = around.time[one] - now if around.near[one].lends else np.inf
+        f[lane + TK] = around.time[other] - now if around.near[other].lends else np.inf
 
 
 @kernel(error_model="numpy")
@@ -220,23 +219,26 @@ def _delays(f):
 @kernel(inline="always")
 def _take(n, mesh, front, size):
     """Lower corners to what the first n faces offer; returns the queue's size."""
-    time, around = front.time, front.around
+    nodes, around = front.nodes, front.around
     for i in range(n):
-        c, k = around.face.row[i], around.face.corner[i]
-        e, node, at = around.chosen.item[c], around.chosen.vertex[c], around.chosen.at[c]
+        k, element = around.face[i] & PLACE_MASK, around.chosen[around.face[i] >> PLACE_BITS]
+        row, slot = mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
+        node = around.batch[slot]
         lane = (i // LANES) * FACES_BLOCK + i % LANES
-        arrival = around.now[at] + around.faces[lane + DELAY]
+        arrival = around.now[slot] + around.faces[lane + DELAY]
         first = mesh.link_start[node]
-        other = np.int64(mesh.link[first + mesh.others[e, k]])
-        if arrival < time[other] - SETTLED:
+        place = row.a if k == 0 else (row.b if k == 1 else row.c)
+        other = np.int64(mesh.link[first + place].vertex)
+        if arrival < nodes[other].time - SETTLED:
             # the origin of the face's earliest corner
             source, soonest = np.int64(node), 0.0
-            for m in range(2):
-                if around.faces[lane + TJ + m * LANES] < soonest:
-                    soonest = around.faces[lane + TJ + m * LANES]
-                    source = np.int64(mesh.link[first + mesh.others[e, REST[k, m]]])
-            time[other], front.origin[other] = arrival, front.origin[source]
-            size = lower(other, time, front.queue, size)
+            if around.faces[lane + TJ] < soonest:
+                soonest = around.faces[lane + TJ]
+                source = np.int64(mesh.link[first + (row.b if k == 0 else row.a)].vertex)
+            if around.faces[lane + TK] < soonest:
+                source = np.int64(mesh.link[first + (row.b if k == 2 else row.c)].vertex)
+            nodes[other].time, nodes[other].origin = arrival, nodes[source].origin
+            size = lower(other, nodes, front.queue, size)
     return size
 
 
@@ -255,24 +257,19 @@ def through_stars(taken, mesh, front, size):
     size : int
         How many nodes are in the queue.
     """
-    around, bucket = front.around, front.queue.bucket
-    room, chosen = len(around.time) // len(around.batch), np.uint64(0)
-    for k in range(taken):
-        node = around.batch[k]
-        if bucket[node] != IN_BATCH:
+    around, nodes = front.around, front.nodes
+    room, chosen = np.uint64(len(around.time) // len(around.batch)), np.uint64(0)
+    for slot in range(np.uint64(taken)):
+        node = around.batch[slot]
+        if nodes[node].bucket != IN_BATCH:
             continue  # lowered by another of the batch, it is to be taken again
-        bucket[node] = WAITS_NOT
-        at = np.uint32(k * room)
-        around.now[at] = front.time[node]
+        nodes[node].bucket = WAITS_NOT
+        at = slot * room
+        around.now[slot] = nodes[node].time
         size = _through_edges(node, at, mesh, front, size)
-        chosen = _choose(node, at, chosen, mesh, front)
-    count = np.int64(chosen)
-    _lay_out(count, mesh, front)
-    for first in range(0, count, LANES):
-        block = (first // LANES) * ELEMENTS_BLOCK
-        _slopes(around.elements[block : block + ELEMENTS_BLOCK])
-    count = _faces(count, front)
-    _lay_out_faces(count, mesh, around)
+        chosen = _choose(node, slot, at, chosen, mesh, front)
+    count = _faces(chosen, room, mesh, front)
+    _lay_out_faces(count, room, mesh, around)
     for first in range(0, count, LANES):
         block = (first // LANES) * FACES_BLOCK
         _delays(around.faces[block : block + FACES_BLOCK])

@@ -43,7 +43,9 @@ def packed_heart(prepared: Prepared, electrocardiograph: Electrocardiograph) -> 
 
 def _mesh(myocardium: Myocardium) -> dict[str, Any]:
     mesh = myocardium.mesh
-    tetrahedron, place = mesh.star // CORNERS, mesh.star % CORNERS
+    star, link = mesh.star, mesh.link
+    tetrahedron, place = np.divmod(star["item"], CORNERS)
+    least = np.minimum(np.minimum(star["least_a"], star["least_b"]), star["least_c"])
     others = np.take_along_axis(mesh.corners[tetrahedron], OTHERS[place], axis=1)
     return {
         "vertices": len(mesh.vertices),
@@ -52,13 +54,13 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
         "cells": _doubles(mesh.cells),
         "solver": _doubles(mesh.solver),
         "star_start": _ints(mesh.star_start),
-        "star": _ints(np.column_stack([others, mesh.star])),
-        "least": np.ascontiguousarray(mesh.least.min(axis=1), np.float32),
+        "star": _ints(np.column_stack([others, star["item"]])),
+        "least": np.ascontiguousarray(least, np.float32),
         "link_start": _ints(mesh.link_start),
-        "link": _ints(mesh.link),
-        "link_time": _doubles(mesh.link_time),
+        "link": _ints(link["vertex"]),
+        "link_time": _doubles(link["time"]),
         "slowness": mesh.slowness,
-        "band": BAND * float(mesh.link_time.mean()),
+        "band": BAND * float(link["time"].mean()),
     }
 
 

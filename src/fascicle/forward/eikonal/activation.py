@@ -21,8 +21,8 @@ from fascicle.forward.eikonal.ray_travel_times import (
 )
 from fascicle.kernels.arrays import (
     CORNERS,
-    Chosen,
-    ChosenFaces,
+    NEAR,
+    STATE,
     EikonalMesh,
     Forest,
     Front,
@@ -32,7 +32,7 @@ from fascicle.kernels.arrays import (
 )
 from fascicle.kernels.coupled import settle_trees, sweep
 from fascicle.kernels.queue import LAST, RING, WAITS_NOT
-from fascicle.kernels.star import BATCH, ELEMENTS_BLOCK, FACES_BLOCK, LANES
+from fascicle.kernels.star import BATCH, FACES_BLOCK, LANES
 from fascicle.purkinje.tree import PurkinjeTree
 
 FROM_ROOT = -1  # origin of what no site has fired: a tree's own root, or nothing at all
@@ -276,15 +276,15 @@ def solve(
     mesh, sites = coupling.myocardium.mesh, coupling.sites
     vertices, nodes = len(mesh.vertices), len(coupling.lengths)
     front = front_at_rest(mesh, nodes, len(sites.node))
-    in_trees = front.time[vertices:]
-    in_trees[:] = _firing_times(coupling, root_times, stimuli, node_times)
+    in_trees = _firing_times(coupling, root_times, stimuli, node_times)
     stimulus_times = in_trees[coupling.stimulus_nodes].copy()
     travel = _segment_times(coupling, cv, speed)
     travel[coupling.roots] = his.branches if his is not None else np.inf
     in_trees[-1] = his.fires if his is not None else np.inf
     forest = coupling.forest._replace(time=travel)
     settle_trees(in_trees, forest)
-    sources = sites.node[np.isfinite(front.time[sites.node])]
+    front.nodes["time"][vertices:] = in_trees
+    sources = sites.node[np.isfinite(in_trees[sites.node - vertices])]
     sites = sites._replace(
         orthodromic=_site_delays(coupling, orthodromic_delay),
         antidromic=_site_delays(coupling, antidromic_delay),
@@ -296,24 +296,14 @@ def solve(
 def front_at_rest(mesh: EikonalMesh, tree_nodes: int, sites: int) -> Front:
     """Make a front that has not started: nothing has fired."""
     nodes = len(mesh.vertices) + tree_nodes
-    return Front(
-        time=np.full(nodes, np.inf),
-        origin=np.full(nodes, FROM_ROOT),
-        entered_by=np.full(sites, -1),
-        queue=empty_queue(nodes),
-        around=_room_around(mesh),
-    )
+    state = np.empty(nodes, STATE)
+    state["time"], state["origin"], state["bucket"] = np.inf, FROM_ROOT, WAITS_NOT
+    return Front(state, np.full(sites, -1), empty_queue(), _room_around(mesh))
 
 
-def empty_queue(nodes: int) -> Queue:
-    """A queue that may take so many nodes and holds none."""
-    return Queue(
-        head=np.full(RING, -1, np.int32),
-        before=np.empty(nodes, np.int32),
-        after=np.empty(nodes, np.int32),
-        bucket=np.full(nodes, WAITS_NOT, np.int32),
-        now=np.array([LAST], np.int64),
-    )
+def empty_queue() -> Queue:
+    """A queue that holds no node."""
+    return Queue(head=np.full(RING, -1, np.int32), now=np.array([LAST], np.int64))
 
 
 def _room_around(mesh: EikonalMesh) -> Surroundings:
@@ -323,12 +313,11 @@ def _room_around(mesh: EikonalMesh) -> Surroundings:
     faces = (CORNERS - 1) * elements
     return Surroundings(
         batch=np.empty(BATCH, dtype=np.int64),
-        now=np.empty(neighbours),
+        now=np.empty(BATCH),
         time=np.empty(neighbours),
-        lent=np.empty(neighbours),
-        chosen=Chosen(*np.empty((4, elements), np.uint32)),
-        elements=np.zeros(-(-elements // LANES) * ELEMENTS_BLOCK),
-        face=ChosenFaces(*np.empty((2, faces), np.uint32)),
+        near=np.empty(neighbours, NEAR),
+        chosen=np.empty(elements, np.uint64),
+        face=np.empty(faces, np.uint32),
         faces=np.zeros(-(-faces // LANES) * FACES_BLOCK),
     )
 
@@ -368,14 +357,15 @@ def _site_delays(coupling: Coupling, of_junctions: ArrayLike) -> Floats:
 def _activation(coupling: Coupling, front: Front, stimulus_times: Floats) -> Activation:
     """What the sweep found out, in the heart's numbers and tree by tree."""
     order, vertices = coupling.myocardium.order, len(coupling.myocardium.order)
-    in_trees, origin, entered_by = front.time[vertices:], front.origin, front.entered_by
+    times = np.ascontiguousarray(front.nodes["time"])
+    in_trees, origin, entered_by = times[vertices:], front.nodes["origin"], front.entered_by
     if len(entered_by):
         first = _first_sites(entered_by)
         origin = np.where(origin >= 0, first[origin], FROM_ROOT)
         entered_by = np.where(entered_by >= 0, first, -1)
     entered = _pieces(entered_by, coupling.junctions)
     myocardium, fired_by = np.empty(vertices), np.empty(vertices, dtype=np.int64)
-    myocardium[order], fired_by[order] = front.time[:vertices], origin[:vertices]
+    myocardium[order], fired_by[order] = times[:vertices], origin[:vertices]
     stimuli = coupling.stimuli
     return Activation(
         myocardium=myocardium,

@@ -26,8 +26,10 @@ from fascicle.kernels.arrays import (
     CELL_COLUMNS,
     CORNERS,
     FACES,
+    LINK,
     PRODUCTS,
     SQUARES,
+    STAR,
     XX,
     EikonalMesh,
     TravelTimeTable,
@@ -179,21 +181,14 @@ def build_myocardium(
     cells, solver, least = _elements(
         vertices, corners, place, heart.fibres, gradients, conduction, whole_scale
     )
-    start, star = _stars(corners, conducts, len(vertices))
-    tetrahedron, corner = np.divmod(star.astype(np.int64), CORNERS)
     links = _edges(corners[conducts], solver[conducts, SQUARES:], len(vertices))
-    others = np.empty((len(star), CORNERS - 1), np.uint16)
-    number_neighbours(start, corners[tetrahedron[:, None], FACES[corner]], *links[:2], others)
     mesh = EikonalMesh(
         vertices,
         corners,
         cells,
         _face_neighbours(corners, conducts),
         aligned(solver),
-        start,
-        star,
-        others,
-        least[tetrahedron, corner],
+        *_stars(corners, conducts, least, *links),
         *links,
         slowness=float(1 / (max(conduction.speeds) * np.sqrt(scale.max()))),
     )
@@ -247,18 +242,20 @@ def _elements(
 
 def _edges(
     corners: NDArray[np.int32], squares: Floats, count: int
-) -> tuple[Integers, NDArray[np.uint32], Floats]:
-    """The vertices that share an edge with each, and the least travel times to them."""
+) -> tuple[Integers, NDArray[np.void]]:
+    """The vertices that share an edge with each, with the least travel times, and their starts."""
     one, other = TETRAHEDRON_EDGES.T
     tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
     head = np.concatenate([corners[:, other], corners[:, one]]).ravel()
     pair = tail * count + head
     order = np.argsort(pair, kind="stable")
     first = np.flatnonzero(np.diff(pair[order], prepend=-1))
-    least = np.minimum.reduceat(np.tile(squares.ravel(), 2)[order], first)
     edge = order[first]
+    link = np.empty(len(edge), LINK)
+    link["vertex"] = head[edge]
+    link["time"] = np.sqrt(np.minimum.reduceat(np.tile(squares.ravel(), 2)[order], first))
     start = np.concatenate([[0], np.cumsum(np.bincount(tail[edge], minlength=count))])
-    return start, head[edge].astype(np.uint32), np.sqrt(least)
+    return start, link
 
 
 def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.AABB) -> Integers:
@@ -288,12 +285,24 @@ def find_on_surface(vertices: Floats, surface: Integers) -> igl.AABB:
 
 
 def _stars(
-    corners: NDArray[np.int32], conducts: Booleans, count: int
-) -> tuple[Integers, NDArray[np.uint32]]:
-    """The tetrahedra of each vertex as `EikonalMesh.star` numbers them, and where they start."""
+    corners: NDArray[np.int32],
+    conducts: Booleans,
+    least: NDArray[np.float32],
+    link_start: Integers,
+    link: NDArray[np.void],
+) -> tuple[Integers, NDArray[np.void]]:
+    """The conducting elements around each vertex, and where they start."""
     flat = np.flatnonzero(np.repeat(conducts, CORNERS))  # CORNERS·tetrahedron + corner
-    start, order = grouped(corners.ravel()[flat], count)
-    return start, flat[order].astype(np.uint32)
+    start, order = grouped(corners.ravel()[flat], len(link_start) - 1)
+    star = np.empty(len(flat), STAR)
+    star["item"] = flat[order]
+    tetrahedron, corner = np.divmod(flat[order], CORNERS)
+    others = np.empty((len(flat), CORNERS - 1), np.uint16)
+    at = corners[tetrahedron[:, None], FACES[corner]]
+    number_neighbours(start, at, link_start, link["vertex"], others)
+    star["a"], star["b"], star["c"] = others.T
+    star["least_a"], star["least_b"], star["least_c"] = least[tetrahedron, corner].T
+    return start, star
 
 
 def _reach(squares: Floats) -> Floats:
