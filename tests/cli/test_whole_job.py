@@ -124,12 +124,18 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_damaged_copies_are_restored(study, target, tmp_path, name):
-    """What a study keeps of its heart and recording, when it is fitted again."""
+def test_damaged_copies_are_refused(study, tmp_path, name):
     copied = shutil.copytree(study.folder, tmp_path / "copied")
     DAMAGE[name](copied / name)
     with pytest.raises(fascicle.InputError):
         load_study(copied)
+
+
+def test_damaged_copies_are_restored(study, target, tmp_path):
+    """What a study keeps of its heart and recording, when it is fitted again."""
+    copied = shutil.copytree(study.folder, tmp_path / "copied")
+    for name, damage in DAMAGE.items():
+        damage(copied / name)
     fascicle.fit("default", target, copied, **BUDGET)
     again = load_study(copied)
     for parameter, values in study.population.values.items():
@@ -326,13 +332,19 @@ def test_a_report_where_nothing_can_be_written_says_what_helps(study, monkeypatc
 
 def test_a_report_against_another_scenario(study, tmp_path, monkeypatch, capsys):
     asked = ["report", study.folder, "--out", tmp_path / "r.html", "--scenario", "his-pacing"]
-    block = ["--scenario", "left-bundle-branch-block", "--against", "left-bundle-branch-block"]
-    assert run(monkeypatch, *asked, *block) == 0
-    assert "against left-bundle-branch-block" in (tmp_path / "r.html").read_text()
-    capsys.readouterr()
     assert run(monkeypatch, *asked, "--against", "blok") == 2
     error = capsys.readouterr().err
     assert error.endswith("intrinsic, his-pacing; add it to them (--scenario blok)\n")
+    assert run(monkeypatch, *asked, "--format", "jpg") == 2
+    error = "error: figures cannot be drawn as 'jpg'; use png, pdf, svg\n"
+    assert capsys.readouterr().err == error
+    assert not (tmp_path / "r.html").exists()
+    block = ["--scenario", "left-bundle-branch-block", "--against", "left-bundle-branch-block"]
+    assert run(monkeypatch, *asked, *block, "--format", "svg", "--format", "pdf") == 0
+    assert "against left-bundle-branch-block" in (tmp_path / "r.html").read_text()
+    figures = tmp_path / "figures"
+    assert b"<svg" in (figures / "heart.svg").read_bytes()[:2000]
+    assert (figures / "recording.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_gains_are_those_that_were_drawn(study):
@@ -346,18 +358,6 @@ def test_gains_are_those_that_were_drawn(study):
     predicted = fascicle.predict(study, "his-pacing")["his-pacing"]
     assert predicted.effective == study.population.effective_size
     assert 0 < predicted.effective <= len(study.population)
-
-
-def test_figures_of_other_kinds(study, tmp_path, monkeypatch, capsys):
-    asked = ["report", study.folder, "--scenario", "his-pacing", "--out", tmp_path / "r.html"]
-    assert run(monkeypatch, *asked, "--format", "jpg") == 2
-    error = "error: figures cannot be drawn as 'jpg'; use png, pdf, svg\n"
-    assert capsys.readouterr().err == error
-    assert not (tmp_path / "r.html").exists()
-    assert run(monkeypatch, *asked, "--format", "svg", "--format", "pdf") == 0
-    figures = tmp_path / "figures"
-    assert b"<svg" in (figures / "heart.svg").read_bytes()[:2000]
-    assert (figures / "recording.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_plots_in_a_notebook(study):
