@@ -222,5 +222,7 @@ def shown(value: object) -> str:
         return f"a whole number of {int(value.bit_length() * math.log10(2)) + 1} digits"
     if hasattr(value, "shape") and value.shape:
         return f"an array of shape {value.shape}"
-    written = ADDRESS.sub("", " ".join(repr(value).split()))
+    written = " ".join(repr(value).split())
+    if not isinstance(value, str):
+        written = ADDRESS.sub("", written)
     return written if len(written) <= LONGEST else f"{written[:LONGEST]}…"

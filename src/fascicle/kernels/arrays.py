@@ -236,7 +236,7 @@ class Sites(NamedTuple):
 STATE = np.dtype(
     [
         ("time", np.float64),  # when the front arrives (ms)
-        ("bucket", np.int32),  # the node's bucket in the queue; `WAITS_NOT` if it is in none
+        ("bucket", np.int32),  # of the queue; `WAITS_NOT` or `IN_BATCH` if it is in none
         ("before", np.int32),  # the nodes on both sides of it in its bucket's list, -1 at the ends
         ("after", np.int32),
         ("origin", np.int32),  # site that fired it, or by which the front entered its tree; else -1
@@ -259,9 +259,8 @@ class Queue(NamedTuple):
     now: NDArray[np.int64]
 
 
-# By what elements around a vertex are chosen, of each neighbour: how much later than the vertex it
-# is, as far as is known (ms, rounded up), and 1 if it lends its time to faces, as those do that do
-# not wait in the queue
+# What is known of a vertex's neighbour when elements are chosen: how much later than the vertex it
+# is (ms, rounded up), and 1 if it lends its time to faces, as those do that do not wait to be taken
 NEAR = np.dtype([("later", np.float32), ("lends", np.uint32)])
 
 
@@ -278,7 +277,7 @@ class Surroundings(NamedTuple):
         Of up to k neighbours of each: when the front comes to them (ms), as far as is known, and
         what is chosen by.
     chosen : (e,) array
-        The elements that may lower a corner.
+        The elements that may lower a corner, packed as `fascicle.kernels.star` says.
     face : (f,) array
         The faces by which a corner may be lowered: `CORNERS`·place of the element in `chosen` +
         which of its corners the face is opposite to.
@@ -301,7 +300,7 @@ class Front(NamedTuple):
     Attributes
     ----------
     nodes : (n + k,) array of STATE
-        When it arrives at each, and from where.
+        What is known of each.
     entered_by : (j,) array
         The site whose front entered a tree at each site, or -1.
     queue : Queue

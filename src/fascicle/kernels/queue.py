@@ -39,7 +39,7 @@ def lower(node, nodes, queue, size):
     node : int
         The node.
     nodes : array of STATE
-        What is known of each node; its list is written.
+        What is known of each node; `bucket`, `before` and `after` are overwritten.
     queue : Queue
         See `fascicle.kernels.arrays`.
     size : int

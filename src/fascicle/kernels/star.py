@@ -21,7 +21,7 @@ SETTLED = 1e-10
 # A slope of the times in an element that exceeds 1 by less is rounding.
 STEEP = 1.0 + 1e-12
 
-BATCH = 8  # vertices worked on at a time, at most
+BATCH = 8  # vertices worked on at a time, at most; a power of 2
 
 # Cache lines asked for: as many as most vertices' lists take. A loop as long as a list is dearer.
 LINK_LINES, STAR_LINES = 4, 8
@@ -40,9 +40,10 @@ COLUMNS = np.ascontiguousarray(
     np.concatenate([_PAIRS_FROM, _PAIRS_FROM[:, :, :5] + np.uint32(SQUARES)], axis=2)
 )
 
-# An item of a mesh's star is CORNERS·tetrahedron + place, CORNERS being a power of 2:
-PLACE_BITS = np.uint32(CORNERS.bit_length() - 1)  # what is above these bits is the tetrahedron,
-PLACE_MASK = np.uint32(CORNERS - 1)  # what is in them the vertex's place among its corners
+# An item of a mesh's star is CORNERS·tetrahedron + place, CORNERS being a power of 2: what is above
+# these bits is the tetrahedron, what is in them the vertex's place among its corners. A face is
+# CORNERS·element + which of a, b and c it is opposite to, likewise.
+PLACE_BITS, PLACE_MASK = np.uint32(CORNERS.bit_length() - 1), np.uint32(CORNERS - 1)
 
 LANES = 8  # in a block: as many as the widest registers hold
 
@@ -53,11 +54,12 @@ TJ, TK, DELAY = SHAPE * LANES, (SHAPE + 1) * LANES, (SHAPE + 2) * LANES
 FACES_BLOCK = (SHAPE + 3) * LANES
 
 # A chosen element in one number: from the lowest bits on, which corners may be lowered (the sum of
-# 1, 2 and 4), the vertex's place in the batch, and the element's place in the star
+# 1, 2 and 4), the vertex's place in the batch, and the element's place in `EikonalMesh.star`
 CORNERS_MASK, SLOT_BITS = np.uint64(7), np.uint64(3)
 SLOT_MASK, ITEM_BITS = np.uint64(BATCH - 1), np.uint64(3 + (BATCH - 1).bit_length())
 
-UP = np.float32(2.0**-22)  # by so much of itself more, no single precision number is rounded down
+# Raised by this share of its size, a number rounded to single precision is no less than before
+UP = np.float32(2.0**-22)
 
 
 @kernel()
@@ -114,7 +116,7 @@ def _through_edges(node, at, mesh, front, size):
         later = np.float32(time - now)
         around.time[at + k] = time
         around.near[at + k].later = later + abs(later) * UP
-        around.near[at + k].lends = (nodes[other].bucket == WAITS_NOT) & (time < np.inf)
+        around.near[at + k].lends = nodes[other].bucket == WAITS_NOT
     return size
 
 
@@ -127,7 +129,7 @@ def _choose(node, slot, at, count, mesh, front):
     """
     around, begin = front.around, count
     chosen, near = around.chosen, around.near[at:]
-    for e in range(np.uint32(mesh.star_start[node]), np.uint32(mesh.star_start[node + 1])):
+    for e in range(np.uint64(mesh.star_start[node]), np.uint64(mesh.star_start[node + 1])):
         row = mesh.star[e]
         a, b, c = row.a, row.b, row.c
         lends_a, lends_b, lends_c = near[a].lends, near[b].lends, near[c].lends
@@ -135,13 +137,19 @@ def _choose(node, slot, at, count, mesh, front):
         to_b = (lends_a | lends_c) & np.uint32(row.least_b < near[b].later)
         to_c = (lends_a | lends_b) & np.uint32(row.least_c < near[c].later)
         corners = np.uint64(to_a + 2 * to_b + 4 * to_c)
-        chosen[count] = (np.uint64(e) << ITEM_BITS) | (slot << SLOT_BITS) | corners
+        chosen[count] = (e << ITEM_BITS) | (slot << SLOT_BITS) | corners
         count += np.uint64(corners > 0)
     for i in range(begin, count):
         row = np.int64(mesh.star[chosen[i] >> ITEM_BITS].item >> PLACE_BITS) * 2 * SQUARES * 8
         prefetch(mesh.solver, row)
         prefetch(mesh.solver, row + CACHE_LINE)
     return count
+
+
+@kernel(inline="always")
+def _unpacked(element, mesh):
+    """The row of the star that a chosen element is, and its vertex's place in the batch."""
+    return mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
 
 
 @kernel(inline="always")
@@ -168,7 +176,7 @@ def _faces(count, room, mesh, front):
     around, n = front.around, np.uint64(0)
     for i in range(np.uint32(count)):
         element = around.chosen[i]
-        row, slot = mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
+        row, slot = _unpacked(element, mesh)
         at = slot * room
         t, s = row.item >> PLACE_BITS, row.item & PLACE_MASK
         now = around.now[slot]
@@ -187,7 +195,7 @@ def _lay_out_faces(n, room, mesh, around):
     f = around.faces
     for i in range(n):
         k, element = around.face[i] & PLACE_MASK, around.chosen[around.face[i] >> PLACE_BITS]
-        row, slot = mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
+        row, slot = _unpacked(element, mesh)
         at = slot * room
         t, s = row.item >> PLACE_BITS, row.item & PLACE_MASK
         lane = (i // LANES) * FACES_BLOCK + i % LANES
@@ -222,7 +230,7 @@ def _take(n, mesh, front, size):
     nodes, around = front.nodes, front.around
     for i in range(n):
         k, element = around.face[i] & PLACE_MASK, around.chosen[around.face[i] >> PLACE_BITS]
-        row, slot = mesh.star[element >> ITEM_BITS], (element >> SLOT_BITS) & SLOT_MASK
+        row, slot = _unpacked(element, mesh)
         node = around.batch[slot]
         lane = (i // LANES) * FACES_BLOCK + i % LANES
         arrival = around.now[slot] + around.faces[lane + DELAY]
@@ -231,7 +239,7 @@ def _take(n, mesh, front, size):
         other = np.int64(mesh.link[first + place].vertex)
         if arrival < nodes[other].time - SETTLED:
             # the origin of the face's earliest corner
-            source, soonest = np.int64(node), 0.0
+            source, soonest = node, 0.0
             if around.faces[lane + TJ] < soonest:
                 soonest = around.faces[lane + TJ]
                 source = np.int64(mesh.link[first + (row.b if k == 0 else row.a)].vertex)

@@ -101,7 +101,8 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
             continue
         if _steepest_fall(frequency[near], level[near]) > LEAST_FALL:
             fit = _fit(frequency[near], level[near], centre)
-            believed += [fit] if fit.believed else []
+            if fit.believed:
+                believed.append(fit)
     # one that is there is found about more than one centre
     agreeing = [
         min(one, other, key=lambda fit: fit.misfit)

@@ -213,7 +213,7 @@ def _elements(
     conduction: Conduction,
     scale: Floats,
 ) -> tuple[Floats, Floats, NDArray[np.float32]]:
-    """Arrays `cells` and `solver` of an `EikonalMesh`, and its `least` by corner, (m, 4, 3).
+    """Arrays `cells` and `solver` of an `EikonalMesh`, and the least delays of `STAR`, (m, 4, 3).
 
     `place` is the heart's number of each tetrahedron, by which fibres and gradients are found.
     """
@@ -243,7 +243,7 @@ def _elements(
 def _edges(
     corners: NDArray[np.int32], squares: Floats, count: int
 ) -> tuple[Integers, NDArray[np.void]]:
-    """The vertices that share an edge with each, with the least travel times, and their starts."""
+    """The vertices that share an edge with each, and where they start; with least travel times."""
     one, other = TETRAHEDRON_EDGES.T
     tail = np.concatenate([corners[:, one], corners[:, other]]).ravel().astype(np.int64)
     head = np.concatenate([corners[:, other], corners[:, one]]).ravel()
