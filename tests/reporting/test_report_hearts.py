@@ -177,7 +177,7 @@ def test_cuts_keep_the_area_and_follow_the_isochrones():
     rng = np.random.default_rng(2)
     corners, times = rng.uniform(0, 10, (40, 3, 2)), rng.uniform(0, 59, (40, 3))
     levels = np.arange(0.0, 61.0, 10.0)
-    pieces = list(cut_at_levels(corners, times, levels))
+    pieces = list(zip(*cut_at_levels(corners, times, levels), strict=True))
     assert [k for k, _, _ in pieces] == sorted(k for k, _, _ in pieces)
     assert area([p for _, _, p in pieces]) == pytest.approx(area(corners))
     for k, band, polygon in pieces:
@@ -191,11 +191,17 @@ def test_cuts_keep_the_area_and_follow_the_isochrones():
 
 def test_a_triangle_that_is_never_activated_is_left_whole():
     corner = np.array([[[0.0, 0], [1, 0], [0, 1]]])
-    ((_, band, polygon),) = cut_at_levels(
+    triangle, band, polygons = cut_at_levels(
         corner, np.array([[1.0, np.inf, 30]]), np.array([0.0, 50])
     )
-    assert band == -1
-    np.testing.assert_array_equal(polygon, corner[0])
+    assert (triangle, band) == (0, -1)
+    np.testing.assert_array_equal(polygons, corner[:, [0, 1, 2, 2, 2]])
+
+
+def test_no_piece_is_left_where_a_triangle_only_touches_an_isochrone():
+    corner = np.array([[[0.0, 0], [1, 0], [0, 1]]])
+    triangle, band, _ = cut_at_levels(corner, np.array([[5.0, 8.0, 10.0]]), np.array([0.0, 10, 20]))
+    assert (triangle, band) == (0, 0)
 
 
 def tree_in(endo):

@@ -189,14 +189,12 @@ def _draw_surface(
     corners = triangles[order]
     levels = np.asarray(norm.boundaries, dtype=float)
     screen = view.project(heart.vertices[corners])[..., :2]
-    pieces = list(cut_at_levels(screen, activation[corners], levels))
-    owner = np.array([triangle for triangle, _, _ in pieces], dtype=int)
-    band = np.array([piece for _, piece, _ in pieces], dtype=int)
+    owner, band, polygons = cut_at_levels(screen, activation[corners], levels)
     middle = (levels[:-1] + levels[1:]) / 2
     palette = np.vstack([matplotlib.colormaps[COLOURS](norm(middle))[:, :3], to_rgb(SILENT)])
     shade = view.shade(smooth_normals(heart.vertices, triangles)[order])
     colours = palette[band] * shade[owner, np.newaxis]
-    add_polygons(axes, [polygon for _, _, polygon in pieces], colours)
+    add_polygons(axes, polygons, colours)
 
 
 def _draw_cavity(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,6 @@ from fascicle.heart.endocardium import long_axis
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.reporting import style
-
-Point = tuple[float, float, float]  # x, y (mm on the screen) and time (ms)
 
 AMBIENT = 0.68  # brightness of a triangle turned away from the light; 1 faces it
 CREASE = 0.82  # cosine of the angle (35°) between face and vertex normal from which it is one
@@ -175,25 +173,28 @@ def paint(
     faces = rgb * view.shade(smooth_normals(vertices, triangles)[order])[:, np.newaxis]
     if alpha < 1:
         faces = np.column_stack([faces, np.full(len(faces), alpha)])
-    polygons = list(view.project(vertices[triangles[order]])[..., :2])
-    add_polygons(axes, polygons, faces)
+    add_polygons(axes, view.project(vertices[triangles[order]])[..., :2], faces)
 
 
-def add_polygons(axes: Axes, polygons: Sequence[Floats], colours: Floats) -> None:
+def add_polygons(axes: Axes, polygons: Floats, colours: Floats) -> None:
     """Draw polygons in the order given; opaque ones are joined by a hairline.
 
     Parameters
     ----------
     axes : Axes
         Where to.
-    polygons : sequence of (p, 2) arrays
+    polygons : (k, p, 2) array
         Corners (mm).
     colours : (k, 3) or (k, 4) array
         Red, green, blue and, of transparent ones, opacity of each.
     """
     edges = colours if colours.shape[1] == 3 else "none"
     collection = PolyCollection(
-        list(polygons), facecolors=colours, edgecolors=edges, linewidths=HAIRLINE, rasterized=True
+        polygons,  # type: ignore[arg-type]  # an array is drawn sooner than a list, as is not stated
+        facecolors=colours,
+        edgecolors=edges,
+        linewidths=HAIRLINE,
+        rasterized=True,
     )
     axes.add_collection(collection)
 
@@ -225,7 +226,7 @@ def frame_panel(axes: Axes, box: tuple[Floats, Floats], size: Floats, title: str
 
 def cut_at_levels(
     corners: Floats, times: Floats, levels: Floats
-) -> Iterator[tuple[int, int, Floats]]:
+) -> tuple[Integers, Integers, Floats]:
     """Cut triangles along isochrones, the time being linear in each.
 
     Parameters
@@ -237,36 +238,47 @@ def cut_at_levels(
     levels : (l,) array
         Ascending isochrones (ms), the first and last beyond all times.
 
-    Yields
-    ------
-    triangle, band, polygon
-        Index of the triangle; of the interval between levels, -1 where time is not finite; and the
-        (p, 2) corners of the piece. Triangles come in the order given.
+    Returns
+    -------
+    triangle, band : (p,) arrays
+        The triangle of each piece, in the order given; and the interval between levels that it lies
+        in, -1 where time is not finite.
+    polygons : (p, 5, 2) array
+        Its corners (mm); where it has fewer than five, some are repeated.
     """
     known: Booleans = np.all(np.isfinite(times), axis=1)
     band = np.clip(np.searchsorted(levels, times, side="right") - 1, 0, len(levels) - 2)
-    lowest, highest = band.min(axis=1), band.max(axis=1)
-    for k, corner in enumerate(corners):
-        if not known[k]:
-            yield k, -1, corner
-        elif lowest[k] == highest[k]:
-            yield k, int(lowest[k]), corner
-        else:
-            points = [(float(x), float(y), float(t)) for x, y, t in np.c_[corner, times[k]]]
-            for piece in range(lowest[k], highest[k] + 1):
-                polygon = _clip(_clip(points, levels[piece], 1.0), levels[piece + 1], -1.0)
-                if len(polygon) > 2:
-                    yield k, piece, np.array(polygon)[:, :2]
+    lowest, highest = (np.where(known, f(band, axis=1), -1) for f in (np.min, np.max))
+    pieces = highest - lowest + 1
+    triangle = np.repeat(np.arange(len(corners)), pieces)
+    number = np.arange(len(triangle)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    piece = lowest[triangle] + number
+    whole = np.dstack([corners, times])[triangle]
+    polygons = whole[:, [0, 1, 2, 2, 2]]
+    cut = np.flatnonzero(pieces[triangle] > 1)
+    above = _clip(whole[cut], levels[piece[cut]], 1.0)
+    polygons[cut] = _clip(above, levels[piece[cut] + 1], -1.0)
+    another = (polygons[:, 1:] != polygons[:, :-1]).any(axis=2).sum(axis=1)
+    kept = (another >= 2) | (pieces[triangle] == 1)
+    return triangle[kept], piece[kept], polygons[kept, :, :2]
 
 
-def _clip(points: list[Point], level: float, sign: float) -> list[Point]:
-    """Keep the part of a convex polygon where sign · (time − level) ≥ 0 (Sutherland, Hodgman)."""
-    kept: list[Point] = []
-    for (xa, ya, ta), (xb, yb, tb) in zip(points, points[1:] + points[:1], strict=True):
-        a, b = sign * (ta - level), sign * (tb - level)
-        if a >= 0:
-            kept.append((xa, ya, ta))
-        if (a > 0 > b) or (a < 0 < b):
-            share = a / (a - b)
-            kept.append((xa + share * (xb - xa), ya + share * (yb - ya), level))
-    return kept
+def _clip(polygons: Floats, levels: Floats, sign: float) -> Floats:
+    """Keep of convex polygons the parts where sign · (time − level) ≥ 0 (Sutherland, Hodgman).
+
+    Of polygons of p corners (x, y, time), each with its level, polygons of p + 1, the last corner
+    repeated; anything where nothing is left, but with one corner only.
+    """
+    count, size, _ = polygons.shape
+    following = np.roll(polygons, -1, axis=1)
+    here, there = (sign * (part[..., 2] - levels[:, None]) for part in (polygons, following))
+    crosses = ((here > 0) & (there < 0)) | ((here < 0) & (there > 0))
+    share = here / np.where(crosses, here - there, 1.0)
+    at_level = polygons + share[..., None] * (following - polygons)
+    corners = np.stack([polygons, at_level], axis=2).reshape(count, 2 * size, 3)
+    kept = np.stack([here >= 0, crosses], axis=2).reshape(count, 2 * size)
+    order = np.argsort(~kept, axis=1, kind="stable")
+    last = np.maximum(kept.sum(axis=1) - 1, 0)
+    chosen = np.minimum(np.arange(size + 1), last[:, None])
+    order = np.take_along_axis(order, chosen, axis=1)
+    return np.take_along_axis(corners, order[..., None], axis=1)
