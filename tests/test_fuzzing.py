@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fuzzing.attempts import outcomes
 from benchmarks.fuzzing.kinds import KINDS
 
-NUMBER = 250
+NUMBER = 500
 
 
 # among 20,000 of each kind, those that had ended otherwise once

@@ -22,7 +22,7 @@ from fascicle.forward.eikonal.myocardium import Myocardium, _reach, build_myocar
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
 from fascicle.kernels.local_solver import from_new_corner
-from fascicle.kernels.star import STEEP
+from fascicle.kernels.star import LANES, STEEP
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
@@ -203,6 +203,7 @@ def test_neighbours_in_a_star_are_the_corners_of_its_elements():
     others = np.stack([mesh.star[corner] for corner in "abc"], axis=1)
     neighbours = mesh.link["vertex"][mesh.link_start[node, None] + others]
     np.testing.assert_array_equal(neighbours, mesh.corners[t[:, None], np.array(OTHERS)[s]])
+    assert np.diff(mesh.star_start).max() > 2 * LANES, "no vertex has many elements around it"
 
 
 @given(seeds, thicknesses, st.sampled_from(list(SPEEDS)), st.floats(0.0, 20.0))

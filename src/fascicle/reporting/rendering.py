@@ -190,7 +190,7 @@ def add_polygons(axes: Axes, polygons: Floats, colours: Floats) -> None:
     """
     edges = colours if colours.shape[1] == 3 else "none"
     collection = PolyCollection(
-        polygons,  # type: ignore[arg-type]  # an array is drawn sooner than a list, as is not stated
+        polygons,  # type: ignore[arg-type]  # arrays are quicker, and the stubs know lists only
         facecolors=colours,
         edgecolors=edges,
         linewidths=HAIRLINE,
@@ -266,8 +266,8 @@ def cut_at_levels(
 def _clip(polygons: Floats, levels: Floats, sign: float) -> Floats:
     """Keep of convex polygons the parts where sign · (time − level) ≥ 0 (Sutherland, Hodgman).
 
-    Of polygons of p corners (x, y, time), each with its level, polygons of p + 1, the last corner
-    repeated; anything where nothing is left, but with one corner only.
+    Takes (n, p, 3) corners x, y and time, and (n,) levels; gives (n, p + 1, 3) corners, the last
+    repeated where fewer are left. Where none is left, one point stands for all of them.
     """
     count, size, _ = polygons.shape
     following = np.roll(polygons, -1, axis=1)

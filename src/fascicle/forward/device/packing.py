@@ -45,7 +45,7 @@ def _mesh(myocardium: Myocardium) -> dict[str, Any]:
     mesh = myocardium.mesh
     star, link = mesh.star, mesh.link
     tetrahedron, place = np.divmod(star["item"], CORNERS)
-    least = np.minimum(np.minimum(star["least_a"], star["least_b"]), star["least_c"])
+    least = np.minimum.reduce([star["least_a"], star["least_b"], star["least_c"]])
     others = np.take_along_axis(mesh.corners[tetrahedron], OTHERS[place], axis=1)
     return {
         "vertices": len(mesh.vertices),
