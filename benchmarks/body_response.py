@@ -52,7 +52,7 @@ def random_values(
         values = {}
         for name in BODY:
             known = QUANTITIES[name]
-            low, high = known.searched
+            low, high = known.prior_range
             part = scale * rng.uniform(-1, 1)
             if name.endswith("_conductivity"):
                 values[name] = float(high**part)
@@ -190,9 +190,9 @@ def table(model: fascicle.ForwardModel, network: Values) -> dict[str, list[float
     bodies, names = [], []
     for name in BODY:
         known = QUANTITIES[name]
-        kind, sd = known.usual or ("normal", 0.0)
+        kind, sd = known.default_prior or ("normal", 0.0)
         near = [known.default - sd, known.default + sd] if kind == "normal" else np.exp([-sd, sd])
-        for value in (known.searched[0], *near, known.searched[1]):
+        for value in (known.prior_range[0], *near, known.prior_range[1]):
             bodies.append({name: float(value)})
             names.append((name, float(value)))
     print("quantity | value | loss (mV²) | QRS (ms) | axis (degrees)")

@@ -72,11 +72,11 @@ from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.figures import new_figure, save
 from fascicle.study import paper, posterior
-from fascicle.study.bank import Bank, make_bank
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.likelihood import PriorKnowledge, likelihood_of, prior_knowledge
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import predict_recording
+from fascicle.study.prior_simulations import PriorSimulations, make_bank
 from fascicle.study.problem import Network, Problem
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.space import study_space
@@ -239,7 +239,7 @@ def prepared(heart_path: str, gain_sd: float, method: Method) -> tuple[Any, ...]
     heart = fascicle.load_heart(heart_path)
     model = ForwardModel(heart)
     space, fixed = study_space(method, {}, heart)
-    bank = Bank.beside(heart, space, fixed)
+    bank = PriorSimulations.beside(heart, space, fixed)
     # any target serves: what the prior tells depends on its leads, and on the length of its QRS
     rng = np.random.default_rng(0)
     _, some = truth_of(model, space, fixed, rng)

@@ -42,11 +42,11 @@ from fascicle.cli.demo import demo_recording
 from fascicle.cli.terminal_progress import TerminalProgress
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart
-from fascicle.recording.choices import Choices
 from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target import Target
+from fascicle.recording.target_options import TargetOptions
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
 
@@ -98,7 +98,7 @@ def ludb_target(data: Path, record: int) -> Target:
 
 def dti004_target(data: Path) -> Target:
     file = data / "hearts" / "dti004" / "ecg_beat.csv"
-    return analyse(read_recording(file, unit="uV"), Choices(noise=DTI_NOISE)).target
+    return analyse(read_recording(file, unit="uV"), TargetOptions(noise=DTI_NOISE)).target
 
 
 CASES = {

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.forward.ecg.lead_field import MM_PER_CM
-from fascicle.forward.eikonal.activation import attach, front_at_rest
+from fascicle.forward.eikonal.activation import attach, initial_front
 from fascicle.forward.eikonal.myocardium import Myocardium
 from fascicle.kernels.coupled import sweep
 
@@ -84,7 +84,7 @@ def solve_from_vertices(myocardium: Myocardium, times: NDArray[np.float64]) -> N
         Activation times (ms); inf where no front arrives.
     """
     coupling = attach(myocardium, ())
-    front = front_at_rest(myocardium.mesh, len(coupling.lengths), 0)
+    front = initial_front(myocardium.mesh, len(coupling.lengths), 0)
     front.nodes["time"][: len(times)] = times[myocardium.order]
     sources = np.flatnonzero(np.isfinite(front.nodes["time"]))
     sweep(front, sources, myocardium.mesh, coupling.forest, coupling.sites)

@@ -27,9 +27,9 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.threads import one_thread
 from fascicle.inference.importance.sampling import BATCH, sampling
 from fascicle.recording.target import Target
-from fascicle.study.bank import prior_points
 from fascicle.study.pool import parts
 from fascicle.study.posterior import RUNS
+from fascicle.study.prior_simulations import prior_points
 from fascicle.study.problem import Problem
 from fascicle.study.space import study_space
 

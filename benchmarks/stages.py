@@ -55,7 +55,7 @@ def serve(heart: str) -> None:
     from fascicle.heart.folder import load_heart
     from fascicle.purkinje.growth import grow_from_parameters
     from fascicle.purkinje.tree import InvalidTree
-    from fascicle.study.bank import prior_points
+    from fascicle.study.prior_simulations import prior_points
     from fascicle.study.space import study_space
 
     model = ForwardModel(load_heart(heart))

@@ -53,7 +53,7 @@ found = fascicle.compare(
 )
 low, high = found.interval
 print(f"probability to be faster {found.probability():.2f}, by {low:.0f} to {high:.0f} ms")
-for name, share in found.left_open_by(study.population.values)[:3]:
+for name, share in found.variance_explained_by(study.population.values)[:3]:
     print(f"{share:.0%} of the difference between networks goes with {name}")
 
 # %% [markdown]

@@ -49,7 +49,7 @@ ALSO = {
     ("analyse", "choices"): {"none"},
     ("make_target", "onset"): {"whole", "number"},
     ("make_target", "offset"): {"whole", "number"},
-    ("Elsewhere", "workers"): {"whole"},
+    ("ExecutorPool", "workers"): {"whole"},
     ("Conduction", "anisotropy_ratio"): {"whole"},
     ("Conduction", "endocardial_layer"): {"whole"},
     ("Conduction", "endocardial_speed"): {"whole"},
@@ -66,7 +66,7 @@ ALSO = {
 }
 # Of the numbers and texts of these `test_an_answer_or_one_line` tries more
 TRIED_ABOVE = {
-    "Stimulus", "Slowing", "His", "Region", "GrowthRules", "Choices", "FitSettings",
+    "Stimulus", "Slowing", "His", "Region", "GrowthRules", "TargetOptions", "FitSettings",
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
@@ -134,9 +134,9 @@ def right(study, predicted, recording, default_heart, default_model):
         "report": (fascicle.report, dict(fitted)),
         "make_bank": (fascicle.make_bank, {"heart": default_heart}),
         "Cluster": (fascicle.Cluster, {"address": "tcp://localhost:1"}),
-        "Card": (fascicle.Card, {"device": "cuda", "workers": 1}),
+        "GpuPool": (fascicle.GpuPool, {"device": "cuda", "workers": 1}),
         "cohort": (fascicle.cohort, {"table": "patients.csv", "out": "new"}),
-        "Elsewhere": (fascicle.Elsewhere, {"executor": ThreadPoolExecutor(1), "workers": 1}),
+        "ExecutorPool": (fascicle.ExecutorPool, {"executor": ThreadPoolExecutor(1), "workers": 1}),
         "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
         "load_study": (fascicle.load_study, {"folder": study.folder}),
         "plot.ecg": (plot.ecg, dict(fitted)),
@@ -161,8 +161,8 @@ FUNCTIONS = [
     "outside_allowed", "example_parameters", "ForwardModel", "ForwardModel.simulate",
     "ForwardModel.activate", "ForwardModel.simulate_many", "ForwardModel.grow", "Scenario",
     "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
-    "read_recording", "read_target", "report", "make_bank", "Cluster", "Elsewhere", "fit",
-    "load_study", "Card", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
+    "read_recording", "read_target", "report", "make_bank", "Cluster", "ExecutorPool", "fit",
+    "load_study", "GpuPool", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
     "plot.activation_spread",
     "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",
 ]  # fmt: skip
@@ -185,7 +185,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
     """Before any work has begun, and so that the line says what was given."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("fascicle.study.fit._problem", begun)
-    monkeypatch.setattr("fascicle.study.bank.ForwardModel", begun)
+    monkeypatch.setattr("fascicle.study.prior_simulations.ForwardModel", begun)
     function, arguments = right[name]
     failures = []
     for argument, known in inspect.signature(function).parameters.items():

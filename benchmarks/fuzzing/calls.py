@@ -87,7 +87,7 @@ CALLS: dict[str, Call] = {
     "Region()": built(fascicle.Region, conductivity=0.5, label=1),
     "Conduction()": built(fascicle.Conduction),
     "GrowthRules()": built(fascicle.GrowthRules),
-    "Choices()": built(fascicle.Choices),
+    "TargetOptions()": built(fascicle.TargetOptions),
     "simulate()": _simulate,
     "simulate(scenario)": _paced,
     "Conduction(regions)": _regional,

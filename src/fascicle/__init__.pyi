@@ -26,18 +26,18 @@ from .prediction.scenarios import predict as predict
 from .purkinje.growth import GrowthRules as GrowthRules
 from .purkinje.tree import InvalidTree as InvalidTree
 from .purkinje.tree import PurkinjeTree as PurkinjeTree
-from .recording.choices import Choices as Choices
 from .recording.pipeline import analyse as analyse
 from .recording.pipeline import make_target as make_target
 from .recording.readers.read import read_recording as read_recording
 from .recording.target_files import read_target as read_target
+from .recording.target_options import TargetOptions as TargetOptions
 from .reporting.page.page import report as report
-from .study.bank import make_bank as make_bank
 from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
-from .study.pool import Card as Card
-from .study.pool import Elsewhere as Elsewhere
+from .study.pool import ExecutorPool as ExecutorPool
+from .study.pool import GpuPool as GpuPool
+from .study.prior_simulations import make_bank as make_bank
 from .study.settings import FitSettings as FitSettings
 
 __version__: str

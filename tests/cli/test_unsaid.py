@@ -12,9 +12,9 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.recording.unsaid import (
-    UnsaidError,
-    asked_at_once,
+from fascicle.recording.missing_metadata import (
+    MissingMetadataError,
+    collect_missing,
     rate_unsaid,
     time_unit_unsaid,
     unit_unsaid,
@@ -96,17 +96,17 @@ class TestGuesses:
 
         def make(unit):
             calls.append(unit)
-            raise UnsaidError("it", "unit")
+            raise MissingMetadataError("it", "unit")
 
-        with pytest.raises(UnsaidError, match=r"^it$"):
-            asked_at_once(make, "a", unit=None)
+        with pytest.raises(MissingMetadataError, match=r"^it$"):
+            collect_missing(make, "a", unit=None)
         assert calls == [None]
 
     def test_other_errors_wait(self):
         def make(unit, noise):
             if unit is None:
-                raise UnsaidError("no unit", "unit", "mV", "why")
+                raise MissingMetadataError("no unit", "unit", "mV", "why")
             raise InputError("something else")
 
-        with pytest.raises(UnsaidError, match="no unit; --unit mV is a guess: why"):
-            asked_at_once(make, "a", unit=None, noise=None)
+        with pytest.raises(MissingMetadataError, match="no unit; --unit mV is a guess: why"):
+            collect_missing(make, "a", unit=None, noise=None)

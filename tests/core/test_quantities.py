@@ -31,8 +31,8 @@ ANY = st.one_of(
 
 @pytest.mark.parametrize("known", QUANTITIES.values(), ids=lambda known: known.name)
 def test_every_quantity_fits_its_own_range(known):
-    low, high = known.possible
-    assert low <= known.searched[0] < known.searched[1] <= high
+    low, high = known.valid_range
+    assert low <= known.prior_range[0] < known.prior_range[1] <= high
     if known.default is not None:
         assert checked({known.name: known.default}) == {known.name: known.default}
     assert known.meaning
@@ -65,8 +65,8 @@ def test_anything_gives_a_possible_float_or_one_line(name, value):
         assert len(str(found)) < 160
     else:
         assert type(found) is float
-        assert known.possible[0] <= found <= known.possible[1]
-        assert not known.whole or found == int(found)
+        assert known.valid_range[0] <= found <= known.valid_range[1]
+        assert not known.is_integer or found == int(found)
 
 
 def outcome(name, value):
@@ -95,7 +95,7 @@ def test_the_nearest_name_is_offered():
 def test_regions_are_known_by_label():
     names = ["cv", "region_3_conductivity", "region_12_conductivity"]
     assert region_labels(names) == {3: names[1], 12: names[2]}
-    assert quantity(names[1]).possible[0] == 0.0
+    assert quantity(names[1]).valid_range[0] == 0.0
 
 
 def test_fascicles_are_counted_and_complete():

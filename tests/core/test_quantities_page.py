@@ -18,8 +18,8 @@ def row(known: Quantity) -> str:
         f"`{known.name}`",
         known.unit,
         "" if known.default is None else f"{known.default:.4g}",
-        "" if known.whole else shown(known.searched),
-        shown(known.possible) + (", or inf" if known.name in INFINITE else ""),
+        "" if known.is_integer else shown(known.prior_range),
+        shown(known.valid_range) + (", or inf" if known.name in INFINITE else ""),
         known.meaning,
         known.changes.value,
     )

@@ -46,12 +46,12 @@ ENTRIES = {
     "region conductivity": (lambda x: Region(x, 1), False),
     "region centre": (lambda x: Region(0.5, centre=(0.0, x, 0.0), radius=1.0), False),
     "region radius": (lambda x: Region(0.5, centre=PLACE, radius=x), False),
-    "onset": (lambda x: fascicle.Choices(onset=x), False),
-    "offset": (lambda x: fascicle.Choices(offset=x), False),
-    "noise": (lambda x: fascicle.Choices(noise=x), False),
-    "low-pass": (lambda x: fascicle.Choices(lowpass=x), False),
-    "recorder's low-pass": (lambda x: fascicle.Choices(recorder_lowpass=x), False),
-    "notch": (lambda x: fascicle.Choices(notch=x), False),
+    "onset": (lambda x: fascicle.TargetOptions(onset=x), False),
+    "offset": (lambda x: fascicle.TargetOptions(offset=x), False),
+    "noise": (lambda x: fascicle.TargetOptions(noise=x), False),
+    "low-pass": (lambda x: fascicle.TargetOptions(lowpass=x), False),
+    "recorder's low-pass": (lambda x: fascicle.TargetOptions(recorder_lowpass=x), False),
+    "notch": (lambda x: fascicle.TargetOptions(notch=x), False),
     "sampling rate": (lambda x: Recording(np.zeros((12, 1000)), x, "a.csv"), False),
     **{
         name: (lambda x, name=name: Conduction(**{name: x}), False)

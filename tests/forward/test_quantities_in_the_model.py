@@ -74,7 +74,7 @@ def test_times_regrow_no_tree_and_prepare_no_tissue(default_model):
     before = default_model._grow.cache_info().misses, default_model._tissue.cache_info().misses
     for known in QUANTITIES.values():
         if known.changes is Changes.TIMES:
-            low, high = known.searched
+            low, high = known.prior_range
             default_model.simulate(EXAMPLE_PARAMETERS | {known.name: (low + high) / 2})
     after = default_model._grow.cache_info().misses, default_model._tissue.cache_info().misses
     assert after == before

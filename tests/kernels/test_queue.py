@@ -7,7 +7,7 @@ import pytest
 
 from fascicle.forward.eikonal.activation import empty_queue
 from fascicle.kernels.arrays import STATE
-from fascicle.kernels.queue import PER_MS, RING, WAITS_NOT, lower, take
+from fascicle.kernels.queue import NOT_QUEUED, PER_MS, RING, lower, take
 
 LAP = RING / PER_MS  # ms
 TIMES = {
@@ -21,7 +21,7 @@ TIMES = {
 def nodes_with(times):
     """Nodes that are not in the queue yet."""
     nodes = np.zeros(len(times), STATE)
-    nodes["time"], nodes["bucket"] = times, WAITS_NOT
+    nodes["time"], nodes["bucket"] = times, NOT_QUEUED
     return nodes
 
 
@@ -34,7 +34,7 @@ def test_the_earliest_leaves_first(times):
     assert size == len(times)
     taken = [take(nodes, queue) for _ in times]
     np.testing.assert_array_equal(shuffled[taken], times)
-    assert (nodes["bucket"] == WAITS_NOT).all()
+    assert (nodes["bucket"] == NOT_QUEUED).all()
 
 
 def test_a_node_that_is_lowered_moves():

@@ -10,7 +10,7 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
-from fascicle.prediction.comparison import FEWEST, compare, undone_blocks
+from fascicle.prediction.comparison import FEWEST, compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 
 
@@ -58,14 +58,14 @@ def test_a_pacing_without_the_block_it_is_compared_with():
         "blocked": replace(pacing, his=His(time=np.inf, left=0.0), slowings=(slow,)),
     }
     found = {name: replace(predicted(), scenario=each) for name, each in scenarios.items()}
-    said = undone_blocks("pacing", found, "block")
+    said = missing_blocks("pacing", found, "block")
     assert said.startswith(
         "block blocks LV fascicle 1 and the left bundle branch, and pacing does not: its gain is"
     )
-    assert "block blocks LV fascicle 1, and half" in undone_blocks("half", found, "block")
+    assert "block blocks LV fascicle 1, and half" in missing_blocks("half", found, "block")
     for name in ("his", "intrinsic", "blocked", "block"):
-        assert undone_blocks(name, found, "block") == ""
-    assert undone_blocks("pacing", found, "intrinsic") == ""
+        assert missing_blocks(name, found, "block") == ""
+    assert missing_blocks("pacing", found, "intrinsic") == ""
 
 
 def test_other_networks_are_refused():
@@ -100,11 +100,13 @@ def test_what_few_independent_networks_are_worth():
         )  # fmt: skip
         assert found.standard_error() == pytest.approx(0.5 / np.sqrt(effective), rel=0.01)
         if effective < FEWEST:
-            assert found.left_open_by({"x": gain}) == []
-            assert found.would_help({"intrinsic": predicted(lv_rv_delay=gain)}) == []
+            assert found.variance_explained_by({"x": gain}) == []
+            assert found.value_of_measurement({"intrinsic": predicted(lv_rv_delay=gain)}) == []
         else:
-            assert dict(found.left_open_by({"x": gain}))["x"] == pytest.approx(1.0)
-            chance = dict(found.left_open_by({"y": gain + 10 * rng.normal(size=5000)}))["y"]
+            assert dict(found.variance_explained_by({"x": gain}))["x"] == pytest.approx(1.0)
+            chance = dict(found.variance_explained_by({"y": gain + 10 * rng.normal(size=5000)}))[
+                "y"
+            ]
             assert chance < 0.01  # 0.01 of the variance is what 100 networks have by chance
 
 
@@ -119,7 +121,7 @@ def test_says_what_leaves_it_open():
     gain = np.exp(x + 0.5 * y)  # ranks see what is monotonous, not what is linear
     found = compare(
         predicted(qrs_area=np.zeros(20_000)), predicted(qrs_area=gain), "qrs_area"
-    ).left_open_by({"z": z, "y": y, "x": x, "fixed": np.ones(20_000)})
+    ).variance_explained_by({"z": z, "y": y, "x": x, "fixed": np.ones(20_000)})
     assert [name for name, _ in found] == ["x", "y", "z", "fixed"]
     shares = dict(found)
     assert shares["x"] == pytest.approx(0.8, abs=0.03)  # 1 / (1 + 0.25), a little less in ranks
@@ -135,7 +137,7 @@ def test_says_what_would_help():
     paced = predicted(qrs_duration=gain, qrs_area=noise)
     own = predicted(lv_rv_delay=1000 * gain**3, lv_activation_time=np.full(50_000, 80.0))
     found = compare(predicted(qrs_area=np.zeros(50_000)), predicted(qrs_area=gain), "qrs_area")
-    helped = found.would_help({"rv-apical-pacing": paced, "intrinsic": own})
+    helped = found.value_of_measurement({"rv-apical-pacing": paced, "intrinsic": own})
     assert [what[:2] for what in helped[:2]] == [
         ("intrinsic", "lv_rv_delay"), ("rv-apical-pacing", "qrs_duration"),
     ]  # fmt: skip
@@ -145,7 +147,7 @@ def test_says_what_would_help():
     assert shares["qrs_duration"] == pytest.approx(36 / (36 + error**2), abs=0.01)
     assert shares["qrs_area"] == pytest.approx(0.0, abs=0.001)
     assert shares["lv_activation_time"] == 0.0
-    assert [scenario for scenario, _, _ in found.would_help({"intrinsic": own})] == [
+    assert [scenario for scenario, _, _ in found.value_of_measurement({"intrinsic": own})] == [
         "intrinsic"
     ] * 2
 

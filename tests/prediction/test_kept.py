@@ -10,8 +10,8 @@ import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.model import ForwardModel
+from fascicle.prediction.cache import FOLDER
 from fascicle.prediction.comparison import compare
-from fascicle.prediction.kept import FOLDER
 from fascicle.prediction.scenarios import predict
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.leads import LEADS, lead_matrix
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.check_result import CheckResult, Severity
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
@@ -68,11 +68,11 @@ def real(data_folder: Path) -> dict[str, Recording]:
     return {name: read_recording(data_folder / "ecg" / file) for name, file in REAL.items()}
 
 
-def fatal(findings: list[Finding] | tuple[Finding, ...]) -> list[str]:
+def fatal(findings: list[CheckResult] | tuple[CheckResult, ...]) -> list[str]:
     """Messages of what is refused."""
     return [finding.message for finding in findings if finding.severity is Severity.FATAL]
 
 
-def warned(findings: list[Finding] | tuple[Finding, ...]) -> list[str]:
+def warned(findings: list[CheckResult] | tuple[CheckResult, ...]) -> list[str]:
     """Messages of what is suspicious."""
     return [finding.message for finding in findings if finding.severity is Severity.WARNING]

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Unused
-from fascicle.recording.choices import Choices
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
+from fascicle.recording.target_options import TargetOptions
 
 V6 = LEADS.index("V6")
 
@@ -63,7 +63,7 @@ def test_the_spread_is_that_of_the_others(clean, disturbed):
         return target.standard_deviation[V6, target.qrs_samples][-1]
 
     named = tuple(beat.number for beat in clean.beats if beat.used)
-    with_it = analyse(disturbed, Choices(beats=named))
+    with_it = analyse(disturbed, TargetOptions(beats=named))
     assert len(with_it.target.beats) == len(clean.target.beats)  # what the user names is used
     assert spread(analyse(disturbed)) < 1.2 * spread(clean)
     assert spread(with_it) > 2 * spread(clean)

@@ -7,10 +7,10 @@ import pytest
 
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import independent_rows
-from fascicle.recording.choices import Choices
-from fascicle.recording.classes import noise_energy, sort_by_shape
+from fascicle.recording.classes import cluster_morphology, noise_energy
 from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.resampling import resample
+from fascicle.recording.target_options import TargetOptions
 
 
 def synthetic(rhythm, seed, noise_db=None, **more):
@@ -24,7 +24,7 @@ def synthetic(rhythm, seed, noise_db=None, **more):
 
 
 def found_beats(recording):
-    (found,) = lead_groups(recording, Choices())
+    (found,) = lead_groups(recording, TargetOptions())
     return found
 
 
@@ -34,7 +34,7 @@ def test_one_class_for_each_kind_of_beat(rhythm, noise_db):
     """Given the true R peaks, every class holds one kind, and every kind is one class."""
     for seed in range(4):
         _, truth, signal = synthetic(rhythm, seed, noise_db)
-        classes, _ = sort_by_shape(
+        classes, _ = cluster_morphology(
             signal, np.round(1000 * truth.r_times).astype(np.int64), noise_energy(signal)
         )
         kinds = np.array(truth.kinds)
@@ -47,7 +47,7 @@ def test_marks_that_are_off_are_put_right():
     _, truth, signal = synthetic("sinus", 5, 20.0)
     peaks = np.round(1000 * truth.r_times).astype(np.int64)
     off = peaks + np.random.default_rng(1).integers(-30, 31, len(peaks))
-    _, aligned = sort_by_shape(signal, off, noise_energy(signal))
+    _, aligned = cluster_morphology(signal, off, noise_energy(signal))
     difference = aligned - peaks
     assert np.abs(difference - np.median(difference)).max() <= 3
 
@@ -83,6 +83,6 @@ def test_paced_beats_are_described():
 
 def test_pure_noise_makes_classes_that_end():
     noise = 0.1 * np.random.default_rng(0).normal(size=(8, 5000))
-    classes, aligned = sort_by_shape(noise, np.arange(400, 4800, 500), noise_energy(noise))
+    classes, aligned = cluster_morphology(noise, np.arange(400, 4800, 500), noise_energy(noise))
     assert set(classes) == set(range(classes.max() + 1))
     assert np.abs(aligned - np.arange(400, 4800, 500)).max() <= 60

@@ -11,7 +11,6 @@ from scipy.signal import butter, sosfiltfilt
 
 from fascicle.cli.demo import demo_recording
 from fascicle.core.errors import InputError
-from fascicle.recording.choices import Choices
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.filters import (
     Filter,
@@ -25,6 +24,7 @@ from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 from fascicle.recording.resampling import filtered
+from fascicle.recording.target_options import TargetOptions
 from fascicle.study.recordings import target_digest
 
 RECORDER = FilterOrigin.FILE
@@ -81,7 +81,7 @@ def test_filters_that_cannot_be(frequency, shape, rate):
 
 def passed(recording, **choices):
     peaks = r_peaks(recording.signal, recording.sampling_rate)
-    filters = passed_filters(recording, peaks, Choices(**choices))
+    filters = passed_filters(recording, peaks, TargetOptions(**choices))
     return [(one.kind.value, one.frequency, one.origin) for one in filters]
 
 
@@ -107,7 +107,7 @@ def test_a_target_knows_what_it_has_passed():
     assert plain.filters == ()
     assert plain.response is None
     assert plain.provenance["filters"] == "none known"
-    stated = analyse(recording, Choices(recorder_lowpass=50.0)).target
+    stated = analyse(recording, TargetOptions(recorder_lowpass=50.0)).target
     np.testing.assert_array_equal(stated.beats, plain.beats)  # the recorder has done it already
     assert stated.response is not None
     assert stated.response(np.array([0.05]))[0] == pytest.approx(0.5**0.5)  # cycles per sample
@@ -124,7 +124,7 @@ def test_a_stated_lowpass_is_set_against_the_spectrum():
     smoothed = replace(whole, signal=sosfiltfilt(steep, np.nan_to_num(whole.signal)))
 
     def said(recording, **choices):
-        return analyse(recording, Choices(**choices)).target.provenance["warnings"]
+        return analyse(recording, TargetOptions(**choices)).target.provenance["warnings"]
 
     assert "the spectrum shows a low-pass at 3" in said(smoothed, recorder_lowpass=60.0)
     assert "the spectrum shows" not in said(smoothed)

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.choices import Choices
 from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse, make_target
 from fascicle.recording.recording import Recording
+from fascicle.recording.target_options import TargetOptions
 
 GROUPS = (("I", "II", "III"), ("aVR", "aVL", "aVF"), ("V1", "V2", "V3"), ("V4", "V5", "V6"))
 
@@ -42,7 +42,7 @@ def whole(seed, **more):
 @pytest.mark.parametrize("strip", [None, "II"])
 def test_stretches_are_found(strip):
     paper = on_paper(whole(0), strip)
-    parts = lead_groups(paper, Choices())
+    parts = lead_groups(paper, TargetOptions())
     assert [part.start for part in parts] == [0, 1250, 2500, 3750]
     for part, group in zip(parts, GROUPS, strict=True):
         there = {lead for lead, r in zip(LEADS, part.recording.recorded, strict=True) if r}
@@ -97,7 +97,7 @@ def test_groups_digitised_with_ragged_edges_stay_groups():
         first, stop = paper.spans[row]
         signal[row, first : first + rng.integers(0, 9)] = np.nan
         signal[row, stop - rng.integers(1, 9) : stop] = np.nan
-    parts = lead_groups(replace(paper, signal=signal), Choices())
+    parts = lead_groups(replace(paper, signal=signal), TargetOptions())
     assert len(parts) == 4
     assert [int(part.recording.recorded.sum()) for part in parts] == [3, 3, 3, 3]
 
@@ -127,7 +127,7 @@ def test_no_beat_is_there_twice(rhythm):
         recording, truth = synthetic_recording(
             np.random.default_rng([seed, 7]), Synthesis(rhythm=rhythm, tall_t=8.0, noise_db=20.0)
         )
-        (group,) = lead_groups(recording, Choices())
+        (group,) = lead_groups(recording, TargetOptions())
         assert group.intervals[1:].min() > 120
         assert len(group.labels) == len(group.peaks)
         away = np.abs(truth.r_times[:, None] - group.times).min(axis=1)

@@ -10,8 +10,8 @@ import pytest
 from quality_recordings import REAL, beating, real, warned
 
 from fascicle.recording.detection import r_peaks
+from fascicle.recording.quality.check_result import CheckResult
 from fascicle.recording.quality.electrodes import check_limb_electrodes, median_beat
-from fascicle.recording.quality.finding import Finding
 from fascicle.recording.recording import Recording
 
 # What the six limb leads become when two electrodes are exchanged.
@@ -24,7 +24,7 @@ def patients(data_folder: Path) -> dict[str, Recording]:
     return real(data_folder)
 
 
-def limb(recording: Recording, exchange: tuple[list[int], list[int]] | None = None) -> Finding:
+def limb(recording: Recording, exchange: tuple[list[int], list[int]] | None = None) -> CheckResult:
     peaks = r_peaks(recording.signal, recording.sampling_rate)
     signal = recording.signal.copy()
     if exchange is not None:

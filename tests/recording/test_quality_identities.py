@@ -11,7 +11,7 @@ import pytest
 from quality_recordings import beating, fatal, row, warned, with_lead
 
 from fascicle.core.leads import LIMB_LEADS
-from fascicle.recording.quality.finding import Severity
+from fascicle.recording.quality.check_result import Severity
 from fascicle.recording.quality.identities import check_identities
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording

@@ -15,6 +15,7 @@ from fascicle.recording.quality.acquisition import (
     check_filters,
     check_resolution,
 )
+from fascicle.recording.quality.check_result import Severity
 from fascicle.recording.quality.disturbances import (
     check_duplicates,
     check_flatness,
@@ -22,7 +23,6 @@ from fascicle.recording.quality.disturbances import (
     check_noise,
     check_wander,
 )
-from fascicle.recording.quality.finding import Severity
 from fascicle.recording.recording import Filters, Recording
 
 PEAKS = np.array([500, 1500])  # looked about only for a low-pass that the user states

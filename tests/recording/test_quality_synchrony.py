@@ -13,7 +13,7 @@ from quality_recordings import REAL, beating, fatal, real, row, warned, with_lea
 from scipy.signal import resample_poly
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.quality.finding import Finding
+from fascicle.recording.quality.check_result import CheckResult
 from fascicle.recording.quality.synchrony import check_synchrony
 from fascicle.recording.recording import Recording
 
@@ -23,7 +23,7 @@ def patients(data_folder: Path) -> dict[str, Recording]:
     return {name: at_500_hz(recording) for name, recording in real(data_folder).items()}
 
 
-def check(recording: Recording) -> list[Finding]:
+def check(recording: Recording) -> list[CheckResult]:
     return check_synchrony(recording)
 
 

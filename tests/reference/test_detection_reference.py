@@ -7,12 +7,12 @@ import pytest
 
 from benchmarks.synthetic_recordings.rhythms import RHYTHMS, Synthesis, synthetic_recording
 from fascicle.core.leads import LEADS
-from fascicle.recording.choices import Choices
 from fascicle.recording.detection import r_peaks
 from fascicle.recording.lead_groups import lead_groups
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.spikes import find_spikes, remove_spikes
+from fascicle.recording.target_options import TargetOptions
 
 pytestmark = pytest.mark.slow
 
@@ -157,7 +157,7 @@ def test_beats_among_t_waves_higher_than_the_qrs():
                 np.random.default_rng([seed, 11]),
                 Synthesis(rhythm=rhythm, tall_t=6.0, noise_db=20.0),
             )
-            (group,) = lead_groups(recording, Choices())
+            (group,) = lead_groups(recording, TargetOptions())
             total += outcome(group.times, truth)
     found, missed, false = total
     assert found + missed > 1900

@@ -13,9 +13,9 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import write_heart
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study import bank as tested
-from fascicle.study.bank import Bank, make_bank, prior_points
 from fascicle.study.fit import load_study
 from fascicle.study.pool import Pool
+from fascicle.study.prior_simulations import PriorSimulations, make_bank, prior_points
 from fascicle.study.problem import Problem
 from fascicle.study.space import study_space
 
@@ -51,7 +51,7 @@ def no_bank(folder, names):
 
 
 def bank_of(heart):
-    return Bank.beside(heart, *study_space("posterior", {}, heart))
+    return PriorSimulations.beside(heart, *study_space("posterior", {}, heart))
 
 
 def same(first: Evaluation, second: Evaluation) -> bool:
@@ -99,7 +99,7 @@ def test_elsewhere_it_is_the_same(heart, tmp_path):
 
 def test_another_prior_has_another_bank(heart):
     space, fixed = study_space("posterior", {"cv": 2.5}, heart)
-    assert len(Bank.beside(heart, space, fixed)) == 0
+    assert len(PriorSimulations.beside(heart, space, fixed)) == 0
 
 
 def test_a_point_that_is_not_there(heart):

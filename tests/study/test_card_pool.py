@@ -21,9 +21,9 @@ from fascicle.forward.scenario import His, Scenario
 from fascicle.forward.simulation import Signals
 from fascicle.study import pool as pool_module
 from fascicle.study import problem as problem_module
-from fascicle.study.bank import Bank
 from fascicle.study.fit import _check_card
-from fascicle.study.pool import Card, Threads
+from fascicle.study.pool import GpuPool, Threads
+from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.study import SAME_LOSS
 
 
@@ -34,7 +34,7 @@ def card(emulated, default_model, monkeypatch):
     monkeypatch.setattr(model_module, "DeviceModel", partial(DeviceModel, networks=4))
     monkeypatch.setattr(problem_module, "NETWORKS", 4)
     default_model._device_model.cache_clear()
-    yield Card("cuda", workers=2)
+    yield GpuPool("cuda", workers=2)
     default_model._device_model.cache_clear()
 
 
@@ -60,7 +60,7 @@ def test_evaluations(card, problem, points, expected):
 
 
 def test_what_the_bank_has_is_not_simulated(card, problem, points, expected, tmp_path):
-    bank = Bank(tmp_path)
+    bank = PriorSimulations(tmp_path)
     known = {points[k].tobytes(): Signals.of(problem._simulate(points[k])) for k in (1, 4)}
     bank.get = lambda point: known.get(point.tobytes())
     found = list(replace(problem, pool=card, bank=bank)(points))
@@ -102,8 +102,8 @@ def test_what_a_card_does_not_simulate_is_refused_at_once():
 
 def test_threads_without_a_number(monkeypatch):
     monkeypatch.setattr(pool_module, "card_number", lambda name: 0)
-    assert isinstance(Card(), Threads)
-    assert Card().workers >= 1
+    assert isinstance(GpuPool(), Threads)
+    assert GpuPool().workers >= 1
 
 
 def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, capsys):

@@ -25,8 +25,8 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.forward import model as model_module
 from fascicle.forward.scenario import His, Scenario
 from fascicle.forward.simulation import Signals
-from fascicle.study.bank import Bank
-from fascicle.study.pool import JOBS, Elsewhere, Pool, Threads, parts
+from fascicle.study.pool import JOBS, ExecutorPool, Pool, Threads, parts
+from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.problem import Problem
 from tests.dask_processes import LOST, a_scheduler, a_worker_of
 
@@ -63,7 +63,7 @@ def test_processes(problem, points, expected):
     """The model goes to them once, and what follows from another question of it does not."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=context) as executor:
-        pool = Elsewhere(executor, 2)
+        pool = ExecutorPool(executor, 2)
         here = replace(problem, pool=pool)
         assert_same(here(points), expected)
         assert len(list(here.networks([EXAMPLE_PARAMETERS] * 2))) == 2
@@ -86,7 +86,7 @@ class Counting(Pool):
 
 def test_what_the_bank_has_is_not_sent(problem, points, expected, tmp_path):
     """In order, whether it is there or not; a paced beat is in no bank."""
-    bank = Bank(tmp_path)
+    bank = PriorSimulations(tmp_path)
     bank.__dict__["_known"] = {point.tobytes(): (0, 0) for point in points[2:5]}
     bank.get = lambda point: Signals.of(problem._simulate(point))
     pool = Counting()
@@ -142,7 +142,7 @@ def test_errors_arrive_as_themselves(problem, points):
         ProcessPoolExecutor(1, mp_context=context) as executor,
         pytest.raises(InputError, match="not to be had"),
     ):
-        list(Elsewhere(executor, 1).map(refuse, problem, points))
+        list(ExecutorPool(executor, 1).map(refuse, problem, points))
 
 
 def fill(problem, point):

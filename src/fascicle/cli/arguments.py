@@ -136,9 +136,9 @@ def simulated_by(
     if scheduler is not None and device is not None:
         raise InputError("--scheduler and --device are two places to simulate in; give one")
     if device is not None:
-        from fascicle.study.pool import Card
+        from fascicle.study.pool import GpuPool
 
-        return Card(device, workers)
+        return GpuPool(device, workers)
     return pool_at(scheduler, progress)
 
 

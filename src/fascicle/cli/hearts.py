@@ -243,7 +243,7 @@ def heart_bank(
     on where it stopped, and a larger number adds to what is there.
     """
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.study.bank import make_bank
+    from fascicle.study.prior_simulations import make_bank
 
     with TerminalProgress() as progress:
         pool = pool_at(scheduler, progress)

@@ -231,24 +231,26 @@ def print_comparison(
         f"{index_name(index)}: a gain of more than {threshold:g} {chosen.unit} has probability "
         f"{chosen.probability(threshold):.2f} ± {chosen.standard_error(threshold):.2f}"
     )
-    open_by = [f"{name} {share:.0%}" for name, share in chosen.left_open_by(parameters)[:3]]
+    open_by = [
+        f"{name} {share:.0%}" for name, share in chosen.variance_explained_by(parameters)[:3]
+    ]
     if not open_by:
         print("what leaves it open cannot be said of so few independent networks")
         return
     print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
     print("what a further measurement alone would take away of that:")
-    for scenario, what, share in chosen.would_help(predicted):
+    for scenario, what, share in chosen.value_of_measurement(predicted):
         error = f"±{MEASURABLE[scenario, what]:.2g} {INDICES[what]}"
         print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")
 
 
 def _undone(names: Sequence[str], predicted: Mapping[str, Predicted]) -> list[str]:
     """What is to be known of two scenarios of which one blocks what the other does not."""
-    from fascicle.prediction.comparison import undone_blocks
+    from fascicle.prediction.comparison import missing_blocks
 
     first, second = names
     pairs = (first, second), (second, first)
-    return [said for a, b in pairs if (said := undone_blocks(a, predicted, b))]
+    return [said for a, b in pairs if (said := missing_blocks(a, predicted, b))]
 
 
 def comparison_result(
@@ -282,10 +284,10 @@ def comparison_result(
         "threshold": threshold,
         "probability": chosen.probability(threshold),
         "standard_error": chosen.standard_error(threshold),
-        "left_open_by": dict(chosen.left_open_by(parameters)),
-        "would_help": [
+        "variance_explained_by": dict(chosen.variance_explained_by(parameters)),
+        "value_of_measurement": [
             {"scenario": scenario, "index": what, "share": share}
-            for scenario, what, share in chosen.would_help(predicted)
+            for scenario, what, share in chosen.value_of_measurement(predicted)
         ],
     }
 

@@ -80,16 +80,16 @@ def parameters() -> Result:
 
     table = Table(box=None, pad_edge=False)
     table.add_column("name", overflow="fold", no_wrap=True)
-    for heading in ("unit", "default", "searched", "meaning"):
+    for heading in ("unit", "default", "prior range", "meaning"):
         table.add_column(heading, overflow="fold")
     shown = [known for name, known in QUANTITIES.items() if not _repeats(name)]
     for known in (*shown, quantity("region_1_conductivity")):
-        low, high = known.searched
+        low, high = known.prior_range
         table.add_row(
             known.name,
             known.unit,
             "" if known.default is None else f"{known.default:g}",
-            "" if known.whole else f"{low:.3g} to {high:.3g}",
+            "" if known.is_integer else f"{low:.3g} to {high:.3g}",
             known.meaning,
         )
     rich.print(table)
@@ -100,7 +100,7 @@ def parameters() -> Result:
             "name": known.name,
             "unit": known.unit,
             "default": known.default,
-            "searched": None if known.whole else known.searched,
+            "prior_range": None if known.is_integer else known.prior_range,
             "meaning": known.meaning,
         }
         for known in QUANTITIES.values()

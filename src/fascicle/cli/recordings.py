@@ -18,7 +18,7 @@ from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
-    from fascicle.recording.quality.finding import Finding
+    from fascicle.recording.quality.check_result import CheckResult
     from fascicle.recording.recording import Recording
     from fascicle.recording.target import Target
 
@@ -123,16 +123,16 @@ def target(
     state, otherwise a steep low-pass that shows in the spectrum, and --lowpass and --notch.
     """
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.recording.choices import Choices
+    from fascicle.recording.missing_metadata import collect_missing
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
-    from fascicle.recording.unsaid import asked_at_once
+    from fascicle.recording.target_options import TargetOptions
     from fascicle.reporting.figures import save
     from fascicle.reporting.recording import recording_figure
 
     picture = _picture_beside(out, recording, kind)
-    choices = Choices(
+    choices = TargetOptions(
         onset=onset,
         offset=offset,
         beat_class=beat_class,
@@ -155,7 +155,7 @@ def target(
             return analyse(corrected, replace(choices, noise=noise))
 
         said = {"noise": noise, "sampling_rate": sampling_rate, "unit": unit}
-        analysis = asked_at_once(analysed, str(recording), **said)
+        analysis = collect_missing(analysed, str(recording), **said)
         progress("recording", 2, 3, "picture")
         save(recording_figure(analysis), picture)
         write_target(analysis.target, out)
@@ -305,7 +305,7 @@ def _figure(value: float) -> str:
     return f"{value:.4f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.0f}"
 
 
-def _limit(finding: Finding) -> str:
+def _limit(finding: CheckResult) -> str:
     """The limit, and on which side of it all is fine."""
     limit = finding.check.limit
     if math.isnan(limit):
@@ -315,7 +315,7 @@ def _limit(finding: Finding) -> str:
     return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(limit)
 
 
-def _outcome(finding: Finding) -> str:
+def _outcome(finding: CheckResult) -> str:
     """How serious it is; of what the recording is too short for, or lacks, that it was not made."""
     made = not math.isnan(finding.value) or finding.severity.value != "ok"
     return finding.severity.value if made else "not checked"

@@ -167,11 +167,11 @@ def free(name: str, **prior: Any) -> Parameter:
         If the quantity is unknown or can only be fixed, or the prior is impossible.
     """
     known = quantity(name)
-    if known.whole:
+    if known.is_integer:
         raise InputError(f"parameter '{name}' counts something; it can be fixed, not learnt")
-    lower, upper = known.searched
-    if not prior and known.usual is not None:
-        kind, sd = known.usual
+    lower, upper = known.prior_range
+    if not prior and known.default_prior is not None:
+        kind, sd = known.default_prior
         prior = {"prior": kind, "median": known.default, "sd": sd}
     fields = {"lower": lower, "upper": upper} | prior
     for end in ("lower", "upper"):

@@ -44,17 +44,17 @@ class Quantity:
         Name in parameters, files and options; unit of all its values, 1 where it has none.
     default : float
         Its value where nothing else is said; None where it must be said, or follows from others.
-    possible : (float, float)
+    valid_range : (float, float)
         Least and largest value that is not a mistake; those of `INFINITE` may be that, too.
-    searched : (float, float)
+    prior_range : (float, float)
         Range of its uniform prior where it is learnt and nothing else is said.
     meaning : str
         What it is, in a line.
     changes : Changes
         What depends on it.
-    whole : bool
+    is_integer : bool
         Whether it counts something; such quantities can be fixed only.
-    usual : (str, float), optional
+    default_prior : (str, float), optional
         Prior where it is learnt and nothing else is said, if it is not uniform: "normal" or
         "log-normal" about the default, and its standard deviation (of the logarithm).
     """
@@ -62,12 +62,12 @@ class Quantity:
     name: str
     unit: str
     default: float | None
-    possible: tuple[float, float]
-    searched: tuple[float, float]
+    valid_range: tuple[float, float]
+    prior_range: tuple[float, float]
     meaning: str
     changes: Changes
-    whole: bool = False
-    usual: tuple[str, float] | None = None
+    is_integer: bool = False
+    default_prior: tuple[str, float] | None = None
 
 
 def _of_trees() -> Iterator[Quantity]:
@@ -95,7 +95,7 @@ def _of_trees() -> Iterator[Quantity]:
     for side in SIDES:
         yield Quantity(
             f"{side}_fascicles", "1", USUAL_FASCICLES, (1, MOST_FASCICLES), (1, MOST_FASCICLES),
-            f"number of {side.upper()} fascicles", Changes.STUDY, whole=True,
+            f"number of {side.upper()} fascicles", Changes.STUDY, is_integer=True,
         )  # fmt: skip
     yield Quantity(
         "branch_length", "mm", 8.0, (0.5, 100.0), (4.0, 16.0), "length of a branch", trees
@@ -109,10 +109,10 @@ def _of_trees() -> Iterator[Quantity]:
         "weight w of the direction away from the tree", trees,
     )  # fmt: skip
     yield Quantity(
-        "generations", "1", 20, (0, 100), (5, 30), "how often ends branch", trees, whole=True
+        "generations", "1", 20, (0, 100), (5, 30), "how often ends branch", trees, is_integer=True
     )
     yield Quantity(
-        "segments", "1", 8, (1, 1000), (4, 16), "segments of a branch", trees, whole=True
+        "segments", "1", 8, (1, 1000), (4, 16), "segments of a branch", trees, is_integer=True
     )
     yield Quantity(
         "clearance", "1", 0.9, (0.0, 10.0), (0.5, 1.5),
@@ -171,7 +171,7 @@ def _of_body() -> Iterator[Quantity]:
 
     def moved(name: str, reach: float, sd: float, meaning: str, unit: str = "mm") -> Quantity:
         ends = (-reach, reach)
-        return Quantity(name, unit, 0.0, ends, ends, meaning, body, usual=("normal", sd))
+        return Quantity(name, unit, 0.0, ends, ends, meaning, body, default_prior=("normal", sd))
 
     for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "up")):
         yield moved(f"heart_{way}", 20.0, 8.0, f"the heart's displacement {where}")
@@ -192,11 +192,11 @@ def _of_body() -> Iterator[Quantity]:
     ):
         yield Quantity(
             f"{name}_conductivity", "1", 1.0, (0.5, 2.0), (0.5, 2.0),
-            f"factor on the conductivity of {what}", body, usual=("log-normal", 0.25),
+            f"factor on the conductivity of {what}", body, default_prior=("log-normal", 0.25),
         )  # fmt: skip
     yield Quantity(
         "chest_size", "1", 1.0, (0.85, 1.15), (0.85, 1.15),
-        "factor on the trunk about the heart, which stays", body, usual=("normal", 0.05),
+        "factor on the trunk about the heart, which stays", body, default_prior=("normal", 0.05),
     )  # fmt: skip
 
 
@@ -300,14 +300,14 @@ def check(known: Quantity, value: Any) -> float:
     """One number as a float, if it is possible for this quantity; see `checked`."""
     name, unit = known.name, "" if known.unit == "1" else f" {known.unit}"
     found = number(value, f"parameter '{name}'")
-    low, high = known.possible
+    low, high = known.valid_range
     if not low <= found <= high and not (found == math.inf and name in INFINITE):
         other = ", or inf" if name in INFINITE else ""
         raise InputError(
             f"parameter '{name}' is {digits(found)}{unit}; give {digits(low)} to "
             f"{digits(high)}{unit}{other}"
         )
-    if known.whole and found != int(found):
+    if known.is_integer and found != int(found):
         raise InputError(f"parameter '{name}' is {found:.4g}; give a whole number")
     return found
 

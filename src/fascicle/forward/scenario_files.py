@@ -56,7 +56,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]  # files are named aft
 POINT = f"a point [x, y, z], each {RANGES['coordinate']}"
 TIME = f"a number from {RANGES['time']}"
 DELAY = "a number from 0 to {:g} ms, or inf (block)".format(
-    quantity("orthodromic_delay").possible[1]
+    quantity("orthodromic_delay").valid_range[1]
 )
 FACTOR = f"a factor: {RANGES['speed factor']} (block)"
 NEEDED = {

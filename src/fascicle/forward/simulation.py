@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from fascicle.core.arrays import Booleans, Floats
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
+from fascicle.core.short_repr import short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree
@@ -42,7 +42,7 @@ class SimulatedBeat:
     activation: Floats
     trees: tuple[PurkinjeTree, ...]
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @cached_property
     def ecg(self) -> xr.DataArray:
@@ -107,7 +107,7 @@ class Simulation(SimulatedBeat):
 
     coupled: Activation
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import igl
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
+from fascicle.core.short_repr import short_repr
 from fascicle.mesh.measures import enclosed_volume, triangle_areas
 from fascicle.mesh.topology import boundary_loops, unique_edges
 
@@ -38,7 +38,7 @@ class Endocardium:
     direction: int
     valves: Booleans | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def area(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.brief import brief
+from fascicle.core.short_repr import short_repr
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.torso import LeadFields, Torso
 from fascicle.mesh.measures import edge_lengths, signed_volumes
@@ -67,7 +67,7 @@ class Heart:
     values: Mapping[str, float] = field(default_factory=dict)
     folder: Path | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def endocardia(self) -> Iterator[Endocardium]:

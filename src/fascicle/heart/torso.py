@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
+from fascicle.core.short_repr import short_repr
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
@@ -45,7 +45,7 @@ class Torso:
     tetrahedra: Integers
     tissues: Integers
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class LeadFields:
     key: str
     torso: str
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def write_torso(path: Path, torso: Torso) -> None:

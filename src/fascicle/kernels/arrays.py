@@ -236,7 +236,7 @@ class Sites(NamedTuple):
 STATE = np.dtype(
     [
         ("time", np.float64),  # when the front arrives (ms)
-        ("bucket", np.int32),  # of the queue; `WAITS_NOT` or `IN_BATCH` if it is in none
+        ("bucket", np.int32),  # of the queue; `NOT_QUEUED` or `IN_BATCH` if it is in none
         ("before", np.int32),  # the nodes on both sides of it in its bucket's list, -1 at the ends
         ("after", np.int32),
         ("origin", np.int32),  # site that fired it, or by which the front entered its tree; else -1

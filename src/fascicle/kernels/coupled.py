@@ -10,7 +10,7 @@ from fascicle.kernels.star import PAIRS, SETTLED, fetch_star, through_stars
 
 
 @kernel()
-def settle_trees(time, forest):
+def solve_trees(time, forest):
     """Lower the times of tree nodes to what the trees alone make of them, in place.
 
     c|∇τ·t| = 1 along each segment (the paper's equation `eikotree`): up the tree, then down.
@@ -150,7 +150,7 @@ def sweep(front, sources, mesh, forest, sites):
     Parameters
     ----------
     front : Front
-        Times (ms): inf but at the sources, with trees settled (`settle_trees`). Origins and sites
+        Times (ms): inf but at the sources, with trees settled (`solve_trees`). Origins and sites
         that trees were entered from: -1. An empty queue. Overwritten.
     sources : (s,) array
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.

@@ -217,7 +217,7 @@ def _steered_by(point, kin, beside, nodes, head, metric):
 
 
 @allocating_kernel()
-def _sprout(tips, heading, label, rules, tree, chart):
+def _grow_generation(tips, heading, label, rules, tree, chart):
     """Grow one generation: two branches from every tip, advanced a segment at a time in step.
 
     Branches are numbered from `label` on. Returns the tree, and the tips and headings of the
@@ -311,7 +311,7 @@ def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, chart):
         sprouts = 2 * len(tips)
         if tree.size > MOST_NODES or sprouts > MOST_SPROUTS:
             return TOO_LARGE, 0.0, tree.nodes[: tree.size]
-        tree, tips, heading = _sprout(tips, heading, label, rules, tree, chart)
+        tree, tips, heading = _grow_generation(tips, heading, label, rules, tree, chart)
         label += sprouts
         if len(tips) == 0:
             break

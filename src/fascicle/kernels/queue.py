@@ -15,7 +15,7 @@ LAST = 2_000_000_000.0  # bucket that holds all later times, too; and the first 
 
 # Instead of the bucket of a node that is not in the queue: of one that nothing is to be done with,
 # and of one whose turn in a batch of taken ones is to come
-WAITS_NOT, IN_BATCH = np.iinfo(np.int32).min, np.iinfo(np.int32).min + 1
+NOT_QUEUED, IN_BATCH = np.iinfo(np.int32).min, np.iinfo(np.int32).min + 1
 
 
 @kernel(inline="always")
@@ -88,5 +88,5 @@ def take(nodes, queue):
         if passed == RING:
             now, passed = _earliest(nodes, queue), 0
     _unlink(node, nodes, queue)
-    nodes[node].bucket, queue.now[0] = WAITS_NOT, now
+    nodes[node].bucket, queue.now[0] = NOT_QUEUED, now
     return node

@@ -13,7 +13,7 @@ from fascicle.kernels.arrays import CACHE_LINE, CORNERS, LINK, SQUARES, STAR
 from fascicle.kernels.jit import kernel
 from fascicle.kernels.local_solver import from_new_corner
 from fascicle.kernels.prefetch import prefetch
-from fascicle.kernels.queue import IN_BATCH, WAITS_NOT, lower
+from fascicle.kernels.queue import IN_BATCH, NOT_QUEUED, lower
 
 # Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
 SETTLED = 1e-10
@@ -116,7 +116,7 @@ def _through_edges(node, at, mesh, front, size):
         later = np.float32(time - now)
         around.time[at + k] = time
         around.near[at + k].later = later + abs(later) * UP
-        around.near[at + k].lends = nodes[other].bucket == WAITS_NOT
+        around.near[at + k].lends = nodes[other].bucket == NOT_QUEUED
     return size
 
 
@@ -271,7 +271,7 @@ def through_stars(taken, mesh, front, size):
         node = around.batch[slot]
         if nodes[node].bucket != IN_BATCH:
             continue  # lowered by another of the batch, it is to be taken again
-        nodes[node].bucket = WAITS_NOT
+        nodes[node].bucket = NOT_QUEUED
         at = slot * room
         around.now[slot] = nodes[node].time
         size = _through_edges(node, at, mesh, front, size)

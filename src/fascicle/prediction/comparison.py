@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import rankdata
 
 from fascicle.core.arrays import Floats
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_kind, within
+from fascicle.core.short_repr import short_repr
 from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
@@ -32,7 +32,7 @@ MEASURABLE = {
 }
 
 
-def undone_blocks(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
+def missing_blocks(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
     """Say that a pacing lacks a block of what it is compared with; empty if it does not.
 
     His bundle pacing, which may capture below a block, is no such pacing.
@@ -73,7 +73,7 @@ class Comparison:
     gains: Floats
     effective: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def probability(self, threshold: float = 0.0) -> float:
         """How probable it is that the first gains more than a threshold; of ties, half counts."""
@@ -104,7 +104,7 @@ class Comparison:
         middle, low, high = (f"{number:.0f}" for number in numbers)
         return f"{middle} {self.unit} ({low} to {high})"
 
-    def left_open_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
+    def variance_explained_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
         """Share of the gain's variance, in ranks, that each parameter alone goes with.
 
         Squared rank correlations, adjusted for how few networks there are, the largest first; none
@@ -121,7 +121,9 @@ class Comparison:
         shares = {name: self._explained_by(values) for name, values in parameters.items()}
         return sorted(shares.items(), key=lambda item: -item[1])
 
-    def would_help(self, predicted: Mapping[str, Predicted]) -> list[tuple[str, str, float]]:
+    def value_of_measurement(
+        self, predicted: Mapping[str, Predicted]
+    ) -> list[tuple[str, str, float]]:
         """Share of the gain's variance, in ranks, that a further measurement would take away.
 
         The squared rank correlation of what is measured with the gain, less what the error of the

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Singles
-from fascicle.core.brief import brief
+from fascicle.core.short_repr import short_repr
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
 from fascicle.purkinje.tree import PurkinjeTree
@@ -43,7 +43,7 @@ class PredictedBeat:
     trees: tuple[tuple[PurkinjeTree, Singles], ...]
     captured: Booleans
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @classmethod
     def of(
@@ -76,7 +76,7 @@ class Predicted:
     indices: Mapping[str, Floats]
     effective: float = np.inf
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def extremes(self) -> dict[str, int]:
         """Networks with the least, the median and the largest total activation time."""
@@ -87,7 +87,7 @@ class Predicted:
             "maximum": int(order[-1]),
         }
 
-    def begins_with(self, other: Predicted) -> bool:
+    def matches_first(self, other: Predicted) -> bool:
         """Whether the first networks of both do the same."""
         one, another = self.beats[0], other.beats[0]
         return (

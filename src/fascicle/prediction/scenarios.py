@@ -20,14 +20,14 @@ from fascicle.forward.loss import placed
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
+from fascicle.prediction.cache import PredictionCache
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices
-from fascicle.prediction.kept import Kept
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.recording.window import qrs_window
-from fascicle.study.bank import prior_points
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
+from fascicle.study.prior_simulations import prior_points
 from fascicle.study.problem import Network, Problem
 
 OWN_BEAT = "intrinsic"  # the scenario that others are compared with
@@ -93,8 +93,8 @@ def predict(
                 f"{len(networks)} networks, where the study has {len(fitted.population)}; give all "
                 "that its 'networks()' gives"
             )
-    kept = Kept.of(fitted)
-    found = _still_so(fitted, kept.read(wanted))
+    kept = PredictionCache.of(fitted)
+    found = _up_to_date(fitted, kept.read(wanted))
     missing = {name: scenario for name, scenario in wanted.items() if name not in found}
     if missing:
         with shown_progress(progress) as shown:
@@ -106,13 +106,13 @@ def predict(
     return {name: replace(found[name], effective=effective) for name in wanted}
 
 
-def _still_so(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str, Predicted]:
+def _up_to_date(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str, Predicted]:
     """Those of kept predictions of which the first network still does the same, to the last bit."""
     if not kept:
         return {}
     first = fitted.networks(chosen=[0])
     again = simulate_scenarios(fitted.problem, first, {n: p.scenario for n, p in kept.items()})
-    return {name: found for name, found in kept.items() if found.begins_with(again[name])}
+    return {name: found for name, found in kept.items() if found.matches_first(again[name])}
 
 
 def as_scenarios(

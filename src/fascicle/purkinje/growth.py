@@ -60,7 +60,7 @@ class GrowthRules:
         """The same with other values of the quantities in `values` that concern it."""
         changes: dict[str, Any] = {
             field.name: int(values[field.name])
-            if quantity(field.name).whole
+            if quantity(field.name).is_integer
             else values[field.name]
             for field in fields(self)
             if field.name in values

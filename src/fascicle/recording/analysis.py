@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from fascicle.core.arrays import Floats
-from fascicle.core.brief import brief
+from fascicle.core.short_repr import short_repr
 from fascicle.recording.baseline_drift import Drift
-from fascicle.recording.quality.finding import Finding
+from fascicle.recording.quality.check_result import CheckResult
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
 
@@ -117,7 +117,7 @@ class Analysis:
         Their shapes, the most frequent first.
     spikes : (k,) array
         Times of pacing spikes (s).
-    findings : tuple of Finding
+    findings : tuple of CheckResult
         Every check with its figure.
     target : Target
         What the inference gets.
@@ -130,11 +130,11 @@ class Analysis:
     beats: tuple[Beat, ...]
     classes: tuple[BeatClass, ...]
     spikes: Floats
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckResult, ...]
     target: Target
     chosen: str
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def read_with(self) -> tuple[str, ...]:

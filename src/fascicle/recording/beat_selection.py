@@ -11,14 +11,14 @@ from fascicle.core.errors import InputError
 from fascicle.recording.aligned_beats import extent
 from fascicle.recording.analysis import Beat, Unused
 from fascicle.recording.baseline_drift import Drift, drifting_beats
-from fascicle.recording.choices import Choices
 from fascicle.recording.lead_groups import LeadGroup
+from fascicle.recording.target_options import TargetOptions
 
 FEW_ALIKE = 0.7  # share of the beats that should be alike
 
 
 def select_beats(
-    groups: Sequence[LeadGroup], choices: Choices, source: str
+    groups: Sequence[LeadGroup], choices: TargetOptions, source: str
 ) -> tuple[list[tuple[Beat, ...]], str]:
     """Number all beats and decide which are used.
 
@@ -26,7 +26,7 @@ def select_beats(
     ----------
     groups : sequence of LeadGroup
         In the order of time, each with at least one beat.
-    choices : Choices
+    choices : TargetOptions
         Decisions of the user.
     source : str
         What error messages begin with.
@@ -76,7 +76,7 @@ def by_name(label: str) -> tuple[int, str]:
     return len(label), label
 
 
-def _target_class(groups: Sequence[LeadGroup], choices: Choices) -> str:
+def _target_class(groups: Sequence[LeadGroup], choices: TargetOptions) -> str:
     """Class of the target: the one that was chosen, or that of most of the beats that were."""
     if choices.beats is not None:
         every = [label for group in groups for label in group.labels]
@@ -86,7 +86,7 @@ def _target_class(groups: Sequence[LeadGroup], choices: Choices) -> str:
 
 
 def _reasons(
-    group: LeadGroup, choices: Choices, label: str, first_number: int
+    group: LeadGroup, choices: TargetOptions, label: str, first_number: int
 ) -> list[Unused | None]:
     """Why each beat of one group is not used; None where it is."""
     before, after = extent(group)
@@ -106,7 +106,7 @@ def _reasons(
 
 
 def _leave_out_drifting(
-    group: LeadGroup, reasons: list[Unused | None], choices: Choices
+    group: LeadGroup, reasons: list[Unused | None], choices: TargetOptions
 ) -> dict[int, Drift]:
     """Leave out beats whose baseline drifts, unless the user has named those to use."""
     if choices.beats is not None:
@@ -118,7 +118,7 @@ def _leave_out_drifting(
     return drifts
 
 
-def _check_numbers(source: str, count: int, choices: Choices) -> None:
+def _check_numbers(source: str, count: int, choices: TargetOptions) -> None:
     """Refuse beats that are not there."""
     wrong = [k for k in (*(choices.beats or ()), *choices.exclude) if not 1 <= k <= count]
     if wrong:
@@ -127,14 +127,16 @@ def _check_numbers(source: str, count: int, choices: Choices) -> None:
         )
 
 
-def _check_named(source: str, beats: Sequence[Beat], choices: Choices) -> None:
+def _check_named(source: str, beats: Sequence[Beat], choices: TargetOptions) -> None:
     """Refuse to leave out beats that the user has named."""
     for beat in beats:
         if beat.number in (choices.beats or ()) and beat.unused is not None and beat.unused.cut_off:
             raise InputError(f"{source}: beat {beat.number} is {beat.why_unused}; name others")
 
 
-def _check_classes(source: str, groups: Sequence[LeadGroup], choices: Choices, label: str) -> None:
+def _check_classes(
+    source: str, groups: Sequence[LeadGroup], choices: TargetOptions, label: str
+) -> None:
     """Refuse a class that is not there, and classes that groups of leads may not share."""
     for group in groups:
         mixed = len(group.of_class(label)) < FEW_ALIKE * len(group.peaks)

@@ -48,7 +48,7 @@ def detrended(beats: Floats) -> Floats:
     return np.asarray(beats - beats.mean(axis=-1, keepdims=True) - slope[..., None] * t)
 
 
-def sort_by_shape(signal: Floats, peaks: Integers, noise: float) -> tuple[Integers, Integers]:
+def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[Integers, Integers]:
     """Sort beats into classes of one shape and align each with its class.
 
     The beat that most others resemble founds the first class; every beat that differs from their

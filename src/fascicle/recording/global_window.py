@@ -13,15 +13,15 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.recording.detection import complete_leads
-from fascicle.recording.motion import (
+from fascicle.recording.spatial_velocity import (
     OFFSET,
     ONSET,
     SMOOTHING,
-    Motion,
+    SpatialVelocity,
     core_of,
-    motion_of,
-    quiet_motion,
-    still_from,
+    isoelectric_from,
+    quiet_spatial_velocity,
+    spatial_velocity,
     without_hum,
 )
 from fascicle.recording.window import SPREAD_PER_SMOOTHING
@@ -76,9 +76,9 @@ def global_qrs_window(
     beat = signal[:, not_before:]
     independent = beat[complete_leads(signal)]
     first, last = core_of(independent, step)
-    together = quiet_motion(without_hum(independent, first, last, step), step, smoothing)
+    together = quiet_spatial_velocity(without_hum(independent, first, last, step), step, smoothing)
     there = np.isfinite(beat).all(axis=1)
-    every = motion_of(without_hum(beat[there], first, last, step), together.smoothing, step)
+    every = spatial_velocity(without_hum(beat[there], first, last, step), together.smoothing, step)
     levels = together.level(FIRST, step), together.level(LAST, step)
     marks = [
         _ends(one, (first, last), levels, step)
@@ -94,12 +94,12 @@ def global_qrs_window(
 
 
 def _ends(
-    lead: Motion, core: tuple[int, int], levels: tuple[float, float], step: float
+    lead: SpatialVelocity, core: tuple[int, int], levels: tuple[float, float], step: float
 ) -> tuple[int, int]:
     """First and last sample of the QRS in one lead, both outside the core or at its ends."""
     end = lead.slope.shape[1] - 1
-    onset = end - still_from(lead.backward(), end - core[0], FIRST, levels[0], step)
-    return onset, still_from(lead, core[1], LAST, levels[1], step)
+    onset = end - isoelectric_from(lead.backward(), end - core[0], FIRST, levels[0], step)
+    return onset, isoelectric_from(lead, core[1], LAST, levels[1], step)
 
 
 def _outermost(marks: Floats, within: float) -> int:

@@ -9,12 +9,12 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, independent_rows
-from fascicle.recording.choices import Choices
-from fascicle.recording.classes import HALF_WIDTH, cut, detrended, noise_energy, sort_by_shape
+from fascicle.recording.classes import HALF_WIDTH, cluster_morphology, cut, detrended, noise_energy
 from fascicle.recording.detection import magnitude, r_peaks
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import SAMPLING_STEP, TARGET_RATE, filtered, resample
 from fascicle.recording.spikes import find_spikes, remove_spikes
+from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window
 
 SAME_TIME = 0.9  # share of a stretch that another covers, if it is of the same group or longer
@@ -130,7 +130,7 @@ class LeadGroup:
         return np.asarray(self.start / self.recording.sampling_rate + samples / TARGET_RATE)
 
 
-def lead_groups(recording: Recording, choices: Choices) -> list[LeadGroup]:
+def lead_groups(recording: Recording, choices: TargetOptions) -> list[LeadGroup]:
     """Split a recording into leads recorded at the same time, and find and sort their beats.
 
     The groups are in the order of time, filtered as `choices` say; any may have no beat. A lead
@@ -158,7 +158,7 @@ def _shared(one: tuple[int, int], other: tuple[int, int]) -> float:
     return (min(one[1], other[1]) - max(one[0], other[0])) / (one[1] - one[0])
 
 
-def _group(recording: Recording, first: int, stop: int, choices: Choices) -> LeadGroup:
+def _group(recording: Recording, first: int, stop: int, choices: TargetOptions) -> LeadGroup:
     """Cut out the leads that are there over all of a stretch, and find their beats."""
     rate = recording.sampling_rate
     native = recording.signal[:, first:stop].copy()
@@ -174,7 +174,7 @@ def _group(recording: Recording, first: int, stop: int, choices: Choices) -> Lea
     labels: tuple[str, ...] = ()
     peaks = _find_peaks(signal)
     if len(peaks):
-        classes, peaks = sort_by_shape(independent, peaks, noise)
+        classes, peaks = cluster_morphology(independent, peaks, noise)
         peaks, labels = _name_classes(signal, classes, peaks)
     return LeadGroup(
         start=first,

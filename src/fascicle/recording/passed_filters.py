@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
-from fascicle.recording.choices import Choices
 from fascicle.recording.filter_estimate import estimated_lowpass
 from fascicle.recording.filters import (
     NOTCH_QUALITY,
@@ -16,9 +15,12 @@ from fascicle.recording.filters import (
 )
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import TARGET_RATE
+from fascicle.recording.target_options import TargetOptions
 
 
-def passed_filters(recording: Recording, r_peaks: Integers, choices: Choices) -> tuple[Filter, ...]:
+def passed_filters(
+    recording: Recording, r_peaks: Integers, choices: TargetOptions
+) -> tuple[Filter, ...]:
     """The recorder's filters and those of this program, in the order in which they were passed.
 
     Parameters
@@ -27,7 +29,7 @@ def passed_filters(recording: Recording, r_peaks: Integers, choices: Choices) ->
         As recorded, without the filters that the user asks for.
     r_peaks : (n_beats,) array
         Samples of its R peaks.
-    choices : Choices
+    choices : TargetOptions
         Decisions of the user.
 
     Raises
@@ -43,7 +45,9 @@ def passed_filters(recording: Recording, r_peaks: Integers, choices: Choices) ->
     return (*filters, *applied_filters(choices.lowpass, choices.notch, TARGET_RATE))
 
 
-def _recorder_lowpass(recording: Recording, r_peaks: Integers, choices: Choices) -> Filter | None:
+def _recorder_lowpass(
+    recording: Recording, r_peaks: Integers, choices: TargetOptions
+) -> Filter | None:
     """What the file says, else the user, else the spectrum."""
     named, stated = recording.filters.lowpass, choices.recorder_lowpass
     if named is not None:

@@ -18,16 +18,16 @@ from fascicle.core.ranges import check_kind
 from fascicle.recording.aligned_beats import AlignedBeats, combine, cut_beats
 from fascicle.recording.analysis import Analysis, Beat, BeatClass
 from fascicle.recording.beat_selection import by_name, select_beats
-from fascicle.recording.choices import Choices
 from fascicle.recording.lead_groups import LeadGroup, lead_groups
-from fascicle.recording.motion import NoQrsError
 from fascicle.recording.passed_filters import passed_filters
 from fascicle.recording.quality.check import check_leads, check_recording
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.quality.check_result import CheckResult, Severity
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import TARGET_RATE
+from fascicle.recording.spatial_velocity import NoQrsError
 from fascicle.recording.target import Target
 from fascicle.recording.target_from_beats import target_from_beats
+from fascicle.recording.target_options import TargetOptions
 
 LARGEST_QRS, SMALLEST_QRS = 20.0, 0.05  # mV peak to peak; outside, the unit is wrong
 LEAST_SIGNAL = 0.5  # energy of the median beat over that of the noise between beats
@@ -68,18 +68,18 @@ def make_target(
     InputError
         When no target can be made of the recording, or a choice is impossible.
     """
-    choices = Choices(onset, offset, beat_class, beats, exclude, noise)
+    choices = TargetOptions(onset, offset, beat_class, beats, exclude, noise)
     return analyse(recording, choices).target
 
 
-def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
+def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analysis:
     """Find, sort, choose and detrend the beats of a recording, and find their QRS window.
 
     Parameters
     ----------
     recording : Recording
         Twelve leads.
-    choices : Choices, optional
+    choices : TargetOptions, optional
         Decisions of the user; by default everything is decided here.
 
     Raises
@@ -88,8 +88,8 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
         When a check refuses the recording, it has too few beats, or a choice is impossible.
     """
     check_kind(recording, Recording, "recording", "what fascicle.read_recording returned")
-    check_kind(choices, (Choices, NoneType), "choices", "fascicle.Choices")
-    choices = choices if choices is not None else Choices()
+    check_kind(choices, (TargetOptions, NoneType), "choices", "fascicle.TargetOptions")
+    choices = choices if choices is not None else TargetOptions()
     source = recording.source
     findings = check_leads(recording)
     _refuse(findings, recording)
@@ -127,7 +127,7 @@ def analyse(recording: Recording, choices: Choices | None = None) -> Analysis:
     )
 
 
-def _refuse(findings: Sequence[Finding], recording: Recording) -> None:
+def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
     """Raise the first finding that forbids a target."""
     for finding in findings:
         if finding.severity is Severity.FATAL:
@@ -167,7 +167,7 @@ def _check_beats_found(source: str, groups: Sequence[LeadGroup]) -> None:
 
 
 def _cut(
-    source: str, group: LeadGroup, beats: Sequence[Beat], choices: Choices, label: str
+    source: str, group: LeadGroup, beats: Sequence[Beat], choices: TargetOptions, label: str
 ) -> AlignedBeats:
     """Cut out the beats of one group that are used."""
     members = np.flatnonzero([beat.used for beat in beats])

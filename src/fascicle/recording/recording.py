@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.core.ranges import RANGES, check_array, number
+from fascicle.core.short_repr import short_repr
 
 CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
 SHORTEST = 0.4  # s; less does not hold a beat
@@ -70,7 +70,7 @@ class Recording:
     derived: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal, dtype=np.float64)

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
-from fascicle.core.brief import brief
+from fascicle.core.short_repr import short_repr
 from fascicle.recording.filters import Filter, combined_gain
 from fascicle.recording.global_window import global_qrs_window
 from fascicle.recording.resampling import SAMPLING_STEP
@@ -55,7 +55,7 @@ class Target:
     filters: tuple[Filter, ...] = ()
     earliest_onset: float | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @cached_property
     def used(self) -> Booleans:

@@ -14,14 +14,14 @@ from fascicle.core.errors import InputError
 from fascicle.recording.aligned_beats import AlignedBeats
 from fascicle.recording.analysis import Beat
 from fascicle.recording.beat_selection import FEW_ALIKE
-from fascicle.recording.choices import Choices, check_window
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import Filter
-from fascicle.recording.quality.finding import Finding, Severity
+from fascicle.recording.missing_metadata import noise_unsaid
+from fascicle.recording.quality.check_result import CheckResult, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.resampling import SAMPLING_STEP
 from fascicle.recording.target import Target
-from fascicle.recording.unsaid import noise_unsaid
+from fascicle.recording.target_options import TargetOptions, check_window
 from fascicle.recording.window import qrs_window, smoothing_against_ringing, window_uncertainty
 
 LOWEST_RATE, HIGHEST_RATE = 20.0, 300.0  # beats per minute of a living heart
@@ -35,9 +35,9 @@ def target_from_beats(
     recording: Recording,
     aligned: AlignedBeats,
     beats: Sequence[Beat],
-    choices: Choices,
+    choices: TargetOptions,
     label: str,
-    findings: Sequence[Finding],
+    findings: Sequence[CheckResult],
     filters: tuple[Filter, ...],
 ) -> Target:
     """Make a target.
@@ -50,11 +50,11 @@ def target_from_beats(
         The beats that are used.
     beats : sequence of Beat
         All beats of the recording.
-    choices : Choices
+    choices : TargetOptions
         Decisions of the user.
     label : str
         Class of the beats.
-    findings : sequence of Finding
+    findings : sequence of CheckResult
         What the checks of the recording said.
     filters : tuple of Filter
         What the beats have passed.
@@ -98,7 +98,7 @@ def _heart_rate(beats: Sequence[Beat]) -> float | None:
     return 60000.0 / float(np.mean(intervals)) if intervals else None
 
 
-def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
+def _check_noise(count: int, label: str, choices: TargetOptions, source: str) -> None:
     """Ask for the noise of a single beat, and only of one."""
     if count == 1 and choices.noise is None:
         raise noise_unsaid(
@@ -111,7 +111,7 @@ def _check_noise(count: int, label: str, choices: Choices, source: str) -> None:
         )
 
 
-def _check_ends(onset_sd: float, offset_sd: float, choices: Choices, source: str) -> None:
+def _check_ends(onset_sd: float, offset_sd: float, choices: TargetOptions, source: str) -> None:
     """Refuse ends that may be anywhere, unless the user has given them."""
     for name, sd, given in (
         ("onset", onset_sd, choices.onset), ("offset", offset_sd, choices.offset)
@@ -124,7 +124,7 @@ def _check_ends(onset_sd: float, offset_sd: float, choices: Choices, source: str
 
 
 def _window(
-    aligned: AlignedBeats, smoothing: float, choices: Choices, source: str
+    aligned: AlignedBeats, smoothing: float, choices: TargetOptions, source: str
 ) -> tuple[float, float]:
     """QRS window (ms from R): what is given, otherwise what is found."""
     first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before, smoothing)
@@ -146,7 +146,7 @@ def _window(
 
 
 def _provenance(
-    recording: Recording, beats: Sequence[Beat], n_used: int, choices: Choices
+    recording: Recording, beats: Sequence[Beat], n_used: int, choices: TargetOptions
 ) -> dict[str, str]:
     """Text about everything that decided the target."""
     notes = {
@@ -172,8 +172,8 @@ def _warnings(
     target: Target,
     beats: Sequence[Beat],
     label: str,
-    choices: Choices,
-    findings: Sequence[Finding],
+    choices: TargetOptions,
+    findings: Sequence[CheckResult],
 ) -> list[str]:
     """Collect what the user should know."""
     warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]

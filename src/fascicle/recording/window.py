@@ -16,14 +16,14 @@ from scipy.ndimage import gaussian_filter1d
 from fascicle.core.arrays import Floats
 from fascicle.recording.detection import complete_leads
 from fascicle.recording.filters import Filter, FilterKind
-from fascicle.recording.motion import (
+from fascicle.recording.spatial_velocity import (
     OFFSET,
     ONSET,
     SMOOTHING,
     core_of,
     derivative,
-    quiet_motion,
-    still_from,
+    isoelectric_from,
+    quiet_spatial_velocity,
     without_hum,
 )
 
@@ -123,12 +123,12 @@ def qrs_window(
     """
     leads = signal[complete_leads(signal), not_before:]
     first, last = core_of(leads, step)
-    motion = quiet_motion(without_hum(leads, first, last, step), step, smoothing)
+    velocity = quiet_spatial_velocity(without_hum(leads, first, last, step), step, smoothing)
     end = leads.shape[1] - 1
-    level = motion.level(ONSET, step)
-    onset = end - still_from(motion.backward(), end - first, ONSET, level, step)
-    offset = still_from(motion, last, OFFSET, motion.level(OFFSET, step), step)
-    smeared = SPREAD_PER_SMOOTHING * (motion.smoothing - SMOOTHING)
+    level = velocity.level(ONSET, step)
+    onset = end - isoelectric_from(velocity.backward(), end - first, ONSET, level, step)
+    offset = isoelectric_from(velocity, last, OFFSET, velocity.level(OFFSET, step), step)
+    smeared = SPREAD_PER_SMOOTHING * (velocity.smoothing - SMOOTHING)
     if onset > 0:
         onset = min(onset + round((smeared + ONSET_EXCESS) / step), first)
     if offset < end:

@@ -26,7 +26,7 @@ from fascicle.core.progress_lines import Lines, progress_of
 from fascicle.core.ranges import shown
 from fascicle.core.threads import keep_one_thread
 from fascicle.forward.model import WrittenModel
-from fascicle.study.pool import Question, Remote, run_part
+from fascicle.study.pool import Remote, Task, run_part
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -41,7 +41,7 @@ ADDRESS = r"(tcp|tls)://[^/\s]+:\d{1,5}"
 KEY = 24  # digits of a name by content
 
 
-class Held(WorkerPlugin):
+class WorkerData(WorkerPlugin):
     """What a worker is given when it joins, and keeps: a model, or what is asked of one.
 
     Parameters
@@ -243,14 +243,14 @@ class Cluster(Remote):
             "again, and the same command goes on"
         )
 
-    def _model(self, question: Question) -> Any:
+    def _model(self, question: Task) -> Any:
         if not self._same_scheduler:  # a restarted one has no models
             self._connection = self.client.scheduler_comm
             self._known.clear()
             self._models.clear()
         return super()._model(question)
 
-    def _send(self, question: Question) -> str:
+    def _send(self, question: Task) -> str:
         with TemporaryDirectory(prefix="fascicle-") as folder:
             written = question.model.write(Path(folder), question.bodies)
             files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
@@ -263,7 +263,7 @@ class Cluster(Remote):
         """Give all workers, those that come later too, something to keep; its name."""
         name = f"fascicle-{_name(pickle.dumps((files, small)))}"
         if name not in self._known:
-            self._ask(self.client.register_plugin, Held(name, files, small))
+            self._ask(self.client.register_plugin, WorkerData(name, files, small))
             self._known.add(name)
         return name
 
@@ -278,7 +278,7 @@ def _held(name: str) -> tuple[Path, Any]:
     until = time.monotonic() + TIMEOUT
     while time.monotonic() < until:
         held = worker.plugins.get(name)
-        if isinstance(held, Held) and held.folder is not None:
+        if isinstance(held, WorkerData) and held.folder is not None:
             return held.folder, held.small
         time.sleep(0.1)
     raise RuntimeError(f"worker {worker.address} was never given {name}")
@@ -289,5 +289,5 @@ def _job(
 ) -> list[Result]:
     folder, small = _held(model)
     _, portable = _held(rest)
-    question: Question = portable.of(WrittenModel(folder, *small).read())
+    question: Task = portable.of(WrittenModel(folder, *small).read())
     return run_part(question, function, items)

@@ -23,14 +23,14 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.study.agreement import agreement
-from fascicle.study.bank import Bank, prior_points
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.pool import Card, Pool, Threads, check_pool
+from fascicle.study.pool import GpuPool, Pool, Threads, check_pool
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
+from fascicle.study.prior_simulations import PriorSimulations, prior_points
 from fascicle.study.problem import Problem
 from fascicle.study.recordings import (
     Given,
@@ -84,8 +84,8 @@ def fit(
         Called with the stage, and how far it is; by default lines on standard error say so.
     pool : Pool, optional
         Where networks are simulated: on `workers` threads, if nothing else is given;
-        `fascicle.Elsewhere` takes any executor, `fascicle.Cluster` a Dask scheduler. The result is
-        the same wherever, but for the last digits on a card (`fascicle.Card`).
+        `fascicle.ExecutorPool` takes any executor, `fascicle.Cluster` a Dask scheduler. The result
+        is the same wherever, but for the last digits on a graphics card (`fascicle.GpuPool`).
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
@@ -266,9 +266,9 @@ def _with_likelihoods(
     return replace(first, others=tuple(others))
 
 
-def _bank(heart: Heart, problem: Problem) -> Bank | None:
+def _bank(heart: Heart, problem: Problem) -> PriorSimulations | None:
     """The bank of a problem's networks, if there is one and it is of this forward model."""
-    bank = Bank.beside(heart, problem.space, problem.fixed)
+    bank = PriorSimulations.beside(heart, problem.space, problem.fixed)
     if bank is None or not len(bank):
         return None
     bank.check(problem.model, problem.space, problem.fixed)
@@ -358,7 +358,7 @@ def _problem(
     """The study's problem; takes a while on a new machine or with a large new heart."""
     if progress is not None:
         compile_kernels(progress)
-    if isinstance(pool, Card):
+    if isinstance(pool, GpuPool):
         _check_card(config, recordings)
     model, pool = ForwardModel(heart, progress=progress), pool or Threads(config.workers)
     first, *others = (

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
 from fascicle.core.ranges import check_count
+from fascicle.core.short_repr import short_repr
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.study.agreement import pearson
@@ -61,7 +61,7 @@ class FittedStudy:
     checks: Checks | None = None
     gains: Floats | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def folder(self) -> Path:

@@ -29,7 +29,7 @@ FEWEST = 8  # items of each, if there are then enough jobs for all workers
 CROWD = 128  # jobs that are enough, however many workers there are
 
 
-class Question(Protocol):
+class Task(Protocol):
     """What jobs are about: a forward model, which is large, and the rest, which is small."""
 
     @property
@@ -52,7 +52,7 @@ class Pool(ABC):
 
     @abstractmethod
     def map(
-        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+        self, function: Callable[[Any, Item], Result], question: Task, items: Sequence[Item]
     ) -> Iterator[Result]:
         """Results in the order of the items, as soon as they are there.
 
@@ -61,7 +61,7 @@ class Pool(ABC):
         function : callable
             Called with the question and an item; of a module or a partial of such, so that it can
             be sent.
-        question : Question
+        question : Task
             The same for all.
         items : sequence
         """
@@ -69,7 +69,7 @@ class Pool(ABC):
 
 def check_pool(pool: object) -> None:
     """Refuse what is neither None nor a pool, such as an executor by itself."""
-    needed = "fascicle.Elsewhere(executor, workers) or fascicle.Cluster(address)"
+    needed = "fascicle.ExecutorPool(executor, workers) or fascicle.Cluster(address)"
     check_kind(pool, (Pool, NoneType), "pool", needed)
 
 
@@ -98,7 +98,7 @@ class Threads(Pool):
         return ThreadPoolExecutor(self.workers)
 
 
-class Card(Threads):
+class GpuPool(Threads):
     """An NVIDIA card for the intrinsic beats of networks, and threads for all else.
 
     Parameters
@@ -137,14 +137,14 @@ class Remote(Pool):
         self._models: list[tuple[ForwardModel, Any]] = []
 
     def map(
-        self, function: Callable[[Any, Item], Result], question: Question, items: Sequence[Item]
+        self, function: Callable[[Any, Item], Result], question: Task, items: Sequence[Item]
     ) -> Iterator[Result]:
         """Give results in the order of the items."""
         given = self._model(question), self._rest(question.portable())
         futures = [self._submit(*given, function, part) for part in parts(items, self.workers)]
         return self._in_order(futures)
 
-    def _model(self, question: Question) -> Any:
+    def _model(self, question: Task) -> Any:
         """What jobs need to find the question's model, which is sent if it has not been."""
         for model, sent in self._models:
             if model is question.model:
@@ -167,7 +167,7 @@ class Remote(Pool):
             self.cancel(futures)
 
     @abstractmethod
-    def _send(self, question: Question) -> Any:
+    def _send(self, question: Task) -> Any:
         """Send the question's model, and say what jobs need to find it."""
 
     @abstractmethod
@@ -188,7 +188,7 @@ class Remote(Pool):
         """Wait for the first of some jobs, and fetch what all have given; the others have ended."""
 
 
-class Elsewhere(Remote):
+class ExecutorPool(Remote):
     """Workers of any executor in other processes, which see this machine's temporary folder.
 
     The model goes to each once, through a file.
@@ -208,7 +208,7 @@ class Elsewhere(Remote):
         self.executor, self.workers = executor, workers
         self._folder = TemporaryDirectory(prefix="fascicle-")
 
-    def _send(self, question: Question) -> WrittenModel:
+    def _send(self, question: Task) -> WrittenModel:
         folder = Path(self._folder.name) / f"{len(self._models)}"
         folder.mkdir()
         return question.model.write(folder, question.bodies)
@@ -235,7 +235,7 @@ def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
 
 
 def run_part(
-    question: Question, function: Callable[[Any, Item], Result], items: Sequence[Item]
+    question: Task, function: Callable[[Any, Item], Result], items: Sequence[Item]
 ) -> list[Result]:
     """What a worker does: BLAS takes one thread, since there is a worker for every core."""
     results: list[Result] = one_thread(lambda: [function(question, item) for item in items])()
@@ -244,7 +244,7 @@ def run_part(
 
 def _job(
     written: WrittenModel,
-    rest: Question,
+    rest: Task,
     function: Callable[[Any, Item], Result],
     items: Sequence[Item],
 ) -> list[Result]:

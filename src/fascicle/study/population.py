@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.brief import brief
 from fascicle.core.parameters import ParameterSpace
+from fascicle.core.short_repr import short_repr
 from fascicle.inference.abc.rejection import Sampling
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.importance.agreement import Agreement
@@ -42,7 +42,7 @@ class Population:
     best: Mapping[str, float]
     best_loss: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.losses)
@@ -69,7 +69,7 @@ class PaperPopulation(Population):
 
     distances: Floats
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, space: ParameterSpace, sampling: Sampling) -> PaperPopulation:
@@ -112,7 +112,7 @@ class Posterior(Population):
     converged: bool
     first_alone: Mapping[str, Floats] | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def effective_size(self) -> float:

@@ -15,9 +15,9 @@ from fascicle.inference.evaluation import best_of
 from fascicle.inference.importance.agreement import agreement
 from fascicle.inference.importance.sampling import Run as SamplingRun
 from fascicle.inference.importance.sampling import State, importance_sample, sampling
-from fascicle.study.bank import prior_points
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
+from fascicle.study.prior_simulations import prior_points
 from fascicle.study.settings import FitSettings
 
 RUNS = 2
@@ -83,7 +83,7 @@ class Run:
     ) -> list[SamplingRun]:
         """Make the runs; how each goes depends on its number and on the seed alone."""
         each = self.settings.evaluations // RUNS
-        said = _Said(recordings, self.recordings, self.settings.effective)
+        said = _Status(recordings, self.recordings, self.settings.effective)
         # what a run before this one might have done; its points are asked for again, and are there
         done = [0 if begun[0] is None else self._phase - sum(len(r.points) for r in begun if r)]
 
@@ -140,7 +140,7 @@ class Run:
         return self.settings.bank + self.settings.evaluations
 
 
-class _Said:
+class _Status:
     """What is said of the runs while they go on."""
 
     def __init__(self, recordings: int, of: int, wanted: int) -> None:

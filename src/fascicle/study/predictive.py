@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.brief import brief
 from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
+from fascicle.core.short_repr import short_repr
 from fascicle.forward.likelihood import MARGIN, QrsLikelihood
 from fascicle.forward.loss import placed
 from fascicle.recording.target import Target
@@ -83,7 +83,7 @@ class Prediction:
     discrepancies: Floats
     checks: Checks
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def predict_recording(

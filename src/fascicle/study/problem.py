@@ -10,10 +10,10 @@ from typing import cast
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
-from fascicle.core.brief import brief
 from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.quantities import SIDES, body_values
+from fascicle.core.short_repr import short_repr
 from fascicle.forward.device.batch import NETWORKS
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
@@ -24,8 +24,8 @@ from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
-from fascicle.study.bank import Bank
-from fascicle.study.pool import Card, Pool, Threads
+from fascicle.study.pool import GpuPool, Pool, Threads
+from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.torso.variation.conductor import InvalidBody
 
 
@@ -56,7 +56,7 @@ class Network:
     gain: float
     drawn_gain: float | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Problem:
         A network with a tree of fewer is infeasible.
     likelihood : QrsLikelihood, optional
         Of the target (`fascicle.study.likelihood`), if evaluations are to have one.
-    bank : Bank, optional
+    bank : PriorSimulations, optional
         Networks that need not be simulated again.
     scenario : Scenario, optional
         In which the target was recorded, such as paced from a known site.
@@ -102,11 +102,11 @@ class Problem:
     independent_leads: bool = False
     fewest_junctions: int = 0
     likelihood: QrsLikelihood | None = None
-    bank: Bank | None = None
+    bank: PriorSimulations | None = None
     scenario: Scenario | None = None
     others: tuple[Problem, ...] = ()
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def recordings(self) -> tuple[Problem, ...]:
@@ -130,13 +130,13 @@ class Problem:
 
     def __call__(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """Evaluate points of the unit cube; outcomes come in order, as soon as they are there."""
-        if isinstance(self.pool, Card):
+        if isinstance(self.pool, GpuPool):
             return self._on_card(self.pool, points)
         if isinstance(self.pool, Threads):
             return self.pool.map(Problem.evaluate, self, points)
         return self._elsewhere(points)
 
-    def _on_card(self, card: Card, points: Sequence[Floats]) -> Iterator[Evaluation]:
+    def _on_card(self, card: GpuPool, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """What the bank does not have comes from the card; threads compare, and do the rest."""
         for start in range(0, len(points), NETWORKS):
             part = points[start : start + NETWORKS]

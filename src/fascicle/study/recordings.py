@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.brief import brief
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, write_text
+from fascicle.core.short_repr import short_repr
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.target import Target
@@ -35,7 +35,7 @@ class Recording:
     target: Target
     scenario: Scenario | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def digests(self) -> tuple[str, str]:

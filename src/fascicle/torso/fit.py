@@ -31,7 +31,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.electrode_sites import V1, site_rays
-from fascicle.torso.heart_pose import BodyFrame, usual_place
+from fascicle.torso.heart_pose import BodyFrame, default_position
 from fascicle.torso.trunk import WIDEST, Outside, outside_trunk
 
 # One standard deviation of what is fitted; of measures, that of the logarithm
@@ -183,7 +183,7 @@ class _Problem:
     def frame(self, x: Floats) -> BodyFrame:
         """Where that trunk lies: tilt about its axes, then the heart off its usual place."""
         rotation = self.rotation @ Rotation.from_rotvec(TILT * x[:3]).as_matrix()
-        place = usual_place(self.body(x)) + PLACE * x[3:6]
+        place = default_position(self.body(x)) + PLACE * x[3:6]
         return BodyFrame(rotation, self.centroid - rotation @ place)
 
     def residuals(self, x: Floats) -> Floats:

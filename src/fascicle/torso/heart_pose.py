@@ -113,7 +113,7 @@ def standard_axes() -> Floats:
     return np.stack([lv_to_rv, np.cross(apex_to_base, lv_to_rv), apex_to_base], axis=1)
 
 
-def usual_place(body: BodySize) -> Floats:
+def default_position(body: BodySize) -> Floats:
     """Where the centroid of the myocardium usually lies in the body frame (mm); (3,)."""
     return np.array([HEART_LEFT, -HEART_FRONT * body.half_depth, -HEART_BELOW])
 

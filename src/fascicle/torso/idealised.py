@@ -34,14 +34,14 @@ from fascicle.torso.heart_pose import (
     axes_of_electrodes,
     body_frame,
     check_apex,
+    default_position,
     opening,
-    usual_place,
 )
-from fascicle.torso.lungs import convex_hull, kept_clear, lungs_of
+from fascicle.torso.lungs import convex_hull, exclusion_hull, lungs_of
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, signed_distance
 from fascicle.torso.trunk import (
     Deformation,
-    as_it_is,
+    identity,
     outside_trunk,
     skin_of,
     smooth_max,
@@ -142,13 +142,13 @@ def _around(
     frame: BodyFrame,
     skin: Surface,
     electrodes: Floats,
-    undeformed: Deformation = as_it_is,
+    undeformed: Deformation = identity,
 ) -> TorsoSurfaces:
     """Add lungs to a skin in the body frame; electrodes are in the heart's coordinates."""
     heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
     _check_fits(mesh.name, heart, skin)
     base = frame.to_body(np.stack([opening(side) for side in _endocardia(mesh)]))
-    lungs = lungs_of(mesh.name, body, kept_clear(heart, base), undeformed)
+    lungs = lungs_of(mesh.name, body, exclusion_hull(heart, base), undeformed)
     surfaces = TorsoSurfaces(
         Surface(frame.to_heart(skin.vertices), skin.triangles),
         tuple(Surface(frame.to_heart(lung.vertices), lung.triangles) for lung in lungs),
@@ -171,7 +171,10 @@ def frame_around(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") ->
         Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
     """
     return body_frame(
-        *_endocardia(mesh), solid_centroid(mesh.vertices, mesh.tetrahedra), usual_place(body), pose
+        *_endocardia(mesh),
+        solid_centroid(mesh.vertices, mesh.tetrahedra),
+        default_position(body),
+        pose,
     )
 
 

@@ -276,7 +276,7 @@ def solve_neumann(
     """Potentials for currents into the vertices of an insulated conductor.
 
     Conjugate gradients, preconditioned by smoothed aggregation (Vaněk, Mandel and Brezina,
-    Computing 56, 1996, 179-196). The conductor is earthed at one vertex: the system is then
+    Computing 56, 1996, 179-196). The conductor is grounded at one vertex: the system is then
     regular, and as the currents are balanced none flows to earth, so the potentials change by
     constants only.
 
@@ -305,7 +305,7 @@ def solve_neumann(
             f"the mesh of heart and torso falls into {pieces} pieces that share no vertex; mesh "
             "them together"
         )
-    conductor = earthed(stiffness)
+    conductor = grounded(stiffness)
     preconditioner = multigrid_levels(conductor).aspreconditioner(cycle="V")
 
     def solve(current: Floats) -> Floats:
@@ -328,8 +328,8 @@ def solve_neumann(
     return potentials
 
 
-def earthed(stiffness: csr_matrix) -> csr_matrix:
-    """A stiffness matrix (n, n) with its first vertex earthed, which makes it regular."""
+def grounded(stiffness: csr_matrix) -> csr_matrix:
+    """A stiffness matrix (n, n) with its first vertex grounded, which makes it regular."""
     earth = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
     return csr_matrix(stiffness + earth)
 

@@ -18,7 +18,7 @@ from fascicle.mesh.measures import triangle_normals
 from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.body_size import MM_PER_M, BodySize
 from fascicle.torso.surfaces import Surface, remeshed, signed_distance
-from fascicle.torso.trunk import Deformation, as_it_is, beyond_sections, level_set, smooth_max
+from fascicle.torso.trunk import Deformation, beyond_sections, identity, level_set, smooth_max
 
 # Ribs and all within, as the sections of the trunk; level, half-width and half-depth
 CAGE = np.array(
@@ -49,7 +49,7 @@ LUNG_GRID = 8.0  # mm, of the level set
 LUNG_EDGE = 9.0  # mm, of the triangles
 
 
-def kept_clear(heart: Floats, base: Floats) -> Surface:
+def exclusion_hull(heart: Floats, base: Floats) -> Surface:
     """Convex hull of the ventricles and of room for the atria behind them."""
     towards_atria = base.mean(axis=0) - heart.mean(axis=0)
     towards_atria *= ATRIA / np.linalg.norm(towards_atria)
@@ -69,7 +69,7 @@ def convex_hull(points: Floats) -> Surface:
 
 
 def lungs_of(
-    name: str, body: BodySize, clear: Surface, undeformed: Deformation = as_it_is
+    name: str, body: BodySize, clear: Surface, undeformed: Deformation = identity
 ) -> tuple[Surface, Surface]:
     """Left and right lung in the body frame (mm).
 
@@ -80,7 +80,7 @@ def lungs_of(
     body : BodySize
         What the trunk is scaled by.
     clear : Surface
-        Of `kept_clear`, in the body frame (mm).
+        Of `exclusion_hull`, in the body frame (mm).
     undeformed : callable
         Where points of the body frame lie in the trunk as it was before it was deformed.
 

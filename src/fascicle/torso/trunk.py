@@ -58,7 +58,7 @@ LEAST_LEVEL = 0.05  # of that spacing
 SKIN_EDGE = 11.0  # mm, of the triangles
 
 
-def as_it_is(points: Floats) -> Floats:
+def identity(points: Floats) -> Floats:
     """No deformation."""
     return points
 

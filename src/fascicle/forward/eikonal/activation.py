@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.brief import brief
+from fascicle.core.short_repr import short_repr
 from fascicle.forward.eikonal.myocardium import LocatedPoints, Myocardium
 from fascicle.forward.eikonal.ray_travel_times import (
     SiteNeighbourhood,
@@ -30,8 +30,8 @@ from fascicle.kernels.arrays import (
     Sites,
     Surroundings,
 )
-from fascicle.kernels.coupled import settle_trees, sweep
-from fascicle.kernels.queue import LAST, RING, WAITS_NOT
+from fascicle.kernels.coupled import solve_trees, sweep
+from fascicle.kernels.queue import LAST, NOT_QUEUED, RING
 from fascicle.kernels.star import BATCH, FACES_BLOCK, LANES
 from fascicle.purkinje.tree import PurkinjeTree
 
@@ -146,7 +146,7 @@ class Activation:
     junction_distances: tuple[Floats, ...]
     his: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def with_clock(self, speed: float) -> Activation:
         """The same on a clock that runs `speed` times as fast: all times divided by it."""
@@ -275,14 +275,14 @@ def solve(
         raise ValueError(f"{len(root_times)} root times for {len(coupling.trees)} trees")
     mesh, sites = coupling.myocardium.mesh, coupling.sites
     vertices, nodes = len(mesh.vertices), len(coupling.lengths)
-    front = front_at_rest(mesh, nodes, len(sites.node))
+    front = initial_front(mesh, nodes, len(sites.node))
     in_trees = _firing_times(coupling, root_times, stimuli, node_times)
     stimulus_times = in_trees[coupling.stimulus_nodes].copy()
     travel = _segment_times(coupling, cv, speed)
     travel[coupling.roots] = his.branches if his is not None else np.inf
     in_trees[-1] = his.fires if his is not None else np.inf
     forest = coupling.forest._replace(time=travel)
-    settle_trees(in_trees, forest)
+    solve_trees(in_trees, forest)
     front.nodes["time"][vertices:] = in_trees
     sources = sites.node[np.isfinite(in_trees[sites.node - vertices])]
     sites = sites._replace(
@@ -293,11 +293,11 @@ def solve(
     return _activation(coupling, front, stimulus_times)
 
 
-def front_at_rest(mesh: EikonalMesh, tree_nodes: int, sites: int) -> Front:
+def initial_front(mesh: EikonalMesh, tree_nodes: int, sites: int) -> Front:
     """Make a front that has not started: nothing has fired."""
     nodes = len(mesh.vertices) + tree_nodes
     state = np.empty(nodes, STATE)
-    state["time"], state["origin"], state["bucket"] = np.inf, FROM_ROOT, WAITS_NOT
+    state["time"], state["origin"], state["bucket"] = np.inf, FROM_ROOT, NOT_QUEUED
     return Front(state, np.full(sites, -1), empty_queue(), _room_around(mesh))
 
 

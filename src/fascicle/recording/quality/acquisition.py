@@ -10,7 +10,7 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.recording.filter_estimate import estimated_lowpass
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
-from fascicle.recording.quality.finding import Check, Finding, Severity
+from fascicle.recording.quality.check_result import Check, CheckResult, Severity
 from fascicle.recording.quality.lead_signals import UV_PER_MV, measured
 from fascicle.recording.recording import Recording
 
@@ -34,7 +34,7 @@ STEEPEST_ROUND = 4.0  # digits between the run and the sample beside it
 FEWEST_RUNS, LONG_RUN = 3, 0.02  # runs, or s of one run; fewer and shorter happen by chance
 
 
-def check_extent_in_time(recording: Recording, n_beats: int) -> list[Finding]:
+def check_extent_in_time(recording: Recording, n_beats: int) -> list[CheckResult]:
     """Compare the sampling rate (Hz) and the duration (s) with what is usual: two findings.
 
     The duration is not judged (NaN) where there is a single beat, whose noise is stated.
@@ -50,7 +50,9 @@ def check_extent_in_time(recording: Recording, n_beats: int) -> list[Finding]:
     return [RATE.found(rate, slow), DURATION.found(duration, short)]
 
 
-def check_filters(recording: Recording, peaks: Integers, passed: Sequence[Filter]) -> list[Finding]:
+def check_filters(
+    recording: Recording, peaks: Integers, passed: Sequence[Filter]
+) -> list[CheckResult]:
     """Say what the recorder's filters do to the QRS.
 
     The figures are the low-pass, high-pass and notch (Hz); NaN where none is known, which is fine.
@@ -115,7 +117,7 @@ def _or_nan(value: float | None) -> float:
     return np.nan if value is None else value
 
 
-def check_resolution(recording: Recording) -> list[Finding]:
+def check_resolution(recording: Recording) -> list[CheckResult]:
     """Find leads that were stored too coarsely.
 
     The figure is the largest step between two neighbouring values of a lead (uV).
@@ -135,7 +137,7 @@ def _step_of(values: Floats) -> float:
     return float(gaps.min()) if gaps.size else 0.0
 
 
-def check_clipping(recording: Recording) -> list[Finding]:
+def check_clipping(recording: Recording) -> list[CheckResult]:
     """Find leads that stay at their highest or lowest value where they were still rising.
 
     The figure is the largest share of a lead's samples that lie at such a rail.

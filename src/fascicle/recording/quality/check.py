@@ -7,20 +7,20 @@ from collections.abc import Sequence
 from fascicle.core.arrays import Integers
 from fascicle.recording.filters import Filter
 from fascicle.recording.quality import acquisition, disturbances, electrodes
-from fascicle.recording.quality.finding import Finding
+from fascicle.recording.quality.check_result import CheckResult
 from fascicle.recording.quality.identities import check_identities
 from fascicle.recording.quality.synchrony import check_synchrony
 from fascicle.recording.recording import Recording
 
 
-def check_leads(recording: Recording) -> tuple[Finding, ...]:
+def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
     """What is wrong with leads whatever is in them: no signal, or another lead's."""
     return (*disturbances.check_flatness(recording), *disturbances.check_duplicates(recording))
 
 
 def check_recording(
     recording: Recording, peaks: Integers, filters: Sequence[Filter]
-) -> tuple[Finding, ...]:
+) -> tuple[CheckResult, ...]:
     """Every check of a recording with a signal in each lead, also those that are fine.
 
     Leads may be absent, or recorded one group after another. NaN is the figure of a check that the

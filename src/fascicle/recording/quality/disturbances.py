@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS
-from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
+from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
 from fascicle.recording.quality.lead_signals import UV_PER_MV, coarse, measured, smoothed
 from fascicle.recording.recording import Recording
 from fascicle.recording.resampling import MAINS
@@ -36,7 +36,7 @@ HIGHEST_WANDER = 0.5  # Hz; below it there is no ECG (AHA/ACC/HRS, Circulation 1
 RANGE = (1.0, 99.0)  # percentiles taken as lowest and highest
 
 
-def check_flatness(recording: Recording) -> list[Finding]:
+def check_flatness(recording: Recording) -> list[CheckResult]:
     """Find leads without signal, and leads that lose it for a while.
 
     The figures are the smallest standard deviation of a lead (uV), and the longest time (s) over
@@ -56,7 +56,7 @@ def check_flatness(recording: Recording) -> list[Finding]:
     return [finding, _check_constant(recording, moving)]
 
 
-def _check_constant(recording: Recording, leads: dict[str, Floats]) -> Finding:
+def _check_constant(recording: Recording, leads: dict[str, Floats]) -> CheckResult:
     """Find the longest time over which a lead stays at one value."""
     rate = recording.sampling_rate
     constant = {lead: _longest_constant(values) / rate for lead, values in leads.items()}
@@ -84,7 +84,7 @@ def _longest_constant(values: Floats) -> int:
     return int(np.diff(ends).max())
 
 
-def check_duplicates(recording: Recording) -> list[Finding]:
+def check_duplicates(recording: Recording) -> list[CheckResult]:
     """Find leads that are the same as another, or its exact negative.
 
     The figure is the largest absolute correlation between two leads of the same size.
@@ -121,7 +121,7 @@ def _standardised(recording: Recording) -> dict[str, tuple[Floats, float]]:
     return leads
 
 
-def check_noise(recording: Recording) -> list[Finding]:
+def check_noise(recording: Recording) -> list[CheckResult]:
     """Find noisy leads, and leads that are nothing but noise.
 
     The figure is the largest standard deviation (uV) of a lead above 37 Hz, by the median absolute
@@ -148,7 +148,7 @@ def _fast(values: Floats, rate: float) -> float:
     return TO_STANDARD_DEVIATION * float(np.median(np.abs(fast - np.median(fast))))
 
 
-def check_mains(recording: Recording) -> list[Finding]:
+def check_mains(recording: Recording) -> list[CheckResult]:
     """Find hum at 50 or 60 Hz and its harmonics.
 
     The figure is the largest amplitude (uV) in a lead: the power of the lines less that of the
@@ -189,7 +189,7 @@ def _amplitude(values: Floats, rate: float, mains: float) -> float:
     return float(np.sqrt(power))
 
 
-def check_wander(recording: Recording) -> list[Finding]:
+def check_wander(recording: Recording) -> list[CheckResult]:
     """Find leads whose baseline wanders.
 
     The figure is the largest peak-to-peak amplitude (mV) of a lead below 0.5 Hz.

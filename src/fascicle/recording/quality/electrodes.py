@@ -7,7 +7,7 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.classes import cut
-from fascicle.recording.quality.finding import Check, Finding, Severity
+from fascicle.recording.quality.check_result import Check, CheckResult, Severity
 from fascicle.recording.recording import Recording
 
 P_WAVE = (-0.26, -0.10)  # s from R
@@ -38,7 +38,7 @@ def median_beat(recording: Recording, peaks: Integers) -> Floats:
     return median
 
 
-def check_limb_electrodes(recording: Recording, median: Floats) -> list[Finding]:
+def check_limb_electrodes(recording: Recording, median: Floats) -> list[CheckResult]:
     """Suspect the right arm's electrode of having been exchanged with another limb's, by beats.
 
     Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
@@ -50,7 +50,7 @@ def check_limb_electrodes(recording: Recording, median: Floats) -> list[Finding]
 
     Returns
     -------
-    list of Finding
+    list of CheckResult
         One; the lower likeness of I and II with V6 (with V5 where there is no V6).
 
     References

@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LIMB_LEADS, limb_leads_from
-from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out
+from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out
 from fascicle.recording.quality.lead_signals import coarse, steady
 from fascicle.recording.recording import Recording
 
@@ -43,7 +43,7 @@ _CLASSIC = {
 }
 
 
-def check_identities(recording: Recording) -> list[Finding]:
+def check_identities(recording: Recording) -> list[CheckResult]:
     r"""Compare the limb leads that were recorded with what the others among them say.
 
     The figure of an identity is the 99th percentile of \|what should be zero\| less its median,
@@ -55,7 +55,7 @@ def check_identities(recording: Recording) -> list[Finding]:
 
     Returns
     -------
-    list of Finding
+    list of CheckResult
         One for each independent identity; the first broken one carries the explanation. A single
         one, NaN, where no three limb leads were recorded at the same time.
 
@@ -89,7 +89,7 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
     return [(list(covering), time) for covering, time in sorted(found.items(), key=itemgetter(0))]
 
 
-def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Finding]:
+def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
     """Check one set of leads over the samples that they have in common."""
     part, rate = coarse(recording.signal[rows, time], recording.sampling_rate)
     leads = steady(part, rate)
@@ -113,7 +113,7 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Fin
 
 def _check_gains(
     recording: Recording, rows: list[int], leads: Floats, zeros: Floats
-) -> list[Finding]:
+) -> list[CheckResult]:
     """Find gains per lead that break identities by little, where digits do not break them at all.
 
     Small limb leads hide gains that are several times too high or low in the chest leads.

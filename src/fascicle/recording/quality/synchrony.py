@@ -13,7 +13,7 @@ from scipy.spatial.distance import squareform
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS
-from fascicle.recording.quality.finding import Check, Finding, Severity, leave_out, listed
+from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
 from fascicle.recording.quality.lead_signals import coarse, measured, steady
 from fascicle.recording.recording import Recording
 
@@ -55,7 +55,7 @@ class _Activity:
     rate: float
 
 
-def check_synchrony(recording: Recording) -> list[Finding]:
+def check_synchrony(recording: Recording) -> list[CheckResult]:
     """Find leads that beat at other times than the others.
 
     Two leads agree when one moves more than usual at the beats of the other: the agreement is the
@@ -68,7 +68,7 @@ def check_synchrony(recording: Recording) -> list[Finding]:
 
     Returns
     -------
-    list of Finding
+    list of CheckResult
         The agreement of each group with the largest one, or of all leads where there is one group
         only; and the jitter (ms) between limb and chest leads.
     """
@@ -172,7 +172,7 @@ def _groups(rows: list[int], agreement: Floats) -> tuple[list[list[int]], float]
 
 def _apart(
     recording: Recording, group: list[int], largest: list[int], agreement: Floats, moving: _Activity
-) -> Finding:
+) -> CheckResult:
     """Finding on a group of leads that beats at other times than the largest one."""
     between = agreement[np.ix_(group, largest)]
     found = float(between[np.isfinite(between)].mean())

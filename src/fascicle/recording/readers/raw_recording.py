@@ -13,9 +13,9 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
+from fascicle.recording.missing_metadata import unit_unsaid
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
 from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
-from fascicle.recording.unsaid import unit_unsaid
 
 _ROUNDING = 1e-6  # relative, by which two spellings of one sampling rate may differ
 

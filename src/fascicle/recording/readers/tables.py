@@ -10,11 +10,11 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
+from fascicle.recording.missing_metadata import rate_unsaid, time_unit_unsaid
 from fascicle.recording.readers.metadata import declared_rate
 from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.readers.table_text import Column, Table, lead_or_rhythm, open_table
 from fascicle.recording.recording import check_extent
-from fascicle.recording.unsaid import rate_unsaid, time_unit_unsaid
 
 _TIMES = ("time", "t", "timestamp", "elapsed time")
 _COUNTERS = (  # of samples; the last is what pandas calls a column without a name

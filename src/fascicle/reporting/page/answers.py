@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.prediction.comparison import compare, undone_blocks
+from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import OWN_BEAT
 from fascicle.reporting.names import index_name, parameter_name
@@ -150,7 +150,7 @@ def _prediction(
         sentence = f"{warned.brief}: {sentence}"
     if name in (against, OWN_BEAT):
         return f"{sentence}."
-    if undone := undone_blocks(name, predicted, against):
+    if undone := missing_blocks(name, predicted, against):
         sentence = f"{sentence}. Take care: {undone}"
     pairs = (found, other), (other, found)
     gain, loss = (compare(*pair, "total_activation_time") for pair in pairs)

@@ -19,7 +19,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.core.threads import one_thread
 from fascicle.torso.electrode_sites import V1
-from fascicle.torso.lead_fields import Contacts, assemble_stiffness, earthed
+from fascicle.torso.lead_fields import Contacts, assemble_stiffness, grounded
 from fascicle.torso.variation.block_solver import block_cg, multigrid
 from fascicle.torso.variation.conductor import TISSUES, BodyState, Conductor
 from fascicle.torso.variation.electrode_paths import LEFT, UP, electrode_places
@@ -175,7 +175,7 @@ def solve_body(
     most: int = MOST_ITERATIONS,
 ) -> Floats:
     """Potentials (n, c) of currents (n, c) in one body."""
-    stiffness = earthed(conductor.stiffness(body))
+    stiffness = grounded(conductor.stiffness(body))
     found = block_cg(stiffness, multigrid(stiffness), loads, np.zeros_like(loads), tolerance, most)
     return np.asarray(found - found.mean(axis=0))
 

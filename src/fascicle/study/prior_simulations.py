@@ -52,7 +52,7 @@ def _part(dimension: int, number: int) -> Floats:
     return np.random.default_rng([SEED, number]).random((PART, dimension))
 
 
-class Bank:
+class PriorSimulations:
     """The stored simulations of one forward model and prior.
 
     Attributes
@@ -64,7 +64,9 @@ class Bank:
         self.folder = folder
 
     @classmethod
-    def beside(cls, heart: Heart, space: ParameterSpace, fixed: Mapping[str, float]) -> Bank | None:
+    def beside(
+        cls, heart: Heart, space: ParameterSpace, fixed: Mapping[str, float]
+    ) -> PriorSimulations | None:
         """Name the bank of a heart; None for a heart without a folder of its own.
 
         Parameters
@@ -254,7 +256,7 @@ def make_bank(
     if workers is not None:
         check_count(workers, "workers")
     space, fixed = study_space("posterior", {}, heart)
-    bank = Bank.beside(heart, space, fixed)
+    bank = PriorSimulations.beside(heart, space, fixed)
     if bank is None or not os.access(str(heart.folder), os.W_OK):
         raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
     with shown_progress(progress) as shown:

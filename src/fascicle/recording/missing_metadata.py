@@ -22,7 +22,7 @@ USUAL_LENGTH = 10.0  # s, of a recording
 USUAL_NOISE = 0.03  # mV
 
 
-class UnsaidError(InputError):
+class MissingMetadataError(InputError):
     """A file does not say something that is needed.
 
     Attributes
@@ -44,48 +44,52 @@ class UnsaidError(InputError):
         super().__init__(message + hint)
 
 
-def unit_unsaid(message: str, leads: Sequence[Floats]) -> UnsaidError:
+def unit_unsaid(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
     """Ask for the unit of leads, each of shape (n,), and guess it from how far they span."""
     known = [lead[np.isfinite(lead)] for lead in leads]
     spans = [float(np.ptp(lead)) for lead in known if lead.size]
     span = float(np.median(spans)) if spans else 0.0
     possible = {u: span * size for u, size in UNITS.items() if SPANS[0] <= span * size <= SPANS[1]}
     if not possible:
-        return UnsaidError(message, "unit")
+        return MissingMetadataError(message, "unit")
     unit = min(possible, key=lambda each: abs(math.log(possible[each] / USUAL_SPAN)))
-    return UnsaidError(message, "unit", unit, f"leads then span {possible[unit]:.2g} mV (median)")
+    return MissingMetadataError(
+        message, "unit", unit, f"leads then span {possible[unit]:.2g} mV (median)"
+    )
 
 
-def rate_unsaid(message: str, samples: int) -> UnsaidError:
+def rate_unsaid(message: str, samples: int) -> MissingMetadataError:
     """Ask for the sampling rate of so many samples, and guess it from how long they usually are."""
     rates = [rate for rate in RATES if samples / rate == USUAL_LENGTH]
     rate = rates[0] if rates else RATES[0] if samples > 2 * RATES[1] else RATES[1]
     why = f"its {samples} samples then last {samples / rate:.3g} s"
-    return UnsaidError(message, "sampling_rate", rate, why)
+    return MissingMetadataError(message, "sampling_rate", rate, why)
 
 
-def time_unit_unsaid(message: str, step: float) -> UnsaidError:
+def time_unit_unsaid(message: str, step: float) -> MissingMetadataError:
     """Ask for the sampling rate where times step by so much in an unknown unit, s or ms."""
     if not 0 < step < math.inf:
-        return UnsaidError(message, "sampling_rate")
+        return MissingMetadataError(message, "sampling_rate")
     in_seconds = step < LARGEST_STEP
     rate, unit = (1 / step, "s") if in_seconds else (1000 / step, "ms")
-    return UnsaidError(message, "sampling_rate", rate, f"times then step by {step:g} {unit}")
+    return MissingMetadataError(
+        message, "sampling_rate", rate, f"times then step by {step:g} {unit}"
+    )
 
 
-def noise_unsaid(message: str) -> UnsaidError:
+def noise_unsaid(message: str) -> MissingMetadataError:
     """Ask for the noise of a single beat."""
     why = "beats at rest differ by about as much (mV)"
-    return UnsaidError(message, "noise", USUAL_NOISE, why)
+    return MissingMetadataError(message, "noise", USUAL_NOISE, why)
 
 
-def asked_at_once(make: Callable[..., Found], source: str, **said: Any) -> Found:
+def collect_missing(make: Callable[..., Found], source: str, **said: Any) -> Found:
     """Call ``make(**said)``; where more than one thing is unsaid, ask for all of them in one line.
 
     Parameters
     ----------
     make : callable
-        Reads or analyses; raises `UnsaidError`, whose `name` is one of its arguments.
+        Reads or analyses; raises `MissingMetadataError`, whose `name` is one of its arguments.
     source : str
         What the message begins with.
     **said
@@ -98,7 +102,7 @@ def asked_at_once(make: Callable[..., Found], source: str, **said: Any) -> Found
     """
     try:
         return make(**said)
-    except UnsaidError as error:
+    except MissingMetadataError as error:
         unsaid = [error, *_others(make, said, error)]
         if len(unsaid) == 1:
             raise
@@ -112,17 +116,17 @@ def asked_at_once(make: Callable[..., Found], source: str, **said: Any) -> Found
 
 
 def _others(
-    make: Callable[..., object], said: dict[str, Any], first: UnsaidError
-) -> list[UnsaidError]:
+    make: Callable[..., object], said: dict[str, Any], first: MissingMetadataError
+) -> list[MissingMetadataError]:
     """What else is unsaid, found by going on with guesses."""
-    found: list[UnsaidError] = []
-    last: UnsaidError | None = first
+    found: list[MissingMetadataError] = []
+    last: MissingMetadataError | None = first
     while last is not None and last.guess is not None:
         said = said | {last.name: last.guess}
         last = None
         try:
             make(**said)
-        except UnsaidError as error:
+        except MissingMetadataError as error:
             found.append(error)
             last = error
         except InputError:  # which is said when the guesses have been confirmed

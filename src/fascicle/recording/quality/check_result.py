@@ -38,7 +38,7 @@ class Check:
 
     def found(
         self, value: float, message: str = "", severity: Severity = Severity.WARNING
-    ) -> Finding:
+    ) -> CheckResult:
         """Outcome of the check.
 
         Parameters
@@ -46,15 +46,15 @@ class Check:
         value : float
             The figure found.
         message : str
-            See `Finding`; where it is empty, all is fine.
+            See `CheckResult`; where it is empty, all is fine.
         severity : Severity
             What follows where there is a message.
         """
-        return Finding(self, value, severity if message else Severity.FINE, message)
+        return CheckResult(self, value, severity if message else Severity.FINE, message)
 
     def worst_lead(
         self, figures: Mapping[str, float], message: str, per_unit: float = 1.0
-    ) -> Finding:
+    ) -> CheckResult:
         """Outcome where each lead has a figure: the largest, a warning if it is over the limit.
 
         Parameters
@@ -73,7 +73,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """One check with its figure.
 
     Attributes

@@ -36,7 +36,7 @@ Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
 
 
 @dataclass(frozen=True)
-class Kept:
+class PredictionCache:
     """The predictions of one population that are on disk, a file a scenario.
 
     Attributes
@@ -51,7 +51,7 @@ class Kept:
     population: str
 
     @classmethod
-    def of(cls, fitted: FittedStudy) -> Kept:
+    def of(cls, fitted: FittedStudy) -> PredictionCache:
         """Name those of a study."""
         digest = hashlib.sha256(f"{FORMAT} {fitted.study.config.model_dump_json()}".encode())
         gains = fitted.gains if fitted.gains is not None else np.empty(0)

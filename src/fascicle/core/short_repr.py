@@ -12,7 +12,7 @@ from fascicle.core.ranges import digits
 LONGEST_TEXT = 40
 
 
-def brief(self: Any) -> str:
+def short_repr(self: Any) -> str:
     """Name and fields of a dataclass on one line: numbers and names as they are, arrays by shape.
 
     To be a class's ``__repr__``.

@@ -58,7 +58,7 @@ OFFSET = Search(level=0.03, turning=5.0, reach=100.0, trend=30.0)
 
 
 @dataclass(frozen=True)
-class Motion:
+class SpatialVelocity:
     """Slope (mV/ms) and curvature (mV/ms²) of each lead, (k, n), and the smoothing (ms) of both."""
 
     slope: Floats
@@ -80,13 +80,13 @@ class Motion:
         """Speed (mV/ms) that counts as moving: a share of the highest, by the search."""
         return search.level * _highest(self.speed(search.turning), step)
 
-    def lead(self, row: int) -> Motion:
+    def lead(self, row: int) -> SpatialVelocity:
         """That of one lead alone."""
-        return Motion(self.slope[[row]], self.curvature[[row]], self.smoothing)
+        return SpatialVelocity(self.slope[[row]], self.curvature[[row]], self.smoothing)
 
-    def backward(self) -> Motion:
+    def backward(self) -> SpatialVelocity:
         """The same with time reversed."""
-        return Motion(-self.slope[:, ::-1], self.curvature[:, ::-1], self.smoothing)
+        return SpatialVelocity(-self.slope[:, ::-1], self.curvature[:, ::-1], self.smoothing)
 
 
 def derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floats:
@@ -96,21 +96,21 @@ def derivative(leads: Floats, smoothing: float, step: float, order: int) -> Floa
     return np.asarray(smooth / step**order)
 
 
-def motion_of(leads: Floats, smoothing: float, step: float) -> Motion:
-    """Motion of leads (k, n), mV."""
+def spatial_velocity(leads: Floats, smoothing: float, step: float) -> SpatialVelocity:
+    """Slope and curvature of leads (k, n), mV."""
     slope = derivative(leads, smoothing, step, 1)
-    return Motion(slope, derivative(leads, smoothing, step, 2), smoothing)
+    return SpatialVelocity(slope, derivative(leads, smoothing, step, 2), smoothing)
 
 
-def quiet_motion(leads: Floats, step: float, smoothing: float) -> Motion:
-    """Motion with as little smoothing as makes its noise slower than the onset of a QRS."""
-    motion = motion_of(leads, smoothing, step)
+def quiet_spatial_velocity(leads: Floats, step: float, smoothing: float) -> SpatialVelocity:
+    """Slope and curvature, smoothed just enough that noise is slower than the onset of a QRS."""
+    velocity = spatial_velocity(leads, smoothing, step)
     for wider in (wider for wider in NOISY_SMOOTHINGS if wider > smoothing):
-        speed = motion.speed(OFFSET.turning)
+        speed = velocity.speed(OFFSET.turning)
         if STANDS_OUT * _stillest(speed, step) <= ONSET.level * _highest(speed, step):
             break
-        motion = motion_of(leads, wider, step)
-    return motion
+        velocity = spatial_velocity(leads, wider, step)
+    return velocity
 
 
 def without_hum(leads: Floats, first: int, last: int, step: float) -> Floats:
@@ -152,7 +152,7 @@ def core_of(leads: Floats, step: float) -> tuple[int, int]:
     NoQrsError
         When no lead moves, or one of many alone.
     """
-    speed = motion_of(leads, CORE_SMOOTHING, step).speed(CORE_TURNING)
+    speed = spatial_velocity(leads, CORE_SMOOTHING, step).speed(CORE_TURNING)
     highest = _highest(speed, step)
     if not highest > 0:
         raise NoQrsError("no QRS: the leads do not move, or one of many alone")
@@ -172,15 +172,17 @@ def core_of(leads: Floats, step: float) -> tuple[int, int]:
     ) if last < end else end
 
 
-def still_from(motion: Motion, core: int, search: Search, level: float, step: float) -> int:
+def isoelectric_from(
+    velocity: SpatialVelocity, core: int, search: Search, level: float, step: float
+) -> int:
     """First sample after the core from which the leads keep to a straight line.
 
     The line is found where they are still by the first measure, then all is measured against it.
 
     Parameters
     ----------
-    motion : Motion
-        Of the leads that are looked at; `Motion.backward` finds the other end.
+    velocity : SpatialVelocity
+        Of the leads that are looked at; `SpatialVelocity.backward` finds the other end.
     core : int
         Sample of the QRS from which to search.
     search : Search
@@ -190,12 +192,12 @@ def still_from(motion: Motion, core: int, search: Search, level: float, step: fl
     step : float
         Sampling step (ms).
     """
-    end = core + _still_after(motion.speed(search.turning), core, level, search.reach, step)
+    end = core + _still_after(velocity.speed(search.turning), core, level, search.reach, step)
     start = end + round(TREND_AFTER / step)
-    beyond = motion.slope[:, start : start + round(search.trend / step)]
+    beyond = velocity.slope[:, start : start + round(search.trend / step)]
     if not beyond.shape[1]:
         return end
-    relative = motion.speed(search.turning, beyond.mean(axis=1, keepdims=True))
+    relative = velocity.speed(search.turning, beyond.mean(axis=1, keepdims=True))
     return core + _still_after(relative, core, level, search.reach, step)
 
 

@@ -13,7 +13,7 @@ SHORTEST_WINDOW = 20.0  # ms
 
 
 @dataclass(frozen=True)
-class Choices:
+class TargetOptions:
     """Decisions of the user; what is None or empty is decided by the program.
 
     Attributes
