@@ -240,7 +240,7 @@ def _activate_trees(network: Network, junction_times: Array) -> Array:
 
 
 class ElementLoopEcg:
-    """V(t) = −Σₑ |e| (Gᵢ∇Z · ∇Vm)ₑ, the gradient of Vm formed anew at each of 206 time steps."""
+    """V(t) = −Σₑ |e| (Gᵢ∇Z · ∇Vm)ₑ, the gradient of Vm formed again at each of 206 time steps."""
 
     def __init__(self, case: Case) -> None:
         self.tetrahedra: IntArray = case["tetrahedra"].astype(np.int64)

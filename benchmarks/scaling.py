@@ -86,7 +86,7 @@ def _as_heart(heart: Heart, mesh: Any) -> Heart:
 
 
 def networks(parameters: dict[str, float]) -> Iterator[dict[str, float]]:
-    """Networks that differ too little to matter, but enough to be grown anew."""
+    """Networks that differ too little to matter, but enough to be grown again."""
     number = 0
     while True:
         number += 1

@@ -60,7 +60,7 @@ def ecg(
 
 
 def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
-    """ECG of a scenario over that of the own beat: means, and what 90 % of the networks span.
+    """ECG of a scenario over that of the intrinsic beat: means, and what 90 % of the networks span.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def activation(
     heart : Heart, FittedStudy or path
         The heart, the study, or the folder of either.
     predicted : mapping of name to Predicted
-        What `fascicle.predict` returned; the own beat's median network stands above, in the same
-        colours.
+        What `fascicle.predict` returned; the intrinsic beat's median network stands above, in the
+        same colours.
     name : str
         The scenario.
     """

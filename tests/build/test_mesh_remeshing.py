@@ -1,4 +1,4 @@
-"""Meshing the inside of a mesh anew: no flat elements, the surface and what it carries stay."""
+"""Meshing the inside of a mesh again: no flat elements, the surface and what it carries stay."""
 
 from dataclasses import replace
 

@@ -106,7 +106,7 @@ class TestModel:
             np.testing.assert_array_equal(again[name], value)
 
     def test_the_torso_made_again_is_that_of_the_lead_fields(self, default_heart):
-        """Meshed anew, it is no longer the same mesh; its fields differ by two in a hundred."""
+        """Meshed again, it is no longer the same mesh; its fields differ by two in a hundred."""
         conduction = fascicle.ForwardModel(default_heart).conduction
         assert is_up_to_date(default_heart, conduction)
         kept = default_heart.lead_fields.values

@@ -1,4 +1,4 @@
-"""The His bundle: the heart's own beat stays, and what runs backwards goes as through one tree."""
+"""The His bundle: the intrinsic beat stays, and what runs backwards goes as through one tree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each quantity does in the forward model, and what is computed anew for it."""
+"""What each quantity does in the forward model, and what is computed again for it."""
 
 from __future__ import annotations
 

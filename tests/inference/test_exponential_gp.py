@@ -43,7 +43,7 @@ def test_prediction_equals_numpy(data):
 
 
 def test_extended_equals_conditioned_anew(data):
-    """Where outputs change, too, as they do when they are standardised anew."""
+    """Where outputs change, too, as they do when they are standardised again."""
     points, outputs, targets = data
     grown = ExponentialGP.condition(points[:30], outputs[:30] - 1.0, HYPER)
     grown = grown.extended(points[30:33], outputs[:33]).extended(points[33:], outputs)

@@ -14,7 +14,12 @@ from fascicle.forward.scenario import His, Scenario, Stimulus
 from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.predicted import RINGING, Predicted
-from fascicle.prediction.scenarios import LEAD_IN, qrs_aligned, simulate_scenarios, with_own_beat
+from fascicle.prediction.scenarios import (
+    LEAD_IN,
+    qrs_aligned,
+    simulate_scenarios,
+    with_intrinsic_beat,
+)
 from fascicle.study.pool import Threads
 from fascicle.study.problem import Network
 
@@ -124,9 +129,9 @@ def test_stimuli_that_capture_nothing_are_seen(problem, networks):
 def test_the_own_beat_keeps_its_name(tmp_path):
     path = tmp_path / "intrinsic.toml"
     path.write_text("silent = ['rv']\n")
-    with pytest.raises(InputError, match=r"intrinsic.toml: 'intrinsic' is the heart's own beat"):
-        with_own_beat(read_scenarios([path]))
-    assert list(with_own_beat(read_scenarios(["his-pacing", "intrinsic"]))) == [
+    with pytest.raises(InputError, match=r"intrinsic.toml: 'intrinsic' is the intrinsic beat"):
+        with_intrinsic_beat(read_scenarios([path]))
+    assert list(with_intrinsic_beat(read_scenarios(["his-pacing", "intrinsic"]))) == [
         "intrinsic", "his-pacing",
     ]  # fmt: skip
 

@@ -14,7 +14,7 @@ from fascicle import cli
 from fascicle.cli.demo import demo_recording
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.scenario_files import read_scenarios
-from fascicle.prediction.scenarios import with_own_beat
+from fascicle.prediction.scenarios import with_intrinsic_beat
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.page.commands import commands, report_words, target_words
 from fascicle.reporting.page.inputs import held, learnt, recordings, settings
@@ -170,7 +170,7 @@ def test_the_report_s_command_makes_the_page_again(tmp_path):
     path.write_text("silent = ['rv']\n")
     found = {
         name: SimpleNamespace(scenario=scenario)
-        for name, scenario in with_own_beat(read_scenarios(["his-pacing", path])).items()
+        for name, scenario in with_intrinsic_beat(read_scenarios(["his-pacing", path])).items()
     }
     words = report_words(SimpleNamespace(folder=tmp_path / "S"), found, "my case")
     assert words[:5] == ["fascicle", "report", str(tmp_path / "S"), "--scenario", "his-pacing"]

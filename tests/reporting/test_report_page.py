@@ -72,12 +72,12 @@ class TestAnswers:
             "global QRS duration 135 (122 to 148) ms, window QRS duration 115 (102 to 128) ms, "
             "total activation time 115 ("
         )
-        assert "is shorter than that of the own beat, by 28 ms (21 to 34)" in faster
+        assert "is shorter than that of the intrinsic beat, by 28 ms (21 to 34)" in faster
         assert "probability to be shorter 1.00" in faster
         assert "is open" in mixed
         assert "probability to be shorter 0.50" in mixed
         (_, slower) = answers(study(), {"intrinsic": FASTER, "a": OWN}).predicted
-        assert "is longer than that of the own beat, by 28 ms (21 to 34)" in slower
+        assert "is longer than that of the intrinsic beat, by 28 ms (21 to 34)" in slower
         found = {"intrinsic": FASTER, "block": OWN, "a": FASTER}
         own, block, paced = answers(study(), found, "block").predicted
         assert own.endswith("ms.")
@@ -104,7 +104,7 @@ class TestAnswers:
         assert faster.startswith("not to be relied on: global QRS duration 108 (")
         assert "is shorter" not in faster
         assert faster.endswith(
-            "; gain against the own beat 28 ms (21 to 34); probability to be shorter 1.00."
+            "; gain against the intrinsic beat 28 ms (21 to 34); probability to be shorter 1.00."
         )
         assert "no number below can be relied on" in said.meaning[0]
         assert not said.determined
@@ -132,7 +132,7 @@ def shown(default_heart, default_model):
     totals = {"total_activation_time": np.array([90.0, 80.0])}
     found = {
         "intrinsic": Predicted(
-            Scenario(description="the own beat"), [kept(simulation)] * 2, totals
+            Scenario(description="the intrinsic beat"), [kept(simulation)] * 2, totals
         ),
         "half": Predicted(Scenario(), [kept(late)] * 2, totals),
     }

@@ -36,7 +36,7 @@ class Source:
     labels_file : Path, optional
         Labels of a surface whose file holds none.
     remesh : bool, optional
-        Whether to mesh the inside of a tetrahedral mesh anew.
+        Whether to mesh the inside of a tetrahedral mesh again.
     """
 
     file: Path | None

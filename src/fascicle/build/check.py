@@ -273,7 +273,7 @@ def _lead_field_warnings(heart: Heart) -> list[str]:
             f"{heart.name}: its lead fields are not for these electrodes and fibres, and there is "
             "no torso to compute new ones in: it cannot be simulated; build it again"
         ]
-    return [f"{heart.name}: its lead fields are out of date; they are solved anew when needed"]
+    return [f"{heart.name}: its lead fields are out of date; they are solved again when needed"]
 
 
 def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:

@@ -1,4 +1,4 @@
-"""A tetrahedral mesh with flat elements: its inside is meshed anew, what it carries stays."""
+"""A tetrahedral mesh with flat elements: its inside is meshed again, what it carries stays."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROUNDING = 1e-9  # mm, added to distances, so that a tetrahedron that is still t
 
 
 def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
-    """Mesh the inside of a mesh anew, with edges as long as they were; the boundary stays.
+    """Mesh the inside of a mesh again, with edges as long as they were; the boundary stays.
 
     Fibres and sheets are axes without a sign: the new one is the principal axis of the mean of
     f fᵀ over the nearest tetrahedra, weighted by the inverse of their distance. A region is that of
@@ -40,9 +40,10 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
     distance, near = cKDTree(centres[0]).query(centres[1], k=NEAREST)
     weights = 1 / (distance + ROUNDING)
     note = (
-        f"mesh: its inside was meshed anew and its surface kept: {len(mesh.tetrahedra)} tetrahedra "
-        f"before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} degrees "
-        f"before, {after:.1f} after; fibres, sheets and regions are those of the nearest tetrahedra"
+        f"mesh: its inside was meshed again and its surface kept: {len(mesh.tetrahedra)} "
+        f"tetrahedra before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} "
+        f"degrees before, {after:.1f} after; fibres, sheets and regions are those of the nearest "
+        "tetrahedra"
     )
     return replace(
         anatomy,

@@ -86,7 +86,7 @@ def _triangles(mesh: MeshFile) -> tuple[Floats, Integers]:
 def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a surface, which is meshed anew anyway", "remesh")
+    source.check_unused("a surface, which is meshed again anyway", "remesh")
     if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
         surface, notes = _fine_enough(
             labelled_surface(mesh, source.array, source.numbers, source.labels_file), edge_length

@@ -114,7 +114,7 @@ def remeshed_inside(
     tetrahedra: Integers,
     **options: float,
 ) -> LabelledMesh:
-    """Mesh the inside of a boundary anew by Mmg; the boundary and its labels stay.
+    """Mesh the inside of a boundary again by Mmg; the boundary and its labels stay.
 
     Parameters
     ----------

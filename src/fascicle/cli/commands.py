@@ -95,7 +95,7 @@ def simulate(
     rv_tree: Annotated[
         Path | None, typer.Option(help="RV tree of your own: VTU/VTP lines.")
     ] = None,
-    cv: Annotated[float | None, typer.Option(help="Speed in the trees (m/s).")] = None,
+    cv: Annotated[float | None, typer.Option(help="Purkinje conduction velocity (m/s).")] = None,
     root_time: Annotated[
         float | None, typer.Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
     ] = None,
@@ -113,7 +113,7 @@ def simulate(
 
     From parameters (an example network if none are given; --cv, --root-time and --fix override
     them; 'fascicle parameters' lists what there is), or from two trees that you bring. A scenario
-    adds what is beyond the heart's own beat:
+    adds what is beyond the intrinsic beat:
 
     ```toml
     silent = ["lv"]                # trees whose root does not fire
@@ -269,7 +269,7 @@ def predict(
 ) -> Result:
     """Predict pacings, blocks and ectopic beats with every network of the population.
 
-    Each is set beside the heart's own beat: QRS duration, activation times, dyssynchrony, QRS area
+    Each is compared with the intrinsic beat: QRS duration, activation times, dyssynchrony, QRS area
     and more (docs/predictions.md), twelve-lead ECGs as the recorder would have them, activation
     maps. Intervals are those of the networks, so of what the ECG leaves open.
     """
@@ -311,7 +311,7 @@ def compare(
 ) -> Result:
     """Say how probably one scenario is better than another, by how much, and what leaves it open.
 
-    Every network of the population decides for itself; 'intrinsic' is the heart's own beat. All
+    Every network of the population decides for itself; 'intrinsic' is the intrinsic beat. All
     indices are shown, since they may disagree.
     """
     from fascicle.cli.terminal_progress import TerminalProgress

@@ -73,7 +73,7 @@ RemeshOption = Annotated[
     bool,
     _option(
         ANATOMY,
-        "Mesh the inside of a tetrahedral mesh anew, for one with flat elements; its surface, "
+        "Mesh the inside of a tetrahedral mesh again, for one with flat elements; its surface, "
         "fibres and regions stay.",
     ),
 ]

@@ -123,7 +123,7 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     for statement in statements(posterior, fitted.problem.space):
         print(f"{statement.name:<22} {statement}")
     for first, second, correlation in trade_offs(posterior):
-        print(f"{first} and {second} stand for one another (rank correlation {correlation:.2f})")
+        print(f"{first} and {second} are strongly correlated (rank correlation {correlation:.2f})")
 
 
 def _print_population(population: Population) -> None:

@@ -25,7 +25,7 @@ _FASCICLE = re.compile(r"(lv|rv)_fascicle_(length|angle)_(\d+)")
 
 
 class Changes(StrEnum):
-    """What must be computed anew when a quantity changes, from the most to the least."""
+    """What must be computed again when a quantity changes, from the most to the least."""
 
     STUDY = "which parameters there are"
     TREES = "trees"
@@ -132,7 +132,9 @@ def _of_conduction() -> Iterator[Quantity]:
         "from the His bundle to the root that fires first; counts where a scenario has the bundle",
         times,
     )  # fmt: skip
-    yield Quantity("cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "speed in the trees", times)
+    yield Quantity(
+        "cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "Purkinje conduction velocity", times
+    )
     yield Quantity(
         "alpha", "cm/ms √(cm/mS)", 0.05, (0.005, 0.5), (0.04, 0.12),
         "speed constant of the myocardium: D = alpha² Gi (Gi+Ge)^-1 Ge", times,

@@ -33,7 +33,7 @@ from fascicle.torso.variation.conductor import InvalidBody, build_conductor
 from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response
 
-FORMAT = 2  # of the files; another number makes them anew
+FORMAT = 2  # of the files; another number makes them again
 STAGE, ONCE = "body", "once per heart"
 SEED = 0  # of the bodies that are solved: the same in every run
 

@@ -1,7 +1,7 @@
 """From parameters to the ECG: the stages, chained.
 
 A network's parameters are quantities of `fascicle.core.quantities`. What changes with them is
-computed anew, and no more: trees, the speeds of the tissue, or times alone.
+computed again, and no more: trees, the speeds of the tissue, or times alone.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ class ForwardModel:
         root_time : float or sequence of float
             t_RV − t_LV (ms), the earlier root firing at time 0; or when each root fires (ms).
         cv : float
-            Speed in the trees (mm/ms).
+            Purkinje conduction velocity (mm/ms).
         scenario : Scenario, optional
             Extra stimuli, blocked or slow segments, junction delays, trees of your own.
         **values

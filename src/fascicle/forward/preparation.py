@@ -35,7 +35,7 @@ from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
-FORMAT = 11  # of the files; another number makes them anew
+FORMAT = 11  # of the files; another number makes them again
 ONCE = "once per heart"
 READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 KEPT = 4  # files in a heart's cache; the oldest go
@@ -103,7 +103,7 @@ def cache_file(heart: Heart, conduction: Conduction, form: int, ending: str) -> 
     heart, conduction : Heart, Conduction
         Their content is the key, with the version of this package.
     form : int
-        Of the file's format; another number makes it anew.
+        Of the file's format; another number makes it again.
     ending : str
         Of its name.
     """

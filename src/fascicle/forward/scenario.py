@@ -1,4 +1,4 @@
-"""What a heart does beside its own beat: stimuli, blocks, slow segments, delays, more trees.
+"""What a heart does beside its intrinsic beat: stimuli, blocks, slow segments, delays, more trees.
 
 With a His bundle the roots are joined above the trees: pacing one of them climbs to the bundle and
 comes down the other branch, and a front that enters a tree from the tissue returns by the other.
@@ -145,7 +145,7 @@ class His:
     """A His bundle, whose branches join the roots of the heart's two trees and conduct both ways.
 
     The branch to the root that fires first takes the network's ``his_time``, the other one longer
-    by the root time; so the heart's own beat is the same with it as without.
+    by the root time; so the intrinsic beat is the same with it as without.
 
     Attributes
     ----------

@@ -217,7 +217,7 @@ def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenar
         scenario, regions = read_scenario(path)
         if regions:
             raise InputError(
-                f"{path}: has regions; put them into the heart (heart.toml) and fit anew"
+                f"{path}: has regions; put them into the heart (heart.toml) and fit again"
             )
         if path.stem in found:
             raise InputError(f"two scenarios are called '{path.stem}'; give another, or rename one")

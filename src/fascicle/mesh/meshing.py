@@ -143,7 +143,7 @@ def _kept_quiet() -> Iterator[IO[bytes]]:
 def remeshed_triangles(
     vertices: Floats, triangles: Integers, labels: Integers, **options: float
 ) -> tuple[Floats, Integers, Integers]:
-    """Triangulate a labelled surface anew by Mmg, which keeps the borders between labels.
+    """Triangulate a labelled surface again by Mmg, which keeps the borders between labels.
 
     Parameters
     ----------

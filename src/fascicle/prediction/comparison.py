@@ -14,21 +14,21 @@ from fascicle.core.ranges import check_kind, within
 from fascicle.core.short_repr import short_repr
 from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.scenarios import OWN_BEAT
+from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.recording.window import OFFSET_ERROR, ONSET_ERROR
 
 SIGNED = ("lv_rv_delay",)
 INTERVAL = (5, 95)  # percentiles
 FEWEST = 20  # networks; of fewer no correlation is spoken of
 # What could be measured besides the recording, and with which standard deviation: an ECG while the
-# right ventricle is paced, with the uncertainty of its QRS window; electrograms of the own beat,
-# with some 5 ms for where in them the activation is.
+# right ventricle is paced, with the uncertainty of its QRS window; electrograms of the intrinsic
+# beat, with some 5 ms for where in them the activation is.
 PACED = "rv-apical-pacing"
 MEASURABLE = {
     (PACED, "qrs_duration"): float(np.hypot(ONSET_ERROR, OFFSET_ERROR)),
     (PACED, "qrs_area"): 5.0,
-    (OWN_BEAT, "lv_rv_delay"): 5.0,
-    (OWN_BEAT, "lv_activation_time"): 5.0,
+    (INTRINSIC, "lv_rv_delay"): 5.0,
+    (INTRINSIC, "lv_activation_time"): 5.0,
 }
 
 
@@ -108,7 +108,7 @@ class Comparison:
         """Share of the gain's variance, in ranks, that each parameter alone goes with.
 
         Squared rank correlations, adjusted for how few networks there are, the largest first; none
-        of fewer than `FEWEST` independent ones. Of parameters that stand for one another each has
+        of fewer than `FEWEST` independent ones. Of parameters that are strongly correlated each has
         the same share; what no parameter goes with by itself is in none.
 
         Parameters

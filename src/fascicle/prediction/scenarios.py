@@ -30,25 +30,25 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.prior_simulations import prior_points
 from fascicle.study.problem import Network, Problem
 
-OWN_BEAT = "intrinsic"  # the scenario that others are compared with
+INTRINSIC = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
 PRIOR_NETWORKS = 60
 
 
-def with_own_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
-    """The heart's own beat, which others are compared with, and then the scenarios.
+def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
+    """The heart's intrinsic beat, which others are compared with, and then the scenarios.
 
     Raises
     ------
     InputError
         If another scenario has its name.
     """
-    if scenarios.get(OWN_BEAT, Scenario()) != Scenario():
+    if scenarios.get(INTRINSIC, Scenario()) != Scenario():
         raise InputError(
-            f"{scenarios[OWN_BEAT].source or 'a scenario'}: '{OWN_BEAT}' is the heart's own beat, "
+            f"{scenarios[INTRINSIC].source or 'a scenario'}: '{INTRINSIC}' is the intrinsic beat, "
             "which all others are compared with; give this one another name"
         )
-    return {OWN_BEAT: Scenario(description="the heart's own beat"), **scenarios}
+    return {INTRINSIC: Scenario(description="the intrinsic beat"), **scenarios}
 
 
 def predict(
@@ -57,7 +57,7 @@ def predict(
     progress: Progress | Lines | None = "lines",
     networks: Sequence[Network] | None = None,
 ) -> dict[str, Predicted]:
-    """Simulate the own beat and scenarios in every network of a study.
+    """Simulate the intrinsic beat and scenarios in every network of a study.
 
     The trees stay as they were learnt, and all else of a network that a scenario does not change.
 
@@ -75,7 +75,7 @@ def predict(
     Returns
     -------
     dict of name to Predicted
-        The own beat first, then the scenarios in their order.
+        The intrinsic beat first, then the scenarios in their order.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def predict(
     with shown_progress(progress) as shown:
         fitted = as_study(fitted, shown)
     check_population(fitted)
-    wanted = with_own_beat(as_scenarios(scenarios))
+    wanted = with_intrinsic_beat(as_scenarios(scenarios))
     if networks is not None:
         check_items(networks, Network, "networks", "those that the study's 'networks()' gives")
         if len(networks) != len(fitted.population):

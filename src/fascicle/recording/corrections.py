@@ -114,7 +114,7 @@ def _order(names: Sequence[str], first: str, second: str) -> list[int]:
 def _changed(
     recording: Recording, signal: Floats, kept: Sequence[str], what: str, how: str
 ) -> Recording:
-    """Recording with a new signal, its computed leads computed anew, and a note."""
+    """Recording with a new signal, its computed leads computed again, and a note."""
     signal, derived = derive_limb_leads(signal, kept)
     before = recording.provenance.get(what)
     note = {what: how if before is None else f"{before}, {how}"}

@@ -147,7 +147,7 @@ def _beats(slope: Floats, leads: Floats, rate: float) -> Integers:
     found = find_peaks(np.pad(merged, 1), distance=REFRACTORY * rate)[0] - 1
     usual = float(_usual_height(merged, rate)) / 2
     beats = _high(merged, found, usual)
-    # T waves among the beats lower the threshold, so it settles anew without them.
+    # T waves among the beats lower the threshold, so it settles again without them.
     return _high(merged, np.setdiff1d(found, t_waves(beats, leads, rate)), usual)
 
 

@@ -166,7 +166,7 @@ def _taper(peak: int, size: int, sampling_rate: float) -> Floats:
 
 
 def _levels(frequency: Floats, energy: Floats, sampling_rate: float) -> tuple[Floats, Floats]:
-    """Middle (Hz) and level (dB) of bands, without those that mains hum may be in."""
+    """Middle (Hz) and level (dB) of bands, without those that power-line interference may be in."""
     starts = np.arange(FITTED_FROM, FITTED_TO * sampling_rate - BAND, BAND)
     middles = starts + BAND / 2
     lines = np.outer(MAINS_LINES, np.arange(1, HARMONICS + 1)).ravel()

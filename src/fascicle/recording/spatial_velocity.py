@@ -114,7 +114,7 @@ def quiet_spatial_velocity(leads: Floats, step: float, smoothing: float) -> Spat
 
 
 def without_hum(leads: Floats, first: int, last: int, step: float) -> Floats:
-    """Leads (k, n) less the mains hum of those in which it is most of what is fast at rest."""
+    """Leads (k, n) without power-line interference where it is most of what is fast at rest."""
     time = step * np.arange(leads.shape[1])
     rest = np.flatnonzero((time < step * first - FROM_CORE) | (time > step * last + FROM_CORE))
     if len(rest) * step < HUM_PERIODS * 1000.0 / min(MAINS):

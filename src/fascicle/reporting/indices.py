@@ -52,7 +52,7 @@ def index_figure(indices: Mapping[str, Mapping[str, Floats]]) -> Figure:
 
 
 def _draw(axes: Axes, values: Sequence[Floats]) -> None:
-    """Values of each scenario, (n,), from the top down; the first, the own beat, in grey."""
+    """Values of each scenario, (n,), from the top down; the first, the intrinsic beat, in grey."""
     for row, of_networks in enumerate(values):
         colour = style.GREY if row == 0 else style.VERMILION
         for share, width in ((MOST, THIN), (HALF, THICK)):

@@ -22,7 +22,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
+from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
 from fascicle.reporting.figures import FORMATS, save
 from fascicle.reporting.indices import index_figure
 from fascicle.reporting.scenario import (
@@ -49,7 +49,7 @@ def write_prediction(
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``,
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
     (of the networks with the least, median and largest total activation time; mean, standard
-    deviation, and how probably each vertex is among the latest fifth), ``activation.png`` and
+    deviation, and how probably each vertex is in the latest-activated 20 %), ``activation.png`` and
     ``activation-spread.png``.
 
     Parameters
@@ -66,7 +66,7 @@ def write_prediction(
         Called after each scenario.
     """
     report = stage_progress(progress, "pictures")
-    heart, own, caution = fitted.problem.model.heart, predicted[OWN_BEAT], caution_text(fitted)
+    heart, own, caution = fitted.problem.model.heart, predicted[INTRINSIC], caution_text(fitted)
     with atomic_folder(out, disposable=_pictures(predicted)) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
         said = {"verdict": fitted.verdict, "caution": caution}
@@ -83,8 +83,8 @@ def write_prediction(
 
 
 def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> dict[str, Figure]:
-    """Figures of a scenario; of all but the own beat beside that, on the same scales."""
-    shown = {each: predicted[each] for each in dict.fromkeys((OWN_BEAT, name))}
+    """Figures of a scenario; of all but the intrinsic beat beside that, on the same scales."""
+    shown = {each: predicted[each] for each in dict.fromkeys((INTRINSIC, name))}
     return {
         "ecg": scenario_ecg_figure(predicted, name),
         "activation": scenario_activation_figure(heart, predicted, name),
@@ -113,7 +113,7 @@ def index_table(predicted: Mapping[str, Predicted]) -> str:
 
 
 def _summary(found: Predicted, own: Predicted) -> dict[str, Any]:
-    """Percentiles of each index, and of what each network gains against its own beat."""
+    """Percentiles of each index, and of what each network gains against its intrinsic beat."""
     content: dict[str, Any] = {
         "description": found.scenario.description,
         "reference": found.scenario.reference,

@@ -1,4 +1,4 @@
-"""What a scenario does in the networks, drawn: its ECG over the own beat's, and its activation."""
+"""Figures of a scenario: its ECG over that of the intrinsic beat, and its activation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_text
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.scenarios import OWN_BEAT, qrs_aligned
+from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
 from fascicle.reporting import style
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.fitted_text import shortened
@@ -29,12 +29,12 @@ ROW_NAME = 22  # characters of a line beside a row
 
 
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
-    """Draw the ECG of a scenario over that of the own beat: means, and what 90 % span.
+    """Draw the ECG of a scenario over that of the intrinsic beat: means, and what 90 % span.
 
     Parameters
     ----------
     predicted : mapping of name to Predicted
-        The own beat among them.
+        The intrinsic beat among them.
     name : str
         The scenario.
 
@@ -46,7 +46,7 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
     own, found = _with_own(predicted, name)
     shown = [own] if found is own else [own, found]
     time, ecgs = qrs_aligned(*shown)
-    called = (OWN_BEAT, shortened(name, style.LABEL_SIZE, LEGEND_ROOM))
+    called = (INTRINSIC, shortened(name, style.LABEL_SIZE, LEGEND_ROOM))
     groups = [
         EcgGroup(label, "network", time, leads, colour, BAND)
         for label, leads, colour in zip(called, ecgs, (style.GREY, style.VERMILION), strict=False)
@@ -64,7 +64,7 @@ def scenario_activation_figure(
     heart : Heart
         That of the study.
     predicted : mapping of name to Predicted
-        The own beat among them, whose median network stands above, in the same colours.
+        The intrinsic beat among them, whose median network stands above, in the same colours.
     name : str
         The scenario.
 
@@ -76,7 +76,7 @@ def scenario_activation_figure(
     own, found = _with_own(predicted, name)
     rows = [_row(found, which, k) for which, k in found.extremes().items()]
     if found is not own:
-        rows.insert(0, _row(own, f"{OWN_BEAT}: median", own.extremes()["median"]))
+        rows.insert(0, _row(own, f"{INTRINSIC}: median", own.extremes()["median"]))
     return activation_figure(heart, rows, SINCE_FIRST)
 
 
@@ -98,13 +98,13 @@ def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
 
 
 def _with_own(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:
-    """The own beat and a scenario."""
+    """The intrinsic beat and a scenario."""
     check_text(name, "name of a scenario")
     if name not in predicted:
         raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")
-    if OWN_BEAT not in predicted:
-        raise InputError(f"'{OWN_BEAT}' is not among the predictions; fascicle.predict makes it")
-    return predicted[OWN_BEAT], predicted[name]
+    if INTRINSIC not in predicted:
+        raise InputError(f"'{INTRINSIC}' is not among the predictions; fascicle.predict makes it")
+    return predicted[INTRINSIC], predicted[name]
 
 
 def _row(found: Predicted, label: str, number: int) -> ActivationRow:

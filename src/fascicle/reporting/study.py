@@ -77,7 +77,7 @@ def drawings(
     networks : sequence of Network
         Its population, simulated.
     predicted : mapping of name to Predicted, optional
-        Scenarios over it, the own beat first.
+        Scenarios over it, the intrinsic beat first.
     """
     check_population(fitted)
     problem, population = fitted.problem, fitted.population

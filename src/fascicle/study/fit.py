@@ -333,7 +333,7 @@ def load_study(
     for name, unchanged in ((HEART, heart.digest == study.config.heart), ("target.nc", same)):
         if not unchanged:
             raise InputError(
-                f"{folder / name}: not the one that was fitted; put the original back, or fit anew"
+                f"{folder / name}: not the one that was fitted; put the original back, or fit again"
             )
     if set(population.best) != set(study.config.parameter_space.names):
         raise InputError(

@@ -325,7 +325,7 @@ def _read(folder: Path) -> StudyConfig:
     if found != FORMAT:
         raise InputError(
             f"{path}: a study of format {found}, made by another version of fascicle, with which "
-            f"losses cannot be compared (this one has format {FORMAT}); fit it anew: {remedy}"
+            f"losses cannot be compared (this one has format {FORMAT}); fit it again: {remedy}"
         )
     try:
         return StudyConfig.model_validate_json(text)

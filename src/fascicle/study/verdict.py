@@ -17,7 +17,7 @@ from fascicle.study.predictive import Checks
 MOST_LEFT = 0.35  # of the signal (root mean square): an eighth of its energy is not the model's
 LEAST_EXPLAINED = 1 - MOST_LEFT**2  # of its energy
 DETERMINED = 0.5  # share of a prior's variance; below it, the ECG determines the parameter
-TRADED = 0.7  # rank correlation beyond which two parameters stand for one another
+TRADED = 0.7  # rank correlation beyond which two parameters are strongly correlated
 INTERVAL = (5, 95)  # percentiles
 
 
@@ -184,7 +184,7 @@ def prediction_statement(values: Floats, prior: Floats) -> str:
 
 
 def trade_offs(posterior: Posterior) -> list[tuple[str, str, float]]:
-    """Pairs of parameters that stand for one another, with their rank correlation."""
+    """Pairs of parameters that are strongly correlated, with their rank correlation."""
     from scipy.stats import spearmanr
 
     names: Sequence[str] = list(posterior.values)

@@ -46,7 +46,7 @@ def signed_distance(points: Floats, surface: Surface) -> Floats:
 
 
 def remeshed(surface: Surface, edge: float) -> Surface:
-    """Triangulate a closed surface anew, with edges of about this length (mm)."""
+    """Triangulate a closed surface again, with edges of about this length (mm)."""
     alike = np.zeros(len(surface.triangles), dtype=np.int64)
     vertices, triangles, _ = remeshed_triangles(
         *surface, alike, hsiz=edge, hausd=REMESHING_ERROR * edge, angle=0

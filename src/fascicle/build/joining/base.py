@@ -89,7 +89,7 @@ def fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
     """Fit a given base to the boundary loops of the parts around it, which stay where they are.
 
     Where all boundary vertices coincide, nothing changes. Otherwise the vertices within the base
-    and those of the loops are triangulated anew in the plane that fits the loops best, and near
+    and those of the loops are triangulated again in the plane that fits the loops best, and near
     the loops the base rises or sinks to their height.
 
     Parameters

@@ -79,7 +79,7 @@ class Network(NamedTuple):
     roots : (float, float)
         When they fire (ms); not before 0.
     cv : float
-        Speed in the trees (mm/ms).
+        Purkinje conduction velocity (mm/ms).
     orthodromic, antidromic : float
         Delays of the junctions (ms).
     tissue_speed : float

@@ -242,7 +242,7 @@ def solve(
     root_times : sequence of float
         When each root fires (ms); inf for a root that never does.
     cv : float
-        Speed in the trees (mm/ms).
+        Purkinje conduction velocity (mm/ms).
     stimuli : sequence of float
         When each stimulus in the myocardium fires (ms).
     node_times : sequence of (tree, node, time)
@@ -254,7 +254,7 @@ def solve(
     tissue_speed : float
         Factor on all speeds of the myocardium. A heart that conducts c times as fast is one that
         conducts as before while everything else takes c times as long, seen on a clock that runs
-        c times as fast: nothing about it need be prepared anew.
+        c times as fast: nothing about it need be prepared again.
     his : HisBundle, optional
         Joins the roots; without it a front that comes to a root ends there.
     """

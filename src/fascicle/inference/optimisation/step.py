@@ -80,7 +80,7 @@ class Surrogates:
         )
 
     def updated(self, observations: Observations, refit_every: int) -> Surrogates:
-        """Condition on more observations; learn anew where it is time, or a first tree failed."""
+        """Condition on more observations; learn again where it is time, or a first tree failed."""
         first_failure = self.feasibility.gp is None and not observations.feasible.all()
         if first_failure or len(observations) - self.learnt_from >= refit_every:
             return Surrogates.learn(observations, self)

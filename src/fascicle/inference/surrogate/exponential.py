@@ -245,7 +245,7 @@ class ExponentialGP:
 
     @one_thread
     def extended(self, points: Floats, outputs: Floats) -> ExponentialGP:
-        """Condition on more data: a row of L⁻¹ for each new point, instead of all rows anew.
+        """Condition on more data: a row of L⁻¹ for each new point, instead of all rows again.
 
         Parameters
         ----------

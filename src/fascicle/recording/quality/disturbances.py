@@ -25,7 +25,7 @@ LOST = 0.3  # mV; standard deviation at which the QRS drowns
 TO_STANDARD_DEVIATION = 1.4826  # times the median absolute deviation, for a normal distribution
 ENOUGH = 200_000  # samples that give the median
 
-HUM = Check("mains hum", "uV", 25.0)  # amplitude, a quarter of a millimetre on paper
+HUM = Check("power-line interference", "uV", 25.0)  # amplitude, a quarter of a millimetre on paper
 HARMONICS = (1, 2, 3)
 SEGMENT = 4.0  # s
 LINE_WIDTH = 0.75  # Hz each side, which allows for mains that are not quite on their frequency

@@ -10,7 +10,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.scenarios import OWN_BEAT
+from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.reporting.names import index_name, parameter_name
 from fascicle.study.caution import Caution, caution
 from fascicle.study.fitted import FittedStudy
@@ -46,7 +46,7 @@ class Answers:
     determined, undetermined : list of Statement
         What the ECG says of the parameters, and of which it says little.
     traded : list of str
-        Parameters that stand for one another.
+        Parameters that are strongly correlated.
     predicted : list of str
         A sentence for each scenario.
     """
@@ -63,7 +63,7 @@ class Answers:
 
 
 def answers(
-    fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str = OWN_BEAT
+    fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str = INTRINSIC
 ) -> Answers:
     """Put a study and its predictions into words.
 
@@ -72,9 +72,9 @@ def answers(
     fitted : FittedStudy
         The study.
     predicted : mapping of name to Predicted
-        Scenarios over its networks, the own beat among them.
+        Scenarios over its networks, the intrinsic beat among them.
     against : str
-        That of them which the others are compared with, if not the own beat.
+        That of them which the others are compared with, if not the intrinsic beat.
     """
     population, converged = fitted.population, False
     known: list[Statement] = []
@@ -84,7 +84,7 @@ def answers(
         if converged:
             known = statements(population, fitted.problem.space)
             traded = [
-                f"{parameter_name(a)} and {parameter_name(b)} stand for one another (rank "
+                f"{parameter_name(a)} and {parameter_name(b)} are strongly correlated (rank "
                 f"correlation {r:.2f})"
                 for a, b, r in trade_offs(population)
             ]
@@ -143,12 +143,12 @@ def _prediction(
 ) -> str:
     """QRS durations and total activation time of a scenario, and what it gains."""
     found, other = predicted[name], predicted[against]
-    beat = "the own beat" if against == OWN_BEAT else against
+    beat = "the intrinsic beat" if against == INTRINSIC else against
     said = ("global_qrs_duration", "qrs_duration", "total_activation_time")
     sentence = ", ".join(f"{index_name(one)} {_interval(found.indices[one])} ms" for one in said)
     if warned is not None:
         sentence = f"{warned.brief}: {sentence}"
-    if name in (against, OWN_BEAT):
+    if name in (against, INTRINSIC):
         return f"{sentence}."
     if undone := missing_blocks(name, predicted, against):
         sentence = f"{sentence}. Take care: {undone}"

@@ -9,7 +9,7 @@ from fascicle.core.parameters import Parameter, free
 from fascicle.core.quantities import SIDES, USUAL_FASCICLES, fascicles
 from fascicle.forward.scenario_files import name_in_library
 from fascicle.prediction.predicted import Predicted
-from fascicle.prediction.scenarios import OWN_BEAT
+from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.recording.target import Target
 from fascicle.reporting.page.inputs import settings
 from fascicle.study.fit import HEART
@@ -47,7 +47,7 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
     fitted : FittedStudy
         The study.
     predicted : mapping of name to Predicted
-        What its report predicts, the own beat among them.
+        What its report predicts, the intrinsic beat among them.
     against : str
         That of them which the others are compared with.
     """
@@ -86,10 +86,10 @@ def report_words(
     """Words of the command that makes the page, with files of scenarios where they were."""
     words = ["fascicle", "report", str(fitted.folder)]
     for name, found in predicted.items():
-        if name != OWN_BEAT:
+        if name != INTRINSIC:
             own_file = None if name_in_library(found.scenario) else found.scenario.source
             words += ["--scenario", own_file or name]
-    return words if against == OWN_BEAT else [*words, "--against", against]
+    return words if against == INTRINSIC else [*words, "--against", against]
 
 
 def _values(name: str, text: str | None) -> list[str]:

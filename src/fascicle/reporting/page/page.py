@@ -24,11 +24,11 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.segments import SEGMENTS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import (
-    OWN_BEAT,
+    INTRINSIC,
     as_scenarios,
     check_population,
     predict,
-    with_own_beat,
+    with_intrinsic_beat,
 )
 from fascicle.reporting.indices import SHOWN
 from fascicle.reporting.names import MEASURES, index_label, parameter_name
@@ -106,7 +106,7 @@ def report(
     out: Path | str | None = None,
     progress: Progress | Lines | None = "lines",
     figures: Sequence[str] = (),
-    against: str = OWN_BEAT,
+    against: str = INTRINSIC,
 ) -> list[Path]:
     """Write a study and what scenarios do in its networks as one HTML file.
 
@@ -115,7 +115,7 @@ def report(
     fitted : FittedStudy or path
         The study, or its folder.
     scenarios : mapping of name to Scenario, or one or several of str or Path
-        What to predict, as `fascicle.predict` takes it; the own beat is always among them.
+        What to predict, as `fascicle.predict` takes it; the intrinsic beat is always among them.
     out : Path or str, optional
         File to write; ``report.html`` in the study.
     progress : Progress, "lines" or None
@@ -124,7 +124,7 @@ def report(
         Also write the figures, as ``"png"``, ``"svg"`` or ``"pdf"``, into the folder ``figures``
         beside it.
     against : str
-        The scenario that the others are compared with, if not the own beat.
+        The scenario that the others are compared with, if not the intrinsic beat.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def report(
     fitted = as_study(fitted, progress)
     check_population(fitted)
     check_kinds(figures)
-    scenarios = with_own_beat(as_scenarios(scenarios))
+    scenarios = with_intrinsic_beat(as_scenarios(scenarios))
     check_text(against, "against")
     if against not in scenarios:
         raise InputError(
@@ -161,7 +161,7 @@ def write_report(
     predicted: Mapping[str, Predicted],
     out: Path,
     figures: Sequence[str] = (),
-    against: str = OWN_BEAT,
+    against: str = INTRINSIC,
 ) -> list[Path]:
     """Write the report of what is simulated already.
 
@@ -172,13 +172,13 @@ def write_report(
     networks : sequence of Network
         Its population, simulated.
     predicted : mapping of name to Predicted
-        Scenarios over it, the own beat first.
+        Scenarios over it, the intrinsic beat first.
     out : Path
         File to write.
     figures : sequence of str
         As of `report`, which says what is returned, too.
     against : str
-        The scenario that the others are compared with, if not the own beat.
+        The scenario that the others are compared with, if not the intrinsic beat.
     """
     drawn = drawings(fitted, networks, predicted)
     content = {

@@ -23,7 +23,7 @@ NONE = 65_535
 MAPS = (
     ("activation_mean", "mean of the networks", "ms", "time"),
     ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
-    ("probability_latest_fifth", "probability to be among the latest fifth", "1", "scalar"),
+    ("probability_latest_fifth", "probability to be in the latest-activated 20 %", "1", "scalar"),
 )
 
 

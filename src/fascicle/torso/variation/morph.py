@@ -3,7 +3,7 @@
 A point x of the torso moves by a share w(x) of what the skin moves by, w = d/(d + D) for its
 distances d to the convex hull of heart and blood and D to the skin. The potentials on the moved
 body are those on the unmoved mesh with the conductivity σT, T = |J| J⁻¹J⁻ᵀ with the Jacobian J of
-that map, taken at each tetrahedron's centre: nothing is meshed anew, and flat tetrahedra, which
+that map, taken at each tetrahedron's centre: nothing is meshed again, and flat tetrahedra, which
 moving their corners would turn over, do no harm.
 """
 

@@ -83,10 +83,10 @@ def assert_same(one, other):
 
 def test_nothing_is_simulated_twice_but_the_first_network(study, activated):
     first = predict(study, PACINGS)
-    assert len(activated) == 2 + 2 * 2  # two networks, whose own beats are intrinsic, two pacings
+    assert len(activated) == 2 + 2 * 2  # two networks, each in its intrinsic beat and two pacings
     activated.clear()
     again = predict(study, PACINGS)
-    assert len(activated) == 1 + 2  # the first network in its own beat and in both pacings
+    assert len(activated) == 1 + 2  # the first network in its intrinsic beat and in both pacings
     assert_same(first, again)
     gain = compare(again["his-pacing"], first["intrinsic"], "total_activation_time")
     assert gain.gains.shape == (2,)
@@ -111,7 +111,7 @@ def test_those_of_another_population_are_not_taken_and_are_removed(study, activa
     assert not np.array_equal(
         before["intrinsic"].beats[0].activation, after["intrinsic"].beats[0].activation
     )
-    assert len(list((study.folder / FOLDER).iterdir())) == 2  # the own beat and the pacing
+    assert len(list((study.folder / FOLDER).iterdir())) == 2  # the intrinsic beat and the pacing
 
 
 def test_other_gains_are_another_population(study):
