@@ -1,0 +1,127 @@
+"""Whether two versions give the same results, to the last bit.
+
+    python -m benchmarks.same_results CHECKOUT [--data FOLDER]
+
+Runs the same commands with the source of this checkout and with that of another: a simulation on
+the packaged heart, targets of recordings, a heart built from a surface, a short fit by both
+methods, and predictions. Every array in the files that they write is compared, of netCDF, VTK, CSV
+and JSON; pictures, texts with paths and times, and databases are not. Exit status 1 if any differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import h5py
+import numpy as np
+import pandas as pd
+import pyvista as pv
+
+HERE = Path(__file__).parents[1]
+RECORDINGS = ("ludb/24", "ludb/119", "ptb-s0010/s0010_re", "dicom/*.dcm", "aecg/*.xml")
+FIT = ("--seed", "1", "--workers", "1")
+
+
+def commands(data: Path) -> Iterator[list[str]]:
+    """Commands in their order; each may read what those before it have written."""
+    yield ["simulate", "default", "--out", "simulation"]
+    yield ["simulate", "default", "--scenario", "his-pacing", "--out", "his"]
+    for number, pattern in enumerate(RECORDINGS):
+        suffix = "" if "*" in pattern else ".hea"
+        for file in sorted((data / "ecg").glob(pattern + suffix)):
+            yield ["target", str(file), "--out", f"target{number}.nc"]
+    surface = next((data / "hearts" / "cobiveco-geo1").glob("*.v*"), None)
+    if surface is not None:
+        yield ["heart", "build", str(surface), "--edge-length", "3", "--out", "heart"]
+    target = "target0.nc"
+    posterior = ["--evaluations", "400", "--bank", "200"]
+    yield ["fit", "default", target, *FIT, *posterior, "--out", "posterior"]
+    paper = ["--method", "paper", "--initial", "30", "--steps", "10", "--samples", "3"]
+    yield ["fit", "default", target, *FIT, *paper, "--draws", "20000", "--out", "paper"]
+    yield ["predict", "posterior", "--scenario", "left-bundle-pacing", "--out", "prediction"]
+
+
+def run(checkout: Path, folder: Path, data: Path) -> list[int]:
+    """Run all commands in a folder, with the source of a checkout; their exit statuses."""
+    environment = os.environ | {"PYTHONPATH": str(checkout / "src")}
+    statuses = []
+    for command in commands(data):
+        call = [sys.executable, "-m", "fascicle.cli", *command]
+        done = subprocess.run(call, cwd=folder, env=environment, capture_output=True, text=True)
+        statuses.append(done.returncode)
+        print(
+            f"{checkout.name}: {' '.join(command[:2])}: exit status {done.returncode}", flush=True
+        )
+        if done.returncode:
+            print(done.stderr.strip()[-400:], flush=True)
+    return statuses
+
+
+def arrays(file: Path) -> Iterator[tuple[str, np.ndarray]]:
+    """Names and values of what a file holds."""
+    if file.suffix == ".nc":
+        with h5py.File(file) as content:
+            found: list[str] = []
+            content.visit(found.append)
+            for name in found:
+                if isinstance(content[name], h5py.Dataset):
+                    yield name, content[name][()]
+    elif file.suffix in {".vtu", ".vtp"}:
+        mesh = pv.read(file)
+        yield "points", np.asarray(mesh.points)
+        for name in mesh.array_names:
+            yield name, np.asarray(mesh[name])
+    elif file.suffix == ".csv":
+        for name, column in pd.read_csv(file, comment="#").items():
+            yield str(name), column.to_numpy()
+
+
+def differences(one: Path, other: Path) -> Iterator[str]:
+    """What two folders do not have in common."""
+    files = {p.relative_to(f) for f in (one, other) for p in f.rglob("*") if p.is_file()}
+    compared = 0
+    for file in sorted(files):
+        if file.suffix not in {".nc", ".vtu", ".vtp", ".csv"}:
+            continue
+        if not (one / file).exists() or not (other / file).exists():
+            yield f"{file}: written by one alone"
+            continue
+        ours, theirs = dict(arrays(one / file)), dict(arrays(other / file))
+        for name in sorted({*ours, *theirs}):
+            compared += 1
+            if name not in ours or name not in theirs:
+                yield f"{file}: {name}: written by one alone"
+            elif ours[name].tobytes() != theirs[name].tobytes() and list(
+                np.ravel(ours[name]).astype(str)
+            ) != list(np.ravel(theirs[name]).astype(str)):
+                yield f"{file}: {name}: other values"
+    print(f"{compared} arrays in {len(files)} files compared")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("checkout", type=Path, help="the other version")
+    default = os.environ.get("FASCICLE_TEST_DATA", str(HERE / "../shared/data"))
+    parser.add_argument("--data", type=Path, default=Path(default), help="recordings and hearts")
+    given = parser.parse_args()
+    if not (given.checkout / "src" / "fascicle").is_dir():
+        parser.error(f"{given.checkout}: has no src/fascicle; give a checkout")
+    with TemporaryDirectory() as name:
+        folders = [Path(name, "this"), Path(name, "other")]
+        for folder, checkout in zip(folders, (HERE, given.checkout), strict=True):
+            folder.mkdir()
+            statuses = run(checkout.resolve(), folder, given.data.resolve())
+            (folder / "statuses.csv").write_text("status\n" + "\n".join(map(str, statuses)))
+        found = [*differences(*folders)]
+    print("\n".join(found) or "no difference")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
