@@ -14,9 +14,7 @@ SPELLINGS = {
         "I", "i", " I ", "DI", "D1", "D-I", "L1", "LI", "L I", "Lead I", "lead_I", "LeadI",
         "I lead", "I-lead", "Lead: I", "lead 1",
         "ECG I", "EKG I", "ECG1 I", "ECG-I", "ECG - I", "ECG_Lead_I",
-        "MDC_ECG_LEAD_I", "Ableitung I", "Abl. I", "Derivación I", "Derivacio\u0301n I",
-        "derivação DI", "dérivation D1", "Einthoven I", "Lead I (Einthoven)", "Ⅰ", "Lead Ⅰ",
-        "отведение I", "I отведение", "I отв.", "I导联", "誘導I",
+        "MDC_ECG_LEAD_I", "Einthoven I", "Lead I (Einthoven)", "Ⅰ", "Lead Ⅰ",
     ],
     "II": ["II", "ii", "DII", "d2", "Lead 2", "Ⅱ", "ⅱ", "Dıı", "MDC_ECG_LEAD_II", "ECG II"],
     "III": ["III", "DIII", "D3", "L3", "LIII", "Lead III", "Ⅲ", "iii"],
@@ -68,8 +66,8 @@ def test_a_name_is_a_standard_one_and_is_its_own_name(text):
 
 
 def test_names_made_to_be_slow_are_no_leads():
-    assert lead_name("abl.." * 1000) is None
-    assert lead_name("abl.." * 12) is None
+    assert lead_name("lead " * 1000) is None
+    assert lead_name("lead " * 12) is None
 
 
 def test_codes():

@@ -7,25 +7,19 @@ import unicodedata
 
 from fascicle.core.leads import LEADS
 
-# What may stand before or behind the name proper: the word for "lead" in some languages (without
-# accents), what ISO/IEEE 11073 and EDF+ put before, and who introduced the lead.
-_LEAD_WORD = (
-    r"(?:lead|ableitung|abl\.?|derivation|derivacion|derivacao|derivazione|derivasyon|"
-    r"odprowadzenie|afleiding|avledning|отведение|отв\.?|导联|導聯|誘導)"
-)
-_WORD = rf"(?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|{_LEAD_WORD})"
+# What may stand before the name proper: what ISO/IEEE 11073 and EDF+ put there, and who introduced
+# the lead.
+_WORD = "(?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|lead)"
 # A hyphen joins words only where nothing is beside it, or blanks on both sides: "ECG -aVR" is the
 # inverted lead.
-_BEFORE = rf"(?:(?:{_WORD}(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])|{_LEAD_WORD}))*"
-_BEHIND = rf"(?:[ _-]?{_LEAD_WORD})?"
+_BEFORE = rf"(?:(?:{_WORD}(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])|lead))*"
+_BEHIND = r"(?:[ _-]?lead)?"
 _REMARK = (
     r"(?: ?[(\[](?:einthoven|goldberger|wilson|unipolar|bipolar|limb|chest|precordial|augmented|"
     r"standard)[)\]])?"
 )
 _ROMAN = re.compile(rf"{_BEFORE}(?:l[ _]?|d[ _-]?)?(?P<name>i{{1,3}}){_BEHIND}{_REMARK}")
-_ARABIC = re.compile(
-    rf"{_BEFORE}(?:{_LEAD_WORD}[ _-]?|l[ _]?|d[ _-]?)(?P<name>[123]){_BEHIND}{_REMARK}"
-)
+_ARABIC = re.compile(rf"{_BEFORE}(?:lead[ _-]?|l[ _]?|d[ _-]?)(?P<name>[123]){_BEHIND}{_REMARK}")
 _AUGMENTED = re.compile(rf"{_BEFORE}a[ _-]?v[ _-]?(?P<name>[rlf]){_BEHIND}{_REMARK}")
 _CHEST = re.compile(rf"{_BEFORE}[vc][ _-]?0?(?P<name>[1-6]){_BEHIND}{_REMARK}")
 
@@ -46,7 +40,7 @@ def lead_name(text: str) -> str | None:
     """Return the name in `fascicle.core.leads.LEADS` of a text without unit, None for others.
 
     Understands ``aVR``, ``AVR``, ``a VR``, ``Lead I``, ``I lead``, ``DII``, ``L1``, ``v1``,
-    ``V01``, ``C1``, ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Ableitung I``, ``Lead I (Einthoven)`` and
+    ``V01``, ``C1``, ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Lead I (Einthoven)`` and
     Roman numerals of their own code points. Not leads of the twelve: an inverted ``-aVR``, the
     unaugmented ``VR``, ``MLII`` of ambulatory recorders, ``V7``, ``V4R``, Frank's X, Y and Z, and a
     ``II rhythm``, which repeats a lead.
