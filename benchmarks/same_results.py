@@ -35,7 +35,9 @@ def commands(data: Path) -> Iterator[list[str]]:
     for number, pattern in enumerate(RECORDINGS):
         suffix = "" if "*" in pattern else ".hea"
         for file in sorted((data / "ecg").glob(pattern + suffix)):
-            yield ["target", str(file), "--out", f"target{number}.nc"]
+            # the gains per lead of LUDB are wrong
+            gain = ["--shared-gain"] if file.parent.name == "ludb" else []
+            yield ["target", str(file), *gain, "--out", f"target{number}.nc"]
     surface = next((data / "hearts" / "cobiveco-geo1").glob("*.v*"), None)
     if surface is not None:
         yield ["heart", "build", str(surface), "--edge-length", "3", "--out", "heart"]
