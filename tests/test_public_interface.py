@@ -130,6 +130,7 @@ def right(study, predicted, recording, default_heart, default_model):
         "analyse": (fascicle.analyse, {"recording": recording}),
         "make_target": (fascicle.make_target, {"recording": recording}),
         "read_recording": (fascicle.read_recording, {"path": demo_recording()}),
+        "read_action_potential": (fascicle.read_action_potential, {"path": "u.csv"}),
         "read_target": (fascicle.read_target, {"path": study.folder / "target.nc"}),
         "report": (fascicle.report, dict(fitted)),
         "make_bank": (fascicle.make_bank, {"heart": default_heart}),
@@ -163,7 +164,7 @@ FUNCTIONS = [
     "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
     "read_recording", "read_target", "report", "make_bank", "Cluster", "ExecutorPool", "fit",
     "load_study", "GpuPool", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
-    "plot.activation_spread",
+    "plot.activation_spread", "read_action_potential",
     "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",
 ]  # fmt: skip
 

@@ -109,6 +109,27 @@ class TestOutputs:
         assert (inputs["cv"], inputs["root_time"]) == (3.5, 0.0)
         assert pv.read(out / "lv_tree.vtu")["activation"].min() == 0
 
+    def test_action_potential_of_ones_own(self, small_heart, parameters, simulated, outside, run):
+        """Half the built-in one: half the ECG, and the summary says which it was."""
+        from fascicle.forward.cable.template import default_template
+
+        times = np.linspace(-4.0, 60.0, 12801)
+        table = outside.parent / "u.csv"
+        rows = np.column_stack([times, default_template()(times) / 2])
+        np.savetxt(table, rows, "%.9g", ",", header="time_ms,potential_mV", comments="")
+        arguments = ["--params", parameters(), "--action-potential", table]
+        assert run("simulate", small_heart, *arguments, "--out", outside / "half").status == 0
+        (_, whole), (_, half) = read_ecg(simulated), read_ecg(outside / "half")
+        np.testing.assert_allclose(half[:, 1:], whole[:, 1:] / 2, atol=5e-6)
+        for folder, name in ((simulated, "built-in"), (outside / "half", str(table))):
+            inputs = json.loads((folder / "summary.json").read_text())["inputs"]
+            assert inputs["action_potential"].startswith(name)
+
+    def test_another_table_than_an_action_potential(self, simulate_refused, tmp_path):
+        table = tmp_path / "u.csv"
+        table.write_text("time_ms,potential_mV\n0,-85\n1,20\n")
+        simulate_refused(["--action-potential", table], table, "2 samples; give 10 or more")
+
     def test_packaged_heart_without_parameters(self, outside, run):
         ended = run("simulate", "default", "--out", outside / "sim")
         assert (ended.status, ended.err) == (0, "")

@@ -107,6 +107,14 @@ def simulate(
             "slow segments, junction delays, scar, more trees (docs/files.md)."
         ),
     ] = None,
+    action_potential: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TABLE",
+            help="CSV table time_ms,potential_mV of the action potential, 0 ms at the upstroke, "
+            "in place of ten Tusscher and Panfilov's (docs/extending.md).",
+        ),
+    ] = None,
     kind: FormatOption = "png",
 ) -> Result:
     """Run the forward model: activation map, trees, ECG, and what fired what.
@@ -129,6 +137,7 @@ def simulate(
     ```
     """
     from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.forward.cable.table import read_action_potential
     from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
     from fascicle.forward.scenario_files import find_scenario, read_scenario
@@ -139,16 +148,20 @@ def simulate(
 
     overrides = fixed_values(fix, cv=cv, root_time=root_time)
     case, regions = read_scenario(find_scenario(scenario)) if scenario is not None else (None, ())
+    template = read_action_potential(action_potential) if action_potential is not None else None
     loaded = load_heart(heart)
     with TerminalProgress() as progress:
 
         def make_model() -> ForwardModel:
             compile_kernels(progress)
-            return ForwardModel(loaded, Conduction.of(loaded, regions), progress=progress)
+            conduction = Conduction.of(loaded, regions)
+            return ForwardModel(loaded, conduction, action_potential=template, progress=progress)
 
         simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
     if scenario is not None:
         inputs["scenario"] = str(scenario)
+    built_in = "built-in (ten Tusscher-Panfilov)"
+    inputs["action_potential"] = str(action_potential) if template is not None else built_in
     summary = write_simulation(loaded, simulation, out, inputs)
     zero = "firing of the first root" if case is None else "time 0 of the scenario"
     pictures = draw_simulation(loaded, simulation, out, kind, zero)

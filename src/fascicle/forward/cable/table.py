@@ -1,0 +1,134 @@
+"""An action potential of your own, from a table."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError, one_line, printable
+from fascicle.core.files import as_path, check_file
+
+COLUMNS = ["time_ms", "potential_mV"]
+FEWEST = 10  # samples
+LONGEST = 2000.0  # ms before or after the upstroke; the ECG ends as long after the last activation
+HIGHEST = 200.0  # mV, either sign: more is a table in µV
+LEAST_RISE = 1.0  # mV: less is a table in V, or one without an upstroke
+LATEST_UPSTROKE = 5.0  # ms from time 0; further off, the ECG would be late by as much
+REMEDY = "give a CSV file with the header time_ms,potential_mV and two numbers in every row"
+
+
+@dataclass(frozen=True, eq=False)
+class TabulatedPotential:
+    """A template U, linear between the samples of a table; an `ActionPotential`.
+
+    Attributes
+    ----------
+    times : (n,) array
+        Of the samples (ms since activation), increasing.
+    potentials : (n,) array
+        Transmembrane potential at these (mV).
+    """
+
+    times: Floats
+    potentials: Floats
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """See `ActionPotential`."""
+        return float(self.times[0]), float(self.times[-1])
+
+    def __call__(self, time: Floats) -> Floats:
+        """See `ActionPotential`; constant before and after the table."""
+        return np.asarray(np.interp(time, self.times, self.potentials))
+
+
+def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
+    """Read the action potential U(t) of the ECG from a table, for `ForwardModel`.
+
+    Between samples U is linear, outside the table constant. The ECG is that of a QRS if the table
+    ends in the plateau: with repolarisation it gets a T wave of all cells alike, opposite to the
+    QRS.
+
+    Parameters
+    ----------
+    path : path
+        CSV file with the columns ``time_ms`` (ms since activation, increasing; the upstroke is
+        within 5 ms of 0) and ``potential_mV`` (mV), of 10 samples at least.
+
+    Returns
+    -------
+    TabulatedPotential
+        U (mV) as a function of the time since activation (ms).
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds something else.
+    """
+    import pandas as pd  # takes long, and only a table needs it
+
+    file = as_path(path, "action potential", "the path of a CSV file")
+    check_file(file, (".csv",), "action potential")
+    try:
+        with warnings.catch_warnings():
+            # cells beyond those of the header are not dropped
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            # as text: pandas crashes at numbers such as 1e4000000000000001 (its issue 63089)
+            frame = pd.read_csv(
+                file, dtype=str, keep_default_na=False, index_col=False, encoding="utf-8-sig"
+            )
+    except (OSError, ValueError, pd.errors.ParserWarning) as error:
+        raise InputError(f"{file}: not a readable table ({one_line(error)}); {REMEDY}") from error
+    header = [str(name).strip() for name in frame.columns]
+    if header != COLUMNS:
+        raise InputError(f"{file}: its header is '{','.join(header)[:60]}'; {REMEDY}")
+    times, potentials = (_numbers(f"{file}: {n}", frame.iloc[:, k]) for k, n in enumerate(COLUMNS))
+    _check(str(file), times, potentials)
+    return TabulatedPotential(times, potentials)
+
+
+def _numbers(what: str, cells: object) -> Floats:
+    """Cells as finite numbers."""
+    values = []
+    for row, cell in enumerate(np.asarray(cells, dtype=object), start=1):
+        try:
+            values.append(float(cell))
+        except (TypeError, ValueError):  # a short row has no text
+            values.append(np.nan)
+        if not np.isfinite(values[-1]):
+            raise InputError(
+                f"{what} is '{printable(str(cell))[:40]}' in row {row} of samples; give a number"
+            )
+    return np.array(values)
+
+
+def _check(file: str, times: Floats, potentials: Floats) -> None:
+    if len(times) < FEWEST:
+        raise InputError(f"{file}: {len(times)} samples; give {FEWEST} or more")
+    for name, values, limit in zip(COLUMNS, (times, potentials), (LONGEST, HIGHEST), strict=True):
+        furthest = values[np.abs(values).argmax()]
+        if abs(furthest) > limit:
+            raise InputError(f"{file}: {name} reaches {furthest:g}; give -{limit:g} to {limit:g}")
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        before, after = times[back[0]], times[back[0] + 1]
+        raise InputError(
+            f"{file}: time_ms goes from {before:g} to {after:g} ms in row {back[0] + 2} of "
+            "samples; give increasing times"
+        )
+    if np.ptp(potentials) < LEAST_RISE:
+        raise InputError(
+            f"{file}: potential_mV changes by {np.ptp(potentials):g} mV in all; give an action "
+            f"potential in mV, which rises by {LEAST_RISE:g} mV or more"
+        )
+    steepest = int((np.diff(potentials) / np.diff(times)).argmax())
+    upstroke = float(times[steepest : steepest + 2].mean())
+    if abs(upstroke) > LATEST_UPSTROKE:
+        raise InputError(
+            f"{file}: the steepest rise is at {upstroke:g} ms; give times since the upstroke "
+            f"(within {LATEST_UPSTROKE:g} ms of 0)"
+        )
