@@ -66,12 +66,10 @@ def main() -> None:
     if not found["modules"]:
         sys.exit(f"{checkout}: no Python file in src; give a checkout of fascicle")
     for what, aim in AIMS.items():
-        most = (
-            ""
-            if aim is None
-            else f"   at most {aim:,}" + ("" if found[what] <= aim else ": NOT MET")
-        )
-        print(f"{what:30}{found[what]:8,}{most}")
+        line = f"{what:30}{found[what]:8,}"
+        if aim is not None:
+            line += f"   at most {aim:,}{'' if found[what] <= aim else ': NOT MET'}"
+        print(line)
 
 
 if __name__ == "__main__":

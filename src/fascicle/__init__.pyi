@@ -5,7 +5,7 @@ from .core.files import outside_allowed as outside_allowed
 from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
-from .forward.cable.table import read_action_potential as read_action_potential
+from .forward.cable.action_potential_table import read_action_potential as read_action_potential
 from .forward.example import example_parameters as example_parameters
 from .forward.model import ForwardModel as ForwardModel
 from .forward.scenario import His as His

@@ -137,7 +137,7 @@ def simulate(
     ```
     """
     from fascicle.cli.terminal_progress import TerminalProgress
-    from fascicle.forward.cable.table import read_action_potential
+    from fascicle.forward.cable.action_potential_table import read_action_potential
     from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
     from fascicle.forward.scenario_files import find_scenario, read_scenario

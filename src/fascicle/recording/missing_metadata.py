@@ -44,7 +44,7 @@ class MissingMetadataError(InputError):
         super().__init__(message + hint)
 
 
-def unit_unsaid(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
+def missing_unit(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
     """Ask for the unit of leads, each of shape (n,), and guess it from how far they span."""
     known = [lead[np.isfinite(lead)] for lead in leads]
     spans = [float(np.ptp(lead)) for lead in known if lead.size]
@@ -58,7 +58,7 @@ def unit_unsaid(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
     )
 
 
-def rate_unsaid(message: str, samples: int) -> MissingMetadataError:
+def missing_rate(message: str, samples: int) -> MissingMetadataError:
     """Ask for the sampling rate of so many samples, and guess it from how long they usually are."""
     rates = [rate for rate in RATES if samples / rate == USUAL_LENGTH]
     rate = rates[0] if rates else RATES[0] if samples > 2 * RATES[1] else RATES[1]
@@ -66,7 +66,7 @@ def rate_unsaid(message: str, samples: int) -> MissingMetadataError:
     return MissingMetadataError(message, "sampling_rate", rate, why)
 
 
-def time_unit_unsaid(message: str, step: float) -> MissingMetadataError:
+def missing_time_unit(message: str, step: float) -> MissingMetadataError:
     """Ask for the sampling rate where times step by so much in an unknown unit, s or ms."""
     if not 0 < step < math.inf:
         return MissingMetadataError(message, "sampling_rate")
@@ -77,7 +77,7 @@ def time_unit_unsaid(message: str, step: float) -> MissingMetadataError:
     )
 
 
-def noise_unsaid(message: str) -> MissingMetadataError:
+def missing_noise(message: str) -> MissingMetadataError:
     """Ask for the noise of a single beat."""
     why = "beats at rest differ by about as much (mV)"
     return MissingMetadataError(message, "noise", USUAL_NOISE, why)

@@ -16,7 +16,7 @@ from fascicle.recording.analysis import Beat
 from fascicle.recording.beat_selection import FEW_ALIKE
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import Filter
-from fascicle.recording.missing_metadata import noise_unsaid
+from fascicle.recording.missing_metadata import missing_noise
 from fascicle.recording.quality.check_result import CheckResult, Severity
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
 from fascicle.recording.resampling import SAMPLING_STEP
@@ -101,7 +101,7 @@ def _heart_rate(beats: Sequence[Beat]) -> float | None:
 def _check_noise(count: int, label: str, choices: TargetOptions, source: str) -> None:
     """Ask for the noise of a single beat, and only of one."""
     if count == 1 and choices.noise is None:
-        raise noise_unsaid(
+        raise missing_noise(
             f"{source}: a single beat (class {label}) does not show how beats vary; state its "
             "noise by --noise (mV), or give a recording with more beats of one shape"
         )

@@ -243,16 +243,16 @@ class Cluster(Remote):
             "again, and the same command goes on"
         )
 
-    def _model(self, question: Task) -> Any:
+    def _model(self, task: Task) -> Any:
         if not self._same_scheduler:  # a restarted one has no models
             self._connection = self.client.scheduler_comm
             self._known.clear()
             self._models.clear()
-        return super()._model(question)
+        return super()._model(task)
 
-    def _send(self, question: Task) -> str:
+    def _send(self, task: Task) -> str:
         with TemporaryDirectory(prefix="fascicle-") as folder:
-            written = question.model.write(Path(folder), question.bodies)
+            written = task.model.write(Path(folder), task.bodies)
             files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
         return self._hold(files, (written.conduction, written.rules, written.action_potential))
 
@@ -289,5 +289,5 @@ def _job(
 ) -> list[Result]:
     folder, small = _held(model)
     _, portable = _held(rest)
-    question: Task = portable.of(WrittenModel(folder, *small).read())
-    return run_part(question, function, items)
+    task: Task = portable.of(WrittenModel(folder, *small).read())
+    return run_part(task, function, items)

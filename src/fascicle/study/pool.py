@@ -48,20 +48,20 @@ class Task(Protocol):
 
 
 class Pool(ABC):
-    """Runs functions of a question and an item; lives as long as its study."""
+    """Runs functions of a task and an item; lives as long as its study."""
 
     @abstractmethod
     def map(
-        self, function: Callable[[Any, Item], Result], question: Task, items: Sequence[Item]
+        self, function: Callable[[Any, Item], Result], task: Task, items: Sequence[Item]
     ) -> Iterator[Result]:
         """Results in the order of the items, as soon as they are there.
 
         Parameters
         ----------
         function : callable
-            Called with the question and an item; of a module or a partial of such, so that it can
+            Called with the task and an item; of a module or a partial of such, so that it can
             be sent.
-        question : Task
+        task : Task
             The same for all.
         items : sequence
         """
@@ -86,12 +86,12 @@ class Threads(Pool):
         self.workers = workers
 
     def map(
-        self, function: Callable[[Any, Item], Result], question: Any, items: Sequence[Item]
+        self, function: Callable[[Any, Item], Result], task: Any, items: Sequence[Item]
     ) -> Iterator[Result]:
-        """Give results in the order of the items; the question may be anything."""
+        """Give results in the order of the items; the task may be anything."""
         if self.workers == 1 or len(items) == 1:
-            return map(partial(function, question), items)
-        return self._executor.map(partial(function, question), items)
+            return map(partial(function, task), items)
+        return self._executor.map(partial(function, task), items)
 
     @cached_property
     def _executor(self) -> ThreadPoolExecutor:
@@ -137,20 +137,20 @@ class Remote(Pool):
         self._models: list[tuple[ForwardModel, Any]] = []
 
     def map(
-        self, function: Callable[[Any, Item], Result], question: Task, items: Sequence[Item]
+        self, function: Callable[[Any, Item], Result], task: Task, items: Sequence[Item]
     ) -> Iterator[Result]:
         """Give results in the order of the items."""
-        given = self._model(question), self._rest(question.portable())
+        given = self._model(task), self._rest(task.portable())
         futures = [self._submit(*given, function, part) for part in parts(items, self.workers)]
         return self._in_order(futures)
 
-    def _model(self, question: Task) -> Any:
-        """What jobs need to find the question's model, which is sent if it has not been."""
+    def _model(self, task: Task) -> Any:
+        """What jobs need to find the task's model, which is sent if it has not been."""
         for model, sent in self._models:
-            if model is question.model:
+            if model is task.model:
                 return sent
-        sent = self._send(question)
-        self._models.append((question.model, sent))
+        sent = self._send(task)
+        self._models.append((task.model, sent))
         return sent
 
     def _in_order(self, futures: list[Any]) -> Iterator[Any]:
@@ -167,12 +167,12 @@ class Remote(Pool):
             self.cancel(futures)
 
     @abstractmethod
-    def _send(self, question: Task) -> Any:
-        """Send the question's model, and say what jobs need to find it."""
+    def _send(self, task: Task) -> Any:
+        """Send the task's model, and say what jobs need to find it."""
 
     @abstractmethod
     def _rest(self, portable: Any) -> Any:
-        """What jobs need to find the rest of a question."""
+        """What jobs need to find the rest of a task."""
 
     @abstractmethod
     def _submit(self, *job: Any) -> Any:
@@ -208,10 +208,10 @@ class ExecutorPool(Remote):
         self.executor, self.workers = executor, workers
         self._folder = TemporaryDirectory(prefix="fascicle-")
 
-    def _send(self, question: Task) -> WrittenModel:
+    def _send(self, task: Task) -> WrittenModel:
         folder = Path(self._folder.name) / f"{len(self._models)}"
         folder.mkdir()
-        return question.model.write(folder, question.bodies)
+        return task.model.write(folder, task.bodies)
 
     def _rest(self, portable: Any) -> Any:
         return portable
@@ -235,10 +235,10 @@ def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
 
 
 def run_part(
-    question: Task, function: Callable[[Any, Item], Result], items: Sequence[Item]
+    task: Task, function: Callable[[Any, Item], Result], items: Sequence[Item]
 ) -> list[Result]:
     """What a worker does: BLAS takes one thread, since there is a worker for every core."""
-    results: list[Result] = one_thread(lambda: [function(question, item) for item in items])()
+    results: list[Result] = one_thread(lambda: [function(task, item) for item in items])()
     return results
 
 

@@ -189,7 +189,7 @@ def _same(stored: Signals, simulation: Simulation) -> bool:
 
 @dataclass(frozen=True)
 class _Prior:
-    """The networks of a prior, as a question to a pool."""
+    """The networks of a prior, as a task for a pool."""
 
     model: ForwardModel
     space: ParameterSpace

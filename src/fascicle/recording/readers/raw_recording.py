@@ -13,7 +13,7 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
-from fascicle.recording.missing_metadata import unit_unsaid
+from fascicle.recording.missing_metadata import missing_unit
 from fascicle.recording.readers.names import lead_name, millivolts, same_unit
 from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
 
@@ -261,5 +261,5 @@ def _scale(
         )
         if unit is not None:
             raise InputError(message)
-        raise unit_unsaid(message, [each.values for each in leads.values() if each.unit is None])
+        raise missing_unit(message, [each.values for each in leads.values() if each.unit is None])
     return scale

@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, printable
-from fascicle.recording.missing_metadata import rate_unsaid, time_unit_unsaid
+from fascicle.recording.missing_metadata import missing_rate, missing_time_unit
 from fascicle.recording.readers.metadata import declared_rate
 from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
 from fascicle.recording.readers.table_text import Column, Table, lead_or_rhythm, open_table
@@ -60,7 +60,7 @@ def read_table(path: Path, options: ReadOptions) -> RawRecording:
         )
     rate = _agreed_rate(table, options, evidence)
     if rate is None:
-        raise rate_unsaid(
+        raise missing_rate(
             f"{path}: no time column among {table.shown}; add one named time_ms or time_s, or "
             "give the rate in Hz by --sampling-rate",
             values.shape[1],
@@ -186,7 +186,7 @@ def _scale(table: Table, column: Column, times: Floats, options: ReadOptions) ->
         return column.per_second
     rate = _agreed_rate(table, options)
     if rate is None:
-        raise time_unit_unsaid(
+        raise missing_time_unit(
             f"{table.path}: unknown unit of the time column '{printable(column.name)}'; name it "
             "time_ms or time_s, or give the sampling rate in Hz by --sampling-rate",
             _step(times),

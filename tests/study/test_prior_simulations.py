@@ -12,7 +12,7 @@ from fascicle.core.errors import InputError
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.folder import write_heart
 from fascicle.inference.evaluation import Evaluation
-from fascicle.study import bank as tested
+from fascicle.study import prior_simulations as tested
 from fascicle.study.fit import load_study
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import PriorSimulations, make_bank, prior_points

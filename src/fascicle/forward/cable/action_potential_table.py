@@ -1,4 +1,4 @@
-"""An action potential of your own, from a table."""
+"""The action potential of the ECG, read from a table."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.recording.missing_metadata import (
     MissingMetadataError,
     collect_missing,
-    rate_unsaid,
-    time_unit_unsaid,
-    unit_unsaid,
+    missing_rate,
+    missing_time_unit,
+    missing_unit,
 )
 
 
@@ -77,19 +77,19 @@ def test_one_thing_keeps_its_own_message(run, table, tmp_path):
 class TestGuesses:
     def test_no_unit_where_none_is_likely(self):
         for span in (0.0, 1e-12, 1e12, np.nan):
-            assert unit_unsaid("it", [np.array([0.0, span])]).guess is None
+            assert missing_unit("it", [np.array([0.0, span])]).guess is None
 
     @pytest.mark.parametrize(
         ("samples", "rate"), [(5000, 500), (10_000, 1000), (2500, 250), (700, 1000), (60_001, 500)]
     )
     def test_rates(self, samples, rate):
-        error = rate_unsaid("it", samples)
+        error = missing_rate("it", samples)
         assert error.guess == rate
         assert f"{samples / rate:.3g} s" in str(error)
 
     @pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf])
     def test_no_rate_where_times_do_not_run(self, step):
-        assert time_unit_unsaid("it", step).guess is None
+        assert missing_time_unit("it", step).guess is None
 
     def test_nothing_is_tried_without_a_guess(self):
         calls = []
