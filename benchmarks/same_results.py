@@ -40,7 +40,7 @@ def commands(data: Path) -> Iterator[list[str]]:
             gain = ["--shared-gain"] if file.parent.name == "ludb" else []
             yield ["target", str(file), *gain, "--out", f"target{number}.nc"]
     surface = data / "hearts" / "cobiveco-geo1" / "heart.vtp"
-    yield ["heart", "build", str(surface), "--edge-length", "3", "--out", "heart"]
+    yield ["heart", "build", str(surface), "--edge-length", "2", "--out", "heart"]
     target = "target0.nc"
     posterior = ["--evaluations", "400", "--bank", "200"]
     yield ["fit", "default", target, *FIT, *posterior, "--out", "posterior"]
