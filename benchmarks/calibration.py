@@ -145,7 +145,7 @@ def other_physics(heart: str, rng: np.random.Generator) -> tuple[ForwardModel, A
         "anisotropy_ratio": rng.uniform(1.8, 3.5),
         "endocardial_layer": rng.uniform(1.0, 3.0),
         "endocardial_speed": rng.uniform(1.0, 2.0),
-        "orthodromic_delay": rng.uniform(0.0, 3.0),
+        "anterograde_delay": rng.uniform(0.0, 3.0),
         "lv_fascicles": 2 + int(rng.integers(2)),
     }
     space, fixed = study_space("posterior", choices, fine)

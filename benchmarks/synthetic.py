@@ -187,7 +187,7 @@ def experiment(
           f" ({time.process_time() - begin:.0f} s of CPU time)")  # fmt: skip
     fired = ", ".join(
         f"{by.sum()} of {len(by)} ({tree.side.upper()})"
-        for tree, by in zip(true.trees, true.coupled.antidromic, strict=True)
+        for tree, by in zip(true.trees, true.coupled.retrograde, strict=True)
     )
     print(f"  the truth's junctions that fire from the tissue: {fired}")
     for warning in fitted.warnings:

@@ -59,8 +59,8 @@ ALSO = {
     ("Scenario", "source"): {"text", "nul"},
     ("Scenario", "description"): {"none", "text", "nul"},
     ("Scenario", "reference"): {"none", "text", "nul"},
-    ("Scenario", "orthodromic_delay"): {"whole"},
-    ("Scenario", "antidromic_delay"): {"whole"},
+    ("Scenario", "anterograde_delay"): {"whole"},
+    ("Scenario", "retrograde_delay"): {"whole"},
     ("ForwardModel.activate", "root_time"): {"whole", "number", "pair"},
     ("ForwardModel.activate", "cv"): {"whole"},
 }

@@ -393,8 +393,8 @@ def settings_files() -> list[Seed]:
 
 
 SCENARIO = """description = "everything"
-delay.orthodromic = 2.0
-delay.antidromic = inf
+delay.anterograde = 2.0
+delay.retrograde = inf
 
 [his]
 time = 0.0

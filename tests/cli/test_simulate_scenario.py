@@ -78,11 +78,11 @@ class TestOutputs:
         )
         first, second = (json.loads((f / "summary.json").read_text()) for f in (plain, blocked))
         assert (
-            second["trees"]["lv"]["antidromic_junctions"]
-            > (first["trees"]["lv"]["antidromic_junctions"])
+            second["trees"]["lv"]["retrograde_junctions"]
+            > (first["trees"]["lv"]["retrograde_junctions"])
         )
         line = next(line for line in said.splitlines() if line.startswith("lv tree"))
-        assert f"{second['trees']['lv']['antidromic_junctions']} antidromic" in line
+        assert f"{second['trees']['lv']['retrograde_junctions']} retrograde" in line
 
     def test_scar_is_reported(self, simulated, corner):
         out, said = simulated(f"[[region]]\ncentre = {corner}\nradius = 12\nconductivity = 0\n")
@@ -132,7 +132,7 @@ class TestRefusals:
             ("stimuli = 1", ["unknown key 'stimuli'", "known: stimulus"]),
             ('silent = ["septum"]', ["no tree 'septum'; known: lv, rv"]),
             ('silent = ["lv", "rv"]', ["nothing activates the myocardium", "add a stimulus"]),
-            ("[delay]\northodromic = inf", ["nothing activates the myocardium"]),
+            ("[delay]\nanterograde = inf", ["nothing activates the myocardium"]),
             ('[[slowing]]\ntree = "lv"\nspeed = -1', ["slowing 1: 'speed' is -1", "0 (block)"]),
             (
                 '[[slowing]]\ntree = "rv"\npart = "fascicle 9"\nspeed = 0',

@@ -73,7 +73,7 @@ def test_impossible_priors_are_refused(prior, message):
 
 def test_a_logarithm_needs_a_range_above_zero():
     with pytest.raises(InputError, match="above 0"):
-        free("orthodromic_delay", prior="log-uniform")
+        free("anterograde_delay", prior="log-uniform")
 
 
 def test_counts_cannot_be_learnt():

@@ -114,7 +114,7 @@ def test_fascicles_are_counted_and_complete():
     [
         ({"lv_fascicles": 2}, "the names of the others say it"),
         ({"alpha": 0.1, "fibre_speed": 0.6}, "say the same"),
-        ({"orthodromic_delay": -1}, "is -1 ms"),
+        ({"anterograde_delay": -1}, "is -1 ms"),
         ({"generations": 2.5}, "whole number"),
         ({"gain": math.inf}, "is inf"),
         ({"cv": 1e-9}, "is 1e-09 mm/ms; give 0.1 to 20"),
@@ -126,7 +126,7 @@ def test_impossible_networks_are_refused(more, message):
 
 
 def test_a_blocked_junction_is_possible():
-    assert complete(EXAMPLE_PARAMETERS | {"antidromic_delay": math.inf})["antidromic_delay"] > 1e9
+    assert complete(EXAMPLE_PARAMETERS | {"retrograde_delay": math.inf})["retrograde_delay"] > 1e9
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ ENTRIES = {
     "his time": (lambda x: His(time=x), True),
     "his root time": (lambda x: His(root_time=x), False),
     "his branch": (lambda x: His(left=x), False),
-    "orthodromic delay": (lambda x: Scenario(orthodromic_delay=x), True),
+    "anterograde delay": (lambda x: Scenario(anterograde_delay=x), True),
     "region conductivity": (lambda x: Region(x, 1), False),
     "region centre": (lambda x: Region(0.5, centre=(0.0, x, 0.0), radius=1.0), False),
     "region radius": (lambda x: Region(0.5, centre=PLACE, radius=x), False),

@@ -67,18 +67,18 @@ def assert_fronts(times, points, moments):
 
 
 @pytest.mark.parametrize("root", [12, 5])
-def test_orthodromic(root):
+def test_anterograde(root):
     """From the middle the fronts meet half way; from elsewhere, off it."""
     activation = activate(MYOCARDIUM, [bundle(root)], [1.0], CV)
     at_ends = 1.0 + np.array([2.0 * root, LENGTH - 2.0 * root]) / CV
     np.testing.assert_allclose(activation.trees[0][[0, -1]], at_ends, rtol=1e-12)
     assert_fronts(activation.myocardium, ENDS, at_ends)
-    assert not activation.antidromic[0].any()
+    assert not activation.retrograde[0].any()
     assert activation.entered_by[0].tolist() == [-1, -1]
 
 
 @pytest.mark.parametrize("root_time", [np.inf, 200.0])
-def test_antidromic_while_the_root_is_silent(root_time):
+def test_retrograde_while_the_root_is_silent(root_time):
     """Bundle-branch block: in at one end, back through the bundle and out at the other."""
     tree = bundle(12)
     activation = activate(MYOCARDIUM, [tree], [root_time], CV, stimuli=STIMULUS, times=[5.0])
@@ -86,40 +86,40 @@ def test_antidromic_while_the_root_is_silent(root_time):
     in_tree = entered + tree.nodes[:, 0] / CV
     np.testing.assert_allclose(activation.trees[0], in_tree, atol=EXACT)
     assert_fronts(activation.myocardium, [STIMULUS, ENDS[1]], [5.0, in_tree[-1]])
-    assert activation.antidromic[0].tolist() == [True, False]
+    assert activation.retrograde[0].tolist() == [True, False]
     assert activation.entered_by[0].tolist() == [2, -1]
 
 
 def test_myocardium_fires_a_leaf_before_its_root_does():
     """The root fires later, but before the front is back: both fronts run, and meet in the tree."""
     tree = bundle(12)
-    root_time = TO_LEFT + 3.0  # the antidromic front would need 8 ms to the root
+    root_time = TO_LEFT + 3.0  # the retrograde front would need 8 ms to the root
     activation = activate(MYOCARDIUM, [tree], [root_time], CV, stimuli=STIMULUS, times=[0.0])
     x = tree.nodes[:, 0]
     in_tree = np.minimum(TO_LEFT + x / CV, root_time + np.abs(x - x[12]) / CV)
     np.testing.assert_allclose(activation.trees[0], in_tree, atol=EXACT)
     assert_fronts(activation.myocardium, [STIMULUS, ENDS[1]], [0.0, root_time + 24.0 / CV])
-    assert activation.antidromic[0].tolist() == [True, False]
+    assert activation.retrograde[0].tolist() == [True, False]
     assert activation.entered_by[0].tolist() == [2, -1]
 
 
-@pytest.mark.parametrize(("orthodromic", "antidromic"), [(2.0, 3.0), (0.0, 7.0), (4.0, 0.0)])
-def test_delays_act_in_their_own_direction_only(orthodromic, antidromic):
+@pytest.mark.parametrize(("anterograde", "retrograde"), [(2.0, 3.0), (0.0, 7.0), (4.0, 0.0)])
+def test_delays_act_in_their_own_direction_only(anterograde, retrograde):
     tree = bundle(12)
     activation = activate(
         MYOCARDIUM, [tree], [np.inf], CV, stimuli=STIMULUS, times=[0.0],
-        orthodromic_delay=orthodromic, antidromic_delay=antidromic,
+        anterograde_delay=anterograde, retrograde_delay=retrograde,
     )  # fmt: skip
-    entered = TO_LEFT + antidromic
+    entered = TO_LEFT + retrograde
     np.testing.assert_allclose(activation.trees[0], entered + tree.nodes[:, 0] / CV, atol=EXACT)
-    out = entered + LENGTH / CV + orthodromic
+    out = entered + LENGTH / CV + anterograde
     assert_fronts(activation.myocardium, [STIMULUS, ENDS[1]], [0.0, out])
     assert activation.myocardium[vertex_at(VERTICES, ENDS[1])] == pytest.approx(min(out, TO_RIGHT))
 
 
 def test_every_junction_has_its_own_delays():
     tree = bundle(12)
-    activation = activate(MYOCARDIUM, [tree], [0.0], CV, orthodromic_delay=[1.0, 6.0])
+    activation = activate(MYOCARDIUM, [tree], [0.0], CV, anterograde_delay=[1.0, 6.0])
     assert_fronts(activation.myocardium, ENDS, [9.0, 14.0])
     np.testing.assert_allclose(activation.trees[0][[0, -1]], 8.0)
 
@@ -128,14 +128,14 @@ def test_infinite_delays_block_one_way():
     """Blocked outwards the right end stays silent; blocked inwards the tree does."""
     tree = bundle(12)
     options = {"stimuli": STIMULUS, "times": [0.0]}
-    no_way_out = activate(MYOCARDIUM, [tree], [np.inf], CV, orthodromic_delay=np.inf, **options)
+    no_way_out = activate(MYOCARDIUM, [tree], [np.inf], CV, anterograde_delay=np.inf, **options)
     alone = straight_times(MYOCARDIUM, STIMULUS, [0.0])
     np.testing.assert_allclose(no_way_out.myocardium, alone, atol=EXACT)
     np.testing.assert_allclose(no_way_out.trees[0], TO_LEFT + tree.nodes[:, 0] / CV, atol=EXACT)
-    no_way_in = activate(MYOCARDIUM, [tree], [np.inf], CV, antidromic_delay=np.inf, **options)
+    no_way_in = activate(MYOCARDIUM, [tree], [np.inf], CV, retrograde_delay=np.inf, **options)
     np.testing.assert_allclose(no_way_in.myocardium, alone, atol=EXACT)
     assert np.isinf(no_way_in.trees[0]).all()
-    assert not no_way_in.antidromic[0].any()
+    assert not no_way_in.retrograde[0].any()
 
 
 @pytest.mark.parametrize("cells", [12, 24])

@@ -40,7 +40,7 @@ def test_left_bundle_branch_block_enters_the_left_tree_backwards(left_block):
 
     In a tree that fires first, the tissue overtakes detours here and there (a tenth of them).
     """
-    left, right = left_block.coupled.antidromic
+    left, right = left_block.coupled.retrograde
     assert left.mean() > 0.2
     assert right.mean() < 0.15
     assert left_block.total_activation_time > 100.0

@@ -38,7 +38,7 @@ def test_alpha_without_preparing_anew_is_alpha_prepared(default_model, plain):
 
 def test_all_speeds_together_are_the_clock(default_model, plain):
     """With every speed doubled and every delay halved, every time is halved."""
-    delays = {"orthodromic_delay": 3.0, "antidromic_delay": 5.0, "root_time": -20.0}
+    delays = {"anterograde_delay": 3.0, "retrograde_delay": 5.0, "root_time": -20.0}
     slow = default_model.simulate(EXAMPLE_PARAMETERS | delays)
     halved = {name: value / 2 for name, value in delays.items()}
     fast = default_model.simulate(EXAMPLE_PARAMETERS | halved | {"cv": 2 * CV, "alpha": 0.1})
@@ -61,11 +61,11 @@ def test_gain_scales_the_ecg_alone(default_model, plain):
 
 
 def test_junction_delay_is_that_of_a_scenario_unless_it_has_its_own(default_model, plain):
-    late = default_model.simulate(EXAMPLE_PARAMETERS | {"orthodromic_delay": 4.0})
+    late = default_model.simulate(EXAMPLE_PARAMETERS | {"anterograde_delay": 4.0})
     np.testing.assert_allclose(late.activation, plain.activation + 4.0, atol=4.0)
     assert late.activation.min() == pytest.approx(plain.activation.min() + 4.0, abs=1e-9)
-    scenario = fascicle.Scenario(orthodromic_delay=0.0)
-    again = default_model.simulate(EXAMPLE_PARAMETERS | {"orthodromic_delay": 4.0}, scenario)
+    scenario = fascicle.Scenario(anterograde_delay=0.0)
+    again = default_model.simulate(EXAMPLE_PARAMETERS | {"anterograde_delay": 4.0}, scenario)
     np.testing.assert_array_equal(again.activation, plain.activation)
 
 

@@ -28,8 +28,8 @@ EVERYTHING = """
 silent = ["rv", "band"]
 
 [delay]
-orthodromic = 2
-antidromic = inf
+anterograde = 2
+retrograde = inf
 
 [[stimulus]]
 position = [1, 2.5, -3]
@@ -96,8 +96,8 @@ class TestReading:
             stimuli=(Stimulus(-20.0, (1.0, 2.5, -3.0)), Stimulus(3.5, (4.0, 5.0, 6.0), "lv")),
             slowings=(Slowing("lv", 0.0, "bundle"), Slowing("rv", 0.5, None, (7.0, 8.0, 9.0), 4.0)),
             silent=("rv", "band"),
-            orthodromic_delay=2.0,
-            antidromic_delay=np.inf,
+            anterograde_delay=2.0,
+            retrograde_delay=np.inf,
         )
         assert regions == (Region(0.25, label=3), Region(0.0, centre=(1.0, 1.0, 1.0), radius=12.5))
         assert (tree.side, time, len(tree.nodes)) == ("band", 5.0, 4)
@@ -139,9 +139,9 @@ class TestRefusals:
             ("[[stimuli]]\ntime = 0", ["unknown key 'stimuli'"]),
             ("[[stimulus]]\npos = [1, 2, 3]\ntime = 1", ["stimulus 1: unknown key 'pos'"]),
             (SLOW + "speed = 0\nfascicle = 1", ["slowing 1: unknown key 'fascicle'", "part,"]),
-            ("[delay]\nboth = 1", ["delay: unknown key 'both'; known: orthodromic, antidromic"]),
+            ("[delay]\nboth = 1", ["delay: unknown key 'both'; known: anterograde, retrograde"]),
             ("[stimulus]\ntime = 0", ["'stimulus' is", "in double brackets: [[stimulus]]"]),
-            ("[[delay]]\northodromic = 1", ["'delay' is [", "one table: [delay]"]),
+            ("[[delay]]\nanterograde = 1", ["'delay' is [", "one table: [delay]"]),
             ("stimulus = 3", ["'stimulus' is 3", "[[stimulus]]"]),
             ("stimulus = [3]", ["'stimulus' is [3]", "[[stimulus]]"]),
             ('silent = "lv"', ["'silent' is 'lv'", "['lv']"]),
@@ -169,9 +169,9 @@ class TestRefusals:
             ("[[region]]\nconductivity = -1", ["region 1: 'conductivity' is -1", "0 (scar)"]),
             ("[[region]]\nconductivity = nan", ["region 1: 'conductivity' is nan"]),
             ("[[region]]\nconductivity = 0\nlabel = 1.5", ["'label' is 1.5", "whole number"]),
-            ("[delay]\northodromic = -1", ["delay: 'orthodromic' is -1", "or inf (block)"]),
-            ("[delay]\nantidromic = nan", ["delay: 'antidromic' is nan"]),
-            ("[delay]\nantidromic = 1e8", ["delay: 'antidromic' is 1e+08", "10000 ms, or inf"]),
+            ("[delay]\nanterograde = -1", ["delay: 'anterograde' is -1", "or inf (block)"]),
+            ("[delay]\nretrograde = nan", ["delay: 'retrograde' is nan"]),
+            ("[delay]\nretrograde = 1e8", ["delay: 'retrograde' is 1e+08", "10000 ms, or inf"]),
             (TREE.replace("band", "../../x", 1), ["tree 1: 'name' is '../../x'", "letters"]),
             (TREE.replace("band", "a,b", 1), ["tree 1: 'name' is 'a,b'"]),
             (TREE.replace('"trees/band.vtu"', "3"), ["tree 1: 'file' is 3", "path in quotes"]),
@@ -267,31 +267,31 @@ class TestTables:
                 simulation.coupled.trees[0][node], abs=1e-4
             )
         fired = [row["fired"] for row in rows[:-2]]
-        assert fired.count("antidromic") == sum(a.sum() for a in simulation.coupled.antidromic)
-        assert fired.count("orthodromic") > 300
+        assert fired.count("retrograde") == sum(a.sum() for a in simulation.coupled.retrograde)
+        assert fired.count("anterograde") > 300
         assert [row["fired"] for row in rows[-2:]] == ["captured", "came too late"]
         assert [row["time_ms"] for row in rows[-2:]] == ["-10.0000", "400.0000"]
 
-    def test_what_entered_is_told_for_antidromic_junctions_only(self, rows):
+    def test_what_entered_is_told_for_retrograde_junctions_only(self, rows):
         for row in rows:
-            assert (row["entered_by"] != "") == (row["fired"] == "antidromic")
+            assert (row["entered_by"] != "") == (row["fired"] == "retrograde")
             if row["entered_by"]:
                 source = rows[int(row["entered_by"])]
                 assert float(source["time_ms"]) <= float(row["time_ms"])
 
-    def test_silent_junctions(self, default_model, simulation):
+    def test_not_activated_junctions(self, default_model, simulation):
         """Without any way into the trees: no time, never fired."""
         scenario = Scenario(
             (Stimulus(0.0, tuple(simulation.coupled.stimuli[0])),),
             silent=("lv", "rv"),
-            antidromic_delay=np.inf,
+            retrograde_delay=np.inf,
         )
         silent = default_model.simulate(EXAMPLE_PARAMETERS, scenario)
         rows = list(csv.DictReader(io.StringIO(sites_table(silent))))
         assert {(row["fired"], row["time_ms"]) for row in rows[:-1]} == {("never", "")}
         sides = summary(default_model.heart, silent, {})["trees"]
         for tree in silent.trees:
-            assert sides[tree.side]["silent_junctions"] == len(tree.junctions)
+            assert sides[tree.side]["not_activated_junctions"] == len(tree.junctions)
 
     def test_origins_lead_into_the_table(self, rows, simulation, default_heart, tmp_path):
         """On the written map: -1 nowhere, and every origin fired before the vertex."""

@@ -20,8 +20,8 @@ from fascicle.mesh.measures import barycentric_gradients
 
 CV = EXAMPLE_PARAMETERS["cv"]
 BOTH = ("lv", "rv")
-ALONE = {"orthodromic_delay": np.inf, "antidromic_delay": np.inf}  # trees cut off
-ONE_WAY = {"antidromic_delay": np.inf}  # trees fire the myocardium, never the other way
+ALONE = {"anterograde_delay": np.inf, "retrograde_delay": np.inf}  # trees cut off
+ONE_WAY = {"retrograde_delay": np.inf}  # trees fire the myocardium, never the other way
 LATEST = 5962  # vertex of the packaged heart's base, activated last
 
 
@@ -92,10 +92,10 @@ class TestStimuli:
         assert 0.02 < own.mean() < 0.95
         fired_by = paced.coupled.origin[~own]
         assert (junction_times[fired_by] <= paced.activation[~own] + 1e-9).all()
-        antidromic = np.concatenate(paced.coupled.antidromic)
+        retrograde = np.concatenate(paced.coupled.retrograde)
         # whichever tree is entered first, the stimulus or a junction fired before did it
         entered_by = np.concatenate(paced.coupled.entered_by)
-        assert (entered_by[antidromic] >= 0).all()
+        assert (entered_by[retrograde] >= 0).all()
         first = np.argmin(junction_times)
         assert entered_by[first] == number
 
@@ -151,7 +151,7 @@ class TestStimuli:
         number = sum(len(tree.junctions) for tree in normal.trees)
         for time, silent in ((0.0, BOTH), (500.0, ())):
             paced = simulate(stimuli=(Stimulus(time, place),), silent=silent)
-            fired = [~backwards for backwards in paced.coupled.antidromic]
+            fired = [~backwards for backwards in paced.coupled.retrograde]
             assert np.concatenate([*fired, paced.coupled.captured])[paced.coupled.origin].all()
             assert paced.coupled.origin.max() <= number
 
@@ -171,9 +171,9 @@ class TestSlowings:
         assert block.qrs_duration >= 120
         tree, times = block.trees[0], block.coupled.trees[0]
         first = np.argsort(times[tree.junctions])[:5]
-        assert block.coupled.antidromic[0][first[0]]
+        assert block.coupled.retrograde[0][first[0]]
         assert times[tree.junctions].min() > normal.coupled.trees[0][tree.junctions].max()
-        assert block.coupled.antidromic[0].mean() > 0.3
+        assert block.coupled.retrograde[0].mean() > 0.3
         bundle = np.flatnonzero(tree.parts["bundle"])
         assert times[tree.root] == 0
         assert np.isinf(times[bundle[1:-1]]).all()
@@ -222,32 +222,32 @@ class TestSlowings:
         later = cut.coupled.trees[0] - normal.coupled.trees[0]
         assert np.isfinite(later[beyond]).all()
         assert later[beyond].max() > 5
-        assert cut.coupled.antidromic[0].sum() > normal.coupled.antidromic[0].sum()
+        assert cut.coupled.retrograde[0].sum() > normal.coupled.retrograde[0].sum()
 
 
 class TestDelays:
-    def test_orthodromic_delay_shifts_the_myocardium(self, simulate):
+    def test_anterograde_delay_shifts_the_myocardium(self, simulate):
         before = simulate(**ONE_WAY)
-        late = simulate(orthodromic_delay=7.5, **ONE_WAY)
+        late = simulate(anterograde_delay=7.5, **ONE_WAY)
         np.testing.assert_allclose(late.activation, before.activation + 7.5, atol=1e-9, rtol=0)
         for one, other in zip(late.coupled.trees, before.coupled.trees, strict=True):
             np.testing.assert_array_equal(one, other)
 
-    def test_antidromic_delay_shifts_the_trees(self, simulate, place):
-        paced = {"stimuli": (Stimulus(0.0, place),), "silent": BOTH, "orthodromic_delay": np.inf}
-        before, late = simulate(**paced), simulate(antidromic_delay=4.0, **paced)
+    def test_retrograde_delay_shifts_the_trees(self, simulate, place):
+        paced = {"stimuli": (Stimulus(0.0, place),), "silent": BOTH, "anterograde_delay": np.inf}
+        before, late = simulate(**paced), simulate(retrograde_delay=4.0, **paced)
         np.testing.assert_array_equal(late.activation, before.activation)
         for one, other in zip(late.coupled.trees, before.coupled.trees, strict=True):
             np.testing.assert_allclose(one, other + 4.0, atol=1e-9)
 
     def test_trees_that_cannot_fire_leave_it_all_to_the_stimulus(self, simulate, place):
-        paced = simulate(stimuli=(Stimulus(0.0, place),), orthodromic_delay=np.inf)
+        paced = simulate(stimuli=(Stimulus(0.0, place),), anterograde_delay=np.inf)
         number = sum(len(tree.junctions) for tree in paced.trees)
         assert (paced.coupled.origin == number).all()
         alone = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH, **ALONE)
         np.testing.assert_array_equal(paced.activation, alone.activation)
 
-    @pytest.mark.parametrize("why", [{"orthodromic_delay": np.inf}, {"silent": BOTH}])
+    @pytest.mark.parametrize("why", [{"anterograde_delay": np.inf}, {"silent": BOTH}])
     def test_nothing_that_fires_is_refused(self, simulate, why):
         with pytest.raises(InputError, match="nothing activates the myocardium"):
             simulate(**why)
@@ -485,8 +485,8 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"orthodromic_delay": -1.0}, "'orthodromic_delay' is -1 ms"),
-            ({"antidromic_delay": np.nan}, "'antidromic_delay' is nan ms"),
+            ({"anterograde_delay": -1.0}, "'anterograde_delay' is -1 ms"),
+            ({"retrograde_delay": np.nan}, "'retrograde_delay' is nan ms"),
         ],
     )
     def test_what_no_heart_could_do_is_refused_at_construction(self, options, message):

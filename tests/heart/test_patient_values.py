@@ -29,7 +29,7 @@ def test_values_come_back_and_count(folder, default_heart):
     ("line", "words"),
     [
         ("gain = 2.0", "'gain' is no property of the tissue"),
-        ("orthodromic_delay = 2.0", "no property of the tissue"),
+        ("anterograde_delay = 2.0", "no property of the tissue"),
         ("cv = 3.0", "no property of the tissue"),
         ("branch_length = 8.0", "no property of the tissue"),
         ("fibre_speed = 0.6", "say the same"),

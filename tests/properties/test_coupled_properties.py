@@ -67,8 +67,8 @@ def test_order_of_trees_does_not_matter(seed, roots):
     other = activate(MYOCARDIUM, trees[::-1], roots[::-1], 2.0)
     np.testing.assert_allclose(one.myocardium, other.myocardium, atol=1e-9)
     np.testing.assert_allclose(one.trees[0], other.trees[1], atol=1e-9)
-    flags = np.concatenate(one.antidromic[::-1])
-    np.testing.assert_array_equal(flags, np.concatenate(other.antidromic))
+    flags = np.concatenate(one.retrograde[::-1])
+    np.testing.assert_array_equal(flags, np.concatenate(other.retrograde))
 
 
 @given(seeds, root_times)
@@ -120,20 +120,20 @@ def test_what_is_near_a_junction_is_not_later_than_by_the_straight_way():
 
 @given(seeds, root_times)
 @settings(max_examples=30, deadline=None)
-def test_antidromic_flags_say_who_came_first(seed, roots):
-    """A junction is antidromic exactly where it fires before its tree alone would fire it."""
+def test_retrograde_flags_say_who_came_first(seed, roots):
+    """A junction is retrograde exactly where it fires before its tree alone would fire it."""
     trees = both(seed)
     activation = activate(MYOCARDIUM, trees, roots, 2.0)
     sites = np.concatenate([np.full(len(t.junctions), k) for k, t in enumerate(trees)])
     for k, (tree, times) in enumerate(zip(trees, activation.trees, strict=True)):
         through_tree = times[0] + tree.lengths[tree.junctions] / 2.0
-        antidromic = activation.antidromic[k]
-        assert (times[tree.junctions][antidromic] <= through_tree[antidromic] + 1e-9).all()
-        np.testing.assert_allclose(times[tree.junctions][~antidromic], through_tree[~antidromic])
+        retrograde = activation.retrograde[k]
+        assert (times[tree.junctions][retrograde] <= through_tree[retrograde] + 1e-9).all()
+        np.testing.assert_allclose(times[tree.junctions][~retrograde], through_tree[~retrograde])
         entered_by = activation.entered_by[k]
-        assert (antidromic == (entered_by >= 0)).all()
+        assert (retrograde == (entered_by >= 0)).all()
         own = np.flatnonzero(sites == k)
-        assert (entered_by[antidromic] != own[antidromic]).all()
+        assert (entered_by[retrograde] != own[retrograde]).all()
 
 
 def test_monotone_on_a_heart(crtdemo_model):

@@ -180,7 +180,7 @@ def test_on_a_slab_one_sweep_is_the_limit_of_trees_and_slab_in_turn(seed, fibre)
     swept = activate(myocardium, trees, roots, 2.0, stimuli=stimulus, times=[1.0])
     myocardium, times, rounds = Straight(myocardium, trees, stimulus).run(roots, 2.0, [1.0])
     assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
-    assert any(flags.any() for flags in swept.antidromic)
+    assert any(flags.any() for flags in swept.retrograde)
     np.testing.assert_allclose(swept.myocardium, myocardium, atol=SAME, rtol=0)
     for one, other in zip(swept.trees, times, strict=True):
         np.testing.assert_allclose(one, other, atol=SAME, rtol=0)
@@ -203,7 +203,7 @@ def test_on_a_heart_one_sweep_is_the_limit_of_sweeps_in_turn(
     swept = activate(myocardium, trees, root_times, 3.0, stimuli=points, times=moments)
     myocardium, times, rounds = Swept(myocardium, trees, points).run(root_times, 3.0, moments)
     assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
-    assert any(flags.any() for flags in swept.antidromic)
+    assert any(flags.any() for flags in swept.retrograde)
     np.testing.assert_allclose(swept.myocardium, myocardium, atol=SAME, rtol=0)
     for one, other in zip(swept.trees, times, strict=True):
         np.testing.assert_allclose(one, other, atol=SAME, rtol=0)

@@ -127,7 +127,7 @@ def test_the_target_s_command_makes_it_again(command, tmp_path):
             {
                 "alpha": {"prior": "log-normal", "median": 0.07, "sd": 0.2},
                 "root_time": {"lower": -120.0, "upper": 0.0},
-                "orthodromic_delay": float("inf"),
+                "anterograde_delay": float("inf"),
             },
             {},
         ),

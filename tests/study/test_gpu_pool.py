@@ -86,7 +86,7 @@ def test_further_recordings_are_simulated_here(card, problem, points):
 def test_networks_are_simulated_here(card, problem):
     """With all that a card does not give."""
     (network,) = replace(problem, pool=card).networks([EXAMPLE_PARAMETERS])
-    assert network.simulation.coupled.antidromic
+    assert network.simulation.coupled.retrograde
 
 
 def test_what_a_card_does_not_simulate_is_refused_at_once():

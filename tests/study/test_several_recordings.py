@@ -27,8 +27,8 @@ EVERYTHING = Scenario(
     stimuli=(Stimulus(3.5, (1.0, -2.0, 3.0)), Stimulus(0.0, (0.0, 0.0, 1e-3), "rv")),
     slowings=(Slowing("lv", 0.0, part="bundle"), Slowing("rv", 0.5, None, (1.0, 2.0, 3.0), 4.0)),
     silent=("lv", "rv"),
-    orthodromic_delay=2.0,
-    antidromic_delay=np.inf,
+    anterograde_delay=2.0,
+    retrograde_delay=np.inf,
 )
 
 

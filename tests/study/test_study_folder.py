@@ -198,7 +198,7 @@ def test_other_settings_are_refused(tmp_path, change, message):
 
 
 def test_an_infinite_delay_is_read_back(tmp_path):
-    config = make_config(fixed={"orthodromic_delay": np.inf})
+    config = make_config(fixed={"anterograde_delay": np.inf})
     Study.create_or_resume(tmp_path / "s", config)
     assert Study.create_or_resume(tmp_path / "s", config).config == config
     assert Study.open(tmp_path / "s").config == config

@@ -27,11 +27,12 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
         measure = MEASURES[key]
         print(f"{measure.name:<22} {value:.0f} {measure.unit} ({measure.meaning})")
     for side, tree in summary["trees"].items():
-        backwards, silent = tree["antidromic_junctions"], tree["silent_junctions"]
+        retrograde, inactive = tree["retrograde_junctions"], tree["not_activated_junctions"]
         print(
             f"{side + ' tree':<22} {tree['junctions']} junctions: "
-            f"{tree['junctions'] - backwards - silent} orthodromic, {backwards} antidromic, "
-            f"{silent} silent; up to {tree['largest_junction_distance_mm']:.1f} mm from the tissue"
+            f"{tree['junctions'] - retrograde - inactive} activated anterogradely, {retrograde} "
+            f"retrogradely, {inactive} not activated; up to "
+            f"{tree['largest_junction_distance_mm']:.1f} mm from the tissue"
         )
     captured = simulation.coupled.captured
     if len(captured):

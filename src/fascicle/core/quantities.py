@@ -157,11 +157,11 @@ def _of_conduction() -> Iterator[Quantity]:
         "factor on the speeds in that layer", tissue,
     )  # fmt: skip
     yield Quantity(
-        "orthodromic_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
+        "anterograde_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
         "delay of the junctions from tree to myocardium; inf blocks", times,
     )  # fmt: skip
     yield Quantity(
-        "antidromic_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
+        "retrograde_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
         "the same, from myocardium to tree", times,
     )  # fmt: skip
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
@@ -218,7 +218,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 BODY = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.BODY)
 SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
-INFINITE = ("orthodromic_delay", "antidromic_delay")
+INFINITE = ("anterograde_delay", "retrograde_delay")
 
 
 def quantity(name: str) -> Quantity:

@@ -205,7 +205,7 @@ class Scenario:
         Slow or blocked segments; where they overlap the factors multiply.
     silent : tuple of str
         Trees whose root does not fire.
-    orthodromic_delay, antidromic_delay : float, optional
+    anterograde_delay, retrograde_delay : float, optional
         Delays of the junctions from tree to myocardium and back (ms), in place of the network's;
         inf blocks that direction.
     trees : tuple of (PurkinjeTree, float)
@@ -222,8 +222,8 @@ class Scenario:
     stimuli: tuple[Stimulus, ...] = ()
     slowings: tuple[Slowing, ...] = ()
     silent: tuple[str, ...] = ()
-    orthodromic_delay: float | None = None
-    antidromic_delay: float | None = None
+    anterograde_delay: float | None = None
+    retrograde_delay: float | None = None
     trees: tuple[tuple[PurkinjeTree, float], ...] = ()
     his: His | None = None
     source: str | None = field(default=None, repr=False, compare=False)
@@ -242,7 +242,7 @@ class Scenario:
         check_kind(self.his, (His, NoneType), "his", "a fascicle.His")
         for name in ("source", "description", "reference"):
             check_kind(getattr(self, name), (str, NoneType), f"{name} of a scenario", "a text")
-        for name in ("orthodromic_delay", "antidromic_delay"):
+        for name in ("anterograde_delay", "retrograde_delay"):
             value = getattr(self, name)
             if value is not None:
                 checked({name: value})
@@ -360,7 +360,7 @@ class Scenario:
         """Delays of the junctions (ms): its own, or those among the quantities of a network."""
         return {
             name: own if (own := getattr(self, name)) is not None else values.get(name, 0.0)
-            for name in ("orthodromic_delay", "antidromic_delay")
+            for name in ("anterograde_delay", "retrograde_delay")
         }
 
     def firing(

@@ -36,7 +36,7 @@ def _within(name: str) -> AfterValidator:
 
 def _delay_or_block(value: float) -> float:
     try:
-        return check(quantity("orthodromic_delay"), value)
+        return check(quantity("anterograde_delay"), value)
     except InputError:  # `NEEDED` says it
         raise ValueError from None
 
@@ -56,7 +56,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]  # files are named aft
 POINT = f"a point [x, y, z], each {RANGES['coordinate']}"
 TIME = f"a number from {RANGES['time']}"
 DELAY = "a number from 0 to {:g} ms, or inf (block)".format(
-    quantity("orthodromic_delay").valid_range[1]
+    quantity("anterograde_delay").valid_range[1]
 )
 FACTOR = f"a factor: {RANGES['speed factor']} (block)"
 NEEDED = {
@@ -73,8 +73,8 @@ NEEDED = {
     "label": "a whole number",
     "name": "made of letters, digits, '-' and '_'",
     "file": "a path in quotes",
-    "orthodromic": DELAY,
-    "antidromic": DELAY,
+    "anterograde": DELAY,
+    "retrograde": DELAY,
     "silent": "a list of names of trees, such as ['lv']",
     "delay": "one table: [delay]",
     "his": "one table: [his]",
@@ -128,8 +128,8 @@ class _Tree(_Table):
 
 class _Delay(_Table):
     model_config = ConfigDict(allow_inf_nan=True)  # inf blocks
-    orthodromic: Delay | None = None
-    antidromic: Delay | None = None
+    anterograde: Delay | None = None
+    retrograde: Delay | None = None
 
 
 class _His(_Table):
@@ -250,8 +250,8 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
             ),
             slowings=tuple(Slowing(**dict(s)) for s in content.slowing),
             silent=tuple(content.silent),
-            orthodromic_delay=content.delay.orthodromic,
-            antidromic_delay=content.delay.antidromic,
+            anterograde_delay=content.delay.anterograde,
+            retrograde_delay=content.delay.retrograde,
             trees=tuple((_read_tree(tree, path), tree.time) for tree in content.tree),
             his=His(**dict(content.his)) if content.his is not None else None,
             source=str(path),
@@ -276,8 +276,8 @@ def scenario_text(scenario: Scenario) -> str:
         raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")
     lines = [f"silent = {list(scenario.silent)!r}"]
     for name, delay in (
-        ("orthodromic", scenario.orthodromic_delay),
-        ("antidromic", scenario.antidromic_delay),
+        ("anterograde", scenario.anterograde_delay),
+        ("retrograde", scenario.retrograde_delay),
     ):
         if delay is not None:
             lines.append(f"delay.{name} = {delay!r}")

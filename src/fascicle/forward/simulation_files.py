@@ -157,10 +157,10 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
         What it was simulated from, as `simulate_inputs` gives it.
     """
     sides: dict[str, object] = {}
-    for tree, times, antidromic, distance in zip(
+    for tree, times, retrograde, distance in zip(
         simulation.trees,
         simulation.coupled.trees,
-        simulation.coupled.antidromic,
+        simulation.coupled.retrograde,
         simulation.coupled.junction_distances,
         strict=True,
     ):
@@ -170,8 +170,8 @@ def summary(heart: Heart, simulation: Simulation, inputs: dict[str, object]) -> 
             "nodes": len(tree.nodes),
             "length_mm": round(float(tree.lengths.sum()), 3),
             "junctions": len(tree.junctions),
-            "antidromic_junctions": int(antidromic.sum()),
-            "silent_junctions": int((~fired).sum()),
+            "retrograde_junctions": int(retrograde.sum()),
+            "not_activated_junctions": int((~fired).sum()),
             "largest_junction_distance_mm": round(float(distance.max(initial=0.0)), 4),
         }
     return {
@@ -252,11 +252,11 @@ def sites_table(simulation: Simulation) -> str:
     """List as CSV what fired what: a row a junction, then a row a stimulus in the myocardium."""
     lines = ["site,kind,tree,node,x_mm,y_mm,z_mm,time_ms,fired,entered_by"]
     coupled, site = simulation.coupled, 0
-    for tree, times, antidromic, entered_by in zip(
-        simulation.trees, coupled.trees, coupled.antidromic, coupled.entered_by, strict=True
+    for tree, times, retrograde, entered_by in zip(
+        simulation.trees, coupled.trees, coupled.retrograde, coupled.entered_by, strict=True
     ):
-        for node, backwards, by in zip(tree.junctions, antidromic, entered_by, strict=True):
-            how = "antidromic" if backwards else "orthodromic"
+        for node, backwards, by in zip(tree.junctions, retrograde, entered_by, strict=True):
+            how = "retrograde" if backwards else "anterograde"
             lines.append(
                 f"{site},junction,{tree.side},{node},{_position(tree.nodes[node])},"
                 f"{_time(times[node])},{how if np.isfinite(times[node]) else 'never'},"

@@ -213,7 +213,7 @@ class Sites(NamedTuple):
         Squared travel times (ms²) to its corners.
     node : (j,) array
         Tree node of each.
-    orthodromic, antidromic : (j,) arrays
+    anterograde, retrograde : (j,) arrays
         Delays (ms) from tree to myocardium and back; inf where nothing passes.
     reader_start, reader : (n + 1,) and (4j,) arrays
         The sites whose element has each vertex as a corner.
@@ -224,8 +224,8 @@ class Sites(NamedTuple):
     element: NDArray[np.int64]
     to_corner: NDArray[np.float64]
     node: NDArray[np.int64]
-    orthodromic: NDArray[np.float64]
-    antidromic: NDArray[np.float64]
+    anterograde: NDArray[np.float64]
+    retrograde: NDArray[np.float64]
     reader_start: NDArray[np.int64]
     reader: NDArray[np.int64]
     to_vertices: RayTravelTimes

@@ -75,7 +75,7 @@ def _fire(site, now, sites, front, size):
             size = lower(vertex, nodes, front.queue, size)
     for k in range(sites.to_sites.start[site], sites.to_sites.start[site + 1]):
         entered = sites.to_sites.target[k]
-        arrival = now + sites.to_sites.time[k] + sites.antidromic[entered]
+        arrival = now + sites.to_sites.time[k] + sites.retrograde[entered]
         other = sites.node[entered]
         if arrival < nodes[other].time - SETTLED:
             nodes[other].time, nodes[other].origin = arrival, entered
@@ -107,7 +107,7 @@ def _into_trees(node, sites, mesh, front, size):
     nodes = front.nodes
     for k in range(sites.reader_start[node], sites.reader_start[node + 1]):
         site = sites.reader[k]
-        other, t, delay = sites.node[site], sites.element[site], sites.antidromic[site]
+        other, t, delay = sites.node[site], sites.element[site], sites.retrograde[site]
         earliest = node
         for c in range(CORNERS):
             if nodes[mesh.corners[t, c]].time < nodes[earliest].time:
@@ -127,8 +127,8 @@ def _from_tree_node(node, vertices, forest, sites, front, size):
     """From a tree node along its segments, and as a site; returns the queue's size."""
     size = _through_tree(node - vertices, vertices, forest, front, size)
     site = forest.site[node - vertices]
-    if site >= 0 and sites.orthodromic[site] < np.inf:
-        size = _fire(site, front.nodes[node].time + sites.orthodromic[site], sites, front, size)
+    if site >= 0 and sites.anterograde[site] < np.inf:
+        size = _fire(site, front.nodes[node].time + sites.anterograde[site], sites, front, size)
     return size
 
 

@@ -77,9 +77,9 @@ def test_quantities_that_change_trees_and_times(crtdemo_model, emulated):
     network = next(n for n in drawn(9) if not isinstance(crtdemo_model.grow(n), InvalidTree))
     changes = [
         {"alpha": 0.083},
-        {"fibre_speed": 0.5, "orthodromic_delay": 3.0, "antidromic_delay": 1.5},
-        {"orthodromic_delay": 5.0, "antidromic_delay": np.inf, "alpha": 0.04},
-        {"antidromic_delay": 0.0, "root_time": -70.0, "cv": 4.0},
+        {"fibre_speed": 0.5, "anterograde_delay": 3.0, "retrograde_delay": 1.5},
+        {"anterograde_delay": 5.0, "retrograde_delay": np.inf, "alpha": 0.04},
+        {"retrograde_delay": 0.0, "root_time": -70.0, "cv": 4.0},
         {"gain": 2.5, "his_time": 30.0},
         {"branch_length": 5.0, "branch_angle": 0.4, "repulsion": 0.0},
         {"clearance": 1.4, "repulsion": 0.5},
@@ -189,7 +189,7 @@ def test_junctions_without_rays_in_the_table_are_left(crtdemo_model, emulated):
 
 def test_a_heart_in_which_nothing_fires_is_left(crtdemo_model, emulated):
     """The processor says what is wrong with that."""
-    blocked = {"orthodromic_delay": np.inf, "antidromic_delay": np.inf}
+    blocked = {"anterograde_delay": np.inf, "retrograde_delay": np.inf}
     networks = [n | blocked for n in drawn(2)]
     assert isinstance(crtdemo_model.grow(networks[1]), tuple)
     found = list(on(crtdemo_model, emulated).signals(networks))

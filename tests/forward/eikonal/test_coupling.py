@@ -25,7 +25,7 @@ def test_front_from_inside_the_slab_enters_the_nearest_junction():
     read = activation.trees[0][0]
     assert read == pytest.approx(np.linalg.norm((nodes[0] - start) / [ALONG, ACROSS, ACROSS]))
     assert activation.trees[0][2] == pytest.approx(read + tree.lengths.sum() / CV)
-    assert activation.antidromic[0].tolist() == [True, False]
+    assert activation.retrograde[0].tolist() == [True, False]
     assert activation.entered_by[0].tolist() == [2, -1]  # the stimulus comes after two junctions
 
 
@@ -72,7 +72,7 @@ def test_nothing_fires():
     assert np.isinf(activation.myocardium).all()
     assert np.isinf(activation.trees[0]).all()
     assert (activation.origin == -1).all()
-    assert not activation.antidromic[0].any()
+    assert not activation.retrograde[0].any()
 
 
 def test_a_stimulus_that_comes_too_late_is_not_captured_and_changes_nothing():

@@ -171,7 +171,7 @@ class TestInUniformTissue:
         entered = activate(uniform, [tree], [np.inf], 2.0, stimuli=[[12.0, 11.0, 3.0]], times=[1.0])
         arrival = straight_times(uniform, [12.0, 11.0, 3.0], [1.0], at=other)[0]
         assert entered.trees[0][2] == pytest.approx(arrival, abs=TRACED)
-        assert entered.antidromic[0][1]
+        assert entered.retrograde[0][1]
 
 
 @pytest.mark.parametrize("cells", [CELLS, 2 * CELLS], ids=["coarse", "fine"])

@@ -15,7 +15,7 @@ from fascicle.purkinje.tree import PurkinjeTree
 MYOCARDIUM = box_tissue((40.0, 16.0, 4.0), (20, 8, 2), jitter=0.1)
 VERTICES = heart_vertices(MYOCARDIUM)
 TOP = VERTICES[np.abs(VERTICES[:, 2] - 4.0) < 1e-9]
-CUT_OFF = {"orthodromic_delay": np.inf, "antidromic_delay": np.inf}
+CUT_OFF = {"anterograde_delay": np.inf, "retrograde_delay": np.inf}
 
 
 def dijkstra_times(tree, cv, entered, speed=1.0):
@@ -71,7 +71,7 @@ def test_branched_trees_agree_with_scipy(entry, seed):
     tree, cv = random_tree(seed), 2.0
     stimuli = {} if entry == "root" else {"stimuli": tree.nodes[tree.junctions[3]], "times": [-5.0]}
     root_time = np.inf if entry == "leaf" else 3.0
-    activation = activate(MYOCARDIUM, [tree], [root_time], cv, orthodromic_delay=np.inf, **stimuli)
+    activation = activate(MYOCARDIUM, [tree], [root_time], cv, anterograde_delay=np.inf, **stimuli)
     entered = {tree.root: root_time}
     if stimuli:
         alone = [
@@ -82,7 +82,7 @@ def test_branched_trees_agree_with_scipy(entry, seed):
         entered |= dict(zip(tree.junctions.tolist(), alone, strict=True))
     expected = dijkstra_times(tree, cv, entered)
     np.testing.assert_allclose(activation.trees[0], expected, atol=1e-9, rtol=0)
-    assert activation.antidromic[0].any() == (entry != "root")
+    assert activation.retrograde[0].any() == (entry != "root")
 
 
 def single_leaf(tree, junction):
@@ -97,7 +97,7 @@ def test_uncoupled_tree_is_a_shortest_path_problem(seed, cv, root_time):
     activation = activate(MYOCARDIUM, [tree], [root_time], cv, **CUT_OFF)
     expected = dijkstra_times(tree, cv, {tree.root: root_time})
     np.testing.assert_allclose(activation.trees[0], expected, atol=1e-9, rtol=0)
-    assert not activation.antidromic[0].any()
+    assert not activation.retrograde[0].any()
     assert np.isinf(activation.myocardium).all()
 
 
@@ -153,7 +153,7 @@ def test_a_block_is_bypassed_through_the_myocardium():
     np.testing.assert_allclose(activation.trees[0][:8], np.abs(x[:8] - 20) / 2.0)
     entered = 10.0 + 40.0 / along
     np.testing.assert_allclose(activation.trees[0][8:], entered + (40 - x[8:]) / 2.0)
-    assert activation.antidromic[0].tolist() == [False, True]
+    assert activation.retrograde[0].tolist() == [False, True]
 
 
 def test_a_blocked_segment_of_no_length_is_passed_neither_way():

@@ -80,7 +80,7 @@ class Network(NamedTuple):
         When they fire (ms); not before 0.
     cv : float
         Purkinje conduction velocity (mm/ms).
-    orthodromic, antidromic : float
+    anterograde, retrograde : float
         Delays of the junctions (ms).
     tissue_speed : float
         Factor on all speeds of the myocardium.
@@ -90,8 +90,8 @@ class Network(NamedTuple):
     rules: GrowthRules
     roots: tuple[float, float]
     cv: float
-    orthodromic: float
-    antidromic: float
+    anterograde: float
+    retrograde: float
     tissue_speed: float
 
 
@@ -312,7 +312,7 @@ def _beat(network: Network) -> tuple[Any, ...]:
     """
     speed = network.tissue_speed
     fires = tuple(speed * time for time in network.roots)
-    delays = speed * network.orthodromic, speed * network.antidromic
+    delays = speed * network.anterograde, speed * network.retrograde
     return fires, network.cv / speed, *delays, speed
 
 

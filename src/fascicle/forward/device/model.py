@@ -116,8 +116,8 @@ class DeviceModel:
             self._rules.with_values(anatomy),
             roots=(left, right),
             cv=values["cv"],
-            orthodromic=delays["orthodromic_delay"],
-            antidromic=delays["antidromic_delay"],
+            anterograde=delays["anterograde_delay"],
+            retrograde=delays["retrograde_delay"],
             tissue_speed=self._conduction.with_values(values).alpha / self._conduction.alpha,
         )
 

@@ -19,12 +19,12 @@ struct Network {
     double* up_length;
     const int* root;
     double* seen;  // times of the corners of each site's element when they were last looked at
-    double fires[2], cv, orthodromic, antidromic, tissue_speed;
+    double fires[2], cv, anterograde, retrograde, tissue_speed;
 };
 
 // What of a network's parameters the solution needs, on the tissue's clock.
 struct Beat {
-    double fires[2], cv, orthodromic, antidromic, tissue_speed;
+    double fires[2], cv, anterograde, retrograde, tissue_speed;
 };
 
 DEVICE Network network(const Batch& b, int number) {
@@ -43,8 +43,8 @@ DEVICE Network network(const Batch& b, int number) {
     n.fires[0] = beat.fires[0];
     n.fires[1] = beat.fires[1];
     n.cv = beat.cv;
-    n.orthodromic = beat.orthodromic;
-    n.antidromic = beat.antidromic;
+    n.anterograde = beat.anterograde;
+    n.retrograde = beat.retrograde;
     n.tissue_speed = beat.tissue_speed;
     return n;
 }

@@ -125,8 +125,8 @@ DEVICE void into_tree(const Heart& h, const Network& n, const Front& f, int site
         changed = changed || time[c] < n.seen[4 * site + c];
         n.seen[4 * site + c] = time[c];
     }
-    if (!changed || earliest + n.antidromic >= load(f.time + f.vertices + site)) return;
-    offer(f, f.vertices + site, n.antidromic + arrival_inside(h, s, time));
+    if (!changed || earliest + n.retrograde >= load(f.time + f.vertices + site)) return;
+    offer(f, f.vertices + site, n.retrograde + arrival_inside(h, s, time));
 }
 
 // From a site that fires to what is around it: vertices in its row of the travel-time table,
@@ -134,7 +134,7 @@ DEVICE void into_tree(const Heart& h, const Network& n, const Front& f, int site
 DEVICE void fire(const Heart& h, const Network& n, const Front& f, int site) {
     const Site& s = n.sites[site];
     if (s.element < 0) return;
-    double now = load(f.time + f.vertices + site) + n.orthodromic;
+    double now = load(f.time + f.vertices + site) + n.anterograde;
     int start = h.row_start[s.row], rays = h.row_start[s.row + 1] - start;
     BLOCK_FOR(k, rays + 4) {
         int vertex = k < rays ? h.row_vertex[start + k] : h.corners[4 * s.element + k - rays];
@@ -144,7 +144,7 @@ DEVICE void fire(const Heart& h, const Network& n, const Front& f, int site) {
     BLOCK_FOR(other, n.count) {
         if (other != site) {
             double time = ray_to_site(h, s, n.sites[other]);
-            offer(f, f.vertices + other, now + time + n.antidromic);
+            offer(f, f.vertices + other, now + time + n.retrograde);
         }
     }
 }
@@ -168,9 +168,9 @@ DEVICE void go_on(const Heart& h, const Network& n, const Front& f, Round& round
             for (int e = h.star_start[node] + i % LANES; e < h.star_start[node + 1]; e += LANES)
                 through_element(h, f, node, e);
     }
-    if (n.orthodromic < INFINITE)
+    if (n.anterograde < INFINITE)
         for (int k = 0; k < round.fires; k++) fire(h, n, f, round.fired[k]);
-    if (n.antidromic < INFINITE) BLOCK_FOR(site, n.count) into_tree(h, n, f, site);
+    if (n.retrograde < INFINITE) BLOCK_FOR(site, n.count) into_tree(h, n, f, site);
     SYNC;
 }
 

@@ -142,7 +142,7 @@ SITE = np.dtype(
 BEAT = np.dtype(
     [
         ("fires", np.float64, 2),
-        *((name, np.float64) for name in ("cv", "orthodromic", "antidromic", "tissue_speed")),
+        *((name, np.float64) for name in ("cv", "anterograde", "retrograde", "tissue_speed")),
     ]
 )
 SPROUT_BYTES, MOVE_BYTES = 32, 40

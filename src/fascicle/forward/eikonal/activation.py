@@ -121,10 +121,10 @@ class Activation:
     origin : (n,) array
         Which site fired each vertex: junctions are counted tree by tree, stimuli after them; -1
         where no front arrives.
-    antidromic : tuple of (n_junctions,) bool arrays
+    retrograde : tuple of (n_junctions,) bool arrays
         Which junctions the myocardium fired before their tree could.
     entered_by : tuple of (n_junctions,) arrays
-        For an antidromic junction the site whose front entered it, else -1.
+        For a retrograde junction the site whose front entered it, else -1.
     stimuli, stimulus_times : (n_stimuli, 3) and (n_stimuli,) arrays
         Where (mm) and when (ms) the myocardium was stimulated.
     captured : (n_stimuli,) bool array
@@ -138,7 +138,7 @@ class Activation:
     myocardium: Floats
     trees: tuple[Floats, ...]
     origin: Integers
-    antidromic: tuple[Booleans, ...]
+    retrograde: tuple[Booleans, ...]
     entered_by: tuple[Integers, ...]
     stimuli: Floats
     stimulus_times: Floats
@@ -204,8 +204,8 @@ def attach(
         element=located.elements,
         to_corner=neighbourhood.sites.to_corner,
         node=site_node + len(myocardium.mesh.vertices),
-        orthodromic=no_delay,
-        antidromic=no_delay,
+        anterograde=no_delay,
+        retrograde=no_delay,
         reader_start=reader_start,
         reader=reader,
         to_vertices=neighbourhood.to_vertices,
@@ -225,12 +225,12 @@ def solve(
     stimuli: Sequence[float] = (),
     node_times: Sequence[tuple[int, int, float]] = (),
     speed: ArrayLike = 1.0,
-    orthodromic_delay: ArrayLike = 0.0,
-    antidromic_delay: ArrayLike = 0.0,
+    anterograde_delay: ArrayLike = 0.0,
+    retrograde_delay: ArrayLike = 0.0,
     tissue_speed: float = 1.0,
     his: HisBundle | None = None,
 ) -> Activation:
-    """Solve the coupled eikonal problem, orthodromic and antidromic, in one sweep.
+    """Solve the coupled eikonal problem, anterograde and retrograde, in one sweep.
 
     Equivalent to the limit of the paper's alternation between trees and myocardium (equations
     `eikotree`, `eikomyo` and `eikoiter`).
@@ -249,7 +249,7 @@ def solve(
         Stimuli in the trees (ms).
     speed : float or (n_nodes,) array
         Factor on the speed of the segment that ends in each node, tree by tree; 0 blocks it.
-    orthodromic_delay, antidromic_delay : float or (n_junctions,) arrays
+    anterograde_delay, retrograde_delay : float or (n_junctions,) arrays
         Delays of the junctions (ms), tree by tree; inf blocks that direction.
     tissue_speed : float
         Factor on all speeds of the myocardium. A heart that conducts c times as fast is one that
@@ -266,8 +266,8 @@ def solve(
             stimuli=[tissue_speed * time for time in stimuli],
             node_times=[(tree, node, tissue_speed * time) for tree, node, time in node_times],
             speed=speed,
-            orthodromic_delay=tissue_speed * np.asarray(orthodromic_delay),
-            antidromic_delay=tissue_speed * np.asarray(antidromic_delay),
+            anterograde_delay=tissue_speed * np.asarray(anterograde_delay),
+            retrograde_delay=tissue_speed * np.asarray(retrograde_delay),
             his=his.slowed(tissue_speed) if his is not None else None,
         )
         return slowed.with_clock(tissue_speed)
@@ -286,8 +286,8 @@ def solve(
     front.nodes["time"][vertices:] = in_trees
     sources = sites.node[np.isfinite(in_trees[sites.node - vertices])]
     sites = sites._replace(
-        orthodromic=_site_delays(coupling, orthodromic_delay),
-        antidromic=_site_delays(coupling, antidromic_delay),
+        anterograde=_site_delays(coupling, anterograde_delay),
+        retrograde=_site_delays(coupling, retrograde_delay),
     )
     sweep(front, sources, mesh, forest, sites)
     return _activation(coupling, front, stimulus_times)
@@ -371,7 +371,7 @@ def _activation(coupling: Coupling, front: Front, stimulus_times: Floats) -> Act
         myocardium=myocardium,
         trees=_pieces(in_trees, coupling.nodes),
         origin=fired_by,
-        antidromic=tuple(by >= 0 for by in entered),
+        retrograde=tuple(by >= 0 for by in entered),
         entered_by=entered,
         stimuli=stimuli.positions,
         stimulus_times=stimulus_times,
