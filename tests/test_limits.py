@@ -32,8 +32,7 @@ try:
     message = ""
 except InputError as error:
     message = str(error)
-while isolated._idle:
-    isolated._idle.pop().end()
+isolated.end_child()
 # not RUSAGE_SELF, which on Linux holds what the parent took before this program began
 own = next(line for line in open("/proc/self/status") if line.startswith("VmHWM:")).split()[1]
 peak = max(int(own), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)

@@ -15,6 +15,7 @@ import pytest
 from fascicle.core import isolated
 from fascicle.core.errors import InputError
 from fascicle.core.isolated import read_isolated
+from fascicle.recording.missing_metadata import MissingMetadataError
 
 ARRAYS = {
     "numbers": np.arange(6.0).reshape(2, 3),
@@ -64,8 +65,12 @@ def asleep(path):
     time.sleep(60)
 
 
-def exotic(path):
-    return {"path": path}
+def broken(path):
+    return path.no_such_attribute
+
+
+def missing(path):
+    raise MissingMetadataError(f"{path}: no unit", "unit", "mV", "a guess")
 
 
 @pytest.fixture
@@ -128,8 +133,14 @@ def test_waiting_is_a_refusal(path, monkeypatch):
 
 
 def test_bugs_stay_loud(path):
-    with pytest.raises(RuntimeError, match="PosixPath is no plain data"):
-        read_isolated(exotic, path)
+    with pytest.raises(RuntimeError, match="no_such_attribute"):
+        read_isolated(broken, path)
+
+
+def test_refusals_keep_their_attributes(path):
+    with pytest.raises(MissingMetadataError, match="no unit") as info:
+        read_isolated(missing, path)
+    assert (info.value.name, info.value.guess) == ("unit", "mV")
 
 
 def test_what_is_printed_is_no_answer(path, capfd):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 LONGEST = 900  # characters of a message; a longer one quotes a damaged file
 
 
@@ -17,6 +19,16 @@ class InputError(ValueError):
     def __init__(self, message: str) -> None:
         text = printable(message)
         super().__init__(text if len(text) <= LONGEST else f"{text[:LONGEST]}…")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How a process hands it over: whatever arguments a subclass takes."""
+        return _restored, (type(self), self.args, vars(self))
+
+
+def _restored(kind: type[InputError], args: tuple[Any, ...], state: dict[str, Any]) -> InputError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(state)
+    return error
 
 
 def printable(text: str) -> str:

@@ -4,44 +4,36 @@ The libraries for VTK, HDF5, MATLAB and other files trust the sizes that a file 
 or hostile one they crash, never end, or ask for any amount of memory. In a child process each of
 these is one clear refusal, and what they leak goes with it.
 
-A child stays to read the next file, since to start one and import VTK takes 0.3 s, ten times what
-most files take, and goes when it has read a large file, or when this process ends. Where Python has
-no module `resource` (Windows), only the time is limited, not the memory.
+The child stays to read the next file, since to start one and import VTK takes 0.3 s, ten times what
+most files take, and goes when it has read a large file, or when this process ends. It is no worker
+of `multiprocessing`, which would run the user's script again in it. Where Python has no module
+`resource` (Windows), only the time is limited, not the memory.
 """
 
 from __future__ import annotations
 
 import atexit
 import contextlib
-import json
 import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from importlib import import_module
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 
-MEMORY, MEMORY_PER_BYTE = 3 * 2**29, 64  # bytes of address space, and more for each of the file
-SECONDS, SECONDS_PER_BYTE = 3.0, 1e-6  # of computing, likewise
-BUSY = 5.0  # on a busy machine so many times the seconds of computing may pass
-DYING = 5.0  # s in which a child that has closed its output is gone
+SECONDS = 3.0  # of computing for any file; one microsecond more for each of its bytes
 LARGE = 64 * 2**20  # bytes; a file that leaves a child with more memory than is worth keeping
-_PYTHON_ERROR = 1  # exit status of Python after an exception that nothing caught
-_EXHAUSTED = (b"bad_alloc", b"MemoryError", b"nable to allocate")  # printed by what then aborts
-_ARRAY = "\0array"  # key of what stands for an array in JSON
 
 
 @dataclass(frozen=True)
@@ -50,16 +42,27 @@ class Limits:
 
     memory: float
     seconds: float
+    size: int
 
     @classmethod
-    def of(cls, path: Path) -> Limits:
-        """Limits that grow with the size of the file; never more memory than is free."""
-        size = path.stat().st_size
-        memory = min(MEMORY + MEMORY_PER_BYTE * size, max(available_memory(), MEMORY))
-        return cls(memory, SECONDS + SECONDS_PER_BYTE * size)
+    def of(cls, *paths: Path) -> Limits:
+        """Limits that grow with the size of the files; never more memory than is free."""
+        size, least = sum(path.stat().st_size for path in paths), 3 * 2**29
+        memory = min(least + 64 * size, max(available_memory(), least))
+        return cls(memory, SECONDS + 1e-6 * size, size)
+
+    def too_much_memory(self, path: Path) -> InputError:
+        """The refusal of a file that takes more."""
+        return InputError(
+            f"{path}: takes more than {self.memory / 2**30:.1f} GB of memory, the limit for a file "
+            f"of {self.size / 2**20:.3g} MB (1.5 GB and 64 times its size, or what is free); it is "
+            "damaged, export it again, or too large, give a part of it"
+        )
 
 
-def read_isolated(reader: Callable[..., Any], path: Path, **options: Any) -> Any:
+def read_isolated(
+    reader: Callable[..., Any], path: Path, *, companions: tuple[Path, ...] = (), **options: Any
+) -> Any:
     """Call a reader in a child process.
 
     Parameters
@@ -68,186 +71,136 @@ def read_isolated(reader: Callable[..., Any], path: Path, **options: Any) -> Any
         Called as ``reader(path, **options)``; it is found by its module and name.
     path : Path
         The file, which decides the limits.
+    companions : tuple of Path
+        Files that are read with it, which count for the limits.
     **options
-        Numbers, texts and the like, as JSON has them.
+        What else the reader takes.
 
     Returns
     -------
     object
-        What the reader returned: dictionaries with text as keys, lists, texts, numbers and arrays.
-        Nothing is unpickled.
+        What the reader returned.
 
     Raises
     ------
     InputError
         What the reader raised, or that reading crashed or went beyond the limits.
     """
-    limits = Limits.of(path)
-    request = {
-        "module": reader.__module__, "reader": reader.__name__, "path": str(path),
-        "options": options, "limits": asdict(limits), "folder": os.getcwd(),
-    }  # fmt: skip
-    child = _idle_child()
-    try:
-        answer = child.ask(request, BUSY * limits.seconds)
-    except EOFError:
-        raise _why_ended(child, path, limits) from None
-    except BaseException:  # such as Ctrl-C: what it says now answers nothing
-        child.end()
-        raise
-    if "exhausted" in answer or path.stat().st_size > LARGE:
-        child.end()
-    else:
-        _idle.append(child)
-    if "exhausted" in answer:
-        raise _too_much_memory(path, limits)
-    if "refused" in answer:
-        raise InputError(answer["refused"])
-    return answer["value"]
+    limits = Limits.of(path, *companions)
+    with _Child.lock:
+        child, start = _Child.current(), time.monotonic()
+        # on a busy machine five times the seconds of computing may pass
+        timer = threading.Timer(patience := 5.0 * limits.seconds, child.process.kill)
+        timer.start()
+        try:
+            value, error, exhausted = child.ask((reader, path, options, limits, os.getcwd()))
+        except EOFError:
+            raise _why_ended(child, path, limits, time.monotonic() - start > patience) from None
+        except BaseException:  # such as Ctrl-C: what it says now answers nothing
+            child.end()
+            raise
+        finally:
+            timer.cancel()
+        if exhausted or limits.size > LARGE:
+            child.end()
+    if error is not None:
+        raise error
+    return value
 
 
-def _why_ended(child: _Child, path: Path, limits: Limits) -> Exception:
+def _why_ended(child: _Child, path: Path, limits: Limits, late: bool) -> Exception:
     """The error of a child that ended without an answer."""
-    status, printed = child.end(DYING)
-    if child.is_late or status == -getattr(signal, "SIGXCPU", 0):
+    status, printed = child.end(patience=5.0)
+    if late or status == -getattr(signal, "SIGXCPU", 0):
         return InputError(
             f"{path}: not read within {limits.seconds:.0f} s of computing, the limit for a file of "
             "its size; it is damaged, export it again"
         )
-    if status == _PYTHON_ERROR and b"MemoryError" not in printed:
+    if any(word in printed for word in (b"bad_alloc", b"MemoryError", b"nable to allocate")):
+        return limits.too_much_memory(path)
+    if status == 1:  # an exception that nothing caught
         return RuntimeError(f"{path}: {printed.decode(errors='replace')}")
-    if any(word in printed for word in _EXHAUSTED):
-        return _too_much_memory(path, limits)
     return InputError(
         f"{path}: damaged, the library that reads it crashed (status {status}); export it again"
     )
 
 
-def _too_much_memory(path: Path, limits: Limits) -> InputError:
-    limit, size = limits.memory / 2**30, path.stat().st_size / 2**20
-    return InputError(
-        f"{path}: takes more than {limit:.1f} GB of memory, the limit for a file of {size:.3g} MB "
-        f"({MEMORY / 2**30:g} GB and {MEMORY_PER_BYTE} times its size, or what is free); it is "
-        "damaged, export it again, or too large, give a part of it"
-    )
-
-
 class _Child:
-    """A process that reads one file after another.
+    """A process that reads one file after another."""
 
-    Attributes
-    ----------
-    is_late : bool
-        Whether it was ended because time was up.
-    """
+    lock = threading.Lock()
+    kept: _Child | None = None
 
     def __init__(self) -> None:
         # -P: a module of the library's name in the working folder is not taken for it
-        command = [sys.executable, "-P", "-m", __name__]
+        command = [sys.executable, "-P", "-c", f"from {__name__} import _serve; _serve()"]
         here = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
-        self.is_late = False
-        self._printed = tempfile.TemporaryFile("a+b")  # noqa: SIM115 - `end` closes it
-        self._process = subprocess.Popen(
+        self.printed = tempfile.TemporaryFile("a+b")  # noqa: SIM115 - `end` closes it
+        self.process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._printed,
+            stderr=self.printed,
             env=os.environ | here,
         )
 
-    @property
-    def is_alive(self) -> bool:
-        return self._process.poll() is None
+    @classmethod
+    def current(cls) -> _Child:
+        """The child that waits for a request, if need be a new one."""
+        if cls.kept is not None and cls.kept.process.poll() is not None:
+            cls.kept.end()
+        cls.kept = cls.kept or cls()
+        return cls.kept
 
-    def ask(self, request: dict[str, Any], seconds: float) -> dict[str, Any]:
-        """Answer to a request, within so many seconds; EOFError if the child ends instead."""
-        self._printed.truncate(0)
-        timer = threading.Timer(seconds, self._give_up)
-        timer.start()
+    def ask(self, request: Any) -> Any:
+        """Answer to a request; EOFError if the child ends instead."""
+        self.printed.truncate(0)
+        with contextlib.suppress(BrokenPipeError):  # no answer will tell
+            pickle.dump(request, self.process.stdin)  # type: ignore[arg-type]
+            self.process.stdin.flush()  # type: ignore[union-attr]
         try:
-            assert self._process.stdin is not None
-            with contextlib.suppress(BrokenPipeError):  # no answer will tell
-                self._process.stdin.write(json.dumps(request).encode() + b"\n")
-                self._process.stdin.flush()
-            return self._answer()
-        finally:
-            timer.cancel()
-
-    def _answer(self) -> dict[str, Any]:
-        stream: Any = self._process.stdout
-        line = stream.readline()
-        if not line.endswith(b"\n"):
-            raise EOFError
-        head = json.loads(line)
-        arrays = []
-        for dtype, shape in head["arrays"]:
-            array: NDArray[Any] = np.empty(shape, dtype)
-            if stream.readinto(array.reshape(-1).view(np.uint8)) < array.nbytes:
-                raise EOFError
-            arrays.append(array)
-
-        def restored(found: dict[str, Any]) -> Any:
-            return arrays[found[_ARRAY]] if _ARRAY in found else found
-
-        answer: dict[str, Any] = json.loads(head["answer"], object_hook=restored)
-        return answer
-
-    def _give_up(self) -> None:
-        self.is_late = True
-        self._process.kill()
+            # by pickle: the child may do what this process may, so it could do harm without it
+            return pickle.load(self.process.stdout)  # type: ignore[arg-type] # noqa: S301
+        except pickle.UnpicklingError:  # it ended in the middle
+            raise EOFError from None
 
     def end(self, patience: float = 0.0) -> tuple[int, bytes]:
         """End it, after so many seconds; its exit status, and what it has printed."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(patience)
-        self._process.kill()
-        status = self._process.wait()
-        self._process.stdout.close()
-        self._printed.seek(0)
-        printed = self._printed.read()
-        self._printed.close()
-        return status, printed
-
-
-_idle: list[_Child] = []
-
-
-def _idle_child() -> _Child:
-    """A child that waits for a request, if need be a new one."""
-    while True:
-        try:
-            child = _idle.pop()
-        except IndexError:
-            return _Child()
-        if child.is_alive:
-            return child
-        child.end()
+        _Child.kept = None
+        with contextlib.suppress(BrokenPipeError, subprocess.TimeoutExpired):
+            self.process.communicate(timeout=patience)
+        self.process.kill()
+        self.process.communicate()
+        self.printed.seek(0)
+        with self.printed:
+            return self.process.returncode, self.printed.read()
 
 
 @atexit.register
-def _end_idle() -> None:
-    while _idle:
-        _idle.pop().end()
+def end_child() -> None:
+    """End the child process that waits for the next file, if there is one."""
+    if _Child.kept is not None:
+        _Child.kept.end()
 
 
-# a process that is forked off shares the pipes to the children of this one
+def _after_fork() -> None:
+    """Leave the child to the process that it is a child of."""
+    _Child.kept, _Child.lock = None, threading.Lock()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_idle.clear)
+    os.register_at_fork(after_in_child=_after_fork)
 
 
-def _limit_resources(memory: float, seconds: float) -> None:
+def _limit_resources(limits: Limits) -> None:
     """Limit the memory and the computing time of this process, where the system can."""
     try:
         import resource
     except ImportError:
         return
     for kind, most in (
-        (resource.RLIMIT_AS, int(memory)),
-        (resource.RLIMIT_CPU, math.ceil(time.process_time() + seconds)),
+        (resource.RLIMIT_AS, int(limits.memory)),
+        (resource.RLIMIT_CPU, math.ceil(time.process_time() + limits.seconds)),
         (resource.RLIMIT_CORE, 0),
     ):
         _, hard = resource.getrlimit(kind)
@@ -261,42 +214,24 @@ def _serve() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends this
     with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(2, 1)  # what libraries print must not get into the answers
-        while line := sys.stdin.buffer.readline():
-            request = json.loads(line)
-            os.chdir(request["folder"])  # where a relative path of the parent's begins
-            _limit_resources(**request["limits"])
-            _write(answers, _answer_to(request))
-            answers.flush()
+        with contextlib.suppress(EOFError):
+            while True:
+                reader, path, options, limits, folder = pickle.load(sys.stdin.buffer)  # noqa: S301
+                os.chdir(folder)  # where a relative path of the parent's begins
+                _limit_resources(limits)
+                pickle.dump(_answer(reader, path, options, limits), answers, protocol=5)
+                answers.flush()
 
 
-def _answer_to(request: dict[str, Any]) -> dict[str, Any]:
+def _answer(
+    reader: Callable[..., Any], path: Path, options: dict[str, Any], limits: Limits
+) -> tuple[Any, Exception | None, bool]:
+    """What a reader returns or else the error to raise, and whether it was for want of memory."""
     try:
-        reader = getattr(import_module(request["module"]), request["reader"])
-        return {"value": reader(Path(request["path"]), **request["options"])}
+        return reader(path, **options), None, False
     except InputError as error:
-        return {"refused": str(error)}
+        return None, error, False
     except MemoryError:
-        return {"exhausted": True}
-
-
-def _write(stream: Any, answer: dict[str, Any]) -> None:
-    """Write an answer: a line of JSON, then the bytes of its arrays."""
-    arrays: list[NDArray[Any]] = []
-
-    def stored(value: Any) -> Any:
-        if isinstance(value, np.generic):
-            return value.item()
-        if not isinstance(value, np.ndarray) or value.dtype.hasobject:
-            raise TypeError(f"{type(value).__name__} is no plain data")
-        arrays.append(np.ascontiguousarray(value).reshape(value.shape))
-        return {_ARRAY: len(arrays) - 1}
-
-    text = json.dumps(answer, default=stored)
-    head = {"answer": text, "arrays": [(array.dtype.str, array.shape) for array in arrays]}
-    stream.write(json.dumps(head).encode() + b"\n")
-    for array in arrays:
-        stream.write(array.reshape(-1).view(np.uint8))
-
-
-if __name__ == "__main__":
-    _serve()
+        return None, limits.too_much_memory(path), True
+    except Exception:  # noqa: BLE001 - raised again where the file was asked for
+        return None, RuntimeError(f"{path}: {traceback.format_exc()}"), False
