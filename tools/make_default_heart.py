@@ -37,10 +37,9 @@ from fascicle.build.build_heart import Body, heart_of, in_body
 from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
 from fascicle.build.segmentation.surface import surface_from_segmentation
 from fascicle.build.volume_meshing import mesh_surface
+from fascicle.heart.endocardium import ChosenSeed
 from fascicle.heart.folder import write_heart
-from fascicle.heart.heart import Heart
-from fascicle.heart.seeds import ChosenSeed
-from fascicle.heart.torso import LeadFields
+from fascicle.heart.heart import Heart, LeadFields
 from fascicle.torso.heart_pose import standard_axes
 
 Floats = NDArray[np.float64]

@@ -21,9 +21,9 @@ from fascicle.core.errors import InputError
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
 from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.fibres.rules import rule_based_fibres
+from fascicle.heart.fibres import rule_based_fibres
 from fascicle.heart.folder import load_heart, write_heart
-from fascicle.heart.torso import TorsoTissue
+from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.purkinje.chart import build_chart

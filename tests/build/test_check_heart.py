@@ -16,7 +16,7 @@ from fascicle.build.anatomy import Anatomy
 from fascicle.build.build_heart import heart_of
 from fascicle.build.check import MOST, cavity_volume, check_heart
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.fibres.rules import FibreAngles
+from fascicle.heart.fibres import FibreAngles
 from fascicle.heart.heart import Heart
 from fascicle.purkinje.chart import build_chart
 

@@ -14,10 +14,9 @@ from shapes import read_labelled_mesh
 from fascicle.build.export import export_heart
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
-from fascicle.heart.labelled_surface import NEEDED
-from fascicle.heart.torso import LeadFields
+from fascicle.heart.heart import LeadFields
+from fascicle.heart.labelled_surface import NEEDED, labelled_mesh
 from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
 from fascicle.mesh.formats.read import read_mesh

@@ -12,9 +12,8 @@ from anatomies import BASE, EPI, LV, RV
 
 from fascicle.build.anatomy import Anatomy
 from fascicle.build.build_heart import heart_of
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
 from fascicle.mesh.topology import boundary_loops
 
 

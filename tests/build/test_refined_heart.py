@@ -15,7 +15,7 @@ from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart
-from fascicle.heart.torso import LeadFields
+from fascicle.heart.heart import LeadFields
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.lead_fields import is_up_to_date, key_of
 

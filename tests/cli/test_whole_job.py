@@ -23,7 +23,7 @@ from fascicle import cli
 from fascicle.cli.demo import demo_recording
 from fascicle.core.leads import LEADS
 from fascicle.forward.loss import align
-from fascicle.heart.segments import SEGMENTS
+from fascicle.heart.sites import SEGMENTS
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
 from fascicle.study.caution import NOT_CONVERGED

@@ -7,8 +7,7 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.heart.assembly import _match_by_position, average_to_tetrahedra
-from fascicle.heart.endocardium import oriented_into_cavity
-from fascicle.heart.seeds import septal_seeds
+from fascicle.heart.endocardium import oriented_into_cavity, septal_seeds
 from fascicle.heart.validate import check_tetrahedra, check_units
 from fascicle.mesh.measures import signed_volumes, triangle_normals
 from fascicle.mesh.topology import boundary_loops

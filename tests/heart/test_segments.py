@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from fascicle.build.endocardia import endocardia
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.fibres.rules import Wall
+from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
-from fascicle.heart.segments import APEX, RIGHT, SEGMENTS, places
+from fascicle.heart.sites import APEX, RIGHT, SEGMENTS, places
 
 DEPTH = 52.0  # mm, of the ellipsoids' left cavity
 

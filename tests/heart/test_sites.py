@@ -13,8 +13,7 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.scenario import Scenario, Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
-from fascicle.heart.segments import RIGHT, SEGMENTS
-from fascicle.heart.sites import LAYERS, LEFT_SITES, RIGHT_SITES, Sites
+from fascicle.heart.sites import LAYERS, LEFT_SITES, RIGHT, RIGHT_SITES, SEGMENTS, Sites
 
 
 @pytest.fixture(scope="module", params=["default_heart", "crtdemo"])

@@ -12,8 +12,8 @@ from builders import box
 
 from fascicle.core.leads import LEADS
 from fascicle.forward.simulation import Simulation
-from fascicle.heart.fibres.rules import Wall
-from fascicle.heart.segments import APEX, Places, places
+from fascicle.heart.fibres import Wall
+from fascicle.heart.sites import APEX, Places, places
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.indices import Territories, indices, segment_times, vectorcardiogram
 from fascicle.recording.global_window import global_qrs_window

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import Parameter, ParameterSpace
-from fascicle.heart.segments import SEGMENTS
+from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.index_names import INDICES
 from fascicle.reporting.indices import SHOWN, index_figure
 from fascicle.reporting.names import index_label

@@ -9,8 +9,7 @@ import numpy as np
 
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso
+from fascicle.heart.heart import Heart, Torso
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 
 GOLDEN = (1 + np.sqrt(5)) / 2

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from fascicle.build.body import Body, in_body
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
+from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.electrode_sites import check_not_exchanged, distances_to_skin

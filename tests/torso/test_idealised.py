@@ -7,9 +7,8 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.heart import Heart
-from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
 from fascicle.torso import lungs
 from fascicle.torso.body_size import BodySize
 from fascicle.torso.electrode_sites import (

@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES, lead_matrix
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.heart.conduction import Conduction, Region, transversely_isotropic
-from fascicle.heart.torso import TorsoTissue
+from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
 from fascicle.torso import lead_fields as module
 from fascicle.torso.lead_fields import (

@@ -8,8 +8,8 @@ import pytest
 from block_heart import HEART_CENTRE, block_heart, ellipsoid, lung, skin
 
 from fascicle.core.errors import InputError
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso, read_torso, write_torso
+from fascicle.heart.folder import read_torso, write_torso
+from fascicle.heart.heart import Heart, Torso
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid, write_surface
 from fascicle.torso.surface_files import MOST_TRIANGLES, read_torso_surfaces
@@ -45,7 +45,7 @@ def test_refuses_the_torso_of_another_heart(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"tissues": np.array([1, 2, 7])}, "unknown tissue 7; the labels are 1"),
+        ({"tissues": np.array([1, 2, 7])}, r"a tissue that is not 1 \(body\)"),
         ({"flip": True}, "3 of 3 tetrahedra are flat or inverted"),
     ],
 )

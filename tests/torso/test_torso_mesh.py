@@ -7,8 +7,8 @@ import pytest
 from block_heart import CUBE, HEART_CENTRE, LV, RV, block_heart, ellipsoid, lung, skin
 
 from fascicle.core.errors import InputError
+from fascicle.heart.heart import TorsoTissue
 from fascicle.heart.labelled_surface import Label
-from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import signed_volumes, triangle_normals
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.enclosure import check_within, crossing

@@ -9,7 +9,7 @@ from spheres import heart_in_torso
 
 from fascicle.core.quantities import BODY, QUANTITIES
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.torso import TorsoTissue
+from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
 from fascicle.torso.variation import exterior, training

@@ -13,9 +13,9 @@ from fascicle.build.endocardia import endocardia
 from fascicle.build.read_anatomy import read_anatomy
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.heart.fibres.rules import FibreAngles, rule_based_fibres
+from fascicle.heart.endocardium import ChosenSeed, seeded_endocardia
+from fascicle.heart.fibres import FibreAngles, rule_based_fibres
 from fascicle.heart.heart import Heart
-from fascicle.heart.seeds import ChosenSeed, seeded_endocardia
 from fascicle.heart.validate import check_tetrahedra
 
 Seeds = Mapping[str, tuple[ChosenSeed, ChosenSeed]]

@@ -11,12 +11,10 @@ import numpy as np
 from fascicle.build.wall_thickness import Walls, wall_thickness
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, long_axis
-from fascicle.heart.heart import Heart
-from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.heart.torso import TorsoTissue
+from fascicle.heart.heart import Heart, TorsoTissue
+from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import enclosed_volume, signed_volumes
 from fascicle.mesh.quality import Quality, quality
 from fascicle.purkinje.chart import Chart

@@ -12,13 +12,12 @@ from scipy.spatial import cKDTree
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path, write_text
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.folder import cell_arrays, write_mesh
 from fascicle.heart.heart import Heart
 from fascicle.heart.label_names import SURFACE_NAMES
-from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
 from fascicle.mesh.formats.mesh_file import GROUP
 from fascicle.mesh.formats.opencarp import (
     opencarp_file,
@@ -49,8 +48,8 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
         ``heart``. VTU: a file; tetrahedra with the cell arrays ``fibre``, ``sheet`` and ``region``
         and the point arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh: a file
         (format 2.2), see `write_gmsh`. VTU and Gmsh are in mm, openCARP in µm. openCARP and Gmsh
-        have the whole boundary, labelled by `fascicle.heart.boundary_labels.labelled_mesh`, so that
-        `fascicle.build.labelled_mesh_files.labelled_tetrahedra` reads it.
+        have the whole boundary, labelled by `fascicle.heart.labelled_surface.labelled_mesh`, so
+        that `fascicle.build.labelled_mesh_files.labelled_tetrahedra` reads it.
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree

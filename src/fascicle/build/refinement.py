@@ -10,8 +10,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import LeadFields
+from fascicle.heart.heart import Heart, LeadFields
 from fascicle.mesh.refinement import CHILDREN, in_eight
 from fascicle.torso.lead_fields import key_of, resolve_lead_fields
 

@@ -13,8 +13,8 @@ from typer.models import OptionInfo
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
-    from fascicle.heart.fibres.rules import FibreAngles
-    from fascicle.heart.seeds import ChosenSeed
+    from fascicle.heart.endocardium import ChosenSeed
+    from fascicle.heart.fibres import FibreAngles
 
 ANATOMY, FIBRES, BODY, BUNDLES = "Anatomy", "Fibres", "Torso and electrodes", "Bundles"
 STEEPEST = 90.0  # degrees
@@ -123,7 +123,7 @@ def label_numbers(labels: str | None) -> dict[str, int] | None:
 
 def fibre_angles(lv: str, rv: str) -> FibreAngles:
     """Read helix angles as '60,-60' (degrees), endocardium and epicardium."""
-    from fascicle.heart.fibres.rules import FibreAngles
+    from fascicle.heart.fibres import FibreAngles
 
     angles: list[float] = []
     for option, text in (("--lv-angles", lv), ("--rv-angles", rv)):

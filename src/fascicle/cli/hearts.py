@@ -134,8 +134,8 @@ def heart_import(
     from fascicle.build.body import Body, in_body
     from fascicle.cli.terminal_progress import TerminalProgress
     from fascicle.heart.assembly import assemble_heart
-    from fascicle.heart.boundary_labels import labelled_mesh
     from fascicle.heart.folder import check_heart_folder
+    from fascicle.heart.labelled_surface import labelled_mesh
     from fascicle.mesh.formats.read import read_mesh
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])

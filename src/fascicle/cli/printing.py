@@ -297,7 +297,7 @@ def print_sweep(swept: Swept, index: str) -> None:
     """Print an index of every scenario of a sweep, and how often each is the best."""
     import numpy as np
 
-    from fascicle.heart.segments import SEGMENTS
+    from fascicle.heart.sites import SEGMENTS
     from fascicle.prediction.sweeps import SEGMENT
     from fascicle.reporting.names import index_label
 

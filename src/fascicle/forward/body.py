@@ -19,10 +19,9 @@ from fascicle.core.threads import one_thread
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.preparation import READ_ERRORS, cache_file
-from fascicle.heart.boundary_labels import labelled_mesh
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso
+from fascicle.heart.heart import Heart, Torso
+from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.kernels.channels import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.electrode_sites import FARTHEST

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_array
 from fascicle.heart.electrodes import read_electrodes
-from fascicle.heart.endocardium import oriented_into_cavity
+from fascicle.heart.endocardium import ChosenSeed, oriented_into_cavity, seeded_endocardia
 from fascicle.heart.heart import Heart
-from fascicle.heart.seeds import ChosenSeed, seeded_endocardia
 from fascicle.heart.validate import (
     check_electrodes,
     check_endocardium_in_place,
@@ -26,15 +24,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.measures import principal_axes, unit
 from fascicle.mesh.topology import without_unused_vertices
 
-REGION = "region"  # cell array of labels
-SHEET = "sheet"  # cell array of directions
-VALVE = "valve"  # cell array of an endocardium: 1 where it spans a valve opening
 FIBRE_NAMES = ("fibre", "fibres", "fiber", "fibers", "f0", "fiber_direction", "fibre_direction")
-OTHER_DIRECTIONS = ("normals", SHEET)  # arrays of directions that are not fibres
-# Points of two files are the same when they are this close, as a fraction of the mesh's extent:
-# room for single precision.
-MATCH = 1e-5
-UNIT_LENGTH_ERROR = 1e-12  # a fibre this near to unit length stays as it is
 
 
 def assemble_heart(
@@ -51,11 +41,11 @@ def assemble_heart(
     Parameters
     ----------
     mesh : MeshFile
-        Tetrahedra, labels of regions if it has them, and the fibres too if `fibres` is None.
+        Tetrahedra, their regions and sheets if it has them, and the fibres too if `fibres` is None.
     fibres : MeshFile or None
         The file that holds the fibres, per point or per tetrahedron.
     surfaces : dict of side to MeshFile
-        Endocardia.
+        Endocardia; triangles with a cell array ``valve`` that is not 0 span a valve opening.
     seeds : dict of side to (root, direction)
         Vertices of the endocardia, or positions on them; None where they are to be found.
     electrodes : Path
@@ -64,19 +54,23 @@ def assemble_heart(
         What to call the heart.
     """
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
-    source = str(mesh.path)
-    check_units(source, mesh.points)
+    check_units(str(mesh.path), mesh.points)
     direction = _fibres_per_tetrahedron(mesh, tetrahedra, fibres if fibres is not None else mesh)
     vertices, tetrahedra = without_unused_vertices(mesh.points, tetrahedra)
-    check_tetrahedra(source, vertices, tetrahedra)
-    opened = {side: _surface(side, surface) for side, surface in surfaces.items()}
-    for side, (points, _) in opened.items():
-        check_endocardium_in_place(f"{surfaces[side].path}", points, vertices)
-    _check_two_surfaces(surfaces, opened)
-    named = {
-        side: (str(surface.path), *opened[side], _valves(surface))
-        for side, surface in surfaces.items()
-    }
+    check_tetrahedra(str(mesh.path), vertices, tetrahedra)
+    named = {}
+    for side, surface in surfaces.items():
+        triangles = _endocardium(side, surface)
+        check_endocardium_in_place(str(surface.path), surface.points, vertices)
+        valves = surface.cell_array(TRIANGLE, "valve")
+        valves = None if valves is None else valves != 0
+        named[side] = str(surface.path), surface.points, triangles, valves
+    apart = cKDTree(surfaces["rv"].points).query(surfaces["lv"].points)[0]
+    if float(np.median(apart)) == 0:
+        raise InputError(
+            f"{surfaces['lv'].path}: the LV and the RV endocardium are the same surface; "
+            "give one for each ventricle"
+        )
     lv, rv = seeded_endocardia(named, seeds)
     heart = Heart(
         vertices=vertices,
@@ -93,19 +87,8 @@ def assemble_heart(
     return heart
 
 
-def _check_two_surfaces(
-    surfaces: dict[str, MeshFile], opened: dict[str, tuple[Floats, Integers]]
-) -> None:
-    apart = cKDTree(opened["rv"][0]).query(opened["lv"][0])[0]
-    if float(np.median(apart)) == 0:
-        raise InputError(
-            f"{surfaces['lv'].path}: the LV and the RV endocardium are the same surface; "
-            "give one for each ventricle"
-        )
-
-
-def _surface(side: str, surface: MeshFile) -> tuple[Floats, Integers]:
-    """Points and triangles of an endocardium, facing its cavity.
+def _endocardium(side: str, surface: MeshFile) -> Integers:
+    """Triangles of an endocardium, facing its cavity.
 
     Point indices stay as in the file, since seeds refer to them; points that no triangle uses
     would make the chart singular and are refused.
@@ -119,7 +102,7 @@ def _surface(side: str, surface: MeshFile) -> tuple[Floats, Integers]:
             "(ParaView: Clean)"
         )
     check_array("coordinate", surface.points, f"{name}: a coordinate")
-    return surface.points, oriented_into_cavity(surface.points, triangles, name)
+    return oriented_into_cavity(surface.points, triangles, name)
 
 
 def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFile) -> Floats:
@@ -129,13 +112,11 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
     if per_cell:
         theirs = source.points[source.require(TETRAHEDRON, "tetrahedra")].mean(axis=1)
         ours = mesh.points[tetrahedra].mean(axis=1)
-        row = _match_by_position(name, theirs, ours, "tetrahedra")
-        values = values[row]
+        values = values[_match_by_position(name, theirs, ours, "tetrahedra")]
         check_fibres(name, values)
         length = np.linalg.norm(values, axis=1, keepdims=True)
-        # so that a heart that was written reads back equal
-        exact = np.abs(length - 1) < UNIT_LENGTH_ERROR
-        return np.asarray(np.where(exact, values, values / length))
+        # those of unit length stay, so that a heart that was written reads back equal
+        return np.asarray(np.where(np.abs(length - 1) < 1e-12, values, values / length))
     used = np.unique(tetrahedra)
     row = _match_by_position(name, source.points, mesh.points[used], "vertices")
     at_vertex = np.zeros((len(mesh.points), 3))
@@ -147,7 +128,7 @@ def _fibres_per_tetrahedron(mesh: MeshFile, tetrahedra: Integers, source: MeshFi
 def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> Integers:
     """Rows (k,) of the given positions (n, 3) that are those of the wanted ones (k, 3)."""
     distance, row = cKDTree(given).query(wanted)
-    tolerance = MATCH * float(np.ptp(wanted, axis=0).max())
+    tolerance = 1e-5 * float(np.ptp(wanted, axis=0).max())  # room for single precision
     bad = np.flatnonzero(distance > tolerance)
     if bad.size:
         raise InputError(
@@ -165,7 +146,7 @@ def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
     return principal_axes(unit(fibres[tetrahedra]))
 
 
-def region_labels(mesh: MeshFile, array: str = REGION) -> Integers | None:
+def region_labels(mesh: MeshFile, array: str = "region") -> Integers | None:
     """Labels of the tetrahedra (m,), if the mesh has this cell array; whole numbers."""
     values = mesh.cell_array(TETRAHEDRON, array)
     if values is None:
@@ -180,43 +161,28 @@ def region_labels(mesh: MeshFile, array: str = REGION) -> Integers | None:
 
 def _sheets(mesh: MeshFile) -> Floats | None:
     """Sheet directions of the tetrahedra, if the mesh has the cell array `sheet`."""
-    values = mesh.cell_array(TETRAHEDRON, SHEET)
+    values = mesh.cell_array(TETRAHEDRON, "sheet")
     if values is None:
         return None
-    name = f"{mesh.path} ('{SHEET}')"
+    name = f"{mesh.path} ('sheet')"
     if values.ndim != 2 or values.shape[1] != 3:
         raise InputError(f"{name}: sheets must be vectors of three numbers; correct or remove it")
     check_fibres(name, values)
     return values
 
 
-def _valves(surface: MeshFile) -> Booleans | None:
-    """Which triangles span a valve opening, if the surface has the cell array `valve`."""
-    values = surface.cell_array(TRIANGLE, VALVE)
-    return None if values is None else values != 0
-
-
 def _fibre_array(source: MeshFile) -> tuple[Floats, bool]:
     """Find the array of directions in a file, and whether it is one per tetrahedron."""
-    candidates: dict[str, tuple[Any, bool]] = {}
-    for arrays, per_cell in (
-        (source.cell_data.get(TETRAHEDRON, {}), True),
-        (source.point_data, False),
-    ):
+    found: dict[str, tuple[Floats, bool]] = {}
+    of_cells = source.cell_data.get(TETRAHEDRON, {})
+    for arrays, per_cell in ((source.point_data, False), (of_cells, True)):  # of cells: exact
         for key, values in arrays.items():
-            if (
-                np.ndim(values) == 2
-                and np.shape(values)[1] == 3
-                and key.lower() not in OTHER_DIRECTIONS
-            ):
-                candidates.setdefault(key, (values, per_cell))  # those of cells are exact
-    named = [key for key in candidates if key.lower() in FIBRE_NAMES]
-    keys = named if named else list(candidates)
+            if np.shape(values)[1:] == (3,) and key.lower() not in ("normals", "sheet"):
+                found[key] = np.asarray(values, dtype=float), per_cell
+    keys = [key for key in found if key.lower() in FIBRE_NAMES] or list(found)
     if len(keys) != 1:
-        found = ", ".join(keys) if keys else "none"
         raise InputError(
-            f"{source.path}: need one array of fibre directions (3 components); found {found}; "
-            "keep one, or name it 'fibre'"
+            f"{source.path}: need one array of fibre directions (3 components); found "
+            f"{', '.join(keys) or 'none'}; keep one, or name it 'fibre'"
         )
-    values, per_cell = candidates[keys[0]]
-    return np.asarray(values, dtype=float), per_cell
+    return found[keys[0]]

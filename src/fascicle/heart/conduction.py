@@ -144,8 +144,7 @@ class Conduction:
 
     def __post_init__(self) -> None:
         for name in CONDUCTIVITIES:
-            value = getattr(self, name)
-            within("conductivity", value, f"conductivity '{name}'")
+            within("conductivity", getattr(self, name), f"conductivity '{name}'")
         check_items(self.regions, Region, "regions", "fascicle.Region")
         given = {name: getattr(self, name) for name in SPEEDS}
         if self.anisotropy_ratio is None:
@@ -154,26 +153,14 @@ class Conduction:
 
     @classmethod
     def of(cls, heart: Heart, regions: Sequence[Region] = ()) -> Conduction:
-        """The heart's own, with more regions.
-
-        Parameters
-        ----------
-        heart : Heart
-            Its values count where it has any.
-        regions : sequence of Region
-            Where they overlap with the heart's own, they count.
-        """
+        """That of a heart's own values, with more regions, which count where they overlap."""
         own = cls().with_values(heart.values)
         return replace(own, regions=(*own.regions, *regions))
 
     def with_values(self, values: Mapping[str, float]) -> Conduction:
-        """The same with other values of the quantities in `values` that concern it.
+        """The same with other values of the `fascicle.core.quantities` that concern it.
 
-        Parameters
-        ----------
-        values : mapping of name to float
-            Quantities of `fascicle.core.quantities`; a region of a label that is there already is
-            replaced.
+        A region of a label that is there already is replaced.
         """
         changes = {name: values[name] for name in SPEEDS if name in values}
         if "fibre_speed" in values:
@@ -250,17 +237,10 @@ def layer_share(heart: Heart, thickness: float) -> Floats:
 
 
 def share_below(values: Floats, level: float) -> Floats:
-    """Share of the volume in which a function, linear in a tetrahedron, is below a level.
+    """Share of the volume in which a function, linear in a tetrahedron, is below a level, (m,).
 
     That is the distribution function of the quadratic B-spline whose knots are the four values at
-    the corners (Hermite-Genocchi).
-
-    Parameters
-    ----------
-    values : (m, 4) array
-        At the corners.
-    level : float
-        In the same unit.
+    the corners (m, 4) (Hermite-Genocchi).
     """
     knots = np.sort(values, axis=1)
     # equal knots, of which the formula is a limit, are set apart by a millionth of the range
@@ -274,19 +254,6 @@ def share_below(values: Floats, level: float) -> Floats:
 
 
 def transversely_isotropic(fibres: Floats, along: float, across: float) -> Floats:
-    """Tensors `across`·I + (`along` − `across`)·f⊗f.
-
-    Parameters
-    ----------
-    fibres : (m, 3) array
-        Unit directions f.
-    along, across : float
-        Values along the fibre and across it, in any unit.
-
-    Returns
-    -------
-    (m, 3, 3) array
-        In that unit.
-    """
+    """Tensors `across`·I + (`along` − `across`)·f⊗f for unit fibres f (m, 3), (m, 3, 3)."""
     dyads = fibres[:, :, None] * fibres[:, None, :]
     return np.asarray(across * np.eye(3) + (along - across) * dyads)

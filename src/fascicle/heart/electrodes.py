@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -83,13 +82,13 @@ def _rows_of_json(path: Path, text: str) -> list[tuple[str, list[object]]]:
 
 
 def _position(path: Path, name: str, values: list[object]) -> list[float]:
+    """Three finite numbers."""
     try:
         position = [float(value) for value in values]  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         position = []
-    if any(isinstance(value, bool) for value in values):
-        position = []
-    if len(position) != 3 or not all(map(math.isfinite, position)):
+    boolean = any(isinstance(value, bool) for value in values)
+    if len(position) != 3 or boolean or not np.isfinite(position).all():
         raise InputError(
             f"{path}: electrode {name} is at {shown(values)}; give three finite numbers (mm)"
         )
@@ -99,11 +98,9 @@ def _position(path: Path, name: str, values: list[object]) -> list[float]:
 
 def write_electrodes(path: Path, electrodes: Floats) -> None:
     """Write electrode positions (9, 3) as CSV or, by the path's suffix, JSON (mm)."""
+    positions = dict(zip(ELECTRODES, np.asarray(electrodes, dtype=float).tolist(), strict=True))
     if path.suffix.lower() == ".json":
-        positions = dict(zip(ELECTRODES, np.asarray(electrodes).tolist(), strict=True))
         write_text(path, json.dumps(positions, indent=1) + "\n")
-        return
-    lines = ["name,x,y,z"]
-    for name, position in zip(ELECTRODES, electrodes, strict=True):
-        lines.append(",".join([name, *(repr(float(x)) for x in position)]))
-    write_text(path, "\n".join(lines) + "\n")
+    else:
+        rows = [",".join([name, *map(repr, position)]) for name, position in positions.items()]
+        write_text(path, "\n".join(["name,x,y,z", *rows]) + "\n")

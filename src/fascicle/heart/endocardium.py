@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import igl
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.short_repr import short_repr
-from fascicle.mesh.measures import enclosed_volume, triangle_areas
+from fascicle.mesh.measures import enclosed_volume, triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops, unique_edges
+
+# A vertex by its number, a position (mm), or neither: then the anatomy decides
+ChosenSeed = int | tuple[float, float, float] | None
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Endocardium:
         Vertex where the bundle starts, and one that it heads for.
     valves : (m,) array, optional
         Which triangles span a valve opening within the surface; no tissue lies under them, and
-        trees end at its edge.
+        Purkinje networks end at its edge.
     """
 
     side: str
@@ -47,24 +52,12 @@ class Endocardium:
 
 
 def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> Integers:
-    """Check that a surface is an endocardium and turn its triangles to face the cavity.
-
-    Parameters
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices, in any orientation.
-    name : str
-        What to call the surface in an error.
-
-    Returns
-    -------
-    (m, 3) array
-        The triangles, counter-clockwise seen from inside the cavity.
+    """Triangles (m, 3) of an endocardium, counter-clockwise seen from inside the cavity.
 
     Raises
     ------
     InputError
-        If the surface is not one manifold piece with the topology of a disk.
+        If the surface, called `name`, is not one manifold piece with the topology of a disk.
     """
     edges, count = unique_edges(triangles)
     bad = np.flatnonzero(count > 2)
@@ -80,26 +73,21 @@ def oriented_into_cavity(vertices: Floats, triangles: Integers, name: str) -> In
             f"{name}: the surface falls into {pieces.max() + 1} pieces; "
             "keep the one that is the endocardium"
         )
-    _check_disk(oriented, len(edges), name)
-    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
-        oriented = oriented[:, ::-1]
-    return np.ascontiguousarray(oriented, dtype=np.int64)
-
-
-def _check_disk(triangles: Integers, edges: int, name: str) -> None:
-    loops = boundary_loops(triangles)
+    loops = boundary_loops(oriented)
     if len(loops) != 1:
         found = "no boundary loop (it is closed)" if not loops else f"{len(loops)} boundary loops"
         raise InputError(
             f"{name}: the surface has {found}; it must be open at the base, with exactly one"
         )
-    euler = np.unique(triangles).size - edges + len(triangles)
-    boundary = loops[0]
-    if euler != 1 or np.unique(boundary).size != boundary.size:
+    euler = np.unique(oriented).size - len(edges) + len(oriented)
+    if euler != 1 or np.unique(loops[0]).size != loops[0].size:
         raise InputError(
             f"{name}: the surface has handles or a pinched boundary (Euler characteristic "
             f"{euler}, a disk has 1); repair or remesh it"
         )
+    if enclosed_volume(vertices, oriented) > 0:  # normals point away from the cavity
+        oriented = oriented[:, ::-1]
+    return np.ascontiguousarray(oriented, dtype=np.int64)
 
 
 def long_axis(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
@@ -107,3 +95,93 @@ def long_axis(vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
     base = vertices[boundary_loops(triangles)[0]].mean(axis=0)
     apex = vertices[np.argmax(np.linalg.norm(vertices - base, axis=1))]
     return np.asarray(base), np.asarray(apex)
+
+
+def septal_seeds(
+    vertices: Floats, triangles: Integers, opposite: Floats, valves: Booleans | None = None
+) -> tuple[int, int]:
+    """Root near the base and direction towards the apex: vertices in the middle of the septum.
+
+    The septum is where this endocardium comes nearest to the vertices `opposite` (k, 3) of the
+    other ventricle's. The bundle branches appear subendocardially in the upper septum; none starts
+    on a valve.
+    """
+    base, apex = long_axis(vertices, triangles)
+    axis = unit(apex - base)
+    depth = (vertices - base) @ axis / np.linalg.norm(apex - base)
+    to_other, _ = cKDTree(opposite).query(vertices)
+    allowed = np.ones(len(vertices), dtype=bool)
+    allowed[boundary_loops(triangles)[0]] = False
+    if valves is not None:
+        allowed[triangles[valves]] = False
+
+    def lowest(score: Floats, low: float, high: float) -> int:
+        beyond = np.maximum(np.maximum(low - depth, depth - high), 0)
+        nearest = float(beyond[allowed].min())
+        # a coarse surface may have no vertex in the band: then those next to it, of 5 % of the way
+        inside = allowed & (beyond <= (nearest + 0.05 if nearest > 0 else 0))
+        return int(np.argmin(np.where(inside, score, np.inf)))
+
+    # bands of the depth below the base, as a fraction of the way to the apex
+    direction = lowest(to_other, 0.4, 0.55)
+    # of the septal vertices near the base, the one from which the way down is straightest
+    sideways = vertices - vertices[direction]
+    sideways = np.linalg.norm(sideways - np.outer(sideways @ axis, axis), axis=1)
+    return lowest(to_other + sideways, 0.08, 0.22), direction
+
+
+def seeded_endocardia(
+    surfaces: Mapping[str, tuple[str, Floats, Integers, Booleans | None]],
+    chosen: Mapping[str, tuple[ChosenSeed, ChosenSeed]],
+) -> tuple[Endocardium, Endocardium]:
+    """LV and RV endocardium with root and direction as chosen, or as the anatomy suggests.
+
+    Parameters
+    ----------
+    surfaces : mapping of side to (name, vertices, triangles, valves)
+        What to call each in an error, and the surfaces as in `septal_seeds`.
+    chosen : mapping of side to (root, direction)
+        Each the number of a vertex, a position (mm), or None to have it found.
+
+    Raises
+    ------
+    InputError
+        If a seed is not on the endocardium, or both are one.
+    """
+    seeded = []
+    for side, other in (("lv", "rv"), ("rv", "lv")):
+        name, vertices, triangles, valves = surfaces[side]
+        found = septal_seeds(vertices, triangles, surfaces[other][1], valves)
+        root, direction = (
+            suggested if seed is None else _vertex(f"{name}: {side.upper()} {what}", seed, vertices)
+            for what, seed, suggested in zip(
+                ("root", "direction"), chosen[side], found, strict=True
+            )
+        )
+        if root == direction:
+            raise InputError(
+                f"{name}: {side.upper()} root and direction are the same point ({root}); give two "
+                "different ones"
+            )
+        seeded.append(Endocardium(side, vertices, triangles, root, direction, valves))
+    return seeded[0], seeded[1]
+
+
+def _vertex(name: str, seed: int | tuple[float, float, float], vertices: Floats) -> int:
+    """The vertex that a number or a position (mm) means."""
+    if isinstance(seed, int):
+        if not 0 <= seed < len(vertices):
+            raise InputError(
+                f"{name} {seed} is not one of its points; give a number from 0 to "
+                f"{len(vertices) - 1}"
+            )
+        return seed
+    distance = np.linalg.norm(vertices - np.array(seed), axis=1)
+    nearest = int(np.argmin(distance))
+    if not distance[nearest] <= 5:  # mm
+        where = ", ".join(f"{x:g}" for x in seed)
+        raise InputError(
+            f"{name} ({where}) is {distance[nearest]:.1f} mm from the endocardium; give a "
+            "position on it (within 5 mm), in the heart's frame"
+        )
+    return nearest

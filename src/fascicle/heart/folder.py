@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import (
     as_path,
@@ -26,26 +27,27 @@ from fascicle.core.files import (
 )
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.quantities import SPEED, check_one_speed, checked, region_labels
-from fascicle.heart.assembly import REGION, SHEET, VALVE, assemble_heart
+from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import SPEEDS, Region
 from fascicle.heart.electrodes import write_electrodes
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import LeadFields, read_torso, write_torso
+from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid, write_surface
+from fascicle.mesh.measures import signed_volumes
 
 MANIFEST = "heart.toml"
-FORMAT = "fascicle heart 1"
-MESH, ELECTRODE_FILE, TORSO = "mesh.vtu", "electrodes.csv", "torso.vtu"
 PICTURE = "check.png"  # of what the folder holds; whoever writes the folder may draw it
 LABELS_PICTURE = "labels.png"  # of labels that were found from the shape
-OWN_FILES = (
-    MANIFEST, MESH, "lv_endocardium.vtp", "rv_endocardium.vtp", ELECTRODE_FILE, TORSO, PICTURE,
-    LABELS_PICTURE,
-)  # fmt: skip
 DEFAULT_HEART = "default"
-LEAD_FIELD = "lead_field_"  # point arrays, one an electrode
+# What a heart is written to, by the manifest's keys
+FILES = {
+    "mesh": "mesh.vtu",
+    "lv_endocardium": "lv_endocardium.vtp",
+    "rv_endocardium": "rv_endocardium.vtp",
+    "electrodes": "electrodes.csv",
+    "torso": "torso.vtu",
+}
 
 
 class _Strict(BaseModel):
@@ -111,18 +113,16 @@ def load_heart(path: Path | str) -> Heart:
     InputError
         If anything about it would make the physics wrong; the message names file and remedy.
     """
-    given = as_path(path, "heart")
-    if str(path) == DEFAULT_HEART and not given.exists():
+    folder = as_path(path, "heart")
+    if str(path) == DEFAULT_HEART and not folder.exists():
         with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as packaged:
             heart = load_heart(packaged)
-        folder = user_cache() / "default_heart"  # a package is no place to write to
+        cache = user_cache() / "default_heart"  # a package is no place to write to
         with suppress(OSError):  # nor is every home; then nothing is kept
-            folder.mkdir(parents=True, exist_ok=True)
-        return replace(heart, folder=folder)
-    folder = given
+            cache.mkdir(parents=True, exist_ok=True)
+        return replace(heart, folder=cache)
     manifest, path = _read_manifest(folder), folder / MANIFEST
     surfaces = {"lv": manifest.lv_endocardium, "rv": manifest.rv_endocardium}
-    seeds = {"lv": manifest.lv, "rv": manifest.rv}
     mesh = read_mesh(named_by(path, manifest.mesh), "mesh")
     heart = assemble_heart(
         mesh=mesh,
@@ -131,26 +131,29 @@ def load_heart(path: Path | str) -> Heart:
             side: read_mesh(named_by(path, file), f"{side.upper()} endocardium")
             for side, file in surfaces.items()
         },
-        seeds={side: (points.root, points.direction) for side, points in seeds.items()},
+        seeds={
+            side: (seeds.root, seeds.direction)
+            for side, seeds in (("lv", manifest.lv), ("rv", manifest.rv))
+        },
         electrodes=named_by(path, manifest.electrodes),
         name=manifest.name,
     )
     torso = None
     if manifest.torso is not None:
         torso = read_torso(named_by(path, manifest.torso), heart.vertices)
-    lead_fields = _lead_fields(mesh, manifest.lead_fields)
+    lead_fields = None
+    if manifest.lead_fields is not None:
+        keys = manifest.lead_fields
+        lead_fields = LeadFields(_read_lead_fields(mesh), keys.heart, keys.torso)
     values = _patient_values(path, manifest.values, heart)
     return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields, values=values)
 
 
 def _read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
-    if not folder.exists():
-        raise InputError(f"{folder}: no such heart folder; make one with 'fascicle heart build'")
     if not path.is_file():
-        raise InputError(
-            f"{folder}: not a heart folder (no {MANIFEST}); make one with 'fascicle heart build'"
-        )
+        what = f"not a heart folder (no {MANIFEST})" if folder.exists() else "no such heart folder"
+        raise InputError(f"{folder}: {what}; make one with 'fascicle heart build'")
     values = read_toml(path, "import the heart again")
     try:
         return Manifest.model_validate(values)
@@ -170,32 +173,65 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
         regions = region_labels(found)
         for label, name in regions.items():
             Region(found[name], label).elements(heart)
+        for name in found:
+            # all that `Conduction.with_values` looks at; anything else would count for nothing
+            if name not in (*SPEEDS, *SPEED, *regions.values()):
+                raise InputError(f"'{name}' is no property of the tissue; leave it out")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    for name in found:
-        # all that `Conduction.with_values` looks at; anything else would count for nothing
-        if name not in (*SPEEDS, *SPEED, *regions.values()):
-            raise InputError(f"{path}: '{name}' is no property of the tissue; leave it out")
     return found
 
 
-def _lead_fields(mesh: MeshFile, keys: LeadFieldKeys | None) -> LeadFields | None:
-    """Lead fields that stand in the mesh file, if the manifest says what they are."""
-    if keys is None:
-        return None
+def _read_lead_fields(mesh: MeshFile) -> Floats:
+    """Lead fields (9, n) of the mesh's point arrays."""
     used = np.unique(mesh.cells[TETRAHEDRON])
-    values = np.full((len(ELECTRODES), len(used)), np.nan)
-    for row, electrode in zip(values, ELECTRODES, strict=True):
-        array = mesh.point_data.get(f"{LEAD_FIELD}{electrode}")
-        if array is not None and array.shape == (len(mesh.points),):
-            row[:] = array[used]
-        if not np.isfinite(row).all():
+    rows = []
+    for electrode in ELECTRODES:
+        array = mesh.point_data.get(f"lead_field_{electrode}", np.empty(0))
+        if array.shape != (len(mesh.points),) or not np.isfinite(array[used]).all():
             raise InputError(
-                f"{mesh.path}: the point array '{LEAD_FIELD}{electrode}' is missing or not finite; "
+                f"{mesh.path}: the point array 'lead_field_{electrode}' is missing or not finite; "
                 f"build the heart again, or take 'lead_fields' out of {MANIFEST} to have them "
                 "computed"
             )
-    return LeadFields(values, keys.heart, keys.torso)
+        rows.append(array[used])
+    return np.array(rows, dtype=float)
+
+
+def read_torso(path: Path, heart_vertices: Floats) -> Torso:
+    """Read the torso around a heart's vertices (n, 3) (mm) from a file of `write_heart`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no or unknown tissues, is of another heart, or has inverted
+        tetrahedra.
+    """
+    mesh = read_mesh(path, "torso")
+    tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
+    tissues = mesh.cell_data[TETRAHEDRON].get("tissue", np.empty(0))
+    count = len(heart_vertices)
+    inverted = signed_volumes(mesh.points, tetrahedra) <= 0
+    for bad, fault in (
+        (tissues.shape != (len(tetrahedra),), "no cell array 'tissue' with a label each"),
+        (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {_tissues()}"),
+        (
+            not np.array_equal(mesh.points[:count], heart_vertices),
+            f"its first {count} points are not the heart's",
+        ),
+        (
+            inverted.any(),
+            f"{inverted.sum()} of {len(tetrahedra)} tetrahedra are flat or inverted (first: "
+            f"{inverted.argmax()})",
+        ),
+    ):
+        if bad:
+            raise InputError(f"{path}: {fault}; build the heart's torso again")
+    return Torso(mesh.points, tetrahedra, tissues.astype(np.int64))
+
+
+def _tissues() -> str:
+    return " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
 
 
 def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
@@ -225,65 +261,73 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
         raise InputError(
             f"{folder}: holds files and is no heart folder (no {MANIFEST}); give another --out"
         )
-    check_nothing_lost(folder, OWN_FILES)
+    check_nothing_lost(folder, _own_files())
+
+
+def _own_files() -> set[str]:
+    """Files of a heart folder, which may be written again."""
+    return {MANIFEST, PICTURE, LABELS_PICTURE, *FILES.values()}
 
 
 def write_heart(heart: Heart, folder: Path) -> None:
     """Write a heart folder, whole or not at all."""
     check_heart_folder(folder)
-    with atomic_folder(folder, disposable=OWN_FILES) as temporary:
-        write_mesh(heart, temporary / MESH)
-        files = {"mesh": MESH}
-        for endocardium in heart.endocardia:
-            file = files[f"{endocardium.side}_endocardium"] = f"{endocardium.side}_endocardium.vtp"
-            valves = {} if endocardium.valves is None else {VALVE: endocardium.valves.astype(int)}
-            write_surface(
-                temporary / file, endocardium.vertices, endocardium.triangles, cell_data=valves
-            )
-        files["electrodes"] = ELECTRODE_FILE
-        write_electrodes(temporary / ELECTRODE_FILE, heart.electrodes)
+    with atomic_folder(folder, disposable=_own_files()) as temporary:
+        write_mesh(heart, temporary / FILES["mesh"])
+        for e in heart.endocardia:
+            valves = {} if e.valves is None else {"valve": e.valves.astype(int)}
+            file = temporary / FILES[f"{e.side}_endocardium"]
+            write_surface(file, e.vertices, e.triangles, cell_data=valves)
+        write_electrodes(temporary / FILES["electrodes"], heart.electrodes)
         if heart.torso is not None:
-            files["torso"] = TORSO
-            write_torso(temporary / TORSO, heart.torso)
-        (temporary / MANIFEST).write_text(_manifest_text(heart, files), encoding="utf-8")
+            write_torso(temporary / FILES["torso"], heart.torso)
+        (temporary / MANIFEST).write_text(_manifest_text(heart), encoding="utf-8")
 
 
-def _manifest_text(heart: Heart, files: dict[str, str]) -> str:
-    """Text of the manifest of a heart whose parts are in these files."""
-    lines = [f'format = "{FORMAT}"', f"name = {_toml_string(heart.name)}", 'units = "mm"']
-    lines += [f'{part} = "{file}"' for part, file in files.items()]
+def _manifest_text(heart: Heart) -> str:
+    """TOML of a heart's manifest."""
+    content: dict[str, Any] = {
+        "format": "fascicle heart 1",
+        # what cannot be UTF-8 (odd bytes in a path) becomes '?'
+        "name": heart.name.encode("utf-8", "replace").decode("utf-8"),
+        "units": "mm",
+        **FILES,
+    }
+    if heart.torso is None:
+        del content["torso"]
     if heart.lead_fields is not None:
-        keys = f'heart = "{heart.lead_fields.key}", torso = "{heart.lead_fields.torso}"'
-        lines.append(f"lead_fields = {{ {keys} }}")
-    for endocardium in heart.endocardia:
-        lines += [
-            "",
-            f"[{endocardium.side}]  # points of the endocardium",
-            f"root = {endocardium.root}",
-            f"direction = {endocardium.direction}",
-        ]
+        keys = heart.lead_fields
+        content["lead_fields"] = {"heart": keys.key, "torso": keys.torso}
+    for e in heart.endocardia:
+        content[e.side] = {"root": e.root, "direction": e.direction}
     if heart.values:
-        lines += ["", "[values]  # of this patient; 'fascicle parameters' lists what there is"]
-        lines += [f"{name} = {value!r}" for name, value in heart.values.items()]
+        content["values"] = dict(heart.values)
+    lines = []
+    for key, value in content.items():
+        table = isinstance(value, dict)
+        lines += ["", f"[{key}]"] if table else []
+        for name, item in (value if table else {key: value}).items():
+            text = json.dumps(item, ensure_ascii=False) if isinstance(item, str) else repr(item)
+            lines.append(f"{name} = " + text.replace("\x7f", "\\u007f"))
     return "\n".join(lines) + "\n"
 
 
-def _toml_string(text: str) -> str:
-    """TOML string of a name; what cannot be UTF-8 (odd bytes in a path) becomes '?'."""
-    readable = text.encode("utf-8", "replace").decode("utf-8")
-    return json.dumps(readable, ensure_ascii=False).replace("\x7f", "\\u007f")
+def write_torso(path: Path, torso: Torso) -> None:
+    """Write a torso as VTU, with its tissues as the cell array ``tissue``."""
+    tissues = {"tissue": torso.tissues.astype(np.float64)}
+    write_grid(path, torso.vertices, torso.tetrahedra, TETRAHEDRON, cell_data=tissues)
 
 
 def write_mesh(heart: Heart, path: Path) -> None:
     """Write the tetrahedra and every array of a heart as one VTU file (mm)."""
     points: dict[str, NDArray[Any]] = {}
     if heart.lead_fields is not None:
-        for electrode, values in zip(ELECTRODES, heart.lead_fields.values, strict=True):
-            points[f"{LEAD_FIELD}{electrode}"] = values
+        fields = zip(ELECTRODES, heart.lead_fields.values, strict=True)
+        points = {f"lead_field_{electrode}": values for electrode, values in fields}
     write_grid(path, heart.vertices, heart.tetrahedra, TETRAHEDRON, points, cell_arrays(heart))
 
 
 def cell_arrays(heart: Heart) -> dict[str, NDArray[Any]]:
     """Fibres, regions and sheets of the tetrahedra, by the names of their arrays in files."""
-    arrays = {"fibre": heart.fibres, REGION: heart.regions, SHEET: heart.sheets}
+    arrays = {"fibre": heart.fibres, "region": heart.regions, "sheet": heart.sheets}
     return {name: values for name, values in arrays.items() if values is not None}

@@ -1,10 +1,11 @@
-"""The heart as the forward model sees it."""
+"""The heart as the forward model sees it, and the torso around it."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,56 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.short_repr import short_repr
 from fascicle.heart.endocardium import Endocardium
-from fascicle.heart.torso import LeadFields, Torso
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
+
+
+class TorsoTissue(IntEnum):
+    """What a tetrahedron outside the myocardium is."""
+
+    BODY = 1
+    LUNG = 2
+    BLOOD = 3
+
+
+@dataclass(frozen=True)
+class Torso:
+    """A conforming mesh of everything outside the myocardium.
+
+    Attributes
+    ----------
+    vertices : (k, 3) array
+        Positions (mm). The first ones are all vertices of the heart, in its order.
+    tetrahedra : (m, 4) array
+        Vertex indices, positively oriented; the myocardium's own are not among them.
+    tissues : (m,) array
+        A `TorsoTissue` for each.
+    """
+
+    vertices: Floats
+    tetrahedra: Integers
+    tissues: Integers
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True)
+class LeadFields:
+    """Lead fields at the heart's vertices, and what they were computed from.
+
+    Attributes
+    ----------
+    values : (9, n) array
+        Potential for unit current through each electrode (kΩ), up to a constant.
+    key, torso : str
+        `fascicle.torso.lead_fields.key_of` heart and conduction, and `torso_key` of the torso.
+    """
+
+    values: Floats
+    key: str
+    torso: str
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -40,12 +88,11 @@ class Heart:
     regions : (m,) array, optional
         A label for each tetrahedron, for `fascicle.heart.conduction.Region`.
     sheets : (m, 3) array, optional
-        Unit direction in the sheet, across the fibre, of each tetrahedron. The forward model does
-        not use it; other software does.
+        Unit direction in the sheet, across the fibre, of each tetrahedron; for other software.
     torso : Torso, optional
-        The body around it; without one the volume conductor is unbounded.
+        What surrounds it; without one the volume conductor is unbounded.
     lead_fields : LeadFields, optional
-        Those of the electrodes in that body, if they were computed before.
+        Those of the electrodes in that torso, if they were computed before.
     values : mapping of name to float
         Quantities of `fascicle.core.quantities` that are this patient's, such as ``alpha`` or
         ``region_1_conductivity``; the models of the heart start from them.
@@ -98,21 +145,19 @@ class Heart:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything that the forward model depends on."""
-        arrays: list[NDArray[Any]] = [self.vertices, self.tetrahedra, self.fibres, self.electrodes]
-        for endocardium in self.endocardia:
-            seeds = np.array([endocardium.root, endocardium.direction])
-            arrays += [endocardium.vertices, endocardium.triangles, seeds]
-            if endocardium.valves is not None:
-                arrays.append(endocardium.valves)
-        if self.regions is not None:
-            arrays.append(self.regions)
+        arrays: list[NDArray[Any] | None] = [
+            self.vertices, self.tetrahedra, self.fibres, self.electrodes,
+        ]  # fmt: skip
+        for e in self.endocardia:
+            arrays += [e.vertices, e.triangles, np.array([e.root, e.direction]), e.valves]
+        arrays.append(self.regions)
         if self.lead_fields is not None:
             arrays.append(self.lead_fields.values)
         if self.torso is not None:
             arrays += [self.torso.vertices, self.torso.tetrahedra, self.torso.tissues]
         if self.values:
             arrays.append(np.array([repr(sorted(self.values.items()))]))
-        return digest_of(*arrays)
+        return digest_of(*(array for array in arrays if array is not None))
 
 
 def digest_of(*arrays: NDArray[np.generic]) -> str:

@@ -20,7 +20,6 @@ Names = Mapping[str, Label]  # the caller's own names and numbers (as text) of l
 # Arrays of surfaces and meshes that hold labels, in the order in which they are looked for
 LABEL_NAMES = ("label", "labels", "class", "classes", "surface", "surfaces", "boundary", GROUP)
 EXAMPLE = "--labels base=1,epicardium=2,lv=3,rv=4"
-PARTS = "base, epicardium, lv, rv, mitral, aortic, tricuspid, pulmonary"
 # What the surfaces are called in files for other software
 SURFACE_NAMES = {
     Label.LV_ENDOCARDIUM: "lv_endo",
@@ -28,8 +27,7 @@ SURFACE_NAMES = {
     Label.EPICARDIUM: "epi",
     Label.BASE: "base",
 }
-
-# Words that decide, in the order in which they do: "lv_epi" is epicardium, "rv base" is base.
+# Words that decide, in the order in which they do: "lv_epi" is epicardium, "rv base" is base
 DECIDING: dict[Label, tuple[str, ...]] = {
     Label.MITRAL: ("mitral", "mv"),
     Label.AORTIC: ("aortic", "aorta", "av", "aov"),
@@ -40,14 +38,12 @@ DECIDING: dict[Label, tuple[str, ...]] = {
     Label.LV_ENDOCARDIUM: ("lv", "left"),
     Label.RV_ENDOCARDIUM: ("rv", "right"),
 }
-# Words that may stand beside them
-OTHER_WORDS = (
+# These, and words that may accompany them
+WORDS = {word for words in DECIDING.values() for word in words} | {
     "endo", "endocardium", "endocardial", "ventricle", "ventricular", "ventricles", "heart",
     "surface", "surf", "sur", "face", "faces", "boundary", "wall", "valve", "annulus", "opening",
     "plane", "septum", "septal", "sept", "free", "cavity", "side", "set", "the", "of",
-)  # fmt: skip
-WORDS = {word for words in DECIDING.values() for word in words} | set(OTHER_WORDS)
-LONGEST_NAME = 60  # characters
+}  # fmt: skip
 
 
 def label_of(name: str) -> Label | None:
@@ -57,17 +53,14 @@ def label_of(name: str) -> Label | None:
     "lv_endo", "LVendo", "endo-lv" and "Left ventricle" are all the left endocardium. Every word
     must be a known one, so that "lv_endo_stimulus" is nothing.
     """
-    if len(name) > LONGEST_NAME:
+    if len(name) > 60:
         return None
-    words: set[str] = set()
-    for letters in re.findall("[^\\W\\d_]+", name.lower()):
-        found = _words(letters)
-        if found is None:
-            return None
-        words |= found
+    runs = [_words(letters) for letters in re.findall("[^\\W\\d_]+", name.lower())]
+    if None in runs:
+        return None
+    words = frozenset().union(*(run for run in runs if run is not None))
     meant = [label for label, deciding in DECIDING.items() if words.intersection(deciding)]
-    both = {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}
-    if not meant or set(meant) == both:
+    if not meant or set(meant) == {Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM}:
         return None
     return meant[0]
 
@@ -97,7 +90,10 @@ def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
     for name, number in numbers.items():
         label = label_of(name)
         if label is None:
-            raise InputError(f"--labels: unknown '{_shown(name)}'; the parts are {PARTS}")
+            raise InputError(
+                f"--labels: unknown '{printable(name[:60])}'; the parts are base, epicardium, lv, "
+                "rv, mitral, aortic, tricuspid, pulmonary"
+            )
         if labels.setdefault(str(number), label) != label:
             raise InputError(
                 f"--labels: label number {number} is given two meanings; give each number one"
@@ -106,13 +102,7 @@ def labels_by_number(numbers: Mapping[str, int]) -> dict[str, Label]:
 
 
 def whole_numbers(source: str, values: NDArray[Any]) -> Integers:
-    """Values of an array of labels, shape (k,).
-
-    Raises
-    ------
-    InputError
-        If they are not one whole number each.
-    """
+    """Values of an array of labels, shape (k,); an error unless they are one whole number each."""
     numbers = np.asarray(values)
     if (
         numbers.ndim != 1
@@ -151,8 +141,26 @@ def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int,
     InputError
         If one means no label.
     """
+    free = [label for label in Label if label not in names.values()]  # that mean themselves
+
+    def meaning(number: int) -> Label | None:
+        group = groups.get(number)
+        for own in (group, str(number)):
+            if own is not None and own in names:
+                return names[own]
+        if group is None:
+            return Label(number) if number in free else None
+        label = label_of(group)
+        if label is None:
+            raise InputError(
+                f"{source}: cannot tell which surface '{printable(group[:60])}' is; name it epi, "
+                "base, lv_endo or rv_endo (or mitral, aortic, tricuspid, pulmonary), or say what "
+                f"its number is, as in --labels epicardium={number}"
+            )
+        return label
+
     kinds, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
-    found = [_meaning(source, kind, names, groups.get(kind)) for kind in kinds.tolist()]
+    found = [meaning(kind) for kind in kinds.tolist()]
     strange = [
         f"{kind} ({count} times)"
         for kind, count, label in zip(kinds, counts, found, strict=True)
@@ -160,36 +168,9 @@ def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int,
     ]
     if strange:
         given = [f"{name} {label.name.lower()}" for name, label in names.items()]
-        own = [f"{label.value} {label.name.lower()}" for label in _free(names)]
+        own = [f"{label.value} {label.name.lower()}" for label in free]
         raise InputError(
             f"{source}: unknown labels: {', '.join(strange)}; known are {', '.join(given + own)}; "
             f"say which number is what, as in {EXAMPLE}"
         )
     return np.array(found, dtype=np.int64)[which]
-
-
-def _meaning(source: str, number: int, names: Names, group: str | None) -> Label | None:
-    """Label of one number; None if it is not known."""
-    for own in (group, str(number)):
-        if own is not None and own in names:
-            return names[own]
-    if group is None:
-        return Label(number) if number in _free(names) else None
-    label = label_of(group)
-    if label is None:
-        raise InputError(
-            f"{source}: cannot tell which surface '{_shown(group)}' is; name it epi, base, lv_endo "
-            "or rv_endo (or mitral, aortic, tricuspid, pulmonary), or say what its number is, as "
-            f"in --labels epicardium={number}"
-        )
-    return label
-
-
-def _free(names: Names) -> list[Label]:
-    """Labels that still have their own number."""
-    return [label for label in Label if label not in names.values()]
-
-
-def _shown(name: str) -> str:
-    """Name, fit for a message of one line."""
-    return printable(name[:LONGEST_NAME])

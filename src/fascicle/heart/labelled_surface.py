@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+import igl
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.heart.endocardium import long_axis
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import triangle_normals, unit
+from fascicle.mesh.topology import boundary_loops
 
 
 class Label(IntEnum):
@@ -85,7 +90,7 @@ class LabelledMesh(_Labelled):
     tetrahedra : (m, 4) array
         Vertex indices, positively oriented.
     regions : (m,) array, optional
-        A label for each tetrahedron (scar, for one); `None` where there are none.
+        A label for each tetrahedron (scar, for one).
     """
 
     vertices: Floats
@@ -94,3 +99,34 @@ class LabelledMesh(_Labelled):
     labels: Integers
     regions: Integers | None = None
     name: str = "mesh"
+
+
+def labelled_mesh(heart: Heart) -> LabelledMesh:
+    """Labels of base, epicardium and endocardia, for a heart whose endocardia are known.
+
+    The base is what faces away from the apex, at the level of the endocardia's openings. The
+    endocardia need not be in register with the mesh.
+    """
+    triangles = heart.boundary[0]
+    middle = heart.vertices[triangles].mean(axis=1)
+    normals = unit(triangle_normals(heart.vertices, triangles))
+
+    loops = [e.vertices[boundary_loops(e.triangles)[0]] for e in heart.endocardia]
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    length = float(np.linalg.norm(base - apex))
+    up = (base - apex) / length
+    lowest = min(float(((loop - apex) @ up).min()) for loop in loops)
+    # the base lies at most 15 % of the way to the apex below the openings, and faces up (60°)
+    basal = ((middle - apex) @ up > lowest - 0.15 * length) & (normals @ up > 0.5)
+    labels = np.where(basal, int(Label.BASE), int(Label.EPICARDIUM))
+
+    reach = 0.35 * heart.edge_length  # a triangle whose centre is nearer lies on the endocardium
+    for label, e in ((Label.LV_ENDOCARDIUM, heart.lv), (Label.RV_ENDOCARDIUM, heart.rv)):
+        square, face, _ = igl.point_mesh_squared_distance(middle, e.vertices, e.triangles)
+        theirs = unit(triangle_normals(e.vertices, e.triangles)[face])
+        # across a thin wall the other side is near too, but faces away; the base faces sideways
+        same_way = np.einsum("ij,ij->i", normals, theirs) > 0.5
+        labels[same_way & (np.asarray(square) < reach**2)] = label
+    return LabelledMesh(
+        heart.vertices, heart.tetrahedra, triangles, labels, heart.regions, heart.name
+    )

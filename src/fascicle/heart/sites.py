@@ -1,9 +1,17 @@
-"""Places of pacing and ectopic sites, by name."""
+"""Where in the ventricles: walls, the 17 segments of the left ventricle, and sites by name.
+
+The segments are those of the American Heart Association (M. D. Cerqueira et al., Circulation 105,
+2002): thirds of the long axis from the mitral opening to the end of the cavity, of which the basal
+and the middle one have six sectors of 60° and the apical one four of 90°; what lies beyond the
+cavity is the apex. Sectors are counted from the middle of the septum, where the standard counts
+from the attachments of the right ventricle: two of 60° are septal, whatever the septum spans.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,27 +19,90 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Floats
+from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.heart.endocardium import Endocardium, long_axis
-from fascicle.heart.fibres.rules import Wall
+from fascicle.heart.endocardium import long_axis, septal_seeds
+from fascicle.heart.fibres import Wall, wall_and_depth, wall_potentials
 from fascicle.heart.heart import Heart
-from fascicle.heart.seeds import septal_seeds
-from fascicle.heart.segments import SEGMENTS, Places, places
+from fascicle.heart.labelled_surface import labelled_mesh
+from fascicle.heart.laplace import quadratic_space
 from fascicle.mesh.measures import unit
 from fascicle.mesh.topology import unique_edges
 
+SEGMENTS = (
+    "basal anterior", "basal anteroseptal", "basal inferoseptal",
+    "basal inferior", "basal inferolateral", "basal anterolateral",
+    "mid anterior", "mid anteroseptal", "mid inferoseptal",
+    "mid inferior", "mid inferolateral", "mid anterolateral",
+    "apical anterior", "apical septal", "apical inferior", "apical lateral",
+    "apex",
+)  # fmt: skip
+RIGHT, APEX = 0, 17  # segment numbers of the right ventricle's free wall, and of the apex
 LAYERS = ("endocardium", "epicardium")
-LAYER = 0.25  # of a segment's volume, that which is nearest to the surface
-LEFT_BUNDLE, LEFT_SEPTUM = 15.0, 25.0  # mm below the left root, on the endocardium
-OUTFLOW = (0.05, 0.25)  # of the way from the right ventricle's opening to its apex
-MIDDLE = (0.4, 0.6)  # likewise
 RIGHT_SITES = ("rv apex", "rv septum", "rv outflow tract", "rv free wall")
-LEFT_SITES = ("left bundle", "left septum")
-THICK = 10.0  # mm, of a wall, when distances in coordinates are weighed
-_NUMBER = r"(-?\d+(?:\.\d+)?)"
-_COORDINATES = re.compile(rf"(lv|rv) height {_NUMBER} angle {_NUMBER} depth {_NUMBER}")
-_SEGMENT = re.compile(rf"(?:segment (\d+)|({'|'.join(SEGMENTS)})) ({'|'.join(LAYERS)})")
+# mm below the left root, on the endocardium
+LEFT_SITES = {"left bundle": 15.0, "left septum": 25.0}
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where in the ventricles each tetrahedron is.
+
+    Attributes
+    ----------
+    segment : (m,) array
+        Segment of the left ventricle, 1 to 17, its half of the septum and the right one's alike;
+        0 in the free wall of the right ventricle.
+    wall : (m,) array
+        A `Wall` for each.
+    depth : (m,) array
+        0 on the endocardium, 1 on the epicardium; in the septum, 0 on the left, 1 on the right.
+    height : (m,) array
+        Along the left ventricle's long axis: 0 at the mitral opening, 1 at the end of the cavity.
+    angle : (m,) array
+        About that axis (rad), 0 in the middle of the septum, positive over the anterior wall: seen
+        from the apex, clockwise.
+    """
+
+    segment: Integers
+    wall: Integers
+    depth: Floats
+    height: Floats
+    angle: Floats
+
+
+def places(heart: Heart) -> Places:
+    """Find where in the ventricles each tetrahedron of a heart is (seconds, on a fine mesh more).
+
+    Raises
+    ------
+    InputError
+        If a surface of the heart is missing.
+    """
+    mesh = labelled_mesh(heart)
+    potentials, _ = wall_potentials(quadratic_space(mesh.vertices, mesh.tetrahedra), mesh)
+    wall, depth = wall_and_depth(potentials)
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    away = heart.vertices[heart.tetrahedra].mean(axis=1) - base
+    down = unit(apex - base)
+    height = away @ down / np.linalg.norm(apex - base)
+    around = away - np.outer(away @ down, down)
+    in_septum = (wall == Wall.SEPTUM) & (height < 1)
+    septal = unit(heart.volumes[in_septum] @ unit(around[in_septum]))
+    angle = np.arctan2(around @ np.cross(septal, down), around @ septal)
+    segment = np.where(wall == Wall.RV, RIGHT, _segment(height, angle))
+    return Places(segment, wall, depth, height, angle)
+
+
+def _segment(height: Floats, angle: Floats) -> Integers:
+    """Numbers of the left ventricle's segments at these coordinates."""
+    turn = angle / (2 * np.pi)
+    # sixths from the middle of the septum over the anterior wall; the septum is in the middle of
+    # the first quarter
+    sixth = np.array([2, 1, 6, 5, 4, 3])[np.floor(6 * turn).astype(int) % 6]
+    quarter = np.array([14, 13, 16, 15])[np.floor(4 * turn + 0.5).astype(int) % 4]
+    third = np.floor(3 * height)
+    return np.select([third < 1, third < 2, third < 3], [sixth, 6 + sixth, quarter], APEX)
 
 
 class Sites:
@@ -66,7 +137,7 @@ class Sites:
               as `Places` has them, the angle in degrees; ``rv`` for the right free wall. They serve
               as universal ventricular coordinates do (J. Bayer et al., Med Image Anal 45, 2018),
               but are measured along and about the left ventricle's long axis;
-            - ``"left bundle"``: 15 mm below the root of the left tree, towards its direction and
+            - ``"left bundle"``: 15 mm below the root of the left network, towards its direction and
               the apex, and ``"left septum"``, 10 mm further, on the left endocardium. The bundles
               of all networks with the paper's ranges of lengths pass there.
 
@@ -81,111 +152,112 @@ class Sites:
         return self._known[name]
 
     def _find(self, name: str) -> Floats:
-        match = _SEGMENT.fullmatch(name)
-        if match is not None and (match[1] is None or 1 <= int(match[1]) <= len(SEGMENTS)):
-            number = int(match[1]) if match[1] is not None else 1 + SEGMENTS.index(match[2])
-            return _in_segment(self.heart, self.places, number, match[3])
-        coordinates = _COORDINATES.fullmatch(name)
+        segment = re.fullmatch(
+            rf"(?:segment (\d+)|({'|'.join(SEGMENTS)})) ({'|'.join(LAYERS)})", name
+        )
+        if segment is not None and (segment[1] is None or 1 <= int(segment[1]) <= len(SEGMENTS)):
+            number = int(segment[1]) if segment[1] is not None else 1 + SEGMENTS.index(segment[2])
+            return self._in_segment(number, segment[3])
+        number_text = r"(-?\d+(?:\.\d+)?)"
+        coordinates = re.fullmatch(
+            f"(lv|rv) height {number_text} angle {number_text} depth {number_text}", name
+        )
         if coordinates is not None:
-            height, angle, depth = map(float, coordinates.groups()[1:])
-            wall = coordinates[1].upper()
-            return _at_coordinates(self.heart, self.places, name, wall, height, angle, depth)
+            return self._at_coordinates(name, coordinates[1], *map(float, coordinates.groups()[1:]))
         if name in LEFT_SITES:
-            way = LEFT_BUNDLE if name == "left bundle" else LEFT_SEPTUM
-            return _below_root(self.heart.lv, way)
+            return self._below_left_root(LEFT_SITES[name])
         if name in RIGHT_SITES:
-            return _on_the_right(self.heart, name)
+            return self._on_the_right(name)
         known = [*LEFT_SITES, *RIGHT_SITES, *(f"{segment} {LAYERS[0]}" for segment in SEGMENTS)]
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
         raise InputError(
             f"there is no site '{name}'; did you mean '{near}'? Sites are "
-            f"{', '.join(LEFT_SITES + RIGHT_SITES)}, and segments with a layer, such as "
+            f"{', '.join((*LEFT_SITES, *RIGHT_SITES))}, and segments with a layer, such as "
             f"'{SEGMENTS[11]} {LAYERS[1]}' or 'segment 12 {LAYERS[1]}', or coordinates, such as "
             "'lv height 0.5 angle 120 depth 1'"
         )
 
-
-def _at_coordinates(
-    heart: Heart, found: Places, name: str, wall: str, height: float, angle: float, depth: float
-) -> Floats:
-    """Middle of the element whose coordinates are nearest, as lengths in this heart."""
-    if not (0 <= height <= 1 and 0 <= depth <= 1 and -360 <= angle <= 360):
-        raise InputError(
-            f"site '{name}': height and depth go from 0 to 1, and the angle from -360 to 360 "
-            "degrees"
+    def _at_coordinates(
+        self, name: str, ventricle: str, height: float, angle: float, depth: float
+    ) -> Floats:
+        """Middle of the element whose coordinates are nearest, as lengths in this heart."""
+        if not (0 <= height <= 1 and 0 <= depth <= 1 and -360 <= angle <= 360):
+            raise InputError(
+                f"site '{name}': height and depth go from 0 to 1, and the angle from -360 to 360 "
+                "degrees"
+            )
+        heart, found = self.heart, self.places
+        inside = np.flatnonzero((found.wall == Wall.RV) == (ventricle == "rv"))
+        centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
+        base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+        length = np.linalg.norm(apex - base)
+        radius = np.linalg.norm(np.cross(centres - base, apex - base), axis=1) / length
+        turn = np.angle(np.exp(1j * (found.angle[inside] - np.radians(angle))))
+        apart = np.array(
+            [
+                length * (found.height[inside] - height),
+                radius * turn,
+                10 * (found.depth[inside] - depth),  # a wall counts as 10 mm thick
+            ]
         )
-    inside = np.flatnonzero((found.wall == Wall.RV) == (wall == "RV"))
-    centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
-    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-    length = np.linalg.norm(apex - base)
-    away = centres - base
-    radius = np.linalg.norm(np.cross(away, apex - base), axis=1) / length
-    turn = np.angle(np.exp(1j * (found.angle[inside] - np.radians(angle))))
-    apart = np.array(
-        [
-            length * (found.height[inside] - height),
-            radius * turn,
-            THICK * (found.depth[inside] - depth),
-        ]
-    )
-    return np.asarray(centres[np.argmin((apart**2).sum(axis=0))])
+        return np.asarray(centres[np.argmin((apart**2).sum(axis=0))])
 
+    def _in_segment(self, number: int, layer: str) -> Floats:
+        """The element of a layer that is nearest to the middle of that layer in a segment."""
+        heart, found = self.heart, self.places
+        inside = np.flatnonzero(found.segment == number)
+        if not len(inside):
+            raise InputError(f"{heart.name}: the {SEGMENTS[number - 1]} segment holds no tissue")
+        depth = found.depth[inside] if layer == LAYERS[0] else 1 - found.depth[inside]
+        inside = inside[depth <= np.quantile(depth, 0.25)]  # the quarter nearest to the surface
+        centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
+        middle = np.average(centres, axis=0, weights=heart.volumes[inside])
+        return np.asarray(centres[np.argmin(np.linalg.norm(centres - middle, axis=1))])
 
-def _in_segment(heart: Heart, found: Places, number: int, layer: str) -> Floats:
-    """The element of a layer that is nearest to the middle of that layer in a segment."""
-    inside = np.flatnonzero(found.segment == number)
-    if not len(inside):
-        raise InputError(f"{heart.name}: the {SEGMENTS[number - 1]} segment holds no tissue")
-    depth = found.depth[inside] if layer == LAYERS[0] else 1 - found.depth[inside]
-    inside = inside[depth <= np.quantile(depth, LAYER)]
-    centres = heart.vertices[heart.tetrahedra[inside]].mean(axis=1)
-    middle = np.average(centres, axis=0, weights=heart.volumes[inside])
-    return np.asarray(centres[np.argmin(np.linalg.norm(centres - middle, axis=1))])
+    def _below_left_root(self, distance: float) -> Floats:
+        """Point so far (mm) from the root over the edges to the direction, and on to the apex."""
+        endocardium = self.heart.lv
+        vertices = endocardium.vertices
+        a, b = unique_edges(endocardium.triangles)[0].T
+        lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
+        graph = csr_matrix((lengths, (a, b)), shape=(len(vertices),) * 2)
+        _, apex = long_axis(vertices, endocardium.triangles)
+        last = int(np.argmin(np.linalg.norm(vertices - apex, axis=1)))
+        path = [endocardium.root]
+        for end in (endocardium.direction, last):
+            before = dijkstra(graph, directed=False, indices=path[-1], return_predecessors=True)[1]
+            leg = [end]
+            while leg[-1] != path[-1]:
+                leg.append(int(before[leg[-1]]))
+            path += leg[-2::-1]
+        steps = np.linalg.norm(np.diff(vertices[path], axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        if along[-1] < distance:
+            raise InputError(
+                f"the left apex is {along[-1]:.1f} mm from the root of the left tree, and the site "
+                f"{distance:g} mm; give its position (mm)"
+            )
+        return np.array([np.interp(distance, along, vertices[path, k]) for k in range(3)])
 
-
-def _below_root(endocardium: Endocardium, way: float) -> Floats:
-    """Point so far (mm) from the root over the edges to the direction, and on to the apex."""
-    vertices = endocardium.vertices
-    a, b = unique_edges(endocardium.triangles)[0].T
-    lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
-    graph = csr_matrix((lengths, (a, b)), shape=(len(vertices),) * 2)
-    _, apex = long_axis(vertices, endocardium.triangles)
-    last = int(np.argmin(np.linalg.norm(vertices - apex, axis=1)))
-    path = [endocardium.root]
-    for end in (endocardium.direction, last):
-        before = dijkstra(graph, directed=False, indices=path[-1], return_predecessors=True)[1]
-        leg = [end]
-        while leg[-1] != path[-1]:
-            leg.append(int(before[leg[-1]]))
-        path += leg[-2::-1]
-    steps = np.linalg.norm(np.diff(vertices[path], axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    if along[-1] < way:
-        raise InputError(
-            f"the left apex is {along[-1]:.1f} mm from the root of the left tree, and the site "
-            f"{way:g} mm; give its position (mm)"
-        )
-    return np.array([np.interp(way, along, vertices[path, k]) for k in range(3)])
-
-
-def _on_the_right(heart: Heart, name: str) -> Floats:
-    vertices, triangles = heart.rv.vertices, heart.rv.triangles
-    base, apex = long_axis(vertices, triangles)
-    if name == "rv apex":
-        return apex
-    if name == "rv septum":
-        own = septal_seeds(vertices, triangles, heart.lv.vertices, heart.rv.valves)
-        return np.asarray(vertices[own[1]])
-    depth = (vertices - base) @ unit(apex - base) / np.linalg.norm(apex - base)
-    if name == "rv free wall":
-        score = cKDTree(heart.lv.vertices).query(vertices)[0]
-        band = MIDDLE
-    else:
-        left_base, left_apex = long_axis(heart.lv.vertices, heart.lv.triangles)
-        # from the left ventricle to the right one, and down: the anterior wall is across
-        score = vertices @ np.cross(vertices.mean(axis=0) - left_base, left_apex - left_base)
-        band = OUTFLOW
-    allowed = (depth >= band[0]) & (depth <= band[1])
-    if heart.rv.valves is not None:
-        allowed[triangles[heart.rv.valves]] = False
-    return np.asarray(vertices[np.argmax(np.where(allowed, score, -np.inf))])
+    def _on_the_right(self, name: str) -> Floats:
+        left, right = self.heart.lv, self.heart.rv
+        vertices = right.vertices
+        base, apex = long_axis(vertices, right.triangles)
+        if name == "rv apex":
+            return apex
+        if name == "rv septum":
+            seeds = septal_seeds(vertices, right.triangles, left.vertices, right.valves)
+            return np.asarray(vertices[seeds[1]])
+        if name == "rv free wall":
+            score = cKDTree(left.vertices).query(vertices)[0]
+            first, last = 0.4, 0.6  # of the way from the opening to the apex
+        else:
+            left_base, left_apex = long_axis(left.vertices, left.triangles)
+            # from the left ventricle to the right one, and down: the anterior wall is across
+            score = vertices @ np.cross(vertices.mean(axis=0) - left_base, left_apex - left_base)
+            first, last = 0.05, 0.25
+        depth = (vertices - base) @ unit(apex - base) / np.linalg.norm(apex - base)
+        allowed = (depth >= first) & (depth <= last)
+        if right.valves is not None:
+            allowed[right.triangles[right.valves]] = False
+        return np.asarray(vertices[np.argmax(np.where(allowed, score, -np.inf))])

@@ -1,4 +1,7 @@
-"""Checks on a heart: everything that would make the physics silently wrong."""
+"""Checks on a heart: everything that would make the physics silently wrong.
+
+Each takes the name by which an error calls what it checks.
+"""
 
 from __future__ import annotations
 
@@ -6,42 +9,19 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import TETRAHEDRON_FACES, components_of
 
-# The largest extent of human ventricles is 70 to 200 mm; the limits leave room for a dog's heart
-# and for a dilated one.
-HEART_EXTENT = (35.0, 400.0)  # mm
-# A tetrahedron flatter than this fraction of a regular one with its mean edge counts as flat.
-FLATNESS = 1e-9
-SMALLEST_ENDOCARDIUM = 0.2  # of the largest extent of the tissue
-FURTHEST_ENDOCARDIUM = 5.0  # mm, median distance of an endocardium to the tissue
-ELECTRODES_EXTENT = (120.0, 1200.0)  # mm, of most; the chest's alone 150 to 250 on an adult
-MOST_ELECTRODES = 7  # the two furthest may be misplaced
-FURTHEST_ELECTRODE = 1500.0  # mm
-LONGEST_FIBRE = 1e100  # any length serves, as long as its square is a number
 
+def check_units(name: str, points: Floats, limits: tuple[float, float] = (35.0, 400.0)) -> None:
+    """Refuse an anatomy whose largest extent (mm) is outside the limits: it is not in mm.
 
-def check_units(name: str, points: Floats, limits: tuple[float, float] = HEART_EXTENT) -> None:
-    """Refuse an anatomy whose size says that it is not in mm.
-
-    Parameters
-    ----------
-    name : str
-        What to call it in an error.
-    points : (n, 3) array
-        Its points.
-    limits : (low, high), optional
-        The largest extent that such an anatomy has (mm); that of hearts if not given.
-
-    Raises
-    ------
-    InputError
-        If its largest extent is outside the limits.
+    The largest extent of human ventricles is 70 to 200 mm; the default leaves room for a dog's
+    heart and for a dilated one.
     """
     extent = float(np.ptp(points, axis=0).max())
     low, high = limits
@@ -62,30 +42,21 @@ def check_units(name: str, points: Floats, limits: tuple[float, float] = HEART_E
 def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
     """Refuse flat, inverted or overlapping tetrahedra and tissue in several pieces.
 
-    Parameters
-    ----------
-    name : str
-        What to call it in an error.
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The mesh (mm); every vertex belongs to a tetrahedron.
+    Every vertex (n, 3) belongs to one of the tetrahedra (m, 4).
     """
     volumes = signed_volumes(vertices, tetrahedra)
-    size = float(np.abs(volumes).mean())
-    for kind, bad in (
-        ("have zero volume", np.flatnonzero(np.abs(volumes) <= FLATNESS * size)),
-        ("are inverted", np.flatnonzero(volumes < -FLATNESS * size)),
+    flat = 1e-9 * float(np.abs(volumes).mean())
+    inverted = volumes < -flat
+    remedy = "swap two vertices of every one" if inverted.all() else "remove them or remesh"
+    for what, bad in (
+        (f"have zero volume (first: {{}}); {remedy}", np.abs(volumes) <= flat),
+        (f"are inverted (first: {{}}); {remedy}", inverted),
+        ("overlap others (first: {}); remove what is there twice", _overlapping(tetrahedra)),
     ):
-        if bad.size:
-            remedy = (
-                "swap two vertices of every one"
-                if bad.size == len(tetrahedra) and kind == "are inverted"
-                else "remove them or remesh"
-            )
+        if bad.any():
             raise InputError(
-                f"{name}: {bad.size} of {len(tetrahedra)} tetrahedra {kind} "
-                f"(first: {bad[0]}); {remedy}"
+                f"{name}: {bad.sum()} of {len(bad)} tetrahedra {what.format(bad.argmax())}"
             )
-    _check_no_overlap(name, tetrahedra)
     linked = tetrahedra[:, [(0, 1), (0, 2), (0, 3)]].reshape(-1, 2)
     sizes = np.bincount(components_of(linked, len(vertices)))
     if len(sizes) > 1:
@@ -96,53 +67,41 @@ def check_tetrahedra(name: str, vertices: Floats, tetrahedra: Integers) -> None:
         )
 
 
-def _check_no_overlap(name: str, tetrahedra: Integers) -> None:
-    """Refuse tetrahedra that are there twice, or lie within one another: they would count twice."""
+def _overlapping(tetrahedra: Integers) -> Booleans:
+    """Which (m,) are the third tetrahedron on one face, or a further one: they count twice."""
     faces = np.sort(tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
     order = np.lexsort(faces.T)
     same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
-    crowded = order[2:][same[1:] & same[:-1]]  # the third tetrahedron on one face, and further ones
-    if crowded.size:
-        raise InputError(
-            f"{name}: {np.unique(crowded // 4).size} tetrahedra overlap others (first: "
-            f"{(crowded // 4).min()}); remove what is there twice"
-        )
+    crowded = np.zeros(len(tetrahedra), dtype=bool)
+    crowded[order[2:][same[1:] & same[:-1]] // 4] = True
+    return crowded
 
 
 def check_fibres(name: str, fibres: Floats) -> None:
-    """Refuse fibre directions that are not finite, far too long, or have no length."""
-    bad = np.flatnonzero(~(np.abs(fibres) < LONGEST_FIBRE).all(axis=1))
-    if bad.size:
-        raise InputError(
-            f"{name}: {bad.size} of {len(fibres)} fibres are not finite, or longer than "
-            f"{LONGEST_FIBRE:g} (first: {bad[0]}); correct them"
-        )
-    bad = np.flatnonzero(np.linalg.norm(fibres, axis=1) < 1e-6)
-    if bad.size:
-        raise InputError(
-            f"{name}: {bad.size} of {len(fibres)} fibres have zero length (first: {bad[0]}); "
-            "give every vertex or element a direction"
-        )
+    """Refuse fibre directions (n, 3) whose length is not finite, or 0."""
+    # any length serves, as long as its square is a number
+    wrong = ~(np.abs(fibres) < 1e100).all(axis=1)
+    for what, bad in (
+        ("are not finite, or longer than 1e+100", wrong),
+        ("have zero length", ~wrong & (np.linalg.norm(fibres, axis=1) < 1e-6)),
+    ):
+        if bad.any():
+            raise InputError(
+                f"{name}: {bad.sum()} of {len(fibres)} fibres {what} (first: {bad.argmax()}); "
+                "give every vertex or element a direction"
+            )
 
 
 def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> None:
-    """Refuse an endocardium that does not lie on the tissue, or is of another size.
-
-    Parameters
-    ----------
-    name : str
-        What to call it in an error.
-    surface, vertices : (k, 3) and (n, 3) arrays
-        Points of the endocardium and of the tissue (mm).
-    """
+    """Refuse an endocardium (k, 3) off the tissue (n, 3), or of another size."""
     extent, whole = (float(np.ptp(points, axis=0).max()) for points in (surface, vertices))
-    if extent < SMALLEST_ENDOCARDIUM * whole:
+    if extent < 0.2 * whole:
         raise InputError(
             f"{name}: its largest extent is {extent:.3g} mm, that of the tissue {whole:.3g} mm; "
             "give both in mm, and the whole endocardium"
         )
     distance = float(np.median(cKDTree(vertices).query(surface)[0]))
-    if distance > FURTHEST_ENDOCARDIUM:
+    if distance > 5:  # mm
         raise InputError(
             f"{name}: its vertices lie {distance:.1f} mm (median) from the tissue's; "
             "give both in the same frame and in mm"
@@ -150,32 +109,20 @@ def check_endocardium_in_place(name: str, surface: Floats, vertices: Floats) -> 
 
 
 def check_electrodes(name: str, electrodes: Floats, heart: Heart) -> None:
-    """Refuse electrodes in other units, inside the tissue, or far from any torso.
-
-    Parameters
-    ----------
-    name : str
-        What to call them in an error.
-    electrodes : (9, 3) array
-        Positions in the order of `fascicle.core.leads.ELECTRODES` (mm).
-    heart : Heart
-        The tissue.
-    """
+    """Refuse electrodes (9, 3) in other units, inside the tissue, or far from any torso."""
     off = np.linalg.norm(electrodes - np.median(electrodes, axis=0), axis=1)
-    most = electrodes[np.argsort(off)[:MOST_ELECTRODES]]
-    check_units(f"{name} (electrodes)", most, ELECTRODES_EXTENT)
+    # the two furthest may be misplaced; those of the chest alone span 150 to 250 mm on an adult
+    check_units(f"{name} (electrodes)", electrodes[np.argsort(off)[:7]], (120.0, 1200.0))
     tree = igl.AABB()
     tree.init(heart.vertices, heart.tetrahedra)
     inside = np.asarray(igl.in_element(heart.vertices, heart.tetrahedra, electrodes, tree))
     distance = np.linalg.norm(electrodes - heart.vertices.mean(axis=0), axis=1)
     for k, electrode in enumerate(ELECTRODES):
-        if inside[k] >= 0:
+        where = "lies inside the tissue" if inside[k] >= 0 else ""
+        if distance[k] > 1500:  # mm
+            where = f"is {distance[k]:.0f} mm from the heart"
+        if where:
             raise InputError(
-                f"{name}: electrode {electrode} lies inside the tissue; check its position, and "
-                "that electrodes and heart share frame and units (mm)"
-            )
-        if distance[k] > FURTHEST_ELECTRODE:
-            raise InputError(
-                f"{name}: electrode {electrode} is {distance[k]:.0f} mm from the heart; check that "
-                "electrodes and heart share frame and units (mm)"
+                f"{name}: electrode {electrode} {where}; check its position, and that electrodes "
+                "and heart share frame and units (mm)"
             )

@@ -15,9 +15,9 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import LEADS
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.simulation import Simulation
-from fascicle.heart.fibres.rules import Wall
+from fascicle.heart.fibres import Wall
 from fascicle.heart.heart import Heart
-from fascicle.heart.segments import APEX, RIGHT, Places
+from fascicle.heart.sites import APEX, RIGHT, Places
 from fascicle.recording.window import qrs_window
 
 SMALLEST_R = 0.05  # mV; a lead whose largest potential is less has no R wave

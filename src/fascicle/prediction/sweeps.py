@@ -11,8 +11,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
 from fascicle.forward.scenario import Scenario, Stimulus
 from fascicle.forward.scenario_files import name_in_library
-from fascicle.heart.segments import SEGMENTS
-from fascicle.heart.sites import LAYERS
+from fascicle.heart.sites import LAYERS, SEGMENTS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population, simulate_scenarios
 from fascicle.study.fitted import FittedStudy

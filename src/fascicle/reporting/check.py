@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from fascicle.build.check import WALLS, HeartCheck
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.heart import Heart
+from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label
-from fascicle.heart.torso import TorsoTissue
 from fascicle.mesh.measures import triangle_normals
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.reporting import style

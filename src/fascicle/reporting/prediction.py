@@ -17,7 +17,7 @@ from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.heart import Heart
-from fascicle.heart.segments import SEGMENTS
+from fascicle.heart.sites import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.prediction.index_names import INDICES

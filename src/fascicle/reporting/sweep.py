@@ -16,7 +16,7 @@ from matplotlib.projections.polar import PolarAxes
 
 from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_text
-from fascicle.heart.segments import SEGMENTS
+from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.comparison import SIGNED
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.sweeps import SEGMENT, Swept
@@ -129,7 +129,7 @@ def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
     Parameters
     ----------
     values : (17,) array
-        In the order of `fascicle.heart.segments.SEGMENTS`; NaN is left white.
+        In the order of `fascicle.heart.sites.SEGMENTS`; NaN is left white.
     title, unit : str
         What they are.
     """

@@ -27,8 +27,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart, digest_of
-from fascicle.heart.torso import LeadFields, Torso, TorsoTissue
+from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue, digest_of
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
 

@@ -10,8 +10,8 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
+from fascicle.heart.heart import Torso, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh
-from fascicle.heart.torso import Torso, TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices

@@ -10,8 +10,7 @@ from labelled_walls import Spheroid, labelled_heart, slab
 from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
-from fascicle.heart.fibres.laplace import quadratic_space
-from fascicle.heart.fibres.rules import (
+from fascicle.heart.fibres import (
     FibreAngles,
     Fibres,
     Wall,
@@ -23,6 +22,7 @@ from fascicle.heart.fibres.rules import (
 )
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.laplace import quadratic_space
 
 STREETER = FibreAngles(
     rv_endocardium=np.radians(60), rv_epicardium=np.radians(-60)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.heart.fibres.laplace import QuadraticSpace, quadratic_space, solve_laplace
+from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
 
 
 def cube(cells: int) -> QuadraticSpace:

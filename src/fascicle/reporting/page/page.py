@@ -21,7 +21,7 @@ from fascicle.core.progress import Progress
 from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
-from fascicle.heart.segments import SEGMENTS
+from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import (
     INTRINSIC,

@@ -12,8 +12,7 @@ from scipy.sparse import csr_matrix
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso, TorsoTissue
+from fascicle.heart.heart import Heart, Torso, TorsoTissue
 from fascicle.mesh.measures import solid_centroid
 from fascicle.torso.lead_fields import assemble_stiffness, outer_boundary, total_conductivity
 from fascicle.torso.variation.body_axes import Motion, body_axes

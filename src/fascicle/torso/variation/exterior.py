@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.heart.torso import TorsoTissue
+from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.lead_fields import MM_PER_CM, Contacts, assemble_stiffness
 from fascicle.torso.variation.block_solver import block_cg, multigrid

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.heart.heart import Heart
-from fascicle.heart.torso import Torso, TorsoTissue
+from fascicle.heart.heart import Heart, Torso, TorsoTissue
 from fascicle.torso.variation.body_axes import Motion
 
 

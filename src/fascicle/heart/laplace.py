@@ -21,12 +21,6 @@ from fascicle.mesh.topology import TETRAHEDRON_EDGES, TETRAHEDRON_FACES, unique_
 if TYPE_CHECKING:
     from pyamg.multilevel import MultilevelSolver
 
-NODES = 4 + len(TETRAHEDRON_EDGES)  # corners, and a node in the middle of each edge
-CHUNK = 100_000  # tetrahedra assembled at a time, which bounds the memory
-TOLERANCE = 1e-6  # of the residual, relative: fibres are then converged to some 0.05 degrees
-COARSE_TOLERANCE = 1e-2  # likewise, of the linear functions to start from
-MOST_STEPS = 500  # of conjugate gradients; some 20 are usual
-
 
 @dataclass(frozen=True)
 class QuadraticSpace:
@@ -63,13 +57,13 @@ class QuadraticSpace:
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
         """∫∇φᵢ·∇φⱼ (mm) over the mesh, for the basis functions φ of the nodes."""
-        upper = np.triu_indices(NODES)
+        upper = np.triu_indices(10)
         entries = np.empty((len(self.tetrahedra), len(upper[0])))
         weights = np.abs(signed_volumes(self.vertices, self.tetrahedra)) / len(HAMMER_STROUD_POINTS)
         shapes = [_basis_gradients(point) for point in HAMMER_STROUD_POINTS]
-        for first in range(0, len(entries), CHUNK):
-            chunk = slice(first, first + CHUNK)
-            full = np.zeros((len(entries[chunk]), NODES, NODES))
+        for first in range(0, len(entries), 100_000):  # which bounds the memory
+            chunk = slice(first, first + 100_000)
+            full = np.zeros((len(entries[chunk]), 10, 10))
             for shape in shapes:
                 gradients = shape @ self.gradients[chunk]
                 full += gradients @ gradients.transpose(0, 2, 1)
@@ -91,19 +85,13 @@ class QuadraticSpace:
         return sparse.vstack([sparse.identity(vertices), middles]).tocsr()
 
     def on(self, triangles: Integers) -> Integers:
-        """Nodes of some triangles of the mesh: their corners and the middles of their edges."""
+        """Nodes of some triangles of the mesh: their corners, then the middles of their edges."""
         keys = _keys(unique_edges(triangles)[0], len(self.vertices))
         middles = np.searchsorted(_keys(self.edges, len(self.vertices)), keys)
         return np.concatenate([np.unique(triangles), len(self.vertices) + middles])
 
     def at_centroids(self, values: Floats) -> tuple[Floats, Floats]:
-        """A function, by its values at the nodes, in the middle of each tetrahedron.
-
-        Returns
-        -------
-        (m,) and (m, 3) arrays
-            Its value and its gradient (1/mm).
-        """
+        """Value (m,) and gradient (1/mm) (m, 3) of a function in the middle of each tetrahedron."""
         centre = np.full(4, 1 / 4)
         local = values[self.nodes]
         slopes = local @ _basis_gradients(centre)
@@ -111,13 +99,7 @@ class QuadraticSpace:
 
 
 def quadratic_space(vertices: Floats, tetrahedra: Integers) -> QuadraticSpace:
-    """Number the nodes of a mesh of tetrahedra.
-
-    Parameters
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The mesh (mm).
-    """
+    """Number the nodes of a mesh of tetrahedra (m, 4) (mm)."""
     count = len(vertices)
     ends = np.sort(tetrahedra[:, TETRAHEDRON_EDGES], axis=2)
     keys, which = np.unique(_keys(ends, count), return_inverse=True)
@@ -155,9 +137,10 @@ def solve_laplace(space: QuadraticSpace, fixed: Integers, values: Floats) -> Flo
     for solution, given in zip(solutions, values, strict=True):
         solution[fixed] = given
         load = -(coupling @ given)
-        linear = coarse.solve(prolong.T @ load, tol=COARSE_TOLERANCE, accel="cg")
+        linear = coarse.solve(prolong.T @ load, tol=1e-2, accel="cg")
+        # fibres are then converged to some 0.05 degrees, in some 20 steps
         solution[free], failed = cg(
-            inner, load, x0=prolong @ linear, rtol=TOLERANCE, maxiter=MOST_STEPS, M=preconditioner
+            inner, load, x0=prolong @ linear, rtol=1e-6, maxiter=500, M=preconditioner
         )
         if failed:
             raise RuntimeError(f"conjugate gradients: not converged after {failed} steps")
@@ -196,10 +179,10 @@ def _basis(point: Floats) -> Floats:
 def _basis_gradients(point: Floats) -> Floats:
     """Their derivatives by each barycentric coordinate there, shape (10, 4)."""
     i, j = TETRAHEDRON_EDGES.T
-    derivatives = np.zeros((NODES, 4))
+    derivatives = np.zeros((10, 4))
     derivatives[range(4), range(4)] = 4 * point - 1
-    derivatives[range(4, NODES), i] = 4 * point[j]
-    derivatives[range(4, NODES), j] = 4 * point[i]
+    derivatives[range(4, 10), i] = 4 * point[j]
+    derivatives[range(4, 10), j] = 4 * point[i]
     return derivatives
 
 

@@ -37,22 +37,13 @@ from scipy.spatial import KDTree
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.fibres.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.heart.labelled_surface import BASAL, Label, LabelledMesh
+from fascicle.heart.laplace import QuadraticSpace, quadratic_space, solve_laplace
 from fascicle.mesh.measures import unit
 
 # The surfaces that carry an angle. Where two of them share a node the first one has it.
 SURFACES = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
 LV, RV, EPI = range(3)
-
-ARTERIAL = (Label.AORTIC, Label.PULMONARY)
-# Which way the gradient of a surface's potential points, towards it, when out of the ventricle
-OUT_OF_VENTRICLE = np.array([-1.0, -1.0, 1.0])
-# Row k: what an angle of each surface is in the frame of surface k. The left and the right
-# ventricle see the septum from opposite sides.
-SEEN_FROM = np.array([(1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, 1.0)])
-LEAST = 1e-6  # a potential, next to a surface where it is 0
-STEPS = 3  # of the progress
 
 
 @dataclass(frozen=True)
@@ -94,12 +85,6 @@ class Wall(IntEnum):
     LV = 0
     RV = 1
     SEPTUM = 2
-
-
-# The wall that is furthest from each surface
-LEAST_NEAR = np.array([Wall.RV, Wall.LV, Wall.SEPTUM])
-# Row by wall: how out of each surface's ventricle goes with out of the wall's
-SIDES = np.array([(1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, -1.0, 0.0)])
 
 
 @dataclass(frozen=True)
@@ -153,25 +138,31 @@ def rule_based_fibres(
         When the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
-    _check_labels(mesh)
-    progress(0, STEPS)
+    for what, labels in (
+        ("base", BASAL),
+        ("LV endocardium", (Label.LV_ENDOCARDIUM,)),
+        ("epicardium", (Label.EPICARDIUM,)),
+    ):
+        if not len(mesh.having(*labels)):
+            raise InputError(
+                f"{mesh.name}: no boundary triangle is labelled as {what}, which the fibres start "
+                "from; label the surface"
+            )
+    progress(0, 3)
     space = quadratic_space(mesh.vertices, mesh.tetrahedra)
     potentials, gradients = wall_potentials(space, mesh)
-    progress(1, STEPS)
+    progress(1, 3)
     baseward, outflow = apex_to_base(space, mesh)
-    progress(2, STEPS)
+    progress(2, 3)
     fibres = by_rule(potentials, gradients, baseward, outflow, angles)
-    progress(STEPS, STEPS)
+    progress(3, 3)
     return fibres
 
 
 def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
     """The harmonic potentials of the three `SURFACES` in the middle of each tetrahedron.
 
-    Returns
-    -------
-    (3, m) and (3, m, 3) arrays
-        Values, which add up to 1, and gradients (1/mm).
+    Values (3, m), which add up to 1, and gradients (3, m, 3) (1/mm).
     """
     surface = np.full(space.size, -1)
     for k in reversed(range(len(SURFACES))):
@@ -189,7 +180,7 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
     # quadratic functions overshoot a little; a surface that exists is never further than one that
     # does not
     present = [*solved, EPI]
-    values[present] = np.maximum(values[present], LEAST)
+    values[present] = np.maximum(values[present], 1e-6)
     return values / values.sum(axis=0), gradients
 
 
@@ -213,7 +204,7 @@ def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Flo
     basal = np.setdiff1d(space.on(mesh.having(*BASAL)), apex)
     fixed = np.concatenate([basal, apex])
     given = [np.arange(len(fixed)) < len(basal)]
-    arterial = mesh.having(*ARTERIAL)
+    arterial = mesh.having(Label.AORTIC, Label.PULMONARY)
     if len(arterial):
         given.append(np.isin(fixed, np.setdiff1d(space.on(arterial), apex)))
     solutions = solve_laplace(space, fixed, np.array(given, dtype=float))
@@ -250,26 +241,18 @@ def lv_apex(mesh: LabelledMesh) -> Integers:
 def by_rule(
     potentials: Floats, gradients: Floats, baseward: Floats, outflow: Floats, angles: FibreAngles
 ) -> Fibres:
-    """Fibres and sheets, given where in the wall each tetrahedron is.
-
-    Parameters
-    ----------
-    potentials, gradients : (3, m) and (3, m, 3) arrays
-        Of the `SURFACES`: values that add up to 1, and gradients (1/mm).
-    baseward : (m, 3) array
-        Towards the base, of any length.
-    outflow : (m,) array
-        How much of an outflow tract this is, 0 to 1.
-    angles : FibreAngles
-        On the surfaces.
-    """
-    across = unit(gradients * OUT_OF_VENTRICLE[:, None, None])
+    """Fibres and sheets, given `wall_potentials`, `apex_to_base` and the angles on the surfaces."""
+    # the gradient of a ventricle's potential points into it, the epicardium's out of both
+    across = unit(gradients * np.array([-1.0, -1.0, 1.0])[:, None, None])
+    # row k: what an angle of each surface is in the frame of surface k, as the left and the right
+    # ventricle see the septum from opposite sides
+    seen_from = np.array([(1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, 1.0)])
     frames = [_frame(out, baseward) for out in across]
     fibre_angles, sheet_angles = _on_surfaces(potentials, outflow, angles)
     fibre_tensor, sheet_tensor = (np.zeros((len(baseward), 3, 3)) for _ in range(2))
     for k, (around, along) in enumerate(frames):
         alpha, beta = (
-            np.einsum("j,jm,jm->m", SEEN_FROM[k], at, potentials)[:, None]
+            np.einsum("j,jm,jm->m", seen_from[k], at, potentials)[:, None]
             for at in (fibre_angles, sheet_angles)
         )
         fibre = np.cos(alpha) * around + np.sin(alpha) * along
@@ -281,7 +264,9 @@ def by_rule(
     beside = np.eye(3) - _lines(fibre)
     sheet = _principal(beside @ sheet_tensor @ beside)
     wall, depth = wall_and_depth(potentials)
-    outward = unit(np.einsum("mk,km,kmx->mx", SIDES[wall], potentials, across))
+    # row by `Wall`: how out of each surface's ventricle goes with out of the wall's
+    sides = np.array([(1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, -1.0, 0.0)])
+    outward = unit(np.einsum("mk,km,kmx->mx", sides[wall], potentials, across))
     around, along = _frame(outward, baseward)
     fibre[_dot(fibre, around) < 0] *= -1
     sheet = unit(sheet - _dot(sheet, fibre)[:, None] * fibre)
@@ -289,14 +274,9 @@ def by_rule(
 
 
 def wall_and_depth(potentials: Floats) -> tuple[Integers, Floats]:
-    """Which wall each tetrahedron is in, and how deep, as in `Fibres`.
-
-    Parameters
-    ----------
-    potentials : (3, m) array
-        Of the `SURFACES`.
-    """
-    wall = LEAST_NEAR[np.argmin(potentials, axis=0)]
+    """Which `Wall` each tetrahedron is in, and how deep, as in `Fibres`, for `wall_potentials`."""
+    # the wall that is furthest from the surface of the least potential
+    wall = np.array([Wall.RV, Wall.LV, Wall.SEPTUM])[np.argmin(potentials, axis=0)]
     inner = potentials[np.where(wall == Wall.RV, RV, LV), np.arange(len(wall))]
     depth = 1 - inner / (
         inner + potentials[np.where(wall == Wall.SEPTUM, RV, EPI), np.arange(len(wall))]
@@ -318,20 +298,6 @@ def _on_surfaces(potentials: Floats, outflow: Floats, angles: FibreAngles) -> tu
     fibre = (1 - outflow) * fibre + np.outer(in_tract, outflow)
     sheet = (angles.sheet_endocardium, angles.sheet_endocardium, angles.sheet_epicardium)
     return fibre, np.outer(sheet, everywhere)
-
-
-def _check_labels(mesh: LabelledMesh) -> None:
-    needed = {
-        "base": BASAL,
-        "LV endocardium": (Label.LV_ENDOCARDIUM,),
-        "epicardium": (Label.EPICARDIUM,),
-    }
-    for what, labels in needed.items():
-        if len(mesh.having(*labels)) == 0:
-            raise InputError(
-                f"{mesh.name}: no boundary triangle is labelled as {what}, which the fibres start "
-                "from; label the surface"
-            )
 
 
 def _frame(out: Floats, baseward: Floats) -> tuple[Floats, Floats]:

@@ -1,1 +1,0 @@
-"""Fibre directions by rule."""
