@@ -19,6 +19,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import NETWORK_SPACE
+from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import SimulatedBeat
 from fascicle.heart.folder import load_heart
@@ -42,11 +43,12 @@ def rate(run: Callable[[Sequence[dict[str, float]]], object], count: int) -> flo
     return count / (time.perf_counter() - begin)
 
 
-def differences(model: ForwardModel, device: str) -> tuple[float, float]:
+def differences(model: ForwardModel, backend: GpuBackend) -> tuple[float, float]:
     """Largest differences of activation (ms) and leads (mV) between the card and the cores."""
     ms = mv = 0.0
     networks = drawn(COMPARED, 2)
-    for network, beat in zip(networks, model.simulate_many(networks, device=device), strict=True):
+    beats = model.simulate_many(networks, backend=backend)
+    for network, beat in zip(networks, beats, strict=True):
         here = model.simulate(network)
         if isinstance(here, SimulatedBeat) and isinstance(beat, SimulatedBeat):
             ms = max(ms, float(np.abs(beat.activation - here.activation).max()))
@@ -65,15 +67,15 @@ def main() -> None:
     given = parser.parse_args()
     try:
         model = ForwardModel(load_heart(given.heart))
-        on_card = model.on(given.device)
+        backend = GpuBackend(given.device)
     except InputError as error:
         parser.error(str(error))
     print(f"{model}, {given.networks} networks")
-    ms, mv = differences(model, given.device)
+    ms, mv = differences(model, backend)
     print(f"largest differences of {COMPARED}: {ms:.2g} ms, {mv:.2g} mV")
     with ThreadPoolExecutor(given.workers) as executor:
         cores = rate(lambda networks: model.simulate_many(networks, executor), given.networks)
-    card = rate(lambda networks: list(on_card.signals(networks)), given.networks)
+    card = rate(lambda networks: list(backend.signals(model, networks)), given.networks)
     print(f"{given.workers} cores: {cores:.1f} networks a second")
     print(f"{given.device}: {card:.1f} networks a second, {card / cores:.2f} times as many")
 

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import NETWORK_SPACE
-from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.device.source import source
 
 HERE = Path(__file__).resolve().parent
@@ -74,12 +73,6 @@ class Emulated:
         self.library.launch(
             function, blocks, ctypes.c_longlong(shared), ctypes.c_int(self.order), *structures
         )
-
-
-def on(model, device, networks=3) -> DeviceModel:
-    """A forward model on a device that has room for few networks."""
-    parts = model.prepared, model.electrocardiograph, model.conduction, model.rules
-    return DeviceModel(device, *parts, networks)
 
 
 def drawn(count, seed=1):

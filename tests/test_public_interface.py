@@ -135,7 +135,7 @@ def right(study, predicted, recording, default_heart, default_model):
         "report": (fascicle.report, dict(fitted)),
         "make_bank": (fascicle.make_bank, {"heart": default_heart}),
         "Cluster": (fascicle.Cluster, {"address": "tcp://localhost:1"}),
-        "GpuPool": (fascicle.GpuPool, {"device": "cuda", "workers": 1}),
+        "GpuBackend": (fascicle.GpuBackend, {"device": "cuda"}),
         "cohort": (fascicle.cohort, {"table": "patients.csv", "out": "new"}),
         "ExecutorPool": (fascicle.ExecutorPool, {"executor": ThreadPoolExecutor(1), "workers": 1}),
         "fit": (fascicle.fit, {"heart": default_heart, "target": target, "out": "new"}),
@@ -163,7 +163,7 @@ FUNCTIONS = [
     "ForwardModel.activate", "ForwardModel.simulate_many", "ForwardModel.grow", "Scenario",
     "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
     "read_recording", "read_target", "report", "make_bank", "Cluster", "ExecutorPool", "fit",
-    "load_study", "GpuPool", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
+    "load_study", "GpuBackend", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
     "plot.activation_spread", "read_action_potential",
     "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",
 ]  # fmt: skip

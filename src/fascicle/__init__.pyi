@@ -6,6 +6,7 @@ from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
 from .forward.cable.action_potential_table import read_action_potential as read_action_potential
+from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
 from .forward.model import ForwardModel as ForwardModel
 from .forward.scenario import His as His
@@ -37,7 +38,6 @@ from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
 from .study.pool import ExecutorPool as ExecutorPool
-from .study.pool import GpuPool as GpuPool
 from .study.prior_simulations import make_bank as make_bank
 from .study.settings import FitSettings as FitSettings
 

@@ -18,7 +18,6 @@ from fascicle.prediction.index_names import COMPARED, INDICES
 
 if TYPE_CHECKING:
     from fascicle.study.cluster import Cluster
-    from fascicle.study.pool import Pool
 
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
@@ -121,25 +120,6 @@ def with_scenario(text: str) -> Path | tuple[Path, Path]:
     if not colon or not scenario.endswith(".toml") or Path(text).exists():
         return Path(text)
     return Path(target), Path(scenario)
-
-
-def simulated_by(
-    scheduler: str | None, device: str | None, workers: int, progress: Progress
-) -> Pool | None:
-    """Workers of the Dask scheduler at an address, or a card and so many threads; None for neither.
-
-    Raises
-    ------
-    InputError
-        If it is not there, or both are asked for.
-    """
-    if scheduler is not None and device is not None:
-        raise InputError("--scheduler and --device are two places to simulate in; give one")
-    if device is not None:
-        from fascicle.study.pool import GpuPool
-
-        return GpuPool(device, workers)
-    return pool_at(scheduler, progress)
 
 
 def pool_at(scheduler: str | None, progress: Progress) -> Cluster | None:

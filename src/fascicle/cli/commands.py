@@ -17,7 +17,6 @@ from fascicle.cli.arguments import (
     explicit,
     pool_at,
     settings_options,
-    simulated_by,
     with_scenario,
 )
 from fascicle.cli.cohorts import cohort as cohort_command
@@ -254,8 +253,11 @@ def fit(
     given |= explicit(context, settings)
     with resumable(out), TerminalProgress() as progress:
         recordings: list[Any] = [with_scenario(target) for target in targets]
-        workers = given.get("workers", settings["workers"])
-        pool = simulated_by(scheduler, device, workers, progress)
+        if device is not None:
+            from fascicle.forward.device.backend import GpuBackend
+
+            given["backend"] = GpuBackend(device)
+        pool = pool_at(scheduler, progress)
         fitted = run_fit(
             heart, recordings, out, parameters=learnt, progress=progress, pool=pool, **given
         )

@@ -6,7 +6,8 @@ computed again, and no more: trees, the speeds of the tissue, or times alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -14,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 from types import NoneType
-from typing import overload
+from typing import Protocol, overload, runtime_checkable
 
 import numpy as np
 
@@ -32,14 +33,12 @@ from fascicle.forward.body import (
     write_response,
 )
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.device import card
-from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, load, prepare, save
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.simulation import SimulatedBeat, Simulation, check_activation
+from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
@@ -54,6 +53,39 @@ TISSUES = 2  # tissues that are kept; each takes the memory of a heart
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
 MODEL_FILE, BODY_FILE = "model.npz", "body.npz"  # of a model for other processes
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """What simulates intrinsic beats of many networks in place of the processor."""
+
+    batch: int  # networks at a time
+
+    def refusal(self, model: ForwardModel, names: Iterable[str]) -> str:
+        """Why a model with other values of these quantities is not simulated; empty if it is."""
+
+    def signals(
+        self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
+    ) -> Iterator[Signals | InvalidTree | None]:
+        """What of networks is compared with a recording; None for what it leaves to others."""
+
+    def beats(
+        self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
+    ) -> Iterator[SimulatedBeat | InvalidTree | None]:
+        """The beats of networks, likewise."""
+
+
+def usable(
+    backend: Backend | None, model: ForwardModel, names: Iterable[str], scenario: Scenario | None
+) -> Backend | None:
+    """The backend if it simulates this; else None, after a warning that says why not."""
+    check_kind(backend, (Backend, NoneType), "backend", "one such as fascicle.GpuBackend()")
+    if backend is None:
+        return None
+    reason = backend.refusal(model, names) if scenario is None else "a scenario is given"
+    if reason:
+        warnings.warn(f"{reason}: simulated on the processor instead", stacklevel=3)
+    return None if reason else backend
 
 
 class ForwardModel:
@@ -124,8 +156,6 @@ class ForwardModel:
         self._body: BodyModel | None = None
         self._first_body = Lock()
         self.electrocardiograph = self._tissue(self.conduction).electrocardiograph
-        parts = prepared, self.electrocardiograph, self.conduction, self.rules
-        self._device_model = lru_cache(1)(partial(_device_model, *parts))
 
     def __repr__(self) -> str:
         return f"ForwardModel({self.heart.name}, {len(self.heart.vertices)} vertices)"
@@ -310,7 +340,7 @@ class ForwardModel:
 
     @overload
     def simulate_many(
-        self, parameters: Iterable[Mapping[str, float]], *, device: str
+        self, parameters: Iterable[Mapping[str, float]], *, backend: Backend
     ) -> list[SimulatedBeat | InvalidTree | InvalidBody]: ...
 
     def simulate_many(
@@ -319,7 +349,7 @@ class ForwardModel:
         executor: Executor | None = None,
         scenario: Scenario | None = None,
         *,
-        device: str | None = None,
+        backend: Backend | None = None,
     ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
         """Simulate many networks at a time.
 
@@ -333,11 +363,11 @@ class ForwardModel:
             the heart once, through a file in the temporary folder, which all must see.
         scenario : Scenario, optional
             The same for all.
-        device : str, optional
-            In place of an executor: ``"cuda"``, an NVIDIA card, or ``"cuda:1"``, the second one. It
-            simulates intrinsic beats, without a scenario; networks that are too large for it are
-            simulated here. What it gives is a `SimulatedBeat`: without the times in the trees, and
-            from where each vertex was fired.
+        backend : Backend, optional
+            Such as `fascicle.GpuBackend`, in place of an executor. It simulates intrinsic beats; a
+            warning says where it does not know the model or what is asked for, and all that it
+            leaves is simulated here. What it gives is a `SimulatedBeat`: without the times in the
+            trees, and from where each vertex was fired.
 
         Returns
         -------
@@ -347,14 +377,18 @@ class ForwardModel:
         Raises
         ------
         InputError
-            As `simulate` does; and if the device is not to be had, or does not simulate this.
+            As `simulate` does.
         """
         check_kind(parameters, Iterable, "parameters", "a list of them, one a network")
         networks = [complete(p) for p in parameters]
-        if device is not None:
-            return self._on_device(device, networks, executor, scenario)
+        if backend is not None:
+            names = {name for network in networks for name in network}
+            if usable(backend, self, names, scenario) is None:
+                return [self.simulate(network, scenario) for network in networks]
+            beats = zip(networks, backend.beats(self, networks), strict=True)
+            return [beat if beat is not None else self.simulate(p) for p, beat in beats]
         if executor is None:
-            raise InputError("give an executor, or a device such as 'cuda'")
+            raise InputError("give an executor, or a backend such as fascicle.GpuBackend()")
         check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
         bodies = [name for network in networks for name in body_values(network)]
         if isinstance(executor, ThreadPoolExecutor):
@@ -366,39 +400,6 @@ class ForwardModel:
                 for network in networks
             ]
             return [future.result() for future in futures]
-
-    def _on_device(
-        self,
-        device: str,
-        networks: Sequence[Mapping[str, float]],
-        executor: Executor | None,
-        scenario: Scenario | None,
-    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
-        if executor is not None or scenario is not None:
-            raise InputError(
-                f"device '{device}' simulates intrinsic beats, on its own; leave the scenario and "
-                "the executor out, or the device"
-            )
-        beats = self.on(device).beats(networks)
-        return [
-            beat if beat is not None else self.simulate(network)
-            for network, beat in zip(networks, beats, strict=True)
-        ]
-
-    def on(self, device: str) -> DeviceModel:
-        """The same model on a device, prepared when it is first asked for.
-
-        Parameters
-        ----------
-        device : str
-            ``"cuda"``, or ``"cuda:1"`` for the second card.
-
-        Raises
-        ------
-        InputError
-            If it is not to be had.
-        """
-        return self._device_model(device)
 
     def write(self, folder: Path, bodies: Sequence[str] = ()) -> WrittenModel:
         """Write a model into a folder, for other processes to read.
@@ -460,16 +461,6 @@ def _simulate_elsewhere(
     written: WrittenModel, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree | InvalidBody:
     return written.read().simulate(parameters, scenario)
-
-
-def _device_model(
-    prepared: Prepared,
-    electrocardiograph: Electrocardiograph,
-    conduction: Conduction,
-    rules: GrowthRules,
-    device: str,
-) -> DeviceModel:
-    return DeviceModel(card.Card(device), prepared, electrocardiograph, conduction, rules)
 
 
 def _grow_trees(

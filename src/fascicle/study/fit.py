@@ -16,8 +16,7 @@ from fascicle.core.progress import Progress
 from fascicle.core.progress_lines import Lines, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
-from fascicle.forward.device.model import check_simulated
-from fascicle.forward.model import ForwardModel
+from fascicle.forward.model import Backend, ForwardModel, usable
 from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import as_heart, load_heart, write_heart
@@ -26,7 +25,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import FEWEST, qrs_likelihood
 from fascicle.study.lock import refuse_held, study_lock
-from fascicle.study.pool import GpuPool, Pool, Threads, check_pool
+from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
@@ -58,6 +57,7 @@ def fit(
     parameters: Mapping[str, Any] | None = None,
     progress: Progress | Lines | None = "lines",
     pool: Pool | None = None,
+    backend: Backend | None = None,
     **settings: Any,
 ) -> FittedStudy:
     """Learn the Purkinje networks that explain a target, or several of one heart.
@@ -85,7 +85,10 @@ def fit(
     pool : Pool, optional
         Where networks are simulated: on `workers` threads, if nothing else is given;
         `fascicle.ExecutorPool` takes any executor, `fascicle.Cluster` a Dask scheduler. The result
-        is the same wherever, but for the last digits on a graphics card (`fascicle.GpuPool`).
+        is the same wherever.
+    backend : Backend, optional
+        What simulates intrinsic beats in place of the pool: a graphics card (`fascicle.GpuBackend`)
+        changes the last digits of the result.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
@@ -110,13 +113,14 @@ def fit(
     """
     checked = checked_settings(settings)
     check_pool(pool)
+    check_kind(backend, (Backend, NoneType), "backend", "one such as fascicle.GpuBackend()")
     check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
     folder = as_path(out, "out")
     check_study_folder(folder)
     refuse_held(folder)
     with shown_progress(progress) as shown:
         inputs = read_inputs(heart, target, parameters or {}, checked)
-        return fit_inputs(inputs, folder, shown, pool)
+        return fit_inputs(inputs, folder, shown, pool, backend)
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,11 @@ def read_inputs(
 
 
 def fit_inputs(
-    inputs: Inputs, folder: Path, progress: Progress | None = None, pool: Pool | None = None
+    inputs: Inputs,
+    folder: Path,
+    progress: Progress | None = None,
+    pool: Pool | None = None,
+    backend: Backend | None = None,
 ) -> FittedStudy:
     """Do what is left of a study in its folder, and write its results.
 
@@ -177,11 +185,11 @@ def fit_inputs(
         What it is of.
     folder : Path
         Where it is, or is to be.
-    progress, pool
+    progress, pool, backend
         As for `fit`, which says what is raised, too.
     """
     heart, recordings, config = inputs.heart, inputs.recordings, inputs.config
-    problem = _problem(config, heart, recordings, pool, progress)
+    problem = _problem(config, heart, recordings, pool, progress, backend)
     _check_scenarios(problem)
     with study_lock(folder):
         study = Study.create_or_resume(folder, config, progress)
@@ -217,16 +225,6 @@ def _check_method(method: str, recordings: Sequence[Recording]) -> None:
         raise InputError(
             "the method 'paper' fits one recording of an intrinsic beat; give one without a "
             "scenario, or use the method 'posterior'"
-        )
-
-
-def _check_card(config: StudyConfig, recordings: Sequence[Recording]) -> None:
-    """Refuse what a card does not simulate."""
-    check_simulated([*config.parameter_space.names, *config.fixed])
-    if recordings[0].scenario is not None:
-        raise InputError(
-            "a card simulates intrinsic beats, and the first recording is of another; put an "
-            "intrinsic one first, or leave the card out"
         )
 
 
@@ -354,13 +352,14 @@ def _problem(
     recordings: Sequence[Recording],
     pool: Pool | None,
     progress: Progress | None,
+    backend: Backend | None = None,
 ) -> Problem:
     """The study's problem; takes a while on a new machine or with a large new heart."""
     if progress is not None:
         compile_kernels(progress)
-    if isinstance(pool, GpuPool):
-        _check_card(config, recordings)
     model, pool = ForwardModel(heart, progress=progress), pool or Threads(config.workers)
+    names = [*config.parameter_space.names, *config.fixed]
+    backend = usable(backend, model, names, recordings[0].scenario)
     first, *others = (
         Problem(
             model,
@@ -375,4 +374,4 @@ def _problem(
         )
         for recording in recordings
     )
-    return replace(first, others=tuple(others))
+    return replace(first, others=tuple(others), backend=backend)

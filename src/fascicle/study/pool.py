@@ -1,10 +1,9 @@
-"""Where networks are evaluated: on threads of this process, on a card, or elsewhere."""
+"""Where networks are evaluated: on threads of this process, or elsewhere."""
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import cached_property, partial
 from itertools import pairwise
@@ -15,10 +14,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 from fascicle.core.ranges import check_count, check_kind
 from fascicle.core.threads import one_thread
-from fascicle.forward.device.card import card_number
 from fascicle.forward.model import ForwardModel, WrittenModel
-from fascicle.forward.simulation import Signals
-from fascicle.purkinje.tree import InvalidTree
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -96,36 +92,6 @@ class Threads(Pool):
     @cached_property
     def _executor(self) -> ThreadPoolExecutor:
         return ThreadPoolExecutor(self.workers)
-
-
-class GpuPool(Threads):
-    """An NVIDIA card for the intrinsic beats of networks, and threads for all else.
-
-    Parameters
-    ----------
-    device : str
-        ``"cuda"``, or ``"cuda:1"`` for the second card.
-    workers : int, optional
-        How many threads; by default one a core.
-
-    Raises
-    ------
-    InputError
-        If there is no such card, or no CuPy.
-    """
-
-    def __init__(self, device: str = "cuda", workers: int | None = None) -> None:
-        if workers is not None:
-            check_count(workers, "workers")
-        card_number(device)
-        super().__init__(workers if workers is not None else os.cpu_count() or 1)
-        self.device = device
-
-    def signals(
-        self, model: ForwardModel, networks: Sequence[Mapping[str, float]]
-    ) -> Iterator[Signals | InvalidTree | None]:
-        """What networks give, in order; None for those that are too large for a card."""
-        return model.on(self.device).signals(networks)
 
 
 class Remote(Pool):

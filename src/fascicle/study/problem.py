@@ -14,17 +14,16 @@ from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.quantities import SIDES, body_values
 from fascicle.core.short_repr import short_repr
-from fascicle.forward.device.batch import NETWORKS
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
-from fascicle.forward.model import ForwardModel
+from fascicle.forward.model import Backend, ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.recording.synthetic import repeated
 from fascicle.recording.target import Target
-from fascicle.study.pool import GpuPool, Pool, Threads
+from fascicle.study.pool import Pool, Threads
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.torso.variation.conductor import InvalidBody
 
@@ -77,6 +76,8 @@ class Problem:
         Whether each simulation is scaled by its best global gain first.
     pool : Pool
         Where simulations run.
+    backend : Backend, optional
+        What simulates intrinsic beats in place of the pool.
     fixed : mapping of name to float
         Quantities that are held at other values than their defaults.
     independent_leads : bool
@@ -98,6 +99,7 @@ class Problem:
     space: ParameterSpace
     free_gain: bool = False
     pool: Pool = field(default=Threads(1), compare=False)
+    backend: Backend | None = field(default=None, compare=False)
     fixed: Mapping[str, float] = field(default_factory=dict)
     independent_leads: bool = False
     fewest_junctions: int = 0
@@ -122,7 +124,7 @@ class Problem:
         """All but the model and the bank, to be sent to workers."""
         others = tuple(other.portable() for other in self.others)
         nowhere = cast(ForwardModel, None)  # until `of` puts one in its place
-        return replace(self, model=nowhere, bank=None, pool=Threads(1), others=others)
+        return replace(self, model=nowhere, bank=None, pool=Threads(1), backend=None, others=others)
 
     def of(self, model: ForwardModel) -> Problem:
         """The same with a model, as a worker has it."""
@@ -130,28 +132,28 @@ class Problem:
 
     def __call__(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """Evaluate points of the unit cube; outcomes come in order, as soon as they are there."""
-        if isinstance(self.pool, GpuPool):
-            return self._on_card(self.pool, points)
+        if self.backend is not None:
+            return self._by_backend(self.backend, points)
         if isinstance(self.pool, Threads):
             return self.pool.map(Problem.evaluate, self, points)
         return self._elsewhere(points)
 
-    def _on_card(self, card: GpuPool, points: Sequence[Floats]) -> Iterator[Evaluation]:
-        """What the bank does not have comes from the card; threads compare, and do the rest."""
-        for start in range(0, len(points), NETWORKS):
-            part = points[start : start + NETWORKS]
+    def _by_backend(self, backend: Backend, points: Sequence[Floats]) -> Iterator[Evaluation]:
+        """What the bank does not have comes from the backend; the pool compares, and the rest."""
+        for start in range(0, len(points), backend.batch):
+            part = points[start : start + backend.batch]
             stored = [self._stored_signals(point) for point in part]
             missing = [
                 self._parameters(point)
                 for point, there in zip(part, stored, strict=True)
                 if there is None
             ]
-            new = card.signals(self.model, missing)
+            new = backend.signals(self.model, missing)
             given = [
                 (point, there if there is not None else next(new))
                 for point, there in zip(part, stored, strict=True)
             ]
-            yield from card.map(Problem._evaluate_given, self, given)
+            yield from self.pool.map(Problem._evaluate_given, self, given)
 
     def _elsewhere(self, points: Sequence[Floats]) -> Iterator[Evaluation]:
         """What the bank has all of is compared here, where the bank is; the rest elsewhere."""
@@ -183,7 +185,7 @@ class Problem:
     def _evaluate_given(
         self, item: tuple[Floats, Signals | InvalidTree | str | None]
     ) -> Evaluation:
-        """The same where a card, or the bank, has given what it has."""
+        """The same where a backend, or the bank, has given what it has."""
         point, given = item
         if given is None:
             return self.evaluate(point)

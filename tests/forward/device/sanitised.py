@@ -14,20 +14,17 @@ import numpy as np
 from emulated import RANDOM, Emulated
 
 from fascicle.forward.cable.template import default_template
-from fascicle.forward.device.model import DeviceModel
+from fascicle.forward.device.backend import GpuBackend
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.preparation import load
-from fascicle.heart.conduction import Conduction
-from fascicle.purkinje.growth import GrowthRules
 
 if __name__ == "__main__":
     model, written, *options = sys.argv[1:]
     heart, prepared = load(Path(model), default_template())
     with np.load(written) as file:
         names, values, expected = file["names"], file["values"], file["activation"]
-    device = DeviceModel(
-        Emulated(*options, order=RANDOM), prepared, prepared.electrocardiograph,
-        Conduction.of(heart), GrowthRules(), len(values),
-    )  # fmt: skip
+    model = ForwardModel(heart, prepared=prepared)
     networks = [dict(zip(names.tolist(), row, strict=True)) for row in values]
-    found = [beat.activation for beat in device.beats(networks)]
+    backend = GpuBackend.on(Emulated(*options, order=RANDOM), len(networks))
+    found = [beat.activation for beat in backend.beats(model, networks)]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from functools import partial
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -13,12 +12,10 @@ from emulated import drawn
 from test_networks import assert_same
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward import model as model_module
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
+from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.card import OPTIONS, THREADS, card_number
-from fascicle.forward.device.model import DeviceModel
 from fascicle.forward.device.source import source
 from fascicle.forward.scenario import Scenario
 
@@ -72,31 +69,33 @@ def test_fewer_cards_than_asked_for(cupy):
 
 
 def test_simulate_many(crtdemo_model, emulated, monkeypatch):
-    """On the card, in order; what is too large for it here, and the card is prepared once."""
-    made = []
-    monkeypatch.setattr(card_module, "Card", lambda name: made.append(name) or emulated)
-    monkeypatch.setattr(model_module, "DeviceModel", partial(DeviceModel, networks=5))
+    """On the card, in order; what is too large for it here."""
     monkeypatch.setattr(batch, "MOST_SITES", 250)
     networks = drawn(12)
-    beats = crtdemo_model.simulate_many(networks, device="cuda:3")
+    beats = crtdemo_model.simulate_many(networks, backend=GpuBackend.on(emulated, 5))
     for network, beat in zip(networks, beats, strict=True):
         expected = crtdemo_model.simulate(network)
         if hasattr(expected, "leads"):
             assert_same(beat, expected)
         else:
             assert beat.reason == expected.reason
-    crtdemo_model.simulate_many(networks[:1], device="cuda:3")
-    assert made == ["cuda:3"]
     here = [hasattr(beat, "coupled") for beat in beats]
     assert 0 < sum(here) < len(here)
-    crtdemo_model._device_model.cache_clear()
 
 
-def test_what_cannot_be_both(crtdemo_model):
-    with pytest.raises(InputError, match="'cuda' simulates intrinsic beats, on its own; leave"):
-        crtdemo_model.simulate_many([EXAMPLE_PARAMETERS], None, Scenario(), device="cuda")
-    with pytest.raises(InputError, match="give an executor, or a device such as 'cuda'"):
-        crtdemo_model.simulate_many([EXAMPLE_PARAMETERS])
+def test_what_the_card_does_not_know_is_simulated_here(crtdemo_model, emulated):
+    backend = GpuBackend.on(emulated, 5)
+    for scenario, more, reason in (
+        (Scenario(silent=("rv",)), {}, "scenario"),
+        (None, {"anisotropy_ratio": 2.0}, "anisotropy_ratio"),
+    ):
+        networks = [n | more for n in drawn(2)]
+        with pytest.warns(UserWarning, match=reason):
+            found = crtdemo_model.simulate_many(networks, scenario=scenario, backend=backend)
+        expected = [crtdemo_model.simulate(network, scenario) for network in networks]
+        assert [hasattr(each, "coupled") for each in found] == [
+            hasattr(each, "coupled") for each in expected
+        ]
 
 
 def test_the_source_compiles_for_cards(tmp_path):

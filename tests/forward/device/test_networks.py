@@ -12,11 +12,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import box, conduction_for, face_of, straight_times, vertex_at
-from emulated import Emulated, drawn, on
+from emulated import Emulated, drawn
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.device import batch
+from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.eikonal.activation import attach
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Signals, SimulatedBeat
@@ -25,6 +26,10 @@ from fascicle.purkinje.tree import InvalidTree
 
 MS, MV = 1e-7, 1e-7
 EDGE, ACROSS = 2.0, 0.3  # of the block (mm) and its slower speed (mm/ms)
+
+
+def on(device, networks=3):
+    return GpuBackend.on(device, networks)
 
 
 def assert_same(found, expected):
@@ -54,7 +59,7 @@ def assert_invalid(found, expected):
 def compare(model, device, networks):
     """Simulate on both; how many networks fit."""
     fit = 0
-    for network, found in zip(networks, on(model, device).beats(networks), strict=True):
+    for network, found in zip(networks, on(device).beats(model, networks), strict=True):
         expected = model.simulate(network)
         if isinstance(expected, InvalidTree):
             assert_invalid(found, expected)
@@ -87,7 +92,7 @@ def test_quantities_that_change_trees_and_times(crtdemo_model, emulated):
     ]
     networks = [network | change for change in changes]
     assert compare(crtdemo_model, emulated, networks) == len(networks)
-    times = [beat.activation for beat in on(crtdemo_model, emulated).beats(networks)]
+    times = [beat.activation for beat in on(emulated).beats(crtdemo_model, networks)]
     assert np.abs(times[1] - times[2]).max() > 1.0
 
 
@@ -98,7 +103,7 @@ def test_scar_is_not_activated(crtdemo_model, emulated):
     scar = Region(0.0, centre=tuple(tree.nodes[tree.junctions[0]].tolist()), radius=12.0)
     model = ForwardModel(crtdemo_model.heart, Conduction(regions=(scar,)))
     assert compare(model, emulated, [network]) == 1
-    (beat,) = on(model, emulated).beats([network])
+    (beat,) = on(emulated).beats(model, [network])
     assert beat.unreached.sum() > 10
     assert (attach(model.myocardium, beat.trees).located.elements < 0).any()
 
@@ -124,7 +129,7 @@ def test_a_block_with_an_exact_solution(emulated):
             "fascicle_length_2": 6.0, "fascicle_angle_2": -0.6,
         }.items()
     }  # fmt: skip
-    (beat,) = on(model, emulated).beats([network])
+    (beat,) = on(emulated).beats(model, [network])
     simulation = model.simulate(network)
     assert_same(beat, simulation)
     coupling = attach(model.myocardium, simulation.trees)
@@ -141,8 +146,8 @@ def test_a_block_with_an_exact_solution(emulated):
 
 def test_signals_are_what_is_compared(crtdemo_model, emulated):
     networks = drawn(5)
-    device_model = on(crtdemo_model, emulated)
-    for network, found in zip(networks, device_model.signals(networks), strict=True):
+    signals = on(emulated).signals(crtdemo_model, networks)
+    for network, found in zip(networks, signals, strict=True):
         expected = crtdemo_model.simulate(network)
         if isinstance(expected, InvalidTree):
             assert_invalid(found, expected)
@@ -159,7 +164,7 @@ def test_signals_are_what_is_compared(crtdemo_model, emulated):
 def test_networks_that_are_too_large_are_left(crtdemo_model, emulated, monkeypatch, room, size):
     """As nodes of a tree, as nodes of its bundle, as branches of a generation."""
     monkeypatch.setattr(batch, room, size)
-    assert list(on(crtdemo_model, emulated).beats(drawn(11)[8:])) == [None] * 3
+    assert list(on(emulated).beats(crtdemo_model, drawn(11)[8:])) == [None] * 3
 
 
 def test_too_many_junctions_are_left(crtdemo_model, emulated, monkeypatch):
@@ -167,7 +172,7 @@ def test_too_many_junctions_are_left(crtdemo_model, emulated, monkeypatch):
     networks = [n for n in drawn(12) if not isinstance(crtdemo_model.grow(n), InvalidTree)]
     many = [sum(len(t.junctions) for t in crtdemo_model.grow(n)) > 250 for n in networks]
     assert 0 < sum(many) < len(networks)
-    found = on(crtdemo_model, emulated).beats(networks)
+    found = on(emulated).beats(crtdemo_model, networks)
     assert [beat is None for beat in found] == many
 
 
@@ -182,7 +187,7 @@ def test_junctions_without_rays_in_the_table_are_left(crtdemo_model, emulated):
     myocardium = replace(crtdemo_model.myocardium, travel_times=table._replace(row=rows))
     prepared = replace(crtdemo_model.prepared, myocardium=myocardium)
     model = ForwardModel(crtdemo_model.heart, prepared=prepared)
-    found = [beat is None for beat in on(model, emulated).beats(networks)]
+    found = [beat is None for beat in on(emulated).beats(model, networks)]
     assert found == [junctions[0][0] in triangles for triangles in junctions]
     assert not all(found)
 
@@ -192,21 +197,22 @@ def test_a_heart_in_which_nothing_fires_is_left(crtdemo_model, emulated):
     blocked = {"anterograde_delay": np.inf, "retrograde_delay": np.inf}
     networks = [n | blocked for n in drawn(2)]
     assert isinstance(crtdemo_model.grow(networks[1]), tuple)
-    found = list(on(crtdemo_model, emulated).signals(networks))
+    found = list(on(emulated).signals(crtdemo_model, networks))
     assert found[1] is None
     with pytest.raises(InputError, match="nothing activates the myocardium"):
         crtdemo_model.simulate(networks[1])
 
 
 @pytest.mark.parametrize("name", ["anisotropy_ratio", "heart_up", "region_3_conductivity"])
-def test_what_asks_for_another_tissue_or_body_is_refused(crtdemo_model, emulated, name):
-    with pytest.raises(InputError, match=f"parameter '{name}' changes .* card does not simulate"):
-        list(on(crtdemo_model, emulated).signals([EXAMPLE_PARAMETERS | {name: 1.0}]))
+def test_another_tissue_or_body_is_simulated_by_the_processor(crtdemo_model, emulated, name):
+    backend = on(emulated)
+    assert not backend.refusal(crtdemo_model, EXAMPLE_PARAMETERS)
+    assert name in backend.refusal(crtdemo_model, [*EXAMPLE_PARAMETERS, name])
 
 
 def test_a_missing_parameter_is_named(crtdemo_model, emulated):
     with pytest.raises(InputError, match="missing parameters cv; add them"):
-        list(on(crtdemo_model, emulated).signals([{**EXAMPLE_PARAMETERS, "cv": 2.0}, drop("cv")]))
+        list(on(emulated).signals(crtdemo_model, [{**EXAMPLE_PARAMETERS, "cv": 2.0}, drop("cv")]))
 
 
 def drop(name):
@@ -214,5 +220,5 @@ def drop(name):
 
 
 def test_a_heart_that_is_too_large(crtdemo_model):
-    with pytest.raises(InputError, match="heart of 4569 vertices is too large for the card; leave"):
-        on(crtdemo_model, Emulated(shared_bytes=1000))
+    with pytest.raises(InputError, match="heart of 4569 vertices is too large for the card"):
+        list(on(Emulated(shared_bytes=1000)).beats(crtdemo_model, [EXAMPLE_PARAMETERS]))

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import SIDES, fascicles
+from fascicle.core.quantities import SIDES
 from fascicle.forward.device.packing import packed_heart
 from fascicle.forward.device.source import (
     BATCH,
-    BEAT,
     HEART,
     MOVE_BYTES,
-    PLAN,
     SITE,
     SPROUT_BYTES,
     Bytes,
@@ -29,7 +27,6 @@ from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS, NODE
 from fascicle.kernels.channels import CHANNELS
-from fascicle.purkinje.growth import GrowthRules
 
 # Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
 # processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.
@@ -65,34 +62,6 @@ class Device(Protocol):
 
     def launch(self, kernel: str, blocks: int, shared: int, heart: Any, batch: Any) -> None:
         """Run a kernel of the two structures on so many blocks, with bytes for each to share."""
-
-
-class Network(NamedTuple):
-    """What is simulated of a network.
-
-    Attributes
-    ----------
-    anatomy : mapping of name to float
-        Quantities of the trees.
-    rules : GrowthRules
-        By which they grow.
-    roots : (float, float)
-        When they fire (ms); not before 0.
-    cv : float
-        Purkinje conduction velocity (mm/ms).
-    anterograde, retrograde : float
-        Delays of the junctions (ms).
-    tissue_speed : float
-        Factor on all speeds of the myocardium.
-    """
-
-    anatomy: Mapping[str, float]
-    rules: GrowthRules
-    roots: tuple[float, float]
-    cv: float
-    anterograde: float
-    retrograde: float
-    tissue_speed: float
 
 
 @dataclass(frozen=True)
@@ -146,7 +115,7 @@ class Simulator:
         electrocardiograph: Electrocardiograph,
         networks: int = NETWORKS,
     ) -> None:
-        self.device, self.networks, self._seeds = device, networks, prepared.seeds
+        self.device = device
         self._quiet = electrocardiograph.action_potential.span[1]
         heart = packed_heart(prepared, electrocardiograph)
         self._vertices: int = heart["vertices"]
@@ -161,13 +130,17 @@ class Simulator:
         sizes = _bytes(self._vertices + MOST_TREE_NODES)
         self._buffers = {name: device.room(networks * size) for name, size in sizes.items()}
 
-    def run(self, networks: Sequence[Network]) -> Results:
-        """Simulate networks, as many as there is room for at most."""
-        count = len(networks)
-        given = {
-            "plans": np.stack([self._plan(side, n) for n in networks for side in SIDES]),
-            "beats": np.array([_beat(network) for network in networks], BEAT),
-        }
+    def run(self, plans: NDArray[np.void], beats: NDArray[np.void]) -> Results:
+        """Simulate networks, as many as there is room for at most.
+
+        Parameters
+        ----------
+        plans : (2b,) array of PLAN
+            What the trees of each network grow by, left first.
+        beats : (b,) array of BEAT
+            The times of each.
+        """
+        count, given = len(beats), {"plans": plans, "beats": beats}
         self._launch("grow", 2 * count, 0, given)
         self._launch("attach", count, 0, given)
         simulated = self._array("site_count", np.int32, count) >= 0
@@ -195,30 +168,6 @@ class Simulator:
     def nodes(self, number: int, side: int, size: int) -> NDArray[np.void]:
         """The nodes, an array of NODE, of one of their trees; `Results.sizes` says how many."""
         return self._part("nodes", NODE, (len(SIDES) * number + side) * MOST_GROWN, size)
-
-    def _plan(self, side: str, network: Network) -> NDArray[np.void]:
-        """What a tree grows by, a record.
-
-        Cosines and sines are of the same functions as on a processor, so that they round alike.
-        """
-        seed, anatomy, rules = self._seeds[side], network.anatomy, network.rules
-        step = rules.branch_length / rules.segments
-        plan = np.zeros((), PLAN)
-        plan["u"], plan["v"] = seed.point
-        plan["a"], plan["b"] = seed.heading
-        plan["triangle"] = seed.triangle
-        plan["bundle"] = anatomy[f"{side}_initial_length"]
-        plan["fascicles"] = fascicles(side, anatomy)
-        for k in range(int(plan["fascicles"])):
-            angle = anatomy[f"{side}_fascicle_angle_{k + 1}"]
-            plan["fascicle"][k] = anatomy[f"{side}_fascicle_length_{k + 1}"]
-            plan["cosine"][k], plan["sine"][k] = math.cos(angle), math.sin(angle)
-        plan["step"], plan["repulsion"] = step, rules.repulsion
-        plan["too_near"] = (rules.clearance * step) ** 2
-        plan["branch_cosine"] = math.cos(rules.branch_angle)
-        plan["branch_sine"] = math.sin(rules.branch_angle)
-        plan["segments"], plan["generations"] = rules.segments, rules.generations
-        return plan
 
     def _solve(self, count: int, nodes: int, given: Mapping[str, NDArray[Any]]) -> None:
         """Solve the coupled problem; times are shared by the threads of a block if they fit."""
@@ -303,17 +252,6 @@ class Simulator:
 def _waiting(nodes: int) -> int:
     """Bytes of the bits that say which nodes wait."""
     return BITS // 8 * -(-nodes // BITS)
-
-
-def _beat(network: Network) -> tuple[Any, ...]:
-    """The times of a beat, on a clock on which the tissue conducts as it was prepared.
-
-    As in `fascicle.forward.eikonal.activation.solve`.
-    """
-    speed = network.tissue_speed
-    fires = tuple(speed * time for time in network.roots)
-    delays = speed * network.anterograde, speed * network.retrograde
-    return fires, network.cv / speed, *delays, speed
 
 
 def _bytes(most_nodes: int) -> dict[str, int]:

@@ -3,39 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import fascicle
 from fascicle.cli import main
-from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
-from fascicle.forward import model as model_module
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
-from fascicle.forward.device.model import DeviceModel
+from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.scenario import His, Scenario
 from fascicle.forward.simulation import Signals
-from fascicle.study import pool as pool_module
-from fascicle.study import problem as problem_module
-from fascicle.study.fit import _check_card
-from fascicle.study.pool import GpuPool, Threads
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.study import SAME_LOSS
 
 
 @pytest.fixture
-def card(emulated, default_model, monkeypatch):
-    monkeypatch.setattr(pool_module, "card_number", lambda name: 0)
-    monkeypatch.setattr(card_module, "Card", lambda name: emulated)
-    monkeypatch.setattr(model_module, "DeviceModel", partial(DeviceModel, networks=4))
-    monkeypatch.setattr(problem_module, "NETWORKS", 4)
-    default_model._device_model.cache_clear()
-    yield GpuPool("cuda", workers=2)
-    default_model._device_model.cache_clear()
+def backend(emulated):
+    return GpuBackend.on(emulated, 4)
 
 
 @pytest.fixture(scope="module")
@@ -54,56 +40,39 @@ def assert_alike(found, expected, simulated_here=()):
             assert (one.loss == other.loss) == (k in simulated_here)
 
 
-def test_evaluations(card, problem, points, expected):
+def test_evaluations(backend, problem, points, expected):
     """In batches, in order, and of what does not fit the reason."""
-    assert_alike(list(replace(problem, pool=card)(points)), expected)
+    assert_alike(list(replace(problem, backend=backend)(points)), expected)
 
 
-def test_what_the_bank_has_is_not_simulated(card, problem, points, expected, tmp_path):
+def test_what_the_bank_has_is_not_simulated(backend, problem, points, expected, tmp_path):
     bank = PriorSimulations(tmp_path)
     known = {points[k].tobytes(): Signals.of(problem._simulate(points[k])) for k in (1, 4)}
     bank.get = lambda point: known.get(point.tobytes())
-    found = list(replace(problem, pool=card, bank=bank)(points))
+    found = list(replace(problem, backend=backend, bank=bank)(points))
     assert_alike(found, expected, simulated_here=(1, 4))
 
 
-def test_what_is_too_large_is_simulated_here(card, problem, points, expected, monkeypatch):
+def test_what_is_too_large_is_simulated_here(backend, problem, points, expected, monkeypatch):
     monkeypatch.setattr(batch, "MOST_SITES", 100)
-    found = list(replace(problem, pool=card)(points))
+    found = list(replace(problem, backend=backend)(points))
     assert_alike(found, expected, simulated_here=range(5))
 
 
-def test_further_recordings_are_simulated_here(card, problem, points):
+def test_further_recordings_are_simulated_here(backend, problem, points):
     """Paced ones beside an intrinsic one."""
     problem = replace(problem, others=(replace(problem, scenario=Scenario(his=His(right=0.0))),))
     alone = list(problem(points[:2]))
-    pool_of_all = replace(problem, pool=card, others=(replace(problem.others[0], pool=card),))
-    for one, other in zip(pool_of_all(points[:2]), alone, strict=True):
+    found = replace(problem, backend=backend)(points[:2])
+    for one, other in zip(found, alone, strict=True):
         np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * SAME_LOSS)
         assert one.loss != other.loss
 
 
-def test_networks_are_simulated_here(card, problem):
+def test_networks_are_simulated_here(backend, problem):
     """With all that a card does not give."""
-    (network,) = replace(problem, pool=card).networks([EXAMPLE_PARAMETERS])
+    (network,) = replace(problem, backend=backend).networks([EXAMPLE_PARAMETERS])
     assert network.simulation.coupled.retrograde
-
-
-def test_what_a_card_does_not_simulate_is_refused_at_once():
-    intrinsic, paced = SimpleNamespace(scenario=None), SimpleNamespace(scenario=Scenario(his=His()))
-    config = SimpleNamespace(parameter_space=NETWORK_SPACE, fixed={"alpha": 0.07})
-    _check_card(config, [intrinsic, paced])
-    with pytest.raises(InputError, match="the first recording is of another; put an intrinsic"):
-        _check_card(config, [paced, intrinsic])
-    config.fixed["lung_conductivity"] = 1.2
-    with pytest.raises(InputError, match="'lung_conductivity' changes the lead fields, which a"):
-        _check_card(config, [intrinsic])
-
-
-def test_threads_without_a_number(monkeypatch):
-    monkeypatch.setattr(pool_module, "card_number", lambda name: 0)
-    assert isinstance(GpuPool(), Threads)
-    assert GpuPool().workers >= 1
 
 
 def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, capsys):
@@ -112,7 +81,6 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
     for more, message in (
         (["cuda"], "device 'cuda' needs CuPy; install it"),
         (["gpu"], "unknown device 'gpu'; give cuda"),
-        (["cuda", "--scheduler", "tcp://a:1"], "two places to simulate in; give one"),
     ):
         monkeypatch.setattr("sys.argv", [*arguments, "--device", *more])
         with pytest.raises(SystemExit) as ended:
@@ -123,10 +91,12 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
 
 
 @pytest.mark.slow
-def test_a_fit_on_a_card_is_opened_without_one(card, problem, tmp_path):
+def test_a_fit_on_a_card_is_opened_without_one(backend, problem, tmp_path):
     """What threads find again is close enough to what the card found."""
     settings = {"effective": 20, "evaluations": 400, "bank": 200}
-    fitted = fascicle.fit("default", problem.target, tmp_path / "study", pool=card, **settings)
+    fitted = fascicle.fit(
+        "default", problem.target, tmp_path / "study", backend=backend, **settings
+    )
     opened = fascicle.load_study(tmp_path / "study")
     for name, values in fitted.population.values.items():
         np.testing.assert_array_equal(values, opened.population.values[name])

@@ -1,0 +1,172 @@
+"""The forward model on a graphics card: from parameters to signals or beats, in batches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fascicle.core.arrays import Floats
+from fascicle.core.parameters import complete
+from fascicle.core.quantities import SIDES, Changes, fascicles, quantity
+from fascicle.forward.device.batch import NETWORKS, Device, Results, Simulator
+from fascicle.forward.device.card import Card
+from fascicle.forward.device.source import BEAT, PLAN
+from fascicle.forward.ecg.electrocardiogram import STEP, leads_from_independent
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario, root_times
+from fascicle.forward.simulation import Signals, SimulatedBeat
+from fascicle.kernels.growth import GROWN
+from fascicle.purkinje.growth import tree_of_nodes, tree_outside
+from fascicle.purkinje.tree import InvalidTree
+
+Made = TypeVar("Made")
+
+
+class GpuBackend:
+    """An NVIDIA card that simulates intrinsic beats; a `fascicle.forward.model.Backend`.
+
+    Parameters
+    ----------
+    device : str
+        ``"cuda"``, or ``"cuda:1"`` for the second card.
+
+    Raises
+    ------
+    InputError
+        If there is no such card, or no CuPy.
+    """
+
+    def __init__(self, device: str = "cuda") -> None:
+        self._use(Card(device), NETWORKS)
+
+    @classmethod
+    def on(cls, device: Device, networks: int) -> GpuBackend:
+        """A backend on a device at hand, with room for so many networks at a time."""
+        backend = cls.__new__(cls)
+        backend._use(device, networks)
+        return backend
+
+    def _use(self, device: Device, networks: int) -> None:
+        self.batch = networks
+        self._simulator = lru_cache(1)(
+            lambda model: Simulator(device, model.prepared, model.electrocardiograph, networks)
+        )
+
+    def refusal(self, model: ForwardModel, names: Iterable[str]) -> str:
+        """Why a model with other values of these quantities is not simulated; empty if it is."""
+        for name in names:
+            if quantity(name).changes in (Changes.TISSUE, Changes.BODY):
+                return f"parameter '{name}' changes {quantity(name).changes}"
+        return ""
+
+    def signals(
+        self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
+    ) -> Iterator[Signals | InvalidTree | None]:
+        """What of networks is compared with a recording, in order; None for too large ones."""
+
+        def made(number: int, values: Mapping[str, float], results: Results) -> Signals:
+            leads = _leads(results.channels[number], values)
+            junctions = tuple(int(count) for count in results.junctions[number])
+            return Signals(leads, float(results.first[number] / STEP), junctions)
+
+        return self._each(model, parameters, made)
+
+    def beats(
+        self, model: ForwardModel, parameters: Sequence[Mapping[str, float]]
+    ) -> Iterator[SimulatedBeat | InvalidTree | None]:
+        """The beats of networks, likewise."""
+        simulator, prepared = self._simulator(model), model.prepared
+
+        def made(number: int, values: Mapping[str, float], results: Results) -> SimulatedBeat:
+            trees = tuple(
+                tree_of_nodes(side, simulator.nodes(number, k, size), prepared.charts[side])
+                for k, (side, size) in enumerate(zip(SIDES, results.sizes[number], strict=True))
+            )
+            activation = np.empty(len(prepared.myocardium.order))
+            activation[prepared.myocardium.order] = simulator.activation(number)
+            return SimulatedBeat(_leads(results.channels[number], values), 0.0, activation, trees)
+
+        return self._each(model, parameters, made)
+
+    def _each(
+        self,
+        model: ForwardModel,
+        parameters: Sequence[Mapping[str, float]],
+        made: Callable[[int, Mapping[str, float], Results], Made],
+    ) -> Iterator[Made | InvalidTree | None]:
+        """What is made of each network in a batch's results, in order."""
+        every = [complete(network) for network in parameters]
+        for start in range(0, len(every), self.batch):
+            networks = every[start : start + self.batch]
+            results = self._simulator(model).run(
+                np.stack([_plan(model, side, n) for n in networks for side in SIDES]),
+                np.array([_beat(model, n) for n in networks], BEAT),
+            )
+            # all of them before the next batch takes their place
+            yield from [
+                made(number, values, results)
+                if results.simulated[number]
+                else _outside(model, number, values, results)
+                for number, values in enumerate(networks)
+            ]
+
+
+def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArray[np.void]:
+    """What a tree grows by, a record of PLAN.
+
+    Cosines and sines are of the same functions as on a processor, so that they round alike.
+    """
+    seed, rules = model.prepared.seeds[side], model.rules.with_values(values)
+    step, count = rules.branch_length / rules.segments, fascicles(side, values)
+    plan = np.zeros((), PLAN)
+    plan["u"], plan["v"] = seed.point
+    plan["a"], plan["b"] = seed.heading
+    plan["triangle"], plan["fascicles"] = seed.triangle, count
+    plan["bundle"] = values[f"{side}_initial_length"]
+    for k in range(count):
+        angle = values[f"{side}_fascicle_angle_{k + 1}"]
+        plan["fascicle"][k] = values[f"{side}_fascicle_length_{k + 1}"]
+        plan["cosine"][k], plan["sine"][k] = math.cos(angle), math.sin(angle)
+    plan["step"], plan["repulsion"] = step, rules.repulsion
+    plan["too_near"] = (rules.clearance * step) ** 2
+    plan["branch_cosine"] = math.cos(rules.branch_angle)
+    plan["branch_sine"] = math.sin(rules.branch_angle)
+    plan["segments"], plan["generations"] = rules.segments, rules.generations
+    return plan
+
+
+def _beat(model: ForwardModel, values: Mapping[str, float]) -> tuple[Any, ...]:
+    """The times of a beat, on a clock on which the tissue conducts as it was prepared.
+
+    As in `fascicle.forward.eikonal.activation.solve`.
+    """
+    speed = model.conduction.with_values(values).alpha / model.conduction.alpha
+    fires = tuple(speed * time for time in root_times(values["root_time"]))
+    delays = Scenario().delays(values)
+    there, back = delays["anterograde_delay"], delays["retrograde_delay"]
+    return fires, values["cv"] / speed, speed * there, speed * back, speed
+
+
+def _outside(
+    model: ForwardModel, number: int, values: Mapping[str, float], results: Results
+) -> InvalidTree | None:
+    """The first tree that does not fit; None where the network is too large for the card."""
+    rows = results.status[number], results.missing[number], results.ends[number]
+    for side, status, missing, end in zip(SIDES, *rows, strict=True):
+        if status >= 0:
+            part = "initial_length" if status == 0 else f"fascicle_length_{status}"
+            wanted, chart = values[f"{side}_{part}"], model.prepared.charts[side]
+            return tree_outside(side, int(status), wanted, float(missing), np.array([end]), chart)
+        if status != GROWN:
+            return None
+    return None
+
+
+def _leads(channels: Floats, values: Mapping[str, float]) -> Floats:
+    """The twelve leads (mV)."""
+    return np.asarray(values.get("gain", 1.0) * (leads_from_independent() @ channels))
