@@ -58,7 +58,7 @@ from threadpoolctl import threadpool_limits
 import fascicle
 from examples.recover_known_network import synthetic_target
 from fascicle.build.refinement import refined
-from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.cli.output import TerminalProgress
 from fascicle.core.files import write_text
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, LIMB_LEADS, limb_leads_from
 from fascicle.core.quantities import body_values

@@ -39,7 +39,7 @@ from fascicle.build.anatomy import Source
 from fascicle.build.body import Body
 from fascicle.build.build_heart import build_heart
 from fascicle.cli.demo import demo_recording
-from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.cli.output import TerminalProgress
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart
 from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain

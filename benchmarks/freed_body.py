@@ -17,7 +17,7 @@ import numpy as np
 
 import fascicle
 from benchmarks.refinement import refine, spread
-from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.cli.output import TerminalProgress
 from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
 from fascicle.core.quantities import BODY, GROUPS, QUANTITIES

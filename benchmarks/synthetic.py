@@ -39,7 +39,7 @@ from matplotlib.figure import Figure
 import fascicle
 from benchmarks.forward import _heart, build_case
 from examples.recover_known_network import synthetic_target
-from fascicle.cli.terminal_progress import TerminalProgress
+from fascicle.cli.output import TerminalProgress
 from fascicle.forward.simulation import Simulation
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
 from fascicle.reporting.figures import new_figure, save

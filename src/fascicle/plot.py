@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
-from fascicle.core.progress import Progress
-from fascicle.core.progress_lines import Lines, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.heart.folder import load_heart
 from fascicle.heart.heart import Heart

@@ -158,7 +158,7 @@ def test_nrrd_without_spacing_or_with_unknown_space_is_refused(tmp_path, labels)
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("a.mha", "cannot read '.mha'"), ("a.pkl", "pickle"), ("b.gz", "read '.gz'")],
+    [("a.mha", "cannot read '.mha'"), ("a.pkl", "cannot read '.pkl'"), ("b.gz", "read '.gz'")],
 )
 def test_other_formats_are_refused(tmp_path, name, problem):
     (tmp_path / name).write_bytes(b"\x80\x04K\x01.")

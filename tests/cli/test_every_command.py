@@ -10,15 +10,16 @@ import shutil
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.progress import Progress as Bars
 
-from fascicle.cli.output import Output, _plain
-from fascicle.cli.terminal_progress import TerminalProgress
-from fascicle.core.errors import InputError
-from fascicle.core.progress_lines import Stage, shown_progress
+from fascicle.cli.output import Output, TerminalProgress, _plain
+from fascicle.core.errors import ValueRefusedError
+from fascicle.core.progress import ProgressLines, shown_progress, time_left, write_with_time
 from fascicle.prediction.index_names import COMPARED, INDICES
 
 COMMANDS = (
@@ -112,14 +113,6 @@ def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
     assert said[-1].startswith("error: --cv")
 
 
-def test_what_takes_long_says_how_long_it_took(run, monkeypatch, tmp_path):
-    assert "took" not in run("scenarios").err
-    monkeypatch.setattr("fascicle.cli.output.TOLD", 0.0)
-    log = tmp_path / "a.log"
-    assert re.fullmatch(r"took \d s\n", run("scenarios", "--log", log).err)
-    assert re.fullmatch(STAMP + r"took \d s", log.read_text().splitlines()[-1])
-
-
 def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):
     assert 'site = "left bundle"' in run("scenarios", "left-bundle-pacing").out
     refused(["scenarios", tmp_path / "none.toml"], "no such file")
@@ -138,21 +131,16 @@ def test_plain_json():
 
 
 class TestProgress:
-    """Without a terminal."""
+    """Without a terminal, but for bars."""
 
     @pytest.fixture
-    def progress(self, monkeypatch, tmp_path):
-        monkeypatch.setattr("fascicle.core.progress_lines.FIRST", 0.05)
-        monkeypatch.setattr("fascicle.core.progress_lines.EVERY", 0.2)
-        monkeypatch.setattr("fascicle.core.progress_lines.FEWEST", 0.1)
-        monkeypatch.setattr("fascicle.core.progress_lines.APART", 0.0)
+    def progress(self, tmp_path):
         path = tmp_path / "screen"
         with path.open("w") as screen:
-            monkeypatch.setattr(
-                "fascicle.cli.terminal_progress.current_output", lambda: Output(screen)
-            )
-            with TerminalProgress() as progress:
-                yield progress, path.read_text
+            say = partial(write_with_time, stream=screen)
+            progress = ProgressLines(say, first=0.05, every=0.2)
+            yield progress, path.read_text
+            progress.end()
 
     def test_lines_appear_while_it_runs(self, progress):
         report, said = progress
@@ -162,7 +150,6 @@ class TestProgress:
         lines = said().splitlines()
         assert 3 <= len(lines) <= 5  # the first, at most two between, the last
         assert re.fullmatch(r"\d\d:\d\d:\d\d sampling \d/10, 0 s.*: all well", lines[0])
-        assert "at most 0 s left" in lines[1]
         assert "sampling 10/10" in lines[-1]
 
     def test_a_stage_that_says_nothing_is_named(self, progress):
@@ -171,11 +158,17 @@ class TestProgress:
         time.sleep(0.2)
         assert "compiling (first run) 0/1" in said()
 
+    def test_what_is_done_soon_is_not_spoken_of(self, progress):
+        report, said = progress
+        for done in range(3):
+            report("preparation", done, 2, "")
+        time.sleep(0.1)
+        assert said() == ""
+
     def test_bars_begin_again_with_another_patient(self, monkeypatch):
-        screen = io.StringIO()
         monkeypatch.setattr("rich.console.Console.is_terminal", True)
-        monkeypatch.setattr("fascicle.cli.terminal_progress.current_output", lambda: Output(screen))
-        with TerminalProgress() as progress:
+        screen = io.StringIO()
+        with TerminalProgress(Output(screen)) as progress:
             progress("sampling", 5, 10, "")
             (bar,) = progress._bars.tasks
             began = bar.start_time
@@ -186,111 +179,36 @@ class TestProgress:
             assert (bar.completed, bar.total) == (1, 20)
             assert bar.start_time > began
             assert not bar.finished
+        assert "sampling" in screen.getvalue()
 
-    def test_python_shows_lines_unless_told_otherwise(self, monkeypatch, capsys):
-        monkeypatch.setattr("fascicle.core.progress_lines.FIRST", 0.05)
+    def test_python_shows_lines_unless_told_otherwise(self, capsys):
         with shown_progress("lines") as progress:
-            progress("prior", 1, 4, "")
-            time.sleep(0.2)
-            progress("prior", 4, 4, "")
-            progress("sampling", 1, 4, "")  # its first line is not due yet
-        time.sleep(0.2)
-        said = capsys.readouterr().err
-        assert re.fullmatch(
-            r"\d\d:\d\d:\d\d networks of the prior 1/4, 0 s\n"
-            r"\d\d:\d\d:\d\d networks of the prior 4/4, 0 s\n",
-            said,
-        )
+            assert isinstance(progress, ProgressLines)
         with shown_progress(None) as progress:
             assert progress is None
         with shown_progress(print) as progress:
             assert progress is print
-        with pytest.raises(InputError, match="progress is 5; give a function"):  # noqa: SIM117
+        with pytest.raises(ValueRefusedError, match="progress is 5"):  # noqa: SIM117
             with shown_progress(5):
                 pass
 
-    def test_what_is_done_soon_is_not_spoken_of(self, progress):
-        report, said = progress
-        for done in range(3):
-            report("preparation", done, 2, "")
-        time.sleep(0.1)
-        assert said() == ""
-
-
-class TestTimeLeft:
-    """Of a stage, by a clock that the test sets."""
-
-    @pytest.fixture
-    def clock(self, monkeypatch):
+    @pytest.mark.parametrize(
+        ("steps", "left"),
+        [
+            ([(1, 0)], ""),  # no pace yet
+            ([(1, 7010), (10, 7100)], "4 min 50 s left"),  # what was done before does not count
+            ([(100, 7300), (200, 7600)], "13 min left"),  # steps that are far apart
+            ([(10, 10_000)], ""),
+        ],
+    )
+    def test_time_left_by_a_clock(self, steps, left):
         now = [0.0]
-        monkeypatch.setattr("fascicle.core.progress_lines.time.monotonic", lambda: now[0])
-        return now
-
-    @staticmethod
-    def work(stage, clock, rate, seconds):
-        for _ in range(seconds):
-            clock[0] += 1
-            stage.update(stage.done + rate, stage.total, "")
-
-    def begun(self, name="networks", done=0):
-        stage = Stage(name, done, 10_000, "", began=0.0)
-        stage.update(done, 10_000, "")
-        return stage
-
-    def test_nothing_is_said_before_there_is_a_rate(self, clock):
-        stage = self.begun()
-        assert stage.time_left == ""
-        self.work(stage, clock, 10, 4)
-        assert stage.time_left == ""
-        self.work(stage, clock, 10, 1)
-        assert stage.time_left == "17 min left"
-
-    def test_what_was_done_before_does_not_count(self, clock):
-        stage = self.begun(done=7000)
-        self.work(stage, clock, 10, 10)
-        assert stage.time_left == "4 min 50 s left"
-
-    @pytest.mark.parametrize("since", [25, 100])
-    def test_what_was_quick_and_is_over_does_not_count(self, clock, since):
-        """A bank gives 8000 networks in 20 s, and then they have to be simulated."""
-        stage = self.begun()
-        self.work(stage, clock, 400, 20)
-        assert stage.time_left == "5 s left"
-        self.work(stage, clock, 5, since)
-        assert stage.time_left == {25: "6 min 15 s left", 100: "5 min 0 s left"}[since]
-
-    def test_a_stage_that_stands_still_takes_longer(self, clock):
-        stage = self.begun()
-        self.work(stage, clock, 100, 50)
-        assert stage.time_left == "50 s left"
-        clock[0] += 10
-        assert stage.time_left != "50 s left"
-        clock[0] += 1000
-        assert stage.time_left == ""
-
-    def test_reports_that_are_far_apart(self, clock):
-        stage = self.begun()
-        for _ in range(3):
-            clock[0] += 100
-            stage.update(stage.done + 1000, 10_000, "")
-        assert stage.time_left == "12 min left"
-
-    def test_sampling_may_end_earlier(self, clock):
-        stage = self.begun("sampling")
-        self.work(stage, clock, 10, 10)
-        assert stage.time_left == "at most 16 min left"
-        assert str(stage) == "sampling 100/10000, 10 s, at most 16 min left"
-
-    def test_a_bar_says_the_same(self, clock, monkeypatch):
-        screen = io.StringIO()
-        monkeypatch.setattr("fascicle.cli.terminal_progress.current_output", lambda: Output(screen))
-        monkeypatch.setattr(screen, "isatty", lambda: True)
-        monkeypatch.setenv("COLUMNS", "150")
-        with TerminalProgress() as progress:
-            for second in range(11):
-                clock[0] = second
-                progress("sampling", 7000 + 10 * second, 10_000, "")
-        assert "at most 4 min 50 s left" in screen.getvalue()
+        bars = Bars(disable=True, speed_estimate_period=60.0, get_time=lambda: now[0])
+        number = bars.add_task("networks", total=10_000, message="", first=7000)
+        bars.update(number, completed=7000)
+        for now[0], done in steps:
+            bars.update(number, completed=done)
+        assert time_left(bars.tasks[0]) == left
 
 
 class TestOutside:

@@ -7,10 +7,12 @@ import pytest
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.core.quantities import HIS_TIME
+from fascicle.core.quantities import default_of
 from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.purkinje.tree import PurkinjeTree
+
+HIS_TIME = default_of("his_time")  # ms
 
 CV = EXAMPLE_PARAMETERS["cv"]
 NEVER = His(time=np.inf)

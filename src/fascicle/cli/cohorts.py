@@ -47,7 +47,7 @@ def cohort(
     Without a scheduler patients are fitted here, one after the other, on all cores; with one, each
     by a worker of a Dask cluster (docs/cluster.md).
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.patients.cohort import outcomes
     from fascicle.patients.outcome import Status
     from fascicle.patients.overview import PAGE, RESULTS

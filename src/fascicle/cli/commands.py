@@ -135,7 +135,7 @@ def simulate(
     speed = 0.0                    # factor on the speed; 0 blocks
     ```
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.cable.action_potential_table import read_action_potential
     from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
@@ -244,7 +244,7 @@ def fit(
     endocardial_layer = 1.5
     ```
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.study.fit import fit as run_fit
     from fascicle.study.space import PARAMETERS, read_settings
 
@@ -288,7 +288,7 @@ def predict(
     and more (docs/predictions.md), twelve-lead ECGs as the recorder would have them, activation
     maps. Intervals are those of the networks, so of what the ECG leaves open.
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.scenarios import predict as predict_scenarios
     from fascicle.prediction.scenarios import prior_networks, simulate_scenarios
@@ -329,7 +329,7 @@ def compare(
     Every network of the population decides for itself; 'intrinsic' is the intrinsic beat. All
     indices are shown, since they may disagree.
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.comparison import PACED
     from fascicle.prediction.index_names import check_index
@@ -385,7 +385,7 @@ def sweep(
 
         fascicle sweep STUDY biventricular-pacing --delay=-60:60:10 --out SWEEP
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.index_names import check_index
     from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
@@ -465,7 +465,7 @@ def report(
     First the answer in words; then the recorded and the predicted ECG, a heart to turn with the
     activation of every scenario, the scenarios compared, parameters, convergence, inputs.
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.reporting.page.page import PACINGS
     from fascicle.reporting.page.page import report as write_report
@@ -494,7 +494,7 @@ def template(
 
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.reporting.figures import check_picture, save
     from fascicle.reporting.template import template_figure
 
@@ -517,7 +517,7 @@ def demo(
 ) -> Result:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
     from fascicle.cli.demo import BLOCK, demo_recording, run_demo
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")

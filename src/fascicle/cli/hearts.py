@@ -68,7 +68,7 @@ def heart_build(
     from fascicle.build.anatomy import Source
     from fascicle.build.body import Body
     from fascicle.build.build_heart import build_heart
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.heart.folder import check_heart_folder
 
     parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
@@ -132,7 +132,7 @@ def heart_import(
     and the ratios of the leads are wrong.
     """
     from fascicle.build.body import Body, in_body
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.folder import check_heart_folder
     from fascicle.heart.labelled_surface import labelled_mesh
@@ -199,7 +199,7 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     electrodes and bundles stay. The torso is left out: the lead fields stand in the mesh.
     """
     from fascicle.build.refinement import refined
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.heart.folder import MANIFEST, check_heart_folder, load_heart
 
     check_heart_folder(out, [Path(heart) / MANIFEST])
@@ -242,7 +242,7 @@ def heart_bank(
     usual parameters with their usual ranges. Interrupt it whenever you like: the same command goes
     on where it stopped, and a larger number adds to what is there.
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.study.prior_simulations import make_bank
 
     with TerminalProgress() as progress:

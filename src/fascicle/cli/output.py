@@ -1,4 +1,4 @@
-"""Options that every command has: how much it says, in which form, and where that is kept."""
+"""Options that every command has, what it says and where, and how far long runs are."""
 
 from __future__ import annotations
 
@@ -14,79 +14,107 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, OutputError
 from fascicle.core.files import outside_allowed
-from fascicle.core.progress_lines import duration
+from fascicle.core.progress import ProgressLines, duration, time_left, write_with_time
 
-PANEL = "Every command"
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+
 Result = Mapping[str, Any] | Sequence[Any]  # of a command, for --json
-NOT_ALL = 1  # exit status
-TOLD = 60.0  # s, from which on a command says at its end how long it took
+EVERY_COMMAND = "Every command"  # panel of the help
 
 
 class NotAllDoneError(Exception):
-    """A command has done what it could, which is not all; it ends with exit status 1.
-
-    Parameters
-    ----------
-    result : mapping or sequence
-        What it has done.
-    """
+    """A command has done what it could, `result`, which is not all; it ends with exit status 1."""
 
     def __init__(self, result: Result) -> None:
         super().__init__("not all is done")
         self.result = result
 
 
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Print nothing but errors.", rich_help_panel=PANEL)
-]
-AsJson = Annotated[
-    bool,
-    typer.Option("--json", help="Print the result as JSON, and no words.", rich_help_panel=PANEL),
-]
-Log = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Add to this file, with times, what is said of the run.",
-        rich_help_panel=PANEL,
-    ),
-]
-AllowOutside = Annotated[
-    bool,
-    typer.Option(
-        "--allow-outside",
-        help="Read files outside its folder that a file names.",
-        rich_help_panel=PANEL,
-    ),
-]
-ADDED = tuple(
-    inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-    for name, default, annotation in (
-        ("quiet", False, Quiet),
-        ("as_json", False, AsJson),
-        ("log", None, Log),
-        ("allow_outside", False, AllowOutside),
-    )
-)
+def _with_options(
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet", "-q", help="Print nothing but errors.", rich_help_panel=EVERY_COMMAND
+        ),
+    ] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json", help="Print the result as JSON, and no words.", rich_help_panel=EVERY_COMMAND
+        ),
+    ] = False,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Add to this file, with times, what is said of the run.",
+            rich_help_panel=EVERY_COMMAND,
+        ),
+    ] = None,
+    allow_outside: Annotated[
+        bool,
+        typer.Option(
+            "--allow-outside",
+            help="Read files outside its folder that a file names.",
+            rich_help_panel=EVERY_COMMAND,
+        ),
+    ] = False,
+) -> None:
+    """Hold the options of every command, for `every_command`."""
+
+
+def every_command(command: Callable[..., Result]) -> Callable[..., None]:
+    """Give a command the options that every one has, and print its result where JSON is asked for.
+
+    Parameters
+    ----------
+    command : callable
+        Prints its result for people, and returns it for programs.
+    """
+
+    @functools.wraps(command)
+    def run(
+        *given: Any, quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **named: Any
+    ) -> None:
+        status, begun = 0, time.monotonic()
+        with ExitStack() as around:
+            if allow_outside:
+                around.enter_context(outside_allowed())
+            around.enter_context(_saying(quiet, as_json, log))
+            try:
+                result = command(*given, **named)
+            except NotAllDoneError as ended:
+                result, status = ended.result, 1
+            taken = time.monotonic() - begun
+            if taken >= 60.0:
+                print(f"took {duration(taken)}", file=sys.stderr)
+        if as_json:
+            print(json.dumps(_plain(result), indent=2))
+        if status:
+            raise typer.Exit(status)
+
+    signature = inspect.signature(command, eval_str=True)
+    added = inspect.signature(_with_options, eval_str=True).parameters.values()
+    parameters = [
+        *signature.parameters.values(),
+        *(option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in added),
+    ]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}  # what Typer looks at
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return run
 
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command says how far it is.
-
-    Attributes
-    ----------
-    screen : text stream, optional
-        The standard error; None where nothing is to be said.
-    log : text stream, optional
-        A file for all that is said.
-    """
+    """Where a command says how far it is: the standard error unless it is quiet, and a log."""
 
     screen: TextIO | None
     log: TextIO | None = None
@@ -98,12 +126,30 @@ class Output:
             self.log.flush()
 
 
-_CURRENT: ContextVar[Output | None] = ContextVar("output of the command that runs", default=None)
+_output: ContextVar[Output | None] = ContextVar("output of the command that runs", default=None)
 
 
-def current_output() -> Output:
-    """Return that of the command that runs."""
-    return _CURRENT.get() or Output(sys.stderr)
+@contextmanager
+def _saying(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
+    """Send what is printed in the block where the options say."""
+    with ExitStack() as around:
+        file = around.enter_context(_opened(log)) if log is not None else None
+        output = Output(None if quiet else sys.stderr, file)
+        output.note(" ".join(["fascicle", *sys.argv[1:]]))
+        words = None if quiet or as_json else sys.stdout
+        around.enter_context(redirect_stdout(_Copied(words, output)))
+        around.enter_context(redirect_stderr(_Copied(output.screen, output)))
+        token = _output.set(output)
+        try:
+            yield
+        except InputError as error:
+            output.note(f"error: {error}")
+            raise
+        except KeyboardInterrupt:
+            output.note("interrupted")
+            raise
+        finally:
+            _output.reset(token)
 
 
 class _Copied(io.TextIOBase):
@@ -132,71 +178,11 @@ class _Copied(io.TextIOBase):
         return self._stream.encoding if self._stream is not None else "utf-8"
 
 
-def every_command(command: Callable[..., Result]) -> Callable[..., None]:
-    """Give a command the options that every one has, and print its result where JSON is asked for.
-
-    Parameters
-    ----------
-    command : callable
-        Prints its result for people, and returns it for programs.
-    """
-
-    @functools.wraps(command)
-    def run(
-        *given: Any, quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **named: Any
-    ) -> None:
-        status, begun = 0, time.monotonic()
-        with ExitStack() as around:
-            if allow_outside:
-                around.enter_context(outside_allowed())
-            around.enter_context(_saying(quiet, as_json, log))
-            try:
-                result = command(*given, **named)
-            except NotAllDoneError as ended:
-                result, status = ended.result, NOT_ALL
-            taken = time.monotonic() - begun
-            if taken >= TOLD:
-                print(f"took {duration(taken)}", file=sys.stderr)
-        if as_json:
-            print(json.dumps(_plain(result), indent=2))
-        if status:
-            raise typer.Exit(status)
-
-    signature = inspect.signature(command, eval_str=True)
-    parameters = [*signature.parameters.values(), *ADDED]
-    run.__annotations__ = {p.name: p.annotation for p in parameters}  # what Typer looks at
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    return run
-
-
-@contextmanager
-def _saying(quiet: bool, as_json: bool, log: Path | None) -> Iterator[None]:
-    """Send what is printed in the block where the options say."""
-    with ExitStack() as around:
-        file = around.enter_context(_opened(log)) if log is not None else None
-        output = Output(None if quiet else sys.stderr, file)
-        output.note(" ".join(["fascicle", *sys.argv[1:]]))
-        words = None if quiet or as_json else sys.stdout
-        around.enter_context(redirect_stdout(_Copied(words, output)))
-        around.enter_context(redirect_stderr(_Copied(output.screen, output)))
-        token = _CURRENT.set(output)
-        try:
-            yield
-        except InputError as error:
-            output.note(f"error: {error}")
-            raise
-        except KeyboardInterrupt:
-            output.note("interrupted")
-            raise
-        finally:
-            _CURRENT.reset(token)
-
-
 def _opened(log: Path) -> TextIO:
     try:
         return log.open("a", encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{log}: {error.strerror}; give another --log") from None
+        raise OutputError(f"{log}: {error.strerror}; give another --log") from None
 
 
 def _plain(value: Any) -> Any:
@@ -212,3 +198,53 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return [_plain(item) for item in value]
+
+
+class TerminalProgress(ProgressLines):
+    """Progress of a command: a bar a stage in a terminal; lines elsewhere, and in the log."""
+
+    def __init__(self, output: Output | None = None) -> None:
+        found = output if output is not None else _output.get()
+        self._output = found if found is not None else Output(sys.stderr)
+        super().__init__(self._write)
+
+    def _make_bars(self) -> Bars:
+        from rich import progress
+        from rich.console import Console
+        from rich.text import Text
+
+        class TimeLeft(progress.ProgressColumn):
+            def render(self, task: progress.Task) -> Text:
+                return Text(time_left(task), style="progress.remaining")
+
+        screen = self._output.screen
+        console = Console(file=screen, stderr=True, quiet=screen is None)
+        return progress.Progress(
+            progress.TextColumn("{task.description:<24}"),
+            progress.BarColumn(bar_width=30),
+            progress.MofNCompleteColumn(),
+            progress.TimeElapsedColumn(),
+            TimeLeft(),
+            progress.TextColumn("{task.fields[message]}"),
+            console=console,
+            speed_estimate_period=60.0,
+            disable=not console.is_terminal,
+        )
+
+    def _write(self, line: str) -> None:
+        """Add a line to the log, and to what is no terminal."""
+        self._output.note(line)
+        screen = self._output.screen
+        if screen is not None and not screen.isatty():
+            write_with_time(line, screen)
+
+    def __enter__(self) -> TerminalProgress:
+        return self  # the bars start with the first stage, so that an early error stands alone
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.end(clear=isinstance(error, InputError))  # a refusal stands alone, in one line

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fascicle.cli.output import Result
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, given_in
 
 FixOption = Annotated[
     list[str] | None,
@@ -49,10 +49,8 @@ def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, 
     for option, name, value in items:
         if name in values:
             raise InputError(f"{option}: '{name}' is given twice; give it once")
-        try:
+        with given_in(option):
             values |= checked({name: value})
-        except InputError as error:
-            raise InputError(f"{option}: {error}") from None
     return values
 
 
@@ -76,7 +74,7 @@ def parameters() -> Result:
     import rich
     from rich.table import Table
 
-    from fascicle.core.quantities import GROUPS, MOST_FASCICLES, QUANTITIES, quantity
+    from fascicle.core.quantities import GROUPS, QUANTITIES, quantity
 
     table = Table(box=None, pad_edge=False)
     table.add_column("name", overflow="fold", no_wrap=True)
@@ -94,7 +92,7 @@ def parameters() -> Result:
         )
     rich.print(table)
     print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
-    print(f"Fascicles are numbered 1 to at most {MOST_FASCICLES}; regions by their labels.")
+    print("Fascicles are numbered 1 to at most 4; regions by their labels.")
     return [
         {
             "name": known.name,

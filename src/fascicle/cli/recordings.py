@@ -122,7 +122,7 @@ def target(
     Simulated ECGs pass the filters that the recording has passed: those that the file names or you
     state, otherwise a steep low-pass that shows in the spectrum, and --lowpass and --notch.
     """
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.recording.missing_metadata import collect_missing
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.readers.read import read_recording

@@ -33,7 +33,7 @@ def written_summary(folder: Path) -> dict[str, object]:
 @every_command
 def study_show(study: StudyArgument) -> Result:
     """Print what a study is of and what it found, as 'fascicle fit' did at its end."""
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.study.fit import load_study
 
     with TerminalProgress() as progress:
@@ -64,7 +64,7 @@ def study_compare(
     """
     import numpy as np
 
-    from fascicle.cli.terminal_progress import TerminalProgress
+    from fascicle.cli.output import TerminalProgress
     from fascicle.study.fit import load_study
 
     if len(studies) < 2:

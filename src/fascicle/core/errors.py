@@ -1,10 +1,10 @@
-"""The one error type that a user is meant to see, and how texts of files stand in it."""
+"""The errors that a user is meant to see, by family, and how texts of files stand in them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
-
-LONGEST = 900  # characters of a message; a longer one quotes a damaged file
 
 
 class InputError(ValueError):
@@ -12,13 +12,13 @@ class InputError(ValueError):
 
     The message is one line that names the file, the thing, the value found and what to do. The
     command line prints it and exits with status 2. Anything else that is raised is a bug. What is
-    not printable in it, such as a line break in the name of a file, is written out, and what is too
-    long is cut.
+    not printable in it, such as a line break in the name of a file, is written out; what is too
+    long, since it quotes a damaged file, is cut.
     """
 
-    def __init__(self, message: str) -> None:
+    def __init__(self, message: str, longest: int = 900) -> None:
         text = printable(message)
-        super().__init__(text if len(text) <= LONGEST else f"{text[:LONGEST]}…")
+        super().__init__(text if len(text) <= longest else f"{text[:longest]}…")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How a process hands it over: whatever arguments a subclass takes."""
@@ -29,6 +29,28 @@ def _restored(kind: type[InputError], args: tuple[Any, ...], state: dict[str, An
     error = kind.__new__(kind, *args)
     vars(error).update(state)
     return error
+
+
+class FileError(InputError):
+    """A file that is to be read is missing, not of the needed format, or must not be read."""
+
+
+class OutputError(InputError):
+    """What is to be written has no place there, or something would be lost."""
+
+
+class ValueRefusedError(InputError):
+    """A number, a name or an object is not one that is possible there."""
+
+
+@contextmanager
+def given_in(where: object) -> Iterator[None]:
+    """Begin the message of a refusal in the block with where the thing was given, as a file."""
+    try:
+        yield
+    except InputError as error:
+        error.args = (f"{where}: {error}",)
+        raise
 
 
 def printable(text: str) -> str:

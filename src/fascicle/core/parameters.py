@@ -11,12 +11,12 @@ from typing import Any, Literal
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
+from fascicle.core.errors import ValueRefusedError, given_in
 from fascicle.core.files import check_file, read_toml
 from fascicle.core.quantities import (
     SIDES,
-    USUAL_FASCICLES,
     Changes,
+    check,
     check_one_speed,
     checked,
     fascicle_names,
@@ -25,8 +25,6 @@ from fascicle.core.quantities import (
 )
 
 Prior = Literal["uniform", "normal", "log-uniform", "log-normal"]
-LOGARITHMIC = ("log-uniform", "log-normal")
-NORMAL = ("normal", "log-normal")
 
 
 @dataclass(frozen=True)
@@ -55,42 +53,41 @@ class Parameter:
     sd: float | None = None
 
     def __post_init__(self) -> None:
+        ends = f"{self.lower:g} to {self.upper:g}"
+        problem = None
         if not -math.inf < self.lower < self.upper < math.inf:
-            raise InputError(
-                f"parameter '{self.name}': its range {self.lower:g} to {self.upper:g} is none; "
-                "give two finite numbers, the lower first"
-            )
-        if self.prior in LOGARITHMIC and self.lower <= 0:
-            raise InputError(
-                f"parameter '{self.name}': a {self.prior} prior needs a range above 0, not "
-                f"{self.lower:g} to {self.upper:g}"
-            )
-        normal = self.median is not None and self.sd is not None
-        if (self.prior in NORMAL) != normal or (self.median, self.sd).count(None) == 1:
-            raise InputError(
-                f"parameter '{self.name}': a {self.prior} prior "
-                + ("needs median and sd" if self.prior in NORMAL else "has no median and sd")
-            )
-        if self.median is None or self.sd is None:
-            return
-        if not self.sd > 0 or not self.lower <= self.median <= self.upper:
-            raise InputError(
-                f"parameter '{self.name}': median {self.median:g} and sd {self.sd:g}; the "
-                f"median must lie within {self.lower:g} to {self.upper:g}, sd above 0"
-            )
+            problem = f"its range {ends} is none; give two finite numbers, the lower first"
+        elif self._logarithmic and self.lower <= 0:
+            problem = f"a {self.prior} prior needs a range above 0, not {ends}"
+        elif self._normal != (self.median is not None) or self._normal != (self.sd is not None):
+            problem = f"a {self.prior} prior {'needs' if self._normal else 'has no'} median and sd"
+        elif self.median is not None and not self.lower <= self.median <= self.upper:
+            problem = f"median {self.median:g}; the median must lie within {ends}"
+        elif self.sd is not None and not self.sd > 0:
+            problem = f"sd {self.sd:g}; give an sd above 0"
+        if problem:
+            raise ValueRefusedError(f"parameter '{self.name}': {problem}")
+
+    @property
+    def _logarithmic(self) -> bool:
+        return self.prior.startswith("log")
+
+    @property
+    def _normal(self) -> bool:
+        return self.prior.endswith("normal")
 
     def from_unit(self, share: Floats) -> Floats:
         """Quantiles: values (its unit) below which the prior has these shares, from 0 to 1."""
         from scipy.special import ndtr, ndtri
 
         low, high = self._scaled(np.array([self.lower, self.upper]))
-        if self.prior in NORMAL:
-            centre, sd = self._normal()
+        if self._normal:
+            centre, sd = self._centre_and_sd()
             below, up_to = ndtr((low - centre) / sd), ndtr((high - centre) / sd)
             scaled = np.clip(centre + sd * ndtri(below + share * (up_to - below)), low, high)
         else:
             scaled = low + np.asarray(share) * (high - low)
-        return np.asarray(np.exp(scaled) if self.prior in LOGARITHMIC else scaled)
+        return np.asarray(np.exp(scaled) if self._logarithmic else scaled)
 
     def to_unit(self, value: Floats) -> Floats:
         """Shares of the prior below values in its unit: the inverse of `from_unit`."""
@@ -98,8 +95,8 @@ class Parameter:
 
         low, high = self._scaled(np.array([self.lower, self.upper]))
         scaled = self._scaled(np.asarray(value, dtype=float))
-        if self.prior in NORMAL:
-            centre, sd = self._normal()
+        if self._normal:
+            centre, sd = self._centre_and_sd()
             scaled, low, high = (ndtr((x - centre) / sd) for x in (scaled, low, high))
         return np.asarray((scaled - low) / (high - low))
 
@@ -110,10 +107,10 @@ class Parameter:
         return np.asarray((self.to_unit(value + width) - self.to_unit(value - width)) / (2 * width))
 
     def _scaled(self, value: Floats) -> Floats:
-        return np.asarray(np.log(value) if self.prior in LOGARITHMIC else value)
+        return np.asarray(np.log(value) if self._logarithmic else value)
 
-    def _normal(self) -> tuple[float, float]:
-        """Centre and standard deviation, of the logarithm where the prior is logarithmic."""
+    def _centre_and_sd(self) -> tuple[float, float]:
+        """Of a normal prior, or of the logarithm where the prior is logarithmic."""
         assert self.median is not None
         assert self.sd is not None
         return float(self._scaled(np.array(self.median))), self.sd
@@ -150,38 +147,37 @@ class ParameterSpace:
 
 
 def free(name: str, **prior: Any) -> Parameter:
-    """Make a parameter of a quantity, with its usual range and prior.
-
-    Where `prior` says anything, it is that, or else uniform.
+    """A quantity as a parameter to be learnt, with its declared range and prior.
 
     Parameters
     ----------
     name : str
         A quantity of `fascicle.core.quantities`.
     **prior
-        Fields of `Parameter`: `lower`, `upper`, `prior`, `median`, `sd`.
+        What is otherwise: `lower`, `upper`, `prior`, `median`, `sd`; the prior is then uniform
+        unless they say another one.
 
     Raises
     ------
-    InputError
+    ValueRefusedError
         If the quantity is unknown or can only be fixed, or the prior is impossible.
     """
     known = quantity(name)
     if known.is_integer:
-        raise InputError(f"parameter '{name}' counts something; it can be fixed, not learnt")
-    lower, upper = known.prior_range
+        raise ValueRefusedError(f"parameter '{name}' counts something; it can be fixed, not learnt")
     if not prior and known.default_prior is not None:
         kind, sd = known.default_prior
         prior = {"prior": kind, "median": known.default, "sd": sd}
+    lower, upper = known.prior_range
     fields = {"lower": lower, "upper": upper} | prior
     for end in ("lower", "upper"):
-        checked({name: fields[end]})
+        check(known, fields[end])
     return Parameter(name, known.unit, **fields)
 
 
-def network_space(lv: int = USUAL_FASCICLES, rv: int = USUAL_FASCICLES) -> ParameterSpace:
+def network_space(lv: int = 2, rv: int = 2) -> ParameterSpace:
     """The paper's parameters (table 1), for a number of fascicles on each side."""
-    counts = dict(zip(SIDES, (lv, rv), strict=True))
+    counts = {"lv": lv, "rv": rv}
     names = [f"{side}_initial_length" for side in SIDES]
     for what in (0, 1):  # lengths of both sides, then angles
         for side, count in counts.items():
@@ -197,18 +193,20 @@ def complete(values: Mapping[str, Any]) -> dict[str, float]:
 
     Raises
     ------
-    InputError
+    ValueRefusedError
         With the name, of the first that is wrong.
     """
     numbers = checked(values)
     for name in numbers:
         if quantity(name).changes is Changes.STUDY:
-            raise InputError(f"parameter '{name}': the names of the others say it; leave it out")
+            raise ValueRefusedError(
+                f"parameter '{name}': the names of the others say it; leave it out"
+            )
     check_one_speed(numbers)
     needed = (*(f"{side}_initial_length" for side in SIDES), "root_time", "cv")
     missing = [name for name in needed if name not in numbers]
     if missing:
-        raise InputError(f"missing parameters {', '.join(missing)}; add them")
+        raise ValueRefusedError(f"missing parameters {', '.join(missing)}; add them")
     for side in SIDES:
         fascicles(side, numbers)
     return numbers
@@ -225,10 +223,8 @@ def read_parameters(path: Path | str) -> dict[str, float]:
     path = Path(path)
     check_file(path, (".toml",), "parameters")
     values = read_toml(path, "write lines like 'cv = 3.0'")
-    try:
+    with given_in(path):
         return complete(values)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 # A network with an ECG within normal limits: QRS 90 to 100 ms, normal axis, transition at V3 or V4.

@@ -1,14 +1,23 @@
-"""Progress callbacks: how a long computation reports how far it is."""
+"""Progress of long computations: callbacks that report it, and plain lines that show it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import ValueRefusedError
 from fascicle.core.ranges import shown
 
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import Task, TaskID
+
 StageProgress = Callable[[int, int], None]  # progress callback of one stage: done, total
+Lines = Literal["lines"]  # asks for lines on standard error
 
 
 class Progress(Protocol):
@@ -26,26 +35,161 @@ class Progress(Protocol):
         """`done` of `total` in `stage`; `message` says more, for people."""
 
 
-def check_progress(progress: object) -> None:
-    """Refuse what is neither None nor a progress callback."""
-    if progress is not None and not callable(progress):
-        raise InputError(f"progress is {shown(progress)}; give a function, 'lines' or None")
-
-
 def no_progress(done: int, total: int) -> None:
     """Stand in for the progress callback of a stage that is not watched."""
 
 
 def stage_progress(progress: Progress | None, stage: str, message: str = "") -> StageProgress:
-    """Make the callback of one stage, for code that knows of no others.
-
-    Parameters
-    ----------
-    progress : Progress, optional
-        The callback of the whole run.
-    stage, message : str
-        What it is called with; see `Progress`.
-    """
+    """Make the callback of one stage, which calls that of the whole run with this message."""
     if progress is None:
         return no_progress
     return lambda done, total: progress(stage, done, total, message)
+
+
+def check_progress(progress: object) -> None:
+    """Refuse what is neither None nor a progress callback."""
+    if progress is not None and not callable(progress):
+        raise ValueRefusedError(f"progress is {shown(progress)}; give a function, 'lines' or None")
+
+
+@contextmanager
+def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]:
+    """Give the progress callback that a caller of the Python interface asks for.
+
+    Parameters
+    ----------
+    wanted : Progress, "lines" or None
+        A callback; lines on standard error, while the context lasts; or nothing.
+    """
+    callback = progress_of(wanted)
+    try:
+        yield callback
+    finally:
+        if isinstance(callback, ProgressLines):
+            callback.end()
+
+
+def progress_of(wanted: Progress | Lines | None) -> Progress | None:
+    """The progress callback of what lives on: see `shown_progress`."""
+    if isinstance(wanted, str) and wanted == "lines":
+        return ProgressLines(lambda line: write_with_time(line, sys.stderr))
+    check_progress(wanted)
+    return wanted
+
+
+def write_with_time(line: str, stream: TextIO) -> None:
+    """Write a line of progress, and the time of day before it."""
+    stream.write(f"{time.strftime('%H:%M:%S')} {line}\n")
+    stream.flush()
+
+
+def stage_name(stage: str) -> str:
+    """What a stage is called where people read it."""
+    names = {
+        "compilation": "compiling (first run)",
+        "template": "cables",
+        "preparation": "preparing the heart",
+        "repair": "evaluations kept",
+        "initial": "Latin hypercube",
+        "optimisation": "Bayesian optimisation",
+        "prior": "networks of the prior",
+        "draws": "drawing from the prior",
+        "stored": "evaluations stored before",
+        "rejection": "networks accepted",
+        "networks": "simulating the networks",
+        "workers": "workers of the cluster",
+    }
+    return names.get(stage, stage)
+
+
+class ProgressLines:
+    """Lines that say how far a stage is: after 2 s, then every 10 s, and at its end.
+
+    Parameters
+    ----------
+    say : callable
+        Says a line.
+    first, every : float
+        Time (s) after which a stage is spoken of, and then again.
+    """
+
+    def __init__(self, say: Callable[[str], None], first: float = 2.0, every: float = 10.0) -> None:
+        self._say, self._first, self._every = say, first, every
+        self._bars: Bars | None = None
+        self._tasks: dict[str, TaskID] = {}
+        self._said: dict[str, float] = {}  # when (s) a stage was last spoken of
+        self._over = threading.Event()
+
+    def _make_bars(self) -> Bars:
+        """The stages, with their pace; shown where there is a terminal, not by this class."""
+        import rich.progress
+
+        return rich.progress.Progress(disable=True, speed_estimate_period=60.0)
+
+    def __call__(self, stage: str, done: int, total: int, message: str) -> None:
+        """See `Progress`."""
+        if self._bars is None:
+            self._bars = self._make_bars()
+            self._bars.start()
+            threading.Thread(target=self._speak, daemon=True).start()
+        if stage not in self._tasks:
+            name = stage_name(stage)
+            self._tasks[stage] = self._bars.add_task(name, total=total, message="", first=done)
+        task = self._task(stage)
+        if done < task.completed:  # the stage of another patient
+            self._bars.reset(task.id, first=done, message=message)
+            self._said.pop(stage, None)
+        self._bars.update(task.id, completed=done, total=total, message=message)
+        if task.finished and self._said.pop(stage, None) is not None:
+            self._say(_line(task))
+
+    def end(self, clear: bool = False) -> None:
+        """Say nothing more; with `clear`, bars that were shown go."""
+        self._over.set()
+        if self._bars is not None:
+            self._bars.live.transient = clear
+            self._bars.stop()
+
+    def _task(self, stage: str) -> Task:
+        assert self._bars is not None
+        number = self._tasks[stage]
+        return next(task for task in self._bars.tasks if task.id == number)
+
+    def _speak(self) -> None:
+        """Say now and then how far the stages are that have not ended."""
+        while not self._over.wait(self._first / 4):
+            for stage in [*self._tasks]:
+                task, now = self._task(stage), time.monotonic()
+                wait = self._every if stage in self._said else self._first
+                since = self._said.get(stage, now - (task.elapsed or 0.0))
+                if not task.finished and now - since >= wait:
+                    self._said[stage] = now
+                    self._say(_line(task))
+
+
+def _line(task: Task) -> str:
+    text = f"{task.description} {task.completed:g}/{task.total:g}, {duration(task.elapsed)}"
+    text = ", ".join(filter(None, [text, time_left(task)]))
+    message = task.fields["message"]
+    return f"{text}: {message}" if message else text
+
+
+def time_left(task: Task) -> str:
+    """How long a stage still takes, by its recent pace; empty while there is none."""
+    elapsed = task.elapsed or 0.0
+    done = task.completed - task.fields["first"]
+    if task.finished or not done or task.total is None or elapsed < 2.0:
+        return ""
+    left = task.time_remaining
+    if left is None:  # its steps are further apart than the time over which rich takes the pace
+        left = elapsed * (task.total - task.completed) / done
+    most = "at most " if task.description == "sampling" else ""  # its total is a maximum
+    return f"{most}{duration(left)} left"
+
+
+def duration(seconds: float | None) -> str:
+    """Minutes and seconds, as people say them; from 10 minutes on without the seconds."""
+    minutes, left = divmod(round(seconds or 0.0), 60)
+    if minutes >= 10:
+        return f"{minutes} min"
+    return f"{minutes} min {left} s" if minutes else f"{left} s"

@@ -1,6 +1,8 @@
-"""Every quantity of the model in one table: unit, default, ranges and meaning.
+"""Every quantity of the model, declared once.
 
-Every number that enters is checked against it once (`checked`), from a file, an option or Python.
+The rest follows from the declaration: what ``--fix``, ``--free``, ``fascicle parameters``, settings
+files and Python accept, the prior of a fit, the defaults of the model, and docs/quantities.md.
+docs/extending.md adds one with `declare`.
 """
 
 from __future__ import annotations
@@ -8,20 +10,15 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from fascicle.core.errors import InputError
-from fascicle.core.ranges import check_kind, digits, number
+from fascicle.core.errors import ValueRefusedError
+from fascicle.core.ranges import Range, check_kind, shown
 
 SIDES = ("lv", "rv")
-MOST_FASCICLES = 4  # a side
-HIS_TIME = 10.0  # ms; docs/files.md says why
-USUAL_FASCICLES = 2  # a side, in the paper
-_REGION = re.compile(r"region_(\d{1,9})_conductivity")
-_FASCICLE = re.compile(r"(lv|rv)_fascicle_(length|angle)_(\d+)")
 
 
 class Changes(StrEnum):
@@ -42,12 +39,12 @@ class Quantity:
     ----------
     name, unit : str
         Name in parameters, files and options; unit of all its values, 1 where it has none.
-    default : float
+    default : float, optional
         Its value where nothing else is said; None where it must be said, or follows from others.
     valid_range : (float, float)
-        Least and largest value that is not a mistake; those of `INFINITE` may be that, too.
+        Least and largest value that is not a mistake.
     prior_range : (float, float)
-        Range of its uniform prior where it is learnt and nothing else is said.
+        Range of its prior where it is learnt and nothing else is said.
     meaning : str
         What it is, in a line.
     changes : Changes
@@ -57,6 +54,11 @@ class Quantity:
     default_prior : (str, float), optional
         Prior where it is learnt and nothing else is said, if it is not uniform: "normal" or
         "log-normal" about the default, and its standard deviation (of the logarithm).
+    also : float, optional
+        One more valid value, such as infinity.
+    apply : callable, optional
+        ``apply(conduction, value)`` gives the `fascicle.Conduction` with the quantity at a value,
+        for quantities that are declared outside the package.
     """
 
     name: str
@@ -68,102 +70,84 @@ class Quantity:
     changes: Changes
     is_integer: bool = False
     default_prior: tuple[str, float] | None = None
+    also: float | None = None
+    apply: Callable[[Any, float], Any] | None = field(default=None, compare=False)
+
+    @property
+    def valid(self) -> Range:
+        """Its valid values."""
+        unit = "" if self.unit == "1" else self.unit
+        return Range(unit, *self.valid_range, self.meaning, self.also)
 
 
 def _of_trees() -> Iterator[Quantity]:
     """Bundles, fascicles and branches; ranges of table 1 of the paper."""
     trees = Changes.TREES
+    most = 4  # fascicles a side
     length, angle = (0.1, 500.0), (-2 * math.pi, 2 * math.pi)
+    angles = (-math.pi / 4, 3 * math.pi / 4)
+    numbered = [(side, side.upper(), k) for side in SIDES for k in range(1, most + 1)]
     for side in SIDES:
-        yield Quantity(
-            f"{side}_initial_length", "mm", None, length, (30.0, 100.0),
-            f"length of the {side.upper()} bundle", trees,
-        )  # fmt: skip
+        meaning = f"length of the {side.upper()} bundle"
+        yield Quantity(f"{side}_initial_length", "mm", None, length, (30.0, 100.0), meaning, trees)
+    for side, title, k in numbered:
+        name, meaning = f"{side}_fascicle_length_{k}", f"length of {title} fascicle {k}"
+        yield Quantity(name, "mm", None, length, (2.0, 50.0), meaning, trees)
+    for side, title, k in numbered:
+        meaning = f"angle of {title} fascicle {k} to its bundle, counter-clockwise"
+        yield Quantity(f"{side}_fascicle_angle_{k}", "rad", None, angle, angles, meaning, trees)
     for side in SIDES:
-        for k in range(1, MOST_FASCICLES + 1):
-            yield Quantity(
-                f"{side}_fascicle_length_{k}", "mm", None, length, (2.0, 50.0),
-                f"length of {side.upper()} fascicle {k}", trees,
-            )  # fmt: skip
-    for side in SIDES:
-        for k in range(1, MOST_FASCICLES + 1):
-            yield Quantity(
-                f"{side}_fascicle_angle_{k}", "rad", None, angle,
-                (-math.pi / 4, 3 * math.pi / 4),
-                f"angle of {side.upper()} fascicle {k} to its bundle, counter-clockwise", trees,
-            )  # fmt: skip
-    for side in SIDES:
-        yield Quantity(
-            f"{side}_fascicles", "1", USUAL_FASCICLES, (1, MOST_FASCICLES), (1, MOST_FASCICLES),
-            f"number of {side.upper()} fascicles", Changes.STUDY, is_integer=True,
-        )  # fmt: skip
+        name, meaning = f"{side}_fascicles", f"number of {side.upper()} fascicles"
+        yield Quantity(name, "1", 2, (1, most), (1, most), meaning, Changes.STUDY, is_integer=True)
     yield Quantity(
         "branch_length", "mm", 8.0, (0.5, 100.0), (4.0, 16.0), "length of a branch", trees
     )
-    yield Quantity(
-        "branch_angle", "rad", 0.15, (0.0, math.pi), (0.05, 0.5),
-        "angle between a branch and its parent", trees,
-    )  # fmt: skip
-    yield Quantity(
-        "repulsion", "1", 0.1, (0.0, 10.0), (0.0, 0.5),
-        "weight w of the direction away from the tree", trees,
-    )  # fmt: skip
+    meaning = "angle between a branch and its parent"
+    yield Quantity("branch_angle", "rad", 0.15, (0.0, math.pi), (0.05, 0.5), meaning, trees)
+    meaning = "weight w of the direction away from the tree"
+    yield Quantity("repulsion", "1", 0.1, (0.0, 10.0), (0.0, 0.5), meaning, trees)
     yield Quantity(
         "generations", "1", 20, (0, 100), (5, 30), "how often ends branch", trees, is_integer=True
     )
     yield Quantity(
         "segments", "1", 8, (1, 1000), (4, 16), "segments of a branch", trees, is_integer=True
     )
-    yield Quantity(
-        "clearance", "1", 0.9, (0.0, 10.0), (0.5, 1.5),
-        "a branch stops nearer than this many segments to another", trees,
-    )  # fmt: skip
+    meaning = "a branch stops nearer than this many segments to another"
+    yield Quantity("clearance", "1", 0.9, (0.0, 10.0), (0.5, 1.5), meaning, trees)
 
 
 def _of_conduction() -> Iterator[Quantity]:
     """Speeds and delays, and the size of the ECG."""
     times, tissue = Changes.TIMES, Changes.TISSUE
+    meaning = "t_RV - t_LV of the roots; negative, the left one fires later"
+    yield Quantity("root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0), meaning, times)
     yield Quantity(
-        "root_time", "ms", None, (-1000.0, 1000.0), (-75.0, 50.0),
-        "t_RV - t_LV of the roots; negative, the left one fires later", times,
-    )  # fmt: skip
-    yield Quantity(
-        "his_time", "ms", HIS_TIME, (0.0, 500.0), (5.0, 40.0),
+        "his_time", "ms", 10.0, (0.0, 500.0), (5.0, 40.0),  # docs/files.md says why
         "from the His bundle to the root that fires first; counts where a scenario has the bundle",
         times,
     )  # fmt: skip
-    yield Quantity(
-        "cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), "Purkinje conduction velocity", times
-    )
-    yield Quantity(
-        "alpha", "cm/ms √(cm/mS)", 0.05, (0.005, 0.5), (0.04, 0.12),
-        "speed constant of the myocardium: D = alpha² Gi (Gi+Ge)^-1 Ge", times,
-    )  # fmt: skip
-    yield Quantity(
-        "fibre_speed", "mm/ms", None, (0.05, 5.0), (0.5, 1.5),
-        "speed along the fibre; stands for alpha", times,
-    )  # fmt: skip
+    meaning = "Purkinje conduction velocity"
+    yield Quantity("cv", "mm/ms", None, (0.1, 20.0), (2.0, 4.0), meaning, times)
+    meaning = "speed constant of the myocardium: D = alpha² Gi (Gi+Ge)^-1 Ge"
+    yield Quantity("alpha", "cm/ms √(cm/mS)", 0.05, (0.005, 0.5), (0.04, 0.12), meaning, times)
+    meaning = "speed along the fibre; stands for alpha"
+    yield Quantity("fibre_speed", "mm/ms", None, (0.05, 5.0), (0.5, 1.5), meaning, times)
     yield Quantity(
         "anisotropy_ratio", "1", None, (1.0, 10.0), (1.5, 4.0),
         "speed along the fibre over that across; as the conductivities have it (2.5) if not given",
         tissue,
     )  # fmt: skip
-    yield Quantity(
-        "endocardial_layer", "mm", 0.0, (0.0, 20.0), (0.0, 3.0),
-        "thickness of a layer under the endocardium that conducts faster", tissue,
-    )  # fmt: skip
-    yield Quantity(
-        "endocardial_speed", "1", 1.0, (0.1, 10.0), (1.0, 4.0),
-        "factor on the speeds in that layer", tissue,
-    )  # fmt: skip
-    yield Quantity(
-        "anterograde_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
-        "delay of the junctions from tree to myocardium; inf blocks", times,
-    )  # fmt: skip
-    yield Quantity(
-        "retrograde_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0),
-        "the same, from myocardium to tree", times,
-    )  # fmt: skip
+    meaning = "thickness of a layer under the endocardium that conducts faster"
+    yield Quantity("endocardial_layer", "mm", 0.0, (0.0, 20.0), (0.0, 3.0), meaning, tissue)
+    meaning = "factor on the speeds in that layer"
+    yield Quantity("endocardial_speed", "1", 1.0, (0.1, 10.0), (1.0, 4.0), meaning, tissue)
+    for name, meaning in (
+        ("anterograde", "delay of the junctions from tree to myocardium; inf blocks"),
+        ("retrograde", "the same, from myocardium to tree"),
+    ):
+        yield Quantity(
+            f"{name}_delay", "ms", 0.0, (0.0, 10_000.0), (0.0, 10.0), meaning, times, also=math.inf
+        )
     yield Quantity("gain", "1", 1.0, (1e-3, 1e3), (0.2, 5.0), "factor on the simulated ECG", times)
 
 
@@ -178,10 +162,8 @@ def _of_body() -> Iterator[Quantity]:
     for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "up")):
         yield moved(f"heart_{way}", 20.0, 8.0, f"the heart's displacement {where}")
     for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "upwards")):
-        yield moved(
-            f"heart_turn_{way}", angle, math.radians(8.0),
-            f"the heart's rotation about the axis {where}, right-handed", "rad",
-        )  # fmt: skip
+        meaning = f"the heart's rotation about the axis {where}, right-handed"
+        yield moved(f"heart_turn_{way}", angle, math.radians(8.0), meaning, "rad")
     for k in range(1, 7):
         yield moved(f"v{k}_left", 25.0, 10.0, f"V{k} moved along the skin to the left")
         yield moved(f"v{k}_up", 25.0, 10.0, f"V{k} moved along the skin upwards")
@@ -205,20 +187,42 @@ def _of_body() -> Iterator[Quantity]:
 QUANTITIES: dict[str, Quantity] = {
     q.name: q for q in (*_of_trees(), *_of_conduction(), *_of_body())
 }
+BODY = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.BODY)
 # Names that stand for several quantities where these are freed
 GROUPS: dict[str, tuple[str, ...]] = {
-    "pose": tuple(n for n in QUANTITIES if n.startswith("heart_")),
-    "electrodes": (
-        *(n for n in QUANTITIES if n[0] == "v" and n[1].isdigit()),
-        "chest_electrodes_up",
-    ),
-    "conductivities": tuple(
-        f"{tissue}_conductivity" for tissue in ("lung", "blood", "myocardium", "body")
-    ),
+    "pose": tuple(n for n in BODY if n.startswith("heart_")),
+    "electrodes": tuple(n for n in BODY if n[0] == "v" or n == "chest_electrodes_up"),
+    "conductivities": tuple(n for n in BODY if n.endswith("_conductivity")),
 }
-BODY = tuple(q.name for q in QUANTITIES.values() if q.changes is Changes.BODY)
 SPEED = ("alpha", "fibre_speed")  # of the myocardium: two names for one thing
-INFINITE = ("anterograde_delay", "retrograde_delay")
+
+
+def declare(known: Quantity) -> None:
+    """Add a quantity to the model: parameters, options and settings files may then name it.
+
+    `Quantity.apply` says what it does to the conduction of the tissue; `Quantity.changes` must be
+    ``Changes.TIMES`` where that is `alpha` alone, else ``Changes.TISSUE``.
+
+    Raises
+    ------
+    ValueRefusedError
+        If there is another one of this name, or it does nothing.
+    """
+    if QUANTITIES.get(known.name, known) != known or known.name in GROUPS:
+        raise ValueRefusedError(f"parameter '{known.name}' is taken; choose another name")
+    if known.apply is None or known.changes not in (Changes.TIMES, Changes.TISSUE):
+        raise ValueRefusedError(
+            f"parameter '{known.name}' changes nothing; give `apply`, and what it changes: "
+            "Changes.TIMES or Changes.TISSUE"
+        )
+    QUANTITIES[known.name] = known
+
+
+def default_of(name: str) -> float:
+    """Default of a quantity that has one."""
+    default = QUANTITIES[name].default
+    assert default is not None
+    return default
 
 
 def quantity(name: str) -> Quantity:
@@ -226,33 +230,30 @@ def quantity(name: str) -> Quantity:
 
     Raises
     ------
-    InputError
+    ValueRefusedError
         If there is none of this name.
     """
     if name in QUANTITIES:
         return QUANTITIES[name]
-    match = _REGION.fullmatch(str(name))
-    if match is None:
+    if not region_labels([str(name)]):
         near = difflib.get_close_matches(str(name), [*QUANTITIES, *GROUPS], n=1)
         hint = f"did you mean '{near[0]}'?" if near else "'fascicle parameters' lists what there is"
-        raise InputError(f"unknown parameter '{name}'; {hint}")
-    return Quantity(
-        name, "1", 1.0, (0.0, 1e4), (0.0, 1.0),
-        f"factor on the conductivities of the elements labelled {int(match[1])}; 0 is scar",
-        Changes.TISSUE,
-    )  # fmt: skip
+        raise ValueRefusedError(f"unknown parameter '{name}'; {hint}")
+    (label,) = region_labels([name])
+    meaning = f"factor on the conductivities of the elements labelled {label}; 0 is scar"
+    return Quantity(name, "1", 1.0, (0.0, 1e4), (0.0, 1.0), meaning, Changes.TISSUE)
 
 
 def check_one_speed(names: Collection[str]) -> None:
     """Refuse quantities that say the speed of the myocardium twice."""
     if all(name in names for name in SPEED):
-        raise InputError("parameters 'alpha' and 'fibre_speed' say the same; give one")
+        raise ValueRefusedError("parameters 'alpha' and 'fibre_speed' say the same; give one")
 
 
 def region_labels(values: Iterable[str]) -> dict[int, str]:
     """Labels of the regions that quantities of these names are about, with the names."""
-    matches = ((name, _REGION.fullmatch(name)) for name in values)
-    return {int(match[1]): name for name, match in matches if match is not None}
+    matches = ((re.fullmatch(r"region_(\d{1,9})_conductivity", name), name) for name in values)
+    return {int(match[1]): name for match, name in matches if match is not None}
 
 
 def fascicle_names(side: str, count: int) -> list[str]:
@@ -267,16 +268,15 @@ def fascicles(side: str, names: Iterable[str]) -> int:
 
     Raises
     ------
-    InputError
+    ValueRefusedError
         Unless they are numbered 1, 2, … and each has a length and an angle.
     """
-    found = [match for name in names if (match := _FASCICLE.fullmatch(name)) and match[1] == side]
-    count = max((int(match[3]) for match in found), default=0)
-    wanted = set(fascicle_names(side, count))
-    missing = sorted(wanted - {match[0] for match in found})
-    if missing or not count:
-        listed = ", ".join(missing) or f"{side}_fascicle_length_1, {side}_fascicle_angle_1"
-        raise InputError(f"missing parameters {listed}; add them")
+    pattern = rf"{side}_fascicle_(?:length|angle)_(\d+)"
+    found = {name: int(m[1]) for name in names if (m := re.fullmatch(pattern, name))}
+    count = max(found.values(), default=0)
+    missing = sorted({*fascicle_names(side, max(count, 1))} - {*found})
+    if missing:
+        raise ValueRefusedError(f"missing parameters {', '.join(missing)}; add them")
     return count
 
 
@@ -290,7 +290,7 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
 
     Raises
     ------
-    InputError
+    ValueRefusedError
         With the name, the value and the range, of the first that is unknown, no number, not finite
         or impossible.
     """
@@ -300,24 +300,12 @@ def checked(values: Mapping[str, Any]) -> dict[str, float]:
 
 def check(known: Quantity, value: Any) -> float:
     """One number as a float, if it is possible for this quantity; see `checked`."""
-    name, unit = known.name, "" if known.unit == "1" else f" {known.unit}"
-    found = number(value, f"parameter '{name}'")
-    low, high = known.valid_range
-    if not low <= found <= high and not (found == math.inf and name in INFINITE):
-        other = ", or inf" if name in INFINITE else ""
-        raise InputError(
-            f"parameter '{name}' is {digits(found)}{unit}; give {digits(low)} to "
-            f"{digits(high)}{unit}{other}"
-        )
+    found = known.valid.check(value, f"parameter '{known.name}'")
     if known.is_integer and found != int(found):
-        raise InputError(f"parameter '{name}' is {found:.4g}; give a whole number")
+        raise ValueRefusedError(f"parameter '{known.name}' is {shown(found)}; give a whole number")
     return found
 
 
 def body_values(values: Mapping[str, float]) -> dict[str, float]:
     """Those of the body that are not as in the heart folder's torso."""
-    return {
-        name: values[name]
-        for name in BODY
-        if name in values and values[name] != QUANTITIES[name].default
-    }
+    return {n: values[n] for n in BODY if n in values and values[n] != QUANTITIES[n].default}

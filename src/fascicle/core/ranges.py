@@ -1,28 +1,25 @@
-"""What is possible for numbers that are given with hearts, recordings and scenarios.
+"""Checks of what enters: possible numbers, and the kinds of objects; how values are written.
 
-The quantities of the model have theirs in `fascicle.core.quantities`. What lies outside is a slip
-of units or of a key, and would make a simulation of hours, or one of nothing.
+The quantities of the model have their ranges in `fascicle.core.quantities`. What lies outside is a
+slip of units or of a key, and would make a simulation of hours, or one of nothing.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import numbers
 import re
-from dataclasses import dataclass
+from collections.abc import Sized
 from typing import TYPE_CHECKING, Any
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import ValueRefusedError
 
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
 
-LONGEST = 40  # characters of what is no number that are shown
-LONGEST_TEXT = 200  # characters of a name
-ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")  # where an object is in memory: says nothing to anybody
 
-
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Range:
     """Possible values of one kind of number.
 
@@ -32,10 +29,10 @@ class Range:
         Of its values; empty where it has none.
     low, high : float
         Least and largest.
-    also : float, optional
-        One value beside: 0, which blocks, or infinity, which is never.
     meaning : str
         What such numbers are.
+    also : float, optional
+        One more possible value: 0, which blocks, or infinity, which is never.
     """
 
     unit: str
@@ -50,11 +47,22 @@ class Range:
 
     def __str__(self) -> str:
         """Such as ``0.01 to 100 mm, or 0``."""
-        unit = f" {self.unit}" if self.unit else ""
         other = f", or {self.also:g}" if self.also is not None else ""
-        return f"{digits(self.low)} to {digits(self.high)}{unit}{other}"
+        return f"{digits(self.low)} to {digits(self.high)}{self._suffix}{other}"
+
+    @property
+    def _suffix(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+    def check(self, value: Any, what: str) -> float:
+        """A number as a float; refused if it is none or impossible. `what` it is, for messages."""
+        found = number(value, what)
+        if found not in self:
+            raise ValueRefusedError(f"{what} is {digits(found)}{self._suffix}; give {self}")
+        return found
 
 
+# What is given with hearts, recordings and scenarios
 RANGES = {
     "time": Range("ms", -10_000.0, 10_000.0, "when a stimulus or the root of a tree fires"),
     "firing time": Range(
@@ -81,121 +89,49 @@ RANGES = {
 
 
 def number(value: Any, what: str) -> float:
-    """A number of Python or NumPy as a float.
-
-    Parameters
-    ----------
-    value
-        What was given.
-    what : str
-        What it is, for the message.
-
-    Raises
-    ------
-    InputError
-        If it is no number.
-    """
+    """A number of Python or NumPy as a float; `what` it is, for the message."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InputError(f"{what} is {shown(value)}; give a number")
+        raise ValueRefusedError(f"{what} is {shown(value)}; give a number")
     try:
         return float(value)
     except OverflowError:  # a whole number of hundreds of digits
-        raise InputError(
-            f"{what} is {shown(value)}, which is too large; give a smaller one"
-        ) from None
+        raise ValueRefusedError(f"{what} is {shown(value)}; give a smaller number") from None
 
 
 def within(name: str, value: Any, what: str) -> float:
-    """A number as a float, if it is possible.
-
-    Parameters
-    ----------
-    name : str
-        Of its kind in `RANGES`.
-    value
-        What was given.
-    what : str
-        What it is, for the message, such as ``"stimulus: its time"``.
-
-    Raises
-    ------
-    InputError
-        If it is no number, or outside the range, with both.
-    """
-    found, possible = number(value, what), RANGES[name]
-    if found not in possible:
-        unit = f" {possible.unit}" if possible.unit else ""
-        raise InputError(f"{what} is {digits(found)}{unit}; give {possible}")
-    return found
+    """A number as a float, if it lies in the range of this name in `RANGES`."""
+    return RANGES[name].check(value, what)
 
 
 def check_count(value: Any, what: str, least: int = 1) -> None:
-    """Refuse what is no whole number, or less than `least`; `what` it is, for the message."""
+    """Refuse what is no whole number, or less than `least`."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or value < least:
-        raise InputError(f"{what} is {shown(value)}; give a whole number, {least} or more")
+        raise ValueRefusedError(f"{what} is {shown(value)}; give a whole number, {least} or more")
 
 
 def check_kind(value: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
-    """Refuse what is no object of a class.
-
-    Parameters
-    ----------
-    value
-        What was given.
-    kind : type or tuple of types
-        What it must be.
-    what, needed : str
-        What it is, and what to give instead, for the message.
-    """
+    """Refuse what is no object of a class; `what` it is and what is `needed`, for the message."""
     if not isinstance(value, kind):
-        raise InputError(f"{what} is {shown(value)}; give {needed}")
+        raise ValueRefusedError(f"{what} is {shown(value)}; give {needed}")
 
 
 def check_items(values: object, kind: type | tuple[type, ...], what: str, needed: str) -> None:
     """Refuse what is no list or tuple of objects of a class; see `check_kind`."""
     if not isinstance(values, list | tuple) or not all(isinstance(one, kind) for one in values):
-        raise InputError(f"{what}: {shown(values)} was given; give a list of {needed}")
+        raise ValueRefusedError(f"{what}: {shown(values)} was given; give a list of {needed}")
 
 
 def check_position(value: Any, what: str) -> None:
-    """Refuse what is no position of three coordinates (mm).
-
-    Parameters
-    ----------
-    value
-        What was given.
-    what : str
-        What it is of, for the message.
-
-    Raises
-    ------
-    InputError
-        Unless it is three possible numbers.
-    """
+    """Refuse what is no position of three possible coordinates (mm)."""
     if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != 3:
-        raise InputError(f"{what} is {shown(value)}; give three coordinates (mm)")
+        raise ValueRefusedError(f"{what} is {shown(value)}; give three coordinates (mm)")
     for coordinate in value:
         within("coordinate", coordinate, f"{what}: a coordinate")
 
 
 def check_array(name: str, values: Floats, what: str) -> None:
-    """Refuse an array that holds an impossible number; what is not finite is left to others.
-
-    Parameters
-    ----------
-    name : str
-        Of their kind in `RANGES`.
-    values : array
-        What was given.
-    what : str
-        What each is, for the message.
-
-    Raises
-    ------
-    InputError
-        With the one that is furthest out.
-    """
+    """Refuse an array with a number outside a range of `RANGES`; non-finite ones are left out."""
     import numpy as np  # the command line must not load it
 
     finite = values[np.isfinite(values)]
@@ -204,9 +140,9 @@ def check_array(name: str, values: Floats, what: str) -> None:
 
 
 def check_text(value: Any, what: str) -> None:
-    """Refuse what is no text that fits into a line."""
-    if not isinstance(value, str) or not value.isprintable() or len(value) > LONGEST_TEXT:
-        raise InputError(f"{what} is {shown(value)}; give a text, of one line")
+    """Refuse what is no text that fits into a line of 200 characters."""
+    if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
+        raise ValueRefusedError(f"{what} is {shown(value)}; give a text, of one line")
 
 
 def digits(value: float) -> str:
@@ -215,7 +151,7 @@ def digits(value: float) -> str:
 
 
 def shown(value: object) -> str:
-    """What was given, short enough for a message."""
+    """What was given, in 40 characters for a message."""
     if isinstance(value, float):
         return digits(value)
     if isinstance(value, int) and abs(value) >= 10**7:  # Python refuses to write the longest
@@ -223,6 +159,34 @@ def shown(value: object) -> str:
     if hasattr(value, "shape") and value.shape:
         return f"an array of shape {value.shape}"
     written = " ".join(repr(value).split())
-    if not isinstance(value, str):
-        written = ADDRESS.sub("", written)
-    return written if len(written) <= LONGEST else f"{written[:LONGEST]}…"
+    if not isinstance(value, str):  # without the address of an object in memory
+        written = re.sub(r" at 0x[0-9A-Fa-f]+", "", written)
+    return written if len(written) <= 40 else f"{written[:40]}…"
+
+
+def short_repr(self: Any) -> str:
+    """Name and fields of a dataclass on one line: numbers and names as they are, arrays by shape.
+
+    To be a class's ``__repr__``.
+    """
+    fields = (
+        f"{field.name}={_short(getattr(self, field.name))}"
+        for field in dataclasses.fields(self)
+        if field.repr
+    )
+    return f"{type(self).__name__}({', '.join(fields)})"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, str):
+        return repr(value if len(value) <= 40 else f"{value[:40]}…")
+    if value is None or isinstance(value, bool | int):
+        return repr(value)
+    if isinstance(value, numbers.Real):
+        return digits(float(value))
+    shape = getattr(value, "shape", None)
+    if shape is not None:
+        return " × ".join(map(str, shape)) or "scalar"
+    if isinstance(value, Sized) and not dataclasses.is_dataclass(value):
+        return f"{len(value)} {'item' if len(value) == 1 else 'items'}"
+    return type(value).__name__

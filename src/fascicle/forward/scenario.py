@@ -14,7 +14,7 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import HIS_TIME, SIDES, check, checked, quantity
+from fascicle.core.quantities import SIDES, check, checked, default_of, quantity
 from fascicle.core.ranges import check_items, check_kind, check_position, check_text, shown, within
 from fascicle.forward.eikonal.activation import HisBundle
 from fascicle.heart.sites import Sites
@@ -391,7 +391,7 @@ class Scenario:
         if self.his is not None:
             self._check_joined(names)
             own = roots if self.his.root_time is None else root_times(self.his.root_time)
-            roots, his = self.his.conducted(own, values.get("his_time", HIS_TIME))
+            roots, his = self.his.conducted(own, values.get("his_time", default_of("his_time")))
             his = replace(his, branches=[*his.branches, *(np.inf for _ in self.trees)])
         times = [*roots, *(time for _, time in self.trees)]
         for side in self.silent:

@@ -11,7 +11,7 @@ import xarray as xr
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree

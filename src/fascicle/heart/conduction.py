@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import checked, region_labels
+from fascicle.core.quantities import checked, default_of, quantity, region_labels
 from fascicle.core.ranges import check_items, check_position, within
 from fascicle.heart.heart import Heart
 
@@ -132,15 +132,15 @@ class Conduction:
     intracellular_t: float = 0.3
     extracellular_l: float = 3.0
     extracellular_t: float = 1.2
-    alpha: float = 0.05
+    alpha: float = default_of("alpha")
     torso: float = 2.0
     body: float = 2.39
     lung: float = 0.389
     blood: float = 7.0
     regions: tuple[Region, ...] = ()
     anisotropy_ratio: float | None = None
-    endocardial_layer: float = 0.0
-    endocardial_speed: float = 1.0
+    endocardial_layer: float = default_of("endocardial_layer")
+    endocardial_speed: float = default_of("endocardial_speed")
 
     def __post_init__(self) -> None:
         for name in CONDUCTIVITIES:
@@ -168,7 +168,11 @@ class Conduction:
         labels = region_labels(values)
         regions = [r for r in self.regions if r.label is None or r.label not in labels]
         added = [Region(values[name], label) for label, name in labels.items()]
-        return replace(self, regions=(*added, *regions), **changes)
+        changed = replace(self, regions=(*added, *regions), **changes)
+        for name, value in values.items():
+            if (apply := quantity(name).apply) is not None:
+                changed = apply(changed, value)
+        return changed
 
     def scale(self, heart: Heart) -> Floats:
         """Factor on all conductivities of each tetrahedron, shape (m,); 0 where none conducts."""

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.mesh.measures import enclosed_volume, triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops, unique_edges
 

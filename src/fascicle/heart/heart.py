@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable
-from fascicle.core.progress import Progress
-from fascicle.core.progress_lines import Lines, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_text
 from fascicle.core.threads import cores
 from fascicle.patients.outcome import Outcome, Status

@@ -10,8 +10,7 @@ from scipy.stats import rankdata
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.ranges import check_kind, within
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import check_kind, short_repr, within
 from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Singles
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Simulation
 from fascicle.purkinje.tree import PurkinjeTree

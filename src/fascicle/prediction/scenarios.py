@@ -12,8 +12,7 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.progress_lines import Lines, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.loss import placed

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import check, checked, fascicles, quantity
+from fascicle.core.quantities import check, checked, default_of, fascicles, quantity
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
 from fascicle.kernels.arrays import Rules
@@ -46,12 +46,12 @@ class GrowthRules:
         If a number is impossible.
     """
 
-    branch_length: float = 8.0
-    segments: int = 8
-    repulsion: float = 0.1
-    branch_angle: float = 0.15
-    generations: int = 20
-    clearance: float = 0.9
+    branch_length: float = default_of("branch_length")
+    segments: int = int(default_of("segments"))
+    repulsion: float = default_of("repulsion")
+    branch_angle: float = default_of("branch_angle")
+    generations: int = int(default_of("generations"))
+    clearance: float = default_of("clearance")
 
     def __post_init__(self) -> None:
         checked({field.name: getattr(self, field.name) for field in fields(self)})

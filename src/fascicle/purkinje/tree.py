@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 
 # A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
 # of `NETWORK_SPACE`, the packaged heart's trees have a median of 280 (left) and 345 (right)

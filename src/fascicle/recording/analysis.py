@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from fascicle.core.arrays import Floats
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.recording.baseline_drift import Drift
 from fascicle.recording.quality.check_result import CheckResult
 from fascicle.recording.recording import Recording

@@ -11,8 +11,7 @@ import numpy as np
 from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, LIMB_LEADS, limb_leads_from
-from fascicle.core.ranges import RANGES, check_array, number
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import RANGES, check_array, number, short_repr
 
 CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
 SHORTEST = 0.4  # s; less does not hold a beat

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.recording.filters import Filter, combined_gain
 from fascicle.recording.global_window import global_qrs_window
 from fascicle.recording.resampling import SAMPLING_STEP

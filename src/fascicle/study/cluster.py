@@ -21,8 +21,7 @@ from typing import Any, TypeVar
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
 from fascicle.core.errors import InputError, one_line
-from fascicle.core.progress import Progress
-from fascicle.core.progress_lines import Lines, progress_of
+from fascicle.core.progress import Lines, Progress, progress_of
 from fascicle.core.ranges import shown
 from fascicle.core.threads import keep_one_thread
 from fascicle.forward.model import WrittenModel

@@ -12,8 +12,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
-from fascicle.core.progress import Progress
-from fascicle.core.progress_lines import Lines, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import Backend, ForwardModel, usable

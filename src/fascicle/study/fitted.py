@@ -14,8 +14,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.quantities import region_labels
-from fascicle.core.ranges import check_count
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import check_count, short_repr
 from fascicle.inference.evaluation import Evaluation, best_of
 from fascicle.purkinje.tree import FEW_JUNCTIONS
 from fascicle.study.agreement import pearson

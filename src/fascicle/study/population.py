@@ -9,7 +9,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.inference.abc.rejection import Sampling
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.importance.agreement import Agreement

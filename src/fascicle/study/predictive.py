@@ -15,7 +15,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import MARGIN, QrsLikelihood
 from fascicle.forward.loss import placed
 from fascicle.recording.target import Target

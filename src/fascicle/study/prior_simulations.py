@@ -23,8 +23,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
-from fascicle.core.progress import Progress, stage_progress
-from fascicle.core.progress_lines import Lines, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.quantities import body_values
 from fascicle.core.ranges import check_count
 from fascicle.forward.compile_kernels import compile_kernels

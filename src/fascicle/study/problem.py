@@ -13,7 +13,7 @@ from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import independent_rows
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.quantities import SIDES, body_values
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.likelihood import QrsLikelihood
 from fascicle.forward.loss import Alignment, align, mismatch, placed
 from fascicle.forward.model import Backend, ForwardModel

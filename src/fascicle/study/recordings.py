@@ -11,7 +11,7 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, write_text
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.target import Target

@@ -14,9 +14,9 @@ from fascicle.core.quantities import (
     GROUPS,
     SIDES,
     SPEED,
-    USUAL_FASCICLES,
     check_one_speed,
     checked,
+    default_of,
     region_labels,
 )
 from fascicle.core.ranges import number, shown
@@ -62,7 +62,9 @@ def study_space(
         If a quantity is unknown or impossible, its prior is none, or nothing is left to learn.
     """
     chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
-    numbers = {side: chosen.pop(f"{side}_fascicles", USUAL_FASCICLES) for side in SIDES}
+    numbers = {
+        side: chosen.pop(f"{side}_fascicles", default_of(f"{side}_fascicles")) for side in SIDES
+    }
     counts = {side: int(n) for side, n in numbers.items() if not isinstance(n, Parameter)}
     usual = list(network_space(**counts).parameters)
     if method == "posterior" and not any(n in chosen or n in heart.values for n in SPEED):

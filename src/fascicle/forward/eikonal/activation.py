@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.short_repr import short_repr
+from fascicle.core.ranges import short_repr
 from fascicle.forward.eikonal.myocardium import LocatedPoints, Myocardium
 from fascicle.forward.eikonal.ray_travel_times import (
     SiteNeighbourhood,

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 
 from fascicle.core.parameters import Parameter, free
-from fascicle.core.quantities import SIDES, USUAL_FASCICLES, fascicles
+from fascicle.core.quantities import SIDES, default_of, fascicles
 from fascicle.forward.scenario_files import name_in_library
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
@@ -126,7 +126,7 @@ def _parameters(fitted: FittedStudy) -> tuple[list[str], list[str]]:
     config, heart = fitted.study.config, fitted.problem.model.heart
     names = {*config.parameter_space.names, *config.fixed}
     counts = {f"{side}_fascicles": fascicles(side, names) for side in SIDES}
-    fixed = {name: n for name, n in counts.items() if n != USUAL_FASCICLES} | config.fixed
+    fixed = {name: n for name, n in counts.items() if n != default_of(name)} | config.fixed
     space, _ = study_space(config.method, counts, heart)
     usual = {parameter.name: parameter for parameter in space.parameters}
     words, priors = [], []

@@ -17,8 +17,7 @@ from PIL import Image
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.leads import LEADS
-from fascicle.core.progress import Progress
-from fascicle.core.progress_lines import Lines, shown_progress
+from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
 from fascicle.heart.sites import SEGMENTS
