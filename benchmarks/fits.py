@@ -36,8 +36,8 @@ import numpy as np
 
 import fascicle
 from fascicle.build.anatomy import Source
-from fascicle.build.body import Body
 from fascicle.build.build_heart import build_heart
+from fascicle.build.torso import TorsoOptions
 from fascicle.cli.demo import demo_recording
 from fascicle.cli.output import TerminalProgress
 from fascicle.heart.folder import write_heart
@@ -71,14 +71,14 @@ def dti004(data: Path, out: Path, name: str = "dti004") -> Heart:
     folder = out / name
     if not folder.exists():
         files = data / "hearts" / "dti004"
-        surrounding = Body(electrodes=files / "electrodes.csv")
+        surrounding = TorsoOptions(electrodes=files / "electrodes.csv")
         if name == "dti004-standard":
-            surrounding = Body(pose="lps")
+            surrounding = TorsoOptions(pose="lps")
         if name == "dti004-unbounded":
-            surrounding = Body("none", electrodes=files / "electrodes.csv")
+            surrounding = TorsoOptions("none", electrodes=files / "electrodes.csv")
         source = Source(file=files / "mesh.vtu", parts={})
         with TerminalProgress() as progress:
-            built = build_heart(source, body=surrounding, name=name, progress=progress)
+            built = build_heart(source, torso=surrounding, name=name, progress=progress)
         write_heart(built.heart, folder)
     return fascicle.load_heart(folder)
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 MOST = 0.7  # GB, with the libraries; what follows asks for 3 GB and more
 READ = """
 import json, resource, sys
-from fascicle.build.segmentation.files import read_segmentation
+from fascicle.build.segmentation_files import read_segmentation
 from fascicle.core import isolated
 from fascicle.core.errors import InputError
 from fascicle.mesh.formats.read import read_mesh

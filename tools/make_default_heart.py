@@ -33,9 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.build.anatomy import Anatomy
-from fascicle.build.build_heart import Body, heart_of, in_body
-from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
-from fascicle.build.segmentation.surface import surface_from_segmentation
+from fascicle.build.build_heart import heart_of
+from fascicle.build.segmentation import Segmentation, SegmentationLabels
+from fascicle.build.segmentation_surface import surface_from_segmentation
+from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.build.volume_meshing import mesh_surface
 from fascicle.heart.endocardium import ChosenSeed
 from fascicle.heart.folder import write_heart
@@ -126,14 +127,14 @@ def seeds_in_body(drawn: Segmentation) -> dict[str, tuple[ChosenSeed, ChosenSeed
 def make_heart() -> Heart:
     """Build the heart with what is small enough to be packaged: no sheets, no torso mesh."""
     drawn = label_map()
-    surface = surface_from_segmentation(drawn, SegmentationLabels(), noted=print)
+    surface = surface_from_segmentation(drawn, SegmentationLabels())
     mesh = mesh_surface(surface, EDGE)
     mesh = replace(mesh, vertices=rounded(mesh.vertices, POSITION_STEP))
     heart = heart_of(Anatomy(mesh), seeds=seeds_in_body(drawn), name="idealised adult heart")
     fibres = rounded(heart.fibres, FIBRE_STEP)
     # as they will be when the file is read
     heart = replace(heart, fibres=fibres / np.linalg.norm(fibres, axis=1, keepdims=True))
-    heart = in_body(heart, mesh, Body(pose="lps"))
+    heart, _ = in_torso(heart, mesh, TorsoOptions(pose="lps"))
     assert heart.lead_fields is not None
     single = heart.lead_fields.values.astype(np.float32).astype(float)
     return replace(

@@ -40,7 +40,7 @@ def _mesh(path: Path) -> Any:
 
 
 def _segmentation(path: Path) -> Any:
-    from fascicle.build.segmentation.files import read_segmentation
+    from fascicle.build.segmentation_files import read_segmentation
 
     return read_segmentation(path)
 

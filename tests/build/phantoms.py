@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
+from fascicle.build.segmentation import Segmentation, SegmentationLabels
 
 # In the heart's frame (mm): z up from the LV's centre to the base, x from the LV to the RV.
 LV_INNER, LV_OUTER = np.array([22.0, 22.0, 55.0]), np.array([32.0, 32.0, 64.0])

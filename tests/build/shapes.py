@@ -10,8 +10,7 @@ from scipy.integrate import quad
 from scipy.spatial import cKDTree
 
 from fascicle.build.anatomy import Anatomy
-from fascicle.build.labelled_mesh_files import labelled_tetrahedra
-from fascicle.build.labelled_surface_files import labelled_surface
+from fascicle.build.labelled_files import labelled_surface, labelled_tetrahedra
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume

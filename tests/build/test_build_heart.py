@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 import fascicle
 from fascicle.build.anatomy import Source
-from fascicle.build.body import Body
 from fascicle.build.build_heart import build_heart
 from fascicle.build.check import cavity_volume, check_heart
 from fascicle.build.endocardia import endocardia
+from fascicle.build.torso import TorsoOptions
 from fascicle.core.errors import InputError
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
@@ -57,7 +57,7 @@ def own_body(tmp_path_factory):
     """Folder of the same heart in a small body of its own, with one lung."""
     folder = tmp_path_factory.mktemp("own")
     skin, lung = anatomies.body(), anatomies.body((28.0, 40.0, 55.0), (-70.0, 0.0, -30.0))
-    body = Body(
+    torso = TorsoOptions(
         torso=str(anatomies.write_surface(folder / "skin.stl", *skin)),
         lungs=(anatomies.write_surface(folder / "lung.stl", *lung),),
         electrodes=anatomies.write_electrodes(
@@ -65,7 +65,7 @@ def own_body(tmp_path_factory):
         ),
     )
     source = Source(anatomies.write_vtu(folder / "mesh.vtu", labelled=True))
-    built = build_heart(source, body=body, name="own")
+    built = build_heart(source, torso=torso, name="own")
     write_heart(built.heart, folder / "heart")
     return folder / "heart"
 

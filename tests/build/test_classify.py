@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from fascicle.build.classification.classify import classify_surface
-from fascicle.build.sides import leftness
+from fascicle.build.classify import classify_surface
+from fascicle.build.surface_checks import leftness
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import NEEDED, Label
 from fascicle.mesh.topology import boundary_triangles

@@ -11,7 +11,7 @@ import pytest
 import pyvista as pv
 from shapes import biventricular_surface, read_labelled_surface
 
-from fascicle.build.labelled_surface_files import has_labels
+from fascicle.build.labelled_files import has_labels
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface

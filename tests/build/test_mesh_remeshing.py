@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fascicle.build.anatomy import Anatomy, Source
-from fascicle.build.mesh_remeshing import mean_axes, remeshed_anatomy
 from fascicle.build.read_anatomy import read_anatomy
+from fascicle.build.volume_meshing import mean_axes, remeshed_anatomy
 from fascicle.core.errors import InputError
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.quality import quality

@@ -18,10 +18,10 @@ from shapes import (
 
 from fascicle.build import volume_meshing
 from fascicle.build.endocardia import endocardia
-from fascicle.build.surface_remeshing import remeshed_surface, without_short_edges
+from fascicle.build.surface_checks import wall_thickness
+from fascicle.build.surface_meshing import remeshed_surface, without_short_edges
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.build.volume_meshing import check_memory, mesh_surface
-from fascicle.build.wall_thickness import wall_thickness
 from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 from fascicle.heart.endocardium import oriented_into_cavity

@@ -180,12 +180,12 @@ def test_vertices_come_back(tmp_path):
     ("name", "content", "words"),
     [
         ("heart.pts", "", "empty"),
-        ("heart.pts", "x\n1 2 3\n", "number of lines"),
-        ("heart.pts", "3\n1 2 3\n4 5 6\n", "announces 3, but 2 follow"),
+        ("heart.pts", "x\n1 2 3\n", "the first line is 'x'"),
+        ("heart.pts", "3\n1 2 3\n4 5 6\n", "the first line is '3', and 2 lines follow"),
         ("heart.pts", "1\n1 2 3", "no line end"),
         ("heart.pts", "2\n1 2 3\n4 5\n", "truncated or damaged"),
-        ("heart.pts", "2\n\n4 5 6\n", "entry 1 has no numbers"),
-        ("heart.elem", "1\nTt\n", "entry 1 has no numbers"),
+        ("heart.pts", "2\n\n4 5 6\n", "a line without numbers"),
+        ("heart.elem", "1\nTt\n", "a line without numbers"),
         ("heart.pts", "2\n1 2\n4 5\n", "2 lines with 2 numbers; need 2 with 3"),
         ("heart.pts", "2\n1 2 3\nnan 5 6\n", "not finite (first: 'nan 5 6')"),
         ("heart.pts", "1\n1 2 3\n", "indices are out of range"),
@@ -233,8 +233,8 @@ def test_lengths_must_be_as_many_as_segments(folder, tree):
     ("content", "words"),
     [
         ("2\n1\n2\n", "must be 'intra' or 'extra'"),
-        ("2\nintra\n1\n", "announces 2, but 1 follow"),
-        ("1\nextra\n-4\n", "index -4 is negative"),
+        ("2\nintra\n1\n", "the first line is '2', and 1 lines follow"),
+        ("1\nextra\n-4\n", "out of range \\(first: -4\\)"),
         ("1\nextra\n1 2\n", "1 lines with 2 numbers"),
     ],
 )

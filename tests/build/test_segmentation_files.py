@@ -9,7 +9,7 @@ import nrrd
 import numpy as np
 import pytest
 
-from fascicle.build.segmentation.files import read_segmentation
+from fascicle.build.segmentation_files import read_segmentation
 from fascicle.core.errors import InputError
 
 TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -14,7 +14,7 @@ from phantoms import (
     segmentation_volumes,
 )
 
-from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, regions_at
+from fascicle.build.segmentation import Segmentation, SegmentationLabels, regions_at
 from fascicle.core.errors import InputError
 
 

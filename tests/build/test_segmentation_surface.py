@@ -21,8 +21,8 @@ from phantoms import (
     segmentation_volumes,
 )
 
-from fascicle.build.segmentation.image import Segmentation, SegmentationLabels
-from fascicle.build.segmentation.surface import RV_WALL, surface_from_segmentation
+from fascicle.build.segmentation import Segmentation, SegmentationLabels
+from fascicle.build.segmentation_surface import RV_WALL, surface_from_segmentation
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.topology import boundary_loops

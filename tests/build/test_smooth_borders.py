@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fascicle.build.classification.borders import NARROWEST, cut_along_borders
-from fascicle.build.classification.classify import classify_surface
+from fascicle.build.borders import NARROWEST, cut_along_borders, cut_at_zero
+from fascicle.build.classify import classify_surface
 from fascicle.heart.labelled_surface import Label
-from fascicle.mesh.level_sets import cut_at_zero
 from fascicle.mesh.measures import closed_volume, loop_length, triangle_areas
 from fascicle.mesh.topology import boundary_loops, unique_edges
 from tests.build.test_classify import assert_clean, shell

@@ -6,11 +6,10 @@ import pytest
 
 from fascicle.build.anatomy import Source
 from fascicle.build.read_anatomy import read_anatomy
-from fascicle.build.subdivision import FINE, is_coarse, subdivided
+from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.heart.labelled_surface import NEEDED, LabelledSurface
-from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.measures import mean_edge_length, signed_volumes, triangle_areas
-from fascicle.mesh.quality import quality
+from fascicle.mesh.quality import quality, self_intersections
 from tests.anatomies import write_surface
 from tests.build.shapes import biventricular_surface, volume_of
 
@@ -51,7 +50,7 @@ def test_only_coarse_surfaces_are_subdivided(fine, coarse):
 
 def test_smooth_and_of_the_same_volume(fine, coarse):
     finer, note = subdivided(coarse, EDGE)
-    assert mean_edge_length(finer.vertices, finer.triangles) <= 1.1 * FINE * EDGE
+    assert mean_edge_length(finer.vertices, finer.triangles) <= 1.1 * 2 * EDGE
     assert volume_of(finer) == pytest.approx(volume_of(coarse), rel=1e-4)
     assert not len(self_intersections(finer.vertices, finer.triangles))
     assert "subdivided 2 times (Loop)" in note

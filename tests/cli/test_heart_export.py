@@ -10,8 +10,8 @@ import pyvista as pv
 from anatomies import LV, RV
 
 from fascicle.build.anatomy import Source
-from fascicle.build.body import Body
 from fascicle.build.build_heart import build_heart
+from fascicle.build.torso import TorsoOptions
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.read import read_mesh
@@ -23,7 +23,9 @@ def folder(tmp_path_factory):
     work = tmp_path_factory.mktemp("built")
     source = Source(anatomies.write_vtu(work / "mesh.vtu", labelled=True, scar=True))
     electrodes = anatomies.write_electrodes(work / "electrodes.csv")
-    heart = build_heart(source, body=Body("none", electrodes=electrodes), name="built").heart
+    heart = build_heart(
+        source, torso=TorsoOptions("none", electrodes=electrodes), name="built"
+    ).heart
     write_heart(heart, work / "heart")
     return work / "heart"
 

@@ -38,13 +38,13 @@ class TestEndocardium:
 
     def test_quadrilaterals(self, materials, import_refused):
         file = materials.save("quads.vtp", pv.Plane(i_resolution=4, j_resolution=4))
-        import_refused(file, "no triangles", "16 polygons", lv_endocardium=file)
+        import_refused(file, "no triangles", "16 Quad", lv_endocardium=file)
 
     def test_some_quadrilaterals(self, materials, import_refused, cup):
         faces = [[3, *t] for t in cup[1][2:].tolist()] + [[4, 0, 1, 2, 3]]
         mesh = pv.PolyData(cup[0], np.concatenate(faces))
         file = materials.save("some.vtp", mesh)
-        import_refused(file, "besides", "1 polygons", "; make", lv_endocardium=file)
+        import_refused(file, "besides", "1 Quad", "; make", lv_endocardium=file)
 
     def test_closed(self, refuse, cup):
         points, triangles = cup

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.measures import (
     HAMMER_STROUD_POINTS,
     barycentric_gradients,
@@ -17,6 +16,7 @@ from fascicle.mesh.measures import (
     turned_outwards,
     unit,
 )
+from fascicle.mesh.quality import intersections, self_intersections
 from fascicle.mesh.topology import (
     TETRAHEDRON_FACES,
     boundary_loops,
@@ -98,4 +98,5 @@ def test_intersections_between_two_surfaces_only():
     vertices = np.concatenate([low, across, across + np.array([0.1, 0.2, 0])])
     triangles = np.arange(9).reshape(3, 3)
     assert self_intersections(vertices, triangles).tolist() == [[0, 1], [0, 2]]
-    assert self_intersections(vertices, triangles, np.array([0, 0, 1])).tolist() == [[0, 2]]
+    found = intersections((vertices, triangles[:1]), (vertices, triangles[1:]))
+    assert found.tolist() == [[0, 0], [0, 1]]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fascicle.build.body import Body, in_body
+from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.electrodes import read_electrodes, write_electrodes
@@ -138,7 +138,7 @@ def test_electrodes_in_other_units(default_heart, mesh, tmp_path, unit, factor):
     file = tmp_path / "e.csv"
     write_electrodes(file, factor * sites(mesh, BodySize()))
     with pytest.raises(InputError, match=rf"e\.csv .*seems to be in {unit}; multiply"):
-        in_body(default_heart, mesh, Body(electrodes=file))
+        in_torso(default_heart, mesh, TorsoOptions(electrodes=file))
 
 
 def test_a_living_subject(data_folder):

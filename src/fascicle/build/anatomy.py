@@ -10,14 +10,6 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 
-PARTS = ("lv", "rv", "epicardium", "base")  # of which the last may be missing
-OPTIONS = {
-    "numbers": "--labels",
-    "array": "--label-array",
-    "labels_file": "--labels-file",
-    "remesh": "--remesh",
-}
-
 
 @dataclass(frozen=True)
 class Source:
@@ -52,18 +44,18 @@ class Source:
                 "give either one file (surface, segmentation or mesh) or separate surfaces "
                 "(--lv-endocardium, --rv-endocardium, --epicardium)"
             )
-        missing = [part for part in PARTS[:3] if self.parts and part not in self.parts]
-        if missing:
+        missing = {"lv", "rv", "epicardium"} - set(self.parts)
+        if self.parts and missing:
             raise InputError(
-                f"separate surfaces: {', '.join(missing)} missing; give all of --lv-endocardium, "
-                "--rv-endocardium and --epicardium"
+                f"separate surfaces: {', '.join(sorted(missing))} missing; give all of "
+                "--lv-endocardium, --rv-endocardium and --epicardium"
             )
 
-    def check_unused(self, what: str, *names: str) -> None:
-        """Refuse options that would do nothing for this kind of anatomy."""
-        for name in names:
+    def check_unused(self, what: str, **options: str) -> None:
+        """Refuse attributes, given with their option, that would do nothing for such an anatomy."""
+        for name, option in options.items():
             if getattr(self, name) is not None:
-                raise InputError(f"{OPTIONS[name]} says nothing about {what}; leave it out")
+                raise InputError(f"{option} says nothing about {what}; leave it out")
 
     @property
     def name(self) -> str:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fascicle.build.anatomy import Anatomy, Source
-from fascicle.build.body import Body, in_body
 from fascicle.build.endocardia import endocardia
 from fascicle.build.read_anatomy import read_anatomy
+from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.endocardium import ChosenSeed, seeded_endocardia
@@ -45,7 +45,7 @@ def build_heart(
     *,
     edge_length: float = 2.0,
     angles: FibreAngles | None = None,
-    body: Body | None = None,
+    torso: TorsoOptions | None = None,
     seeds: Seeds | None = None,
     name: str = "heart",
     progress: Progress | None = None,
@@ -60,7 +60,7 @@ def build_heart(
         Mean edge of the tetrahedra (mm).
     angles : FibreAngles, optional
         Of the rule-based fibres; fibres that the source has are kept.
-    body : Body, optional
+    torso : TorsoOptions, optional
         Torso and electrodes.
     seeds : mapping of side to (root, direction), optional
         Where bundles start and head for; found from the anatomy where not given.
@@ -72,24 +72,19 @@ def build_heart(
     Raises
     ------
     InputError
-        If the anatomy or the body cannot be used; the message says why.
+        If the anatomy or the torso cannot be used; the message says why.
     """
-    body = body if body is not None else Body()
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
-    heart, notes = in_body(heart, anatomy.mesh, body, progress)
-    return BuiltHeart(heart, anatomy, (*anatomy.notes, *_notes_on_what_was_kept(anatomy), *notes))
-
-
-def _notes_on_what_was_kept(anatomy: Anatomy) -> list[str]:
-    """What the source had already, so that options about it do nothing."""
-    notes = []
+    options = torso if torso is not None else TorsoOptions()
+    heart, notes = in_torso(heart, anatomy.mesh, options, progress)
+    kept = []  # what the source had already, so that options about it do nothing
     if anatomy.own_mesh:
-        notes.append("mesh: as in the file; the edge length is its own")
+        kept.append("mesh: as in the file; the edge length is its own")
     if anatomy.fibres is not None:
-        notes.append("fibres: those of the file; no rule was applied")
-    return notes
+        kept.append("fibres: those of the file; no rule was applied")
+    return BuiltHeart(heart, anatomy, (*anatomy.notes, *kept, *notes))
 
 
 def heart_of(
@@ -101,12 +96,7 @@ def heart_of(
 ) -> Heart:
     """Fibres, endocardia and seeds of an anatomy; its electrodes are not placed yet (NaN).
 
-    Parameters
-    ----------
-    anatomy : Anatomy
-        The labelled mesh.
-    angles, seeds, name, progress
-        As in `build_heart`.
+    Parameters are those of `build_heart`.
     """
     mesh, seeds = anatomy.mesh, seeds if seeds is not None else {}
     fibres, sheets = anatomy.fibres, anatomy.sheets

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from fascicle.build.wall_thickness import Walls, wall_thickness
+from fascicle.build.surface_checks import Walls, wall_thickness
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
@@ -21,14 +21,7 @@ from fascicle.purkinje.chart import Chart
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
 
-ML, LITRE = 1e3, 1e6  # mm³
-# Outside these, somebody should look; human adults, healthy or not
-LV_CAVITY, RV_CAVITY = (40.0, 400.0), (40.0, 400.0)  # ml
-MYOCARDIUM = (60.0, 450.0)  # ml
-LV_WALL, RV_WALL = (4.0, 25.0), (1.5, 12.0)  # mm, median
-FLAT = 5.0  # degrees; a dihedral angle below it spoils gradients
 DISTORTED = 12.0  # stretch of a chart in one direction over the other
-TURN = 20.0  # degrees by which the helix angle must rise through the wall to be called reversed
 LAYERS = 5  # in which the helix angle is given, from endocardium to epicardium
 MOST = 20_000  # tetrahedra whose angles are measured
 WALLS = ("LV free wall", "septum", "RV free wall")
@@ -86,15 +79,7 @@ class HeartCheck:
 
 
 def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
-    """Measure a heart and say what looks wrong.
-
-    Parameters
-    ----------
-    heart : Heart
-        A valid heart.
-    charts : mapping of side to Chart
-        Its charts.
-    """
+    """Measure a valid heart with its charts (by side), and say what looks wrong."""
     mesh = labelled_mesh(heart)
     walls = wall_thickness(mesh)
     shape = quality(heart.vertices, heart.tetrahedra)
@@ -104,7 +89,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
         *_wall_rows(walls),
         *_endocardium_rows(heart, charts),
         *_helix_rows(helix),
-        *_body_rows(heart),
+        *_torso_rows(heart),
     ]
     warnings = [
         *_size_warnings(heart, walls, shape, charts),
@@ -117,7 +102,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
 
 def cavity_volume(endocardium: Endocardium) -> float:
     """Volume of a cavity closed at its opening by a fan (ml)."""
-    return -enclosed_volume(endocardium.vertices, endocardium.triangles) / ML
+    return -enclosed_volume(endocardium.vertices, endocardium.triangles) / 1e3
 
 
 def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
@@ -165,7 +150,7 @@ def _tissue_rows(heart: Heart, shape: Quality) -> list[tuple[str, str]]:
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
     extent = np.ptp(heart.vertices, axis=0)
     return [
-        ("myocardium", f"{heart.volumes.sum() / ML:.1f} ml; cavities LV {lv:.0f}, RV {rv:.0f} ml"),
+        ("myocardium", f"{heart.volumes.sum() / 1e3:.1f} ml; cavities LV {lv:.0f}, RV {rv:.0f} ml"),
         ("extent", " x ".join(f"{size:.0f}" for size in extent) + " mm"),
         ("mesh", str(shape)),
     ]
@@ -211,7 +196,7 @@ def _helix_rows(helix: Mapping[str, HelixAngles]) -> list[tuple[str, str]]:
     return rows
 
 
-def _body_rows(heart: Heart) -> list[tuple[str, str]]:
+def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
     distance = np.linalg.norm(
         heart.electrodes[:, None] - heart.vertices[None, :: max(1, len(heart.vertices) // 2000)],
         axis=2,
@@ -223,7 +208,7 @@ def _body_rows(heart: Heart) -> list[tuple[str, str]]:
         return [*rows, ("torso", f"none ({known})")]
     volumes = signed_volumes(heart.torso.vertices, heart.torso.tetrahedra)
     parts = ", ".join(
-        f"{tissue.name.lower()} {volumes[heart.torso.tissues == tissue].sum() / LITRE:.2f} l"
+        f"{tissue.name.lower()} {volumes[heart.torso.tissues == tissue].sum() / 1e6:.2f} l"
         for tissue in TorsoTissue
         if (heart.torso.tissues == tissue).any()
     )
@@ -235,18 +220,19 @@ def _size_warnings(
 ) -> list[str]:
     warnings = []
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
+    # outside these, somebody should look; human adults, healthy or not
     for what, value, (low, high), unit, remedy in (
-        ("LV cavity", lv, LV_CAVITY, "ml", "check units and endocardium"),
-        ("RV cavity", rv, RV_CAVITY, "ml", "check units and endocardium"),
-        ("myocardium", heart.volumes.sum() / ML, MYOCARDIUM, "ml", "check units and surfaces"),
-        ("LV free wall", walls.lv.median, LV_WALL, "mm", "check the labels of the surfaces"),
-        ("RV free wall", walls.rv.median, RV_WALL, "mm", "check the labels of the surfaces"),
+        ("LV cavity", lv, (40.0, 400.0), "ml", "check units and endocardium"),
+        ("RV cavity", rv, (40.0, 400.0), "ml", "check units and endocardium"),
+        ("myocardium", heart.volumes.sum() / 1e3, (60.0, 450.0), "ml", "check units and surfaces"),
+        ("LV free wall", walls.lv.median, (4.0, 25.0), "mm", "check the labels of the surfaces"),
+        ("RV free wall", walls.rv.median, (1.5, 12.0), "mm", "check the labels of the surfaces"),
     ):
         if np.isfinite(value) and not low <= value <= high:
             warnings.append(
                 f"{what}: {value:.3g} {unit}; human adults have {low:g} to {high:g}; {remedy}"
             )
-    if shape.angles.min() < FLAT:
+    if shape.angles.min() < 5.0:
         warnings.append(
             f"mesh: smallest dihedral angle {shape.angles.min():.1f} degrees; remesh (heart "
             "build --remesh): times and potentials are poor in elements so flat"
@@ -280,7 +266,7 @@ def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:
     if not angles.depth.size:
         return []
     inside, *_, outside = angles.in_layers()
-    if not inside + TURN < outside:
+    if not inside + 20.0 < outside:
         return []
     return [
         f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path, write_text
+from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.folder import cell_arrays, write_mesh
@@ -21,19 +20,15 @@ from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
 from fascicle.mesh.formats.mesh_file import GROUP
 from fascicle.mesh.formats.opencarp import (
     opencarp_file,
-    rows,
     write_directions,
     write_opencarp_mesh,
+    write_surf,
     write_vtx,
 )
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import write_opencarp_tree
 
-ExportFormat = Literal["opencarp", "vtu", "gmsh"]
-SUFFIXES = {"vtu": ".vtu", "gmsh": ".msh"}
 ONE_REGION = 1  # the tag of every element of a heart without regions
-# An endocardium whose vertices are this close (mm) to the mesh's is part of it: text files round.
-IN_REGISTER = 1e-3
 
 
 def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
@@ -49,7 +44,7 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
         and the point arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh: a file
         (format 2.2), see `write_gmsh`. VTU and Gmsh are in mm, openCARP in µm. openCARP and Gmsh
         have the whole boundary, labelled by `fascicle.heart.labelled_surface.labelled_mesh`, so
-        that `fascicle.build.labelled_mesh_files.labelled_tetrahedra` reads it.
+        that `fascicle.build.labelled_files.labelled_tetrahedra` reads it.
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
@@ -60,16 +55,15 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     InputError
         If the kind is unknown, the suffix is not its own, or `out` cannot be written.
     """
-    if kind not in get_args(ExportFormat):
-        raise InputError(
-            f"format '{kind}' is unknown; use one of {', '.join(get_args(ExportFormat))}"
-        )
+    suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
+    if kind not in suffixes:
+        raise InputError(f"format '{kind}' is unknown; use one of {', '.join(suffixes)}")
     if kind == "opencarp":
         with atomic_folder(out) as temporary:
             write_opencarp(heart, labelled_mesh(heart), temporary / "heart", trees)
         return
-    if out.suffix.lower() != SUFFIXES[kind]:
-        raise InputError(f"{out}: a {kind} file must end in {SUFFIXES[kind]}; rename it (--out)")
+    if out.suffix.lower() != suffixes[kind]:
+        raise InputError(f"{out}: a {kind} file must end in {suffixes[kind]}; rename it (--out)")
     if out.is_dir():
         raise InputError(f"{out}: is a folder; give the path of a file (--out)")
     if trees:
@@ -142,10 +136,8 @@ def write_opencarp(
 
     Parameters
     ----------
-    heart : Heart
-        The heart.
-    surface : LabelledMesh
-        Its boundary with labels.
+    heart, surface : Heart and LabelledMesh
+        The heart, and its boundary with labels.
     stem : Path
         Folder and name of the files, without a suffix.
     trees : iterable of PurkinjeTree
@@ -171,8 +163,7 @@ def _write_surface(stem: Path, triangles: Integers) -> None:
     """Write triangles of the mesh, and their vertices; nothing if there are none."""
     if not len(triangles):
         return
-    text = rows("Tr %d %d %d", triangles)
-    write_text(opencarp_file(stem, ".surf"), f"{len(triangles)}\n{text}")
+    write_surf(opencarp_file(stem, ".surf"), triangles)
     write_vtx(opencarp_file(stem, ".vtx"), np.unique(triangles))
 
 
@@ -184,7 +175,7 @@ def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> No
     used, corners = np.unique(wall, return_inverse=True)
     vertices = endocardium.vertices[used]
     distance, _ = cKDTree(heart.vertices).query(vertices)
-    if (distance <= IN_REGISTER).all():
+    if (distance <= 1e-3).all():  # mm; text files round
         return
     corners = corners.reshape(-1, 3)
     write_opencarp_mesh(stem, vertices, "Tr", corners, np.full(len(corners), ONE_REGION))

@@ -9,12 +9,8 @@ import numpy as np
 from fascicle.build.anatomy import Anatomy
 from fascicle.build.surface_checks import place
 from fascicle.core.arrays import Floats, Integers
-from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.topology import boundary_triangles, components_of, places_in, unique_edges
-
-FEW = 1e-3  # share of the boundary's edges; with more, the mesh is refused where it is labelled
-APART = 0.1  # of the way to the middle of its tetrahedra by which the middle of an edge is moved
 
 
 def repaired_edges(anatomy: Anatomy) -> Anatomy:
@@ -26,21 +22,16 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
     the groups stay joined at the edge's ends. Fibres, sheets, regions and labels are those of the
     halved tetrahedra and triangles.
 
-    Parameters
-    ----------
-    anatomy : Anatomy
-        Of tetrahedra, labelled or not.
-
     Returns
     -------
     Anatomy
-        The same object if there is nothing to repair, or too much.
+        The same object if there is nothing to repair, or more than one edge in a thousand.
     """
-    edges, count = unique_edges(anatomy.mesh.triangles)
-    bad = edges[count > 2]
-    if not len(bad) or len(bad) > max(2.0, FEW * len(edges)):
-        return anatomy
     mesh = anatomy.mesh
+    edges, count = unique_edges(mesh.triangles)
+    bad = edges[count > 2]
+    if not len(bad) or len(bad) > max(2.0, 1e-3 * len(edges)):
+        return anatomy
     vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
     parent, ends = np.arange(len(tetrahedra)), np.empty((0, 2), dtype=np.int64)
     for edge in bad:
@@ -55,15 +46,29 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
         order = np.concatenate([each for fan in fans for each in (fan, fan)])
         tetrahedra = np.concatenate([kept, *halves])
         parent = np.concatenate([np.delete(parent, around), parent[order]])
-    at = place(mesh.vertices[bad[0]].mean(axis=0))
+    triangles, _ = boundary_triangles(tetrahedra)
+    whole = triangles.copy()  # the triangles that these are parts of
+    for k in range(len(ends) - 1, -1, -1):  # the last ones may lie between earlier ones
+        for corner in range(3):
+            here = whole[:, corner] == len(mesh.vertices) + k
+            there = (whole == ends[k, 0]).any(axis=1)
+            whole[here, corner] = np.where(there, ends[k, 1], ends[k, 0])[here]
     note = (
         f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles (the "
-        f"first at {at}): the tetrahedra that met in them alone were drawn apart "
-        f"({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none removed)"
+        f"first at {place(mesh.vertices[bad[0]].mean(axis=0))}): the tetrahedra that met in them "
+        f"alone were drawn apart ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none "
+        "removed)"
     )
     return replace(
         anatomy,
-        mesh=_relabelled(mesh, vertices, tetrahedra, ends, parent),
+        mesh=replace(
+            mesh,
+            vertices=vertices,
+            tetrahedra=tetrahedra,
+            triangles=triangles,
+            labels=mesh.labels[places_in(whole, mesh.triangles)],
+            regions=None if mesh.regions is None else mesh.regions[parent],
+        ),
         fibres=None if anatomy.fibres is None else anatomy.fibres[parent],
         sheets=None if anatomy.sheets is None else anatomy.sheets[parent],
         notes=(*anatomy.notes, note),
@@ -81,33 +86,11 @@ def _fans(tetrahedra: Integers, edge: Integers) -> list[Integers]:
 
 
 def _middle(vertices: Floats, fan: Integers, edge: Integers) -> Floats:
-    """A point beside the middle of an edge, within its tetrahedra."""
+    """The middle of an edge, a tenth of the way into its tetrahedra where these stay positive."""
     middle = vertices[edge].mean(axis=0)
     inwards = vertices[fan[~np.isin(fan, edge)]].mean(axis=0) - middle
-    trial = np.concatenate([vertices, (middle + APART * inwards)[None]])
+    trial = np.concatenate([vertices, (middle + 0.1 * inwards)[None]])
     halves = [np.where(fan == end, len(vertices), fan) for end in edge]
     if all((signed_volumes(trial, half) > 0).all() for half in halves):
         return np.asarray(trial[-1])
     return np.asarray(middle)
-
-
-def _relabelled(
-    mesh: LabelledMesh, vertices: Floats, tetrahedra: Integers, ends: Integers, parent: Integers
-) -> LabelledMesh:
-    """The mesh with new tetrahedra and the labels of the triangles that theirs are parts of."""
-    triangles, _ = boundary_triangles(tetrahedra)
-    whole = triangles.copy()
-    for k in range(len(ends) - 1, -1, -1):  # the last ones may lie between earlier ones
-        new = len(mesh.vertices) + k
-        for corner in range(3):
-            here = whole[:, corner] == new
-            there = (whole == ends[k, 0]).any(axis=1)
-            whole[here, corner] = np.where(there, ends[k, 1], ends[k, 0])[here]
-    return replace(
-        mesh,
-        vertices=vertices,
-        tetrahedra=tetrahedra,
-        triangles=triangles,
-        labels=mesh.labels[places_in(whole, mesh.triangles)],
-        regions=None if mesh.regions is None else mesh.regions[parent],
-    )

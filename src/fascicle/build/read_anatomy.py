@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from fascicle.build.anatomy import Anatomy, Source
-from fascicle.build.classification.borders import cut_along_borders
-from fascicle.build.classification.classify import classify_surface
-from fascicle.build.joining.join import join_surfaces
-from fascicle.build.labelled_mesh_files import labelled_tetrahedra
-from fascicle.build.labelled_surface_files import has_labels, labelled_surface
-from fascicle.build.mesh_remeshing import remeshed_anatomy
+from fascicle.build.borders import cut_along_borders
+from fascicle.build.classify import classify_surface
+from fascicle.build.join import join_surfaces
+from fascicle.build.labelled_files import has_labels, labelled_surface, labelled_tetrahedra
 from fascicle.build.mesh_repair import repaired_edges
-from fascicle.build.segmentation.files import read_segmentation
-from fascicle.build.segmentation.image import Segmentation, SegmentationLabels, regions_at
-from fascicle.build.segmentation.surface import surface_from_segmentation
-from fascicle.build.sides import check_labelled_sides
-from fascicle.build.subdivision import is_coarse, subdivided
+from fascicle.build.segmentation import SegmentationLabels, regions_at
+from fascicle.build.segmentation_files import read_segmentation
+from fascicle.build.segmentation_surface import surface_from_segmentation
+from fascicle.build.surface_checks import check_sides
+from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
-from fascicle.build.volume_meshing import check_memory, mesh_surface
-from fascicle.core.arrays import Floats, Integers
+from fascicle.build.volume_meshing import check_memory, mesh_surface, remeshed_anatomy
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
@@ -31,9 +27,6 @@ from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
-
-SCAR = "region_1_conductivity"  # quantity that says how the scar of a segmentation conducts
-SEGMENTATIONS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
 
 
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
@@ -54,54 +47,43 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         If a file cannot be used; the message says why.
     """
     if source.file is None:
-        source.check_unused("separate surfaces", "numbers", "array", "labels_file", "remesh")
-        joined, notes = _fine_enough(_joined(source, progress), edge_length)
-        return Anatomy(_meshed(joined, edge_length, progress), notes=notes)
-    if source.file.name.lower().endswith(SEGMENTATIONS):
-        source.check_unused("a segmentation", "array", "labels_file", "remesh")
+        source.check_unused(
+            "separate surfaces",
+            numbers="--labels",
+            array="--label-array",
+            labels_file="--labels-file",
+            remesh="--remesh",
+        )
+        meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
+        parts = {
+            part: (mesh.points, mesh.require(TRIANGLE, "triangles"))
+            for part, mesh in meshes.items()
+        }
+        joined = join_surfaces(
+            parts["lv"],
+            parts["rv"],
+            parts["epicardium"],
+            parts.get("base"),
+            str(source.parts["epicardium"]),
+            stage_progress(progress, "surface"),
+        )
+        return _meshed(*_fine_enough(joined, edge_length), edge_length, progress)
+    segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
+    if source.file.name.lower().endswith(segmentations):
         return _from_segmentation(source, source.file, edge_length, progress)
-    check_file(source.file, MESH_FORMATS + SEGMENTATIONS, "anatomy")
+    check_file(source.file, MESH_FORMATS + segmentations, "anatomy")
     mesh = read_mesh(source.file, "anatomy")
     if TETRAHEDRON in mesh.cells:
         return _from_tetrahedra(source, mesh, progress)
     return _from_surface(source, mesh, edge_length, progress)
 
 
-def _joined(source: Source, progress: Progress | None) -> LabelledSurface:
-    parts = {part: _triangles(read_mesh(path, part)) for part, path in source.parts.items()}
-    return join_surfaces(
-        parts["lv"],
-        parts["rv"],
-        parts["epicardium"],
-        parts.get("base"),
-        str(source.parts["epicardium"]),
-        stage_progress(progress, "surface"),
-    )
-
-
-def _triangles(mesh: MeshFile) -> tuple[Floats, Integers]:
-    return mesh.points, mesh.require(TRIANGLE, "triangles")
-
-
-def _from_surface(
-    source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
+def _meshed(
+    surface: LabelledSurface, notes: tuple[str, ...], edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a surface, which is meshed again anyway", "remesh")
-    if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
-        surface, notes = _fine_enough(
-            labelled_surface(mesh, source.array, source.numbers, source.labels_file), edge_length
-        )
-        return Anatomy(_meshed(surface, edge_length, progress), notes=notes)
-    points, triangles = _triangles(mesh)
-    unlabelled = np.zeros(len(triangles), dtype=np.int64)
-    closed, notes = _fine_enough(
-        closed_surface(LabelledSurface(points, triangles, unlabelled, str(mesh.path))), edge_length
-    )
-    surface = classify_surface(
-        closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
-    )
-    surface = cut_along_borders(surface, edge_length)
-    return Anatomy(_meshed(surface, edge_length, progress), notes=notes, guessed=True)
+    prepared = prepared_surface(surface)
+    mesh = mesh_surface(prepared, edge_length, stage_progress(progress, "meshing"))
+    return Anatomy(mesh, notes=notes)
 
 
 def _fine_enough(
@@ -115,18 +97,43 @@ def _fine_enough(
     return finer, (note,)
 
 
-def _meshed(
-    surface: LabelledSurface, edge_length: float, progress: Progress | None
-) -> LabelledMesh:
-    return mesh_surface(prepared_surface(surface), edge_length, stage_progress(progress, "meshing"))
+def _from_surface(
+    source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
+) -> Anatomy:
+    source.check_unused("a surface, which is meshed again anyway", remesh="--remesh")
+    if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
+        labelled = labelled_surface(mesh, source.array, source.numbers, source.labels_file)
+        return _meshed(*_fine_enough(labelled, edge_length), edge_length, progress)
+    triangles = mesh.require(TRIANGLE, "triangles")
+    unlabelled = np.zeros(len(triangles), dtype=np.int64)
+    closed = closed_surface(LabelledSurface(mesh.points, triangles, unlabelled, str(mesh.path)))
+    closed, notes = _fine_enough(closed, edge_length)
+    found = classify_surface(
+        closed.vertices, closed.triangles, closed.name, stage_progress(progress, "surface")
+    )
+    cut = cut_along_borders(found, edge_length)
+    return replace(_meshed(cut, notes, edge_length, progress), guessed=True)
 
 
 def _from_segmentation(
     source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
+    source.check_unused(
+        "a segmentation", array="--label-array", labels_file="--labels-file", remesh="--remesh"
+    )
     notes: list[str] = []
     segmentation = read_segmentation(file)
-    labels = _segmentation_labels(segmentation, source.numbers)
+    if source.numbers is None:
+        there = ", ".join(map(str, np.unique(segmentation.labels)))
+        raise InputError(
+            f"{segmentation.name}: which of its labels ({there}) is what differs from one program "
+            "to another; say so, as --labels lv=1,rv=2,myocardium=3,scar=4"
+        )
+    known = [part.name for part in fields(SegmentationLabels)]
+    unknown = [name for name in source.numbers if name not in known]
+    if unknown:
+        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
+    labels = SegmentationLabels(**source.numbers)
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
@@ -135,39 +142,24 @@ def _from_segmentation(
     surface = surface_from_segmentation(
         segmentation, labels, stage_progress(progress, "surface"), notes
     )
-    mesh = _meshed(surface, edge_length, progress)
-    values = {}
-    if labels.scar is not None:
-        centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
-        mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
-        values[SCAR] = 0.0
-        notes.append(f"scar: region 1; it does not conduct ({SCAR} = 0 in heart.toml)")
-    return Anatomy(mesh, notes=tuple(notes), values=values)
-
-
-def _segmentation_labels(
-    segmentation: Segmentation, numbers: Mapping[str, int] | None
-) -> SegmentationLabels:
-    if numbers is None:
-        there = ", ".join(map(str, np.unique(segmentation.labels)))
-        raise InputError(
-            f"{segmentation.name}: which of its labels ({there}) is what differs from one program "
-            "to another; say so, as --labels lv=1,rv=2,myocardium=3,scar=4"
-        )
-    known = [part.name for part in fields(SegmentationLabels)]
-    unknown = [name for name in numbers if name not in known]
-    if unknown:
-        raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
-    return SegmentationLabels(**numbers)
+    anatomy = _meshed(surface, (), edge_length, progress)
+    if labels.scar is None:
+        return replace(anatomy, notes=tuple(notes))
+    scar = "region_1_conductivity"  # the quantity that says how it conducts
+    notes.append(f"scar: region 1; it does not conduct ({scar} = 0 in heart.toml)")
+    mesh: LabelledMesh = anatomy.mesh
+    centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
+    mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
+    return replace(anatomy, mesh=mesh, notes=tuple(notes), values={scar: 0.0})
 
 
 def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:
-    source.check_unused("tetrahedra", "labels_file")
+    source.check_unused("tetrahedra", labels_file="--labels-file")
     names = labels_by_number(source.numbers if source.numbers is not None else {})
     read = repaired_edges(labelled_tetrahedra(mesh, source.array, names))
     if not read.mesh.labels.any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
-        source.check_unused(unlabelled, "numbers")
+        source.check_unused(unlabelled, numbers="--labels")
         found = classify_surface(
             read.mesh.vertices,
             read.mesh.triangles,
@@ -175,5 +167,5 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
             stage_progress(progress, "surface"),
         )
         read = replace(read, mesh=replace(read.mesh, labels=found.labels), guessed=True)
-    check_labelled_sides(read.mesh)
+    check_sides(read.mesh)
     return remeshed_anatomy(read) if source.remesh else read

@@ -1,15 +1,20 @@
-"""Refusing surfaces that are not one manifold piece, and saying where."""
+"""What a surface of the ventricles must be: manifold, left and right as labelled, walls thick."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import igl
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
+from fascicle.mesh.measures import closed_volume, triangle_areas
 from fascicle.mesh.topology import unique_edges
 
-SHOWN = 3  # pieces that a message lists
+Surface = tuple[Floats, Integers]  # vertices (n, 3) in mm, triangles (m, 3)
 
 
 def place(point: Floats) -> str:
@@ -18,17 +23,7 @@ def place(point: Floats) -> str:
 
 
 def check_edges(name: str, vertices: Floats, triangles: Integers, *, closed: bool = False) -> None:
-    """Refuse edges that more than two triangles share.
-
-    Parameters
-    ----------
-    name : str
-        What to call the surface in messages.
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices.
-    closed : bool
-        Whether edges that only one triangle has are refused too.
-    """
+    """Refuse edges that more than two triangles share, and open ones of a `closed` surface."""
     edges, count = unique_edges(triangles)
     for bad, fault, remedy in (
         (
@@ -46,25 +41,147 @@ def check_edges(name: str, vertices: Floats, triangles: Integers, *, closed: boo
 
 
 def oriented_piece(name: str, vertices: Floats, triangles: Integers) -> Integers:
-    """Triangles (m, 3) all turned the same way; a surface in several pieces is refused.
-
-    Parameters
-    ----------
-    name : str
-        What to call the surface in messages.
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices.
-    """
+    """Triangles (m, 3) all turned the same way; a surface in several pieces is refused."""
     oriented, piece = igl.bfs_orient(triangles)
     sizes = np.bincount(np.asarray(piece))
     if len(sizes) > 1:
         listed = ", ".join(
             f"{sizes[k]} triangles about {place(vertices[triangles[piece == k]].mean(axis=(0, 1)))}"
-            for k in np.argsort(-sizes, kind="stable")[:SHOWN]
+            for k in np.argsort(-sizes, kind="stable")[:3]
         )
         raise InputError(
             f"{name}: the surface falls into {len(sizes)} pieces ({listed}"
-            f"{', ...' if len(sizes) > SHOWN else ''}); keep one (cavities must be open at the "
-            "base)"
+            f"{', ...' if len(sizes) > 3 else ''}); keep one (cavities must be open at the base)"
         )
     return np.ascontiguousarray(oriented, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class WallThickness:
+    """The thickness of one wall.
+
+    Attributes
+    ----------
+    vertices : (k,) array
+        Vertices of the endocardium that the wall belongs to.
+    thickness : (k,) array
+        The distance from each to the other side of the wall (mm).
+    """
+
+    vertices: Integers
+    thickness: Floats
+
+    @property
+    def median(self) -> float:
+        """The thickness that a half of the wall exceeds (mm); NaN where there is no wall."""
+        return float(np.median(self.thickness)) if self.thickness.size else float("nan")
+
+
+@dataclass(frozen=True)
+class Walls:
+    """The free wall of the left ventricle, the septum, and the free wall of the right one."""
+
+    lv: WallThickness
+    septum: WallThickness
+    rv: WallThickness
+
+
+def wall_thickness(tissue: LabelledSurface | LabelledMesh) -> Walls:
+    """How thick the walls are at each vertex of the endocardia.
+
+    The thickness at a vertex is its distance to the other side: the epicardium for the free walls,
+    the right endocardium for the septum. A vertex of the left endocardium belongs to the septum
+    where the right endocardium is nearer than the epicardium; the septal part of the right one is
+    left out. The distance never exceeds the thickness along any other direction.
+    """
+    epicardium, left, right = (
+        tissue.having(label)
+        for label in (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+    )
+    of_left, of_right = np.unique(left), np.unique(right)
+
+    def distances(at: Integers, to: Integers) -> Floats:
+        vertices = tissue.vertices
+        return np.asarray(np.sqrt(igl.point_mesh_squared_distance(vertices[at], vertices, to)[0]))
+
+    outwards, across = distances(of_left, epicardium), distances(of_left, right)
+    rv_outwards = distances(of_right, epicardium)
+    is_septum, is_free = across < outwards, rv_outwards <= distances(of_right, left)
+    return Walls(
+        lv=WallThickness(of_left[~is_septum], outwards[~is_septum]),
+        septum=WallThickness(of_left[is_septum], across[is_septum]),
+        rv=WallThickness(of_right[is_free], rv_outwards[is_free]),
+    )
+
+
+def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
+    """Refuse an edge length (mm) for which the walls are too thin.
+
+    The median thickness of each wall must have room for two layers of tetrahedra even where they
+    lie as flat as they can (an edge length over √2 each). As medians count, a few thin places do
+    not matter, such as those at the apex and next to the base.
+    """
+    medians = {
+        "left ventricle's free wall": walls.lv.median,
+        "septum": walls.septum.median,
+        "right ventricle's free wall": walls.rv.median,
+    }
+    there = {wall: median for wall, median in medians.items() if np.isfinite(median)}
+    thinnest = min(there, key=lambda wall: there[wall])
+    largest = there[thinnest] / (2 * np.sqrt(0.5))
+    if edge_length > largest:
+        raise InputError(
+            f"{name}: an edge length of {edge_length:g} mm is too coarse for the {thinnest}, "
+            f"{there[thinnest]:.2g} mm thick (median): fewer than two elements fit across; give "
+            f"{np.floor(largest * 100) / 100:.2f} mm or less"
+        )
+
+
+def leftness(one: Surface, other: Surface, epicardium: Surface) -> float:
+    """How much more the first of two endocardia looks like the left one than the second does.
+
+    The left cavity is nearly convex and round, and its wall is thick; the right one is a crescent
+    about the septum with a thin free wall. The logarithms of the three ratios, each of which
+    speaks for the left where it is larger, are added: positive where the first is the left one.
+    """
+    first, second = (_features(endocardium, epicardium) for endocardium in (one, other))
+    return float(np.log(first / second).sum())
+
+
+def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:
+    """Refuse endocardia that seem to have each other's label.
+
+    The one labelled LV then has the thinner free wall (median) and fills less of its convex hull:
+    neither a right ventricle with a thick wall nor a round one is refused for that alone.
+    """
+    epicardium, lv, rv = (
+        (tissue.vertices, tissue.having(label))
+        for label in (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+    )
+    walls = wall_thickness(tissue)
+    left, right = (_features(endocardium, epicardium)[0] for endocardium in (lv, rv))
+    if walls.lv.median < walls.rv.median and left < right:
+        raise InputError(
+            f"{tissue.name}: LV and RV endocardium seem to be swapped: the cavity labelled LV "
+            f"fills {left:.0%} of its convex hull behind a wall of {walls.lv.median:.1f} mm, the "
+            f"one labelled RV {right:.0%} behind {walls.rv.median:.1f} mm; exchange the two"
+        )
+
+
+def _features(endocardium: Surface, epicardium: Surface) -> Floats:
+    """Share of its convex hull that a cavity fills; 36πV²/A³ (1 for a ball); free wall (mm)."""
+    vertices, triangles = endocardium
+    own = np.ascontiguousarray(vertices[np.unique(triangles)])
+    volume, cap = closed_by_fan(vertices, triangles)
+    area = float(triangle_areas(vertices, triangles).sum()) + cap
+    # the 40th percentile of the distances to the epicardium lies in the free wall
+    wall = np.sqrt(np.percentile(igl.point_mesh_squared_distance(own, *epicardium)[0], 40.0))
+    return np.array([volume / ConvexHull(own).volume, 36 * np.pi * volume**2 / area**3, wall])
+
+
+def closed_by_fan(vertices: Floats, triangles: Integers) -> tuple[float, float]:
+    """Volume of an open surface closed by a fan (mm³), and the fan's area (mm²)."""
+    rim = np.asarray(igl.boundary_facets(triangles)[0], dtype=np.int64)
+    centred = vertices - vertices[np.unique(rim)].mean(axis=0)  # the fan adds no volume there
+    fan = np.cross(centred[rim[:, 0]], centred[rim[:, 1]]) / 2
+    return abs(closed_volume(centred, triangles)), float(np.linalg.norm(fan, axis=1).sum())

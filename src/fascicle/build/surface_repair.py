@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
-import tempfile
 from dataclasses import replace
 
 import igl
 import numpy as np
 
-from fascicle.build.label_cleaning import ENDOCARDIAL, cleaned_labels
-from fascicle.build.sides import check_labelled_sides
-from fascicle.build.surface_checks import check_edges, oriented_piece, place
+from fascicle.build.endocardia import cleaned_labels
+from fascicle.build.surface_checks import check_edges, check_sides, oriented_piece, place
 from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_parts
 from fascicle.heart.validate import check_units
-from fascicle.mesh.intersections import self_intersections
 from fascicle.mesh.measures import closed_volume, loop_length, turned_outwards
-from fascicle.mesh.meshing import signals_restored
+from fascicle.mesh.meshing import marching_cubes
+from fascicle.mesh.quality import self_intersections
 from fascicle.mesh.topology import (
     boundary_loops,
-    boundary_triangles,
     directed_edges,
     fan,
     merged_vertices,
@@ -31,17 +27,6 @@ from fascicle.mesh.topology import (
 
 MERGED = 1e-6  # of the largest extent; vertices closer than this are one
 LARGEST_HOLE = 20.0  # mm, length of its boundary; 6 mm across, so no valve or vessel is closed over
-# Of a surface that is meshed through its cuts: how far the new one may lie from it (0.3 mm on a
-# heart), and the edge length inside, both relative to the diagonal, and when to be content with the
-# inside: only the boundary is kept.
-ENVELOPE = 2e-3
-COARSE = 0.05
-CONTENT = 100.0  # AMIPS energy; 3 is a regular tetrahedron, the program's own choice 10
-PASSES = 5
-VOLUME_KEPT = 0.02  # relative change of volume that a repair may make
-# How often it is tried: as its program shuffles the triangles, about one time in ten leaves an edge
-# in which four triangles of the boundary meet, and the next does not.
-SHUFFLES = 4
 
 
 def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
@@ -49,15 +34,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
 
     Repeated vertices and triangles, triangles without an area, holes with a boundary of at most
     20 mm, triangles facing the wrong way and small components of labels are repaired. Where parts
-    cut through one another, fTetWild meshes the inside and its boundary is taken instead. This
-    takes a minute or more, and as fTetWild shuffles the triangles by a seed of its own, that
-    boundary differs from run to run (within 0.002 of the diagonal); everything else gives the same
-    result every time.
-
-    Parameters
-    ----------
-    surface : LabelledSurface
-        As it was read.
+    cut through one another, the surface is drawn anew around what lies within.
 
     Returns
     -------
@@ -70,10 +47,6 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     InputError
         If it is not in mm, lacks a label, has several pieces, edges shared by more than two
         triangles, or larger holes, cannot be repaired, or has LV and RV exchanged.
-
-    References
-    ----------
-    Hu et al. 2020, ACM Trans Graph 39(4):117 (fTetWild).
     """
     missing = missing_parts(surface.labels)
     if missing:
@@ -85,12 +58,14 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     closed = closed_surface(surface)
     cuts = self_intersections(closed.vertices, closed.triangles)
     if len(cuts):
-        closed = _meshed_through(closed, cuts)
+        closed = _without_cuts(closed, cuts)
     labels = cleaned_labels(closed.vertices, closed.triangles, closed.labels)
     cleaned = replace(closed, labels=labels)
-    for label in ENDOCARDIAL:
-        _check_one_endocardium(cleaned, label)
-    check_labelled_sides(cleaned)
+    for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
+        name = f"{surface.name}: {label.words}"
+        if not boundary_loops(oriented_piece(name, cleaned.vertices, cleaned.having(label))):
+            raise InputError(f"{name}: the surface is closed; it must be open at the base")
+    check_sides(cleaned)
     return cleaned
 
 
@@ -172,59 +147,42 @@ def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
     return replace(surface, triangles=turned_outwards(surface.vertices, triangles))
 
 
-def _meshed_through(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
-    """The boundary of tetrahedra that fill a surface which cuts itself, with its labels."""
-    for _ in range(SHUFFLES):
-        try:
-            return _boundary_of_filling(surface)
-        except InputError as error:
-            found = str(error).removeprefix(f"{surface.name}: ")
-    at = place(surface.vertices[surface.triangles[cuts[0, 0]]].mean(axis=0))
-    raise InputError(
-        f"{surface.name}: {len(np.unique(cuts))} triangles cut through one another (the first at "
-        f"{at}), and the repair failed: {found}; remesh the surface there"
+def _without_cuts(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
+    """The surface of what lies within one that cuts itself, with the nearest labels.
+
+    Marching cubes on the signed distance, whose sign is that of the winding number (Barill et al.
+    2018, ACM Trans Graph 37(4):43), at nodes 1/150 of the diagonal apart.
+    """
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    edge = float(np.linalg.norm(high - low)) / 150
+    shape = np.ceil((high - low) / edge).astype(np.int64) + 5
+    nodes = low + edge * (np.indices(shape).reshape(3, -1).T - 2.0)
+    sign = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
+    distance = igl.signed_distance(nodes, surface.vertices, surface.triangles, sign_type=sign)[0]
+    # no node closer to the surface than a twentieth of an edge, which keeps slivers away
+    distance = np.where(distance < 0, -1, 1) * np.maximum(np.abs(distance), edge / 20)
+    index, triangles = marching_cubes(distance.reshape(shape))
+    _, pieces = igl.facet_components(triangles)
+    index, triangles = without_unused_vertices(
+        index, triangles[pieces == np.bincount(pieces).argmax()]
     )
-
-
-def _boundary_of_filling(surface: LabelledSurface) -> LabelledSurface:
-    """Fill it once, and refuse a boundary that is no better; the caller says of which surface."""
-    import pytetwild
-
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), signals_restored():
-        # it leaves a file (__tracked_surface.stl) where it runs
-        vertices, tetrahedra = pytetwild.tetrahedralize(
-            np.ascontiguousarray(surface.vertices, dtype=np.float64),
-            np.ascontiguousarray(surface.triangles, dtype=np.int32),
-            edge_length_fac=COARSE,
-            epsilon=ENVELOPE,
-            stop_energy=CONTENT,
-            num_opt_iter=PASSES,
-            simplify=False,  # which took nine tenths of the time
-            quiet=True,
-        )
-    if not len(tetrahedra):
-        raise InputError("nothing was left")
-    triangles, _ = boundary_triangles(tetrahedra)
-    vertices = np.asarray(vertices, dtype=float)
+    vertices = low + edge * (index - 2.0)
     middle = vertices[triangles].mean(axis=1)
     _, nearest, _ = igl.point_mesh_squared_distance(middle, surface.vertices, surface.triangles)
-    labels = surface.labels[nearest]
-    boundary = oriented_outwards(
-        compacted(LabelledSurface(vertices, triangles, labels, surface.name))
-    )
-    before, after = (closed_volume(s.vertices, s.triangles) for s in (surface, boundary))
-    change = after / before - 1
-    if abs(change) > VOLUME_KEPT:
-        raise InputError(f"the volume changed by {change:+.0%}")
-    left = self_intersections(boundary.vertices, boundary.triangles)
-    if len(left):
-        at = place(boundary.vertices[boundary.triangles[left[0, 0]]].mean(axis=0))
-        raise InputError(f"the new one still cuts itself (at {at})")
-    return boundary
-
-
-def _check_one_endocardium(surface: LabelledSurface, label: Label) -> None:
-    name = f"{surface.name}: {label.words}"
-    triangles = oriented_piece(name, surface.vertices, surface.having(label))
-    if not boundary_loops(triangles):
-        raise InputError(f"{name}: the surface is closed; it must be open at the base")
+    try:
+        drawn = oriented_outwards(
+            replace(surface, vertices=vertices, triangles=triangles, labels=surface.labels[nearest])
+        )
+        before, after = (closed_volume(s.vertices, s.triangles) for s in (surface, drawn))
+        if abs(after / before - 1) > 0.02:
+            raise InputError(f"the volume changed by {after / before - 1:+.0%}")
+        if igl.euler_characteristic(triangles) != igl.euler_characteristic(surface.triangles):
+            raise InputError("there would be a hole through a wall")
+    except InputError as error:
+        at = place(surface.vertices[surface.triangles[cuts[0, 0]]].mean(axis=0))
+        raise InputError(
+            f"{surface.name}: {len(np.unique(cuts))} triangles cut through one another (the first "
+            f"at {at}), and the repair failed: {str(error).removeprefix(f'{surface.name}: ')}; "
+            "remesh the surface there"
+        ) from None
+    return drawn

@@ -1,38 +1,25 @@
-"""Tetrahedra of a given edge length inside a closed labelled surface."""
+"""Tetrahedra inside a closed labelled surface, and inside one that has tetrahedra already."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from fascicle.build.label_cleaning import cleaned_labels
-from fascicle.build.surface_remeshing import remeshed_surface
-from fascicle.build.wall_thickness import check_edge_length, wall_thickness
+from fascicle.build.anatomy import Anatomy
+from fascicle.build.endocardia import cleaned_labels
+from fascicle.build.surface_checks import check_edge_length, wall_thickness
+from fascicle.build.surface_meshing import remeshed_surface
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_volume
-from fascicle.mesh.meshing import (
-    NOTHING,
-    Interface,
-    as_float64,
-    as_int32,
-    signals_restored,
-    tetrahedralise,
-)
+from fascicle.mesh.measures import closed_volume, principal_axes
+from fascicle.mesh.meshing import NOTHING, Interface, remeshed_tetrahedra, tetrahedralise
+from fascicle.mesh.quality import quality
 from fascicle.mesh.topology import boundary_triangles, places_in
-
-# Vertices in a cube with the edge length's side (measured: 2.0 at 1 mm, 2.2 at 2 mm, 2.4 at 3 mm on
-# a heart of 145 ml; the more the larger the share of the surface), and what they need at the peak
-# (measured at 1 mm: 1.6 GB for 292,000).
-VERTICES_PER_CUBE = 2.2
-MEMORY_PER_VERTEX = 6e3  # bytes
-
-TISSUE = 1  # Netgen's number of what is inside
-STAGES = 3
 
 
 def mesh_surface(
@@ -40,9 +27,9 @@ def mesh_surface(
 ) -> LabelledMesh:
     """Fill a closed labelled surface with tetrahedra.
 
-    MMG remeshes the surface at the edge length and keeps the borders between labels (Dapogny et
+    Mmg remeshes the surface at the edge length and keeps the borders between labels (Dapogny et
     al., J. Comput. Phys. 262:358, 2014), Netgen fills it (Schöberl, Comput. Vis. Sci. 1:41, 1997),
-    and MMG brings the inside to the edge length while the surface stays. The same surface gives the
+    and Mmg brings the inside to the edge length while the surface stays. The same surface gives the
     same mesh.
 
     Parameters
@@ -62,34 +49,31 @@ def mesh_surface(
     """
     check_edge_length(wall_thickness(surface), edge_length, surface.name)
     check_memory(surface, edge_length)
-    progress(0, STAGES)
+    progress(0, 3)
     remeshed = remeshed_surface(surface, edge_length)
-    progress(1, STAGES)
+    progress(1, 3)
     vertices, tetrahedra, _ = tetrahedralise(
-        [Interface(remeshed.vertices, remeshed.triangles, TISSUE, NOTHING)],
+        [Interface(remeshed.vertices, remeshed.triangles, 1, NOTHING)],
         f"{surface.name}: the inside of the surface with edges of {edge_length:g} mm",
         "give a shorter edge length, or smooth the surface",
         maxh=edge_length,
     )
-    progress(2, STAGES)
-    mesh = _refined(remeshed, vertices, tetrahedra, edge_length)
-    progress(STAGES, STAGES)
+    progress(2, 3)
+    mesh = _remeshed_inside(remeshed, vertices, tetrahedra, hsiz=edge_length)
+    # coarse borders can touch themselves
+    mesh = replace(mesh, labels=cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels))
+    progress(3, 3)
     return mesh
 
 
 def check_memory(surface: LabelledSurface, edge_length: float) -> None:
-    """Refuse an edge length whose mesh would not fit in the memory that is free.
-
-    Raises
-    ------
-    InputError
-        With the vertices expected, the memory needed and free, and the edge length that fits.
-    """
+    """Refuse an edge length (mm) whose mesh would not fit in the memory that is free."""
     if not (np.isfinite(edge_length) and edge_length > 0):
         raise InputError(f"edge length: {edge_length:g} mm; it must be above 0")
-    volume = closed_volume(surface.vertices, surface.triangles)
-    vertices = VERTICES_PER_CUBE * volume / edge_length**3
-    needed, free = MEMORY_PER_VERTEX * vertices, available_memory()
+    # measured on a heart of 145 ml: 2.0 (1 mm) to 2.4 (3 mm) vertices in a cube of that side, and
+    # 1.6 GB for 292,000 vertices
+    vertices = 2.2 * closed_volume(surface.vertices, surface.triangles) / edge_length**3
+    needed, free = 6e3 * vertices, available_memory()
     if needed > free:
         fitting = edge_length * (needed / free) ** (1 / 3)
         raise InputError(
@@ -99,51 +83,57 @@ def check_memory(surface: LabelledSurface, edge_length: float) -> None:
         )
 
 
-def _refined(
-    surface: LabelledSurface, vertices: Floats, tetrahedra: Integers, edge_length: float
-) -> LabelledMesh:
-    """The same boundary with tetrahedra of the edge length, and its labels."""
-    mesh = remeshed_inside(surface, vertices, tetrahedra, hsiz=edge_length)
-    labels = cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels)
-    return replace(mesh, labels=labels)  # coarse borders can touch themselves
-
-
-def remeshed_inside(
+def _remeshed_inside(
     surface: LabelledSurface | LabelledMesh,
     vertices: Floats,
     tetrahedra: Integers,
     **options: float,
 ) -> LabelledMesh:
-    """Mesh the inside of a boundary again by Mmg; the boundary and its labels stay.
-
-    Parameters
-    ----------
-    surface : LabelledSurface or LabelledMesh
-        The boundary of the tetrahedra, its vertices first among theirs.
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        Positions (mm) and vertex indices.
-    **options
-        Mmg's: ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it as it is.
-    """
-    import mmgpy
-
-    mesh = mmgpy.MmgMesh3D(as_float64(vertices), as_int32(tetrahedra))
-    mesh.set_mesh_size(
-        vertices=len(vertices), tetrahedra=len(tetrahedra), triangles=len(surface.triangles)
+    """Mesh the inside of a surface again by Mmg; its vertices are the first of the tetrahedra's."""
+    positions, refined, triangles, labels = remeshed_tetrahedra(
+        vertices, tetrahedra, surface.triangles, surface.labels, **options
     )
-    mesh.set_vertices(as_float64(vertices))
-    mesh.set_tetrahedra(as_int32(tetrahedra))
-    mesh.set_triangles(as_int32(surface.triangles), as_int32(surface.labels))
-    with signals_restored():
-        mesh.remesh(**options, nosurf=1, verbose=-1)
-    refined = np.array(mesh.get_tetrahedra(), dtype=np.int64)
-    labelled, labels = mesh.get_triangles_with_refs()
     boundary, _ = boundary_triangles(refined)
-    positions = np.array(mesh.get_vertices(), dtype=float)
-    at = places_in(boundary, np.asarray(labelled, dtype=np.int64))
+    at = places_in(boundary, triangles)
     if at.min() < 0:
         raise RuntimeError("the boundary is not the surface that was to be kept")
-    kept = np.asarray(labels, dtype=np.int64)[at]
-    return LabelledMesh(
-        vertices=positions, tetrahedra=refined, triangles=boundary, labels=kept, name=surface.name
+    return LabelledMesh(positions, refined, boundary, labels[at], name=surface.name)
+
+
+def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
+    """Mesh the inside of labelled tetrahedra again, with edges as long as they were.
+
+    The boundary stays. Fibres and sheets are axes without a sign: the new one is the principal axis
+    of the mean of f fᵀ over the four nearest tetrahedra, weighted by the inverse of their distance.
+    A region is that of the nearest tetrahedron. Endocardia and labels do not change.
+    """
+    mesh = anatomy.mesh
+    new = _remeshed_inside(mesh, mesh.vertices, mesh.tetrahedra, optim=1)
+    before, after = (quality(each.vertices, each.tetrahedra).angles.min() for each in (mesh, new))
+    centres = [each.vertices[each.tetrahedra].mean(axis=1) for each in (mesh, new)]
+    distance, near = cKDTree(centres[0]).query(centres[1], k=4)
+    weights = 1 / (distance + 1e-9)  # a tetrahedron that is still there counts alone
+    note = (
+        f"mesh: its inside was meshed again and its surface kept: {len(mesh.tetrahedra)} "
+        f"tetrahedra before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} "
+        f"degrees before, {after:.1f} after; fibres, sheets and regions are those of the nearest "
+        "tetrahedra"
     )
+    return replace(
+        anatomy,
+        mesh=replace(new, regions=None if mesh.regions is None else mesh.regions[near[:, 0]]),
+        fibres=None if anatomy.fibres is None else mean_axes(anatomy.fibres[near], weights),
+        sheets=None if anatomy.sheets is None else mean_axes(anatomy.sheets[near], weights),
+        notes=(*anatomy.notes, note),
+        own_mesh=False,
+    )
+
+
+def mean_axes(directions: Floats, weights: Floats) -> Floats:
+    """Mean axes (n, 3) of unit vectors (n, k, 3) with weights (n, k), whose signs do not count.
+
+    Each has the sign of the first direction.
+    """
+    axes = principal_axes(np.sqrt(weights)[..., None] * directions)
+    sign = np.sign(np.einsum("ni,ni->n", axes, directions[:, 0]))
+    return np.asarray(axes * np.where(sign == 0, 1, sign)[:, None])

@@ -66,8 +66,8 @@ def heart_build(
     ```
     """
     from fascicle.build.anatomy import Source
-    from fascicle.build.body import Body
     from fascicle.build.build_heart import build_heart
+    from fascicle.build.torso import TorsoOptions
     from fascicle.cli.output import TerminalProgress
     from fascicle.heart.folder import check_heart_folder
 
@@ -91,7 +91,7 @@ def heart_build(
             source,
             edge_length=edge_length,
             angles=angles,
-            body=Body(torso, tuple(lung or ()), measures, pose, electrodes),
+            torso=TorsoOptions(torso, tuple(lung or ()), measures, pose, electrodes),
             seeds=seeds,
             name=folder.resolve().name,
             progress=progress,
@@ -131,7 +131,7 @@ def heart_import(
     the base, pointing to the apex. Without **--torso idealised** the volume conductor is unbounded,
     and the ratios of the leads are wrong.
     """
-    from fascicle.build.body import Body, in_body
+    from fascicle.build.torso import TorsoOptions, in_torso
     from fascicle.cli.output import TerminalProgress
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.folder import check_heart_folder
@@ -140,7 +140,7 @@ def heart_import(
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
     measures = options.known(height=height, weight=weight, chest=chest)
-    body = Body(torso, tuple(lung or ()), measures, pose, electrodes)
+    surrounding = TorsoOptions(torso, tuple(lung or ()), measures, pose, electrodes)
     heart = assemble_heart(
         mesh=read_mesh(mesh, "mesh"),
         fibres=read_mesh(fibres, "fibres"),
@@ -153,7 +153,7 @@ def heart_import(
         name=out.resolve().name,
     )
     with TerminalProgress() as progress:
-        heart, notes = in_body(heart, labelled_mesh(heart), body, progress)
+        heart, notes = in_torso(heart, labelled_mesh(heart), surrounding, progress)
     for note in notes:
         print(note)
     found = _write_and_check(heart, out, {"lv": lv_endocardium, "rv": rv_endocardium})

@@ -1,4 +1,4 @@
-"""Triangles by Mmg and VTK and tetrahedra by Netgen: arrays in, arrays out, nothing printed."""
+"""Triangles by Mmg, VTK and libigl, tetrahedra by Netgen: arrays in, arrays out."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from contextlib import contextmanager
 from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
+import igl
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.mesh.measures import closed_volume, signed_volumes
+from fascicle.mesh.measures import closed_volume, signed_volumes, turned_outwards
 from fascicle.mesh.topology import unique_edges
 
 NOTHING = 0  # Netgen's number for what stays empty
-VOLUME_TOLERANCE = 1e-6  # relative; what is left is rounding
-PRINTED = (1, 2)  # standard output and standard error
-FAILURE = re.compile(r"failed with error: (?:Stop meshing since )?(.+)")  # as Netgen prints it
 
 
 class Interface(NamedTuple):
@@ -96,14 +95,17 @@ def tetrahedralise(
         except netgen.NgException as error:
             printed.write(f"failed with error: {error}\n".encode())
         printed.seek(0)
-        failure = FAILURE.search(printed.read().decode(errors="replace"))
+        failure = re.search(
+            r"failed with error: (?:Stop meshing since )?(.+)",
+            printed.read().decode(errors="replace"),
+        )
     elements = mesh.Elements3D().NumPy()
     corners = elements["nodes"] if len(elements) else np.empty((0, 4))
     tetrahedra = corners[:, [0, 2, 1, 3]].astype(np.int64) - 1  # Netgen orients otherwise
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     volume = float(signed_volumes(vertices, tetrahedra).sum())
     missing = 1 - volume / sum(interface.enclosed for interface in interfaces)
-    if abs(missing) > VOLUME_TOLERANCE:
+    if abs(missing) > 1e-6:  # more than rounding
         why = f" ({failure[1].strip()})" if failure else ""
         raise InputError(
             f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
@@ -113,9 +115,9 @@ def tetrahedralise(
 
 @contextmanager
 def signals_restored() -> Iterator[None]:
-    """Listen to Ctrl-C again after Mmg or fTetWild, which take Python's handlers away.
+    """Listen to Ctrl-C again after Mmg, which takes Python's handlers away.
 
-    While they run, a signal ends the process at once.
+    While it runs, a signal ends the process at once.
     """
     try:
         yield
@@ -129,9 +131,9 @@ def signals_restored() -> Iterator[None]:
 def _kept_quiet() -> Iterator[IO[bytes]]:
     """Send what compiled code prints to a file."""
     with TemporaryFile() as printed:
-        streams = [(stream, os.dup(stream)) for stream in PRINTED]
+        streams = [(stream, os.dup(stream)) for stream in (1, 2)]
         try:
-            for stream in PRINTED:
+            for stream, _ in streams:
                 os.dup2(printed.fileno(), stream)
             yield printed
         finally:
@@ -147,10 +149,8 @@ def remeshed_triangles(
 
     Parameters
     ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        The surface (mm).
-    labels : (m,) array
-        A label for each triangle.
+    vertices, triangles, labels : (n, 3), (m, 3) and (m,) arrays
+        The surface (mm), and a label for each triangle.
     **options
         Mmg's: ``hsiz``, ``hmin``, ``hmax`` and ``hausd`` (mm), ``angle`` (1: keep sharp edges).
 
@@ -159,8 +159,8 @@ def remeshed_triangles(
     tuple
         The new vertices, triangles and labels.
 
-    Notes
-    -----
+    References
+    ----------
     Dapogny, Dobrzynski and Frey 2014, J Comput Phys 262:358-378.
     """
     import mmgpy
@@ -175,6 +175,43 @@ def remeshed_triangles(
         np.array(mesh.get_vertices(), dtype=float),
         np.array(new, dtype=np.int64),
         np.array(new_labels, dtype=np.int64),
+    )
+
+
+def remeshed_tetrahedra(
+    vertices: Floats, tetrahedra: Integers, triangles: Integers, labels: Integers, **options: float
+) -> tuple[Floats, Integers, Integers, Integers]:
+    """Mesh the inside of a labelled boundary again by Mmg; the boundary stays.
+
+    Parameters
+    ----------
+    vertices, tetrahedra : (n, 3) and (m, 4) arrays
+        Positions (mm), and vertex indices.
+    triangles, labels : (b, 3) and (b,) arrays
+        The boundary, and a label for each of its triangles.
+    **options
+        Mmg's: ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it.
+
+    Returns
+    -------
+    tuple
+        The new vertices and tetrahedra, and the boundary's triangles and labels, in Mmg's order.
+    """
+    import mmgpy
+
+    mesh = mmgpy.MmgMesh3D(as_float64(vertices), as_int32(tetrahedra))
+    mesh.set_mesh_size(vertices=len(vertices), tetrahedra=len(tetrahedra), triangles=len(triangles))
+    mesh.set_vertices(as_float64(vertices))
+    mesh.set_tetrahedra(as_int32(tetrahedra))
+    mesh.set_triangles(as_int32(triangles), as_int32(labels))
+    with signals_restored():
+        mesh.remesh(**options, nosurf=1, verbose=-1)
+    kept, kept_labels = mesh.get_triangles_with_refs()
+    return (
+        np.array(mesh.get_vertices(), dtype=float),
+        np.array(mesh.get_tetrahedra(), dtype=np.int64),
+        np.array(kept, dtype=np.int64),
+        np.array(kept_labels, dtype=np.int64),
     )
 
 
@@ -214,6 +251,22 @@ def constrained_delaunay(places: Floats, loops: Sequence[Integers]) -> tuple[Int
     sides = np.column_stack([starts, np.concatenate([np.roll(loop, -1) for loop in loops])])
     kept = np.array([tuple(side) in boundary for side in np.sort(sides, axis=1).tolist()])
     return triangles, starts if len(boundary) > len(sides) else starts[~kept]
+
+
+def marching_cubes(values: Floats) -> tuple[Floats, Integers]:
+    """Surface of {values < 0} on a grid, in node indices, with outward normals, by libigl."""
+    corners = np.array(
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    )
+    inside = sliding_window_view(values < 0, (2, 2, 2))
+    cells = np.argwhere(inside.any(axis=(3, 4, 5)) & ~inside.all(axis=(3, 4, 5)))
+    nodes = np.ravel_multi_index(tuple(np.moveaxis(cells[:, None] + corners, 2, 0)), values.shape)
+    used, cubes = np.unique(nodes, return_inverse=True)
+    positions = np.stack(np.unravel_index(used, values.shape), axis=1).astype(np.float64)
+    vertices, triangles, _ = igl.marching_cubes(
+        values.ravel()[used], positions, cubes.reshape(-1, 8).astype(np.int64), 0.0
+    )
+    return vertices, turned_outwards(vertices, triangles)
 
 
 def as_int32(array: Integers) -> NDArray[np.int32]:

@@ -9,17 +9,7 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.mesh.topology import TETRAHEDRON_EDGES
 
-CHILDREN = 8
-# Corners of the children: 0 to 3 those of the parent, 4 to 9 the midpoints of `TETRAHEDRON_EDGES`
-_AT_CORNERS = ((0, 4, 5, 6), (4, 1, 7, 8), (5, 7, 2, 9), (6, 8, 9, 3))
-# The octahedron in the middle, cut along each of its diagonals; the first two corners are its ends
-_AROUND_DIAGONAL = np.array(
-    [
-        [(4, 9, 7, 5), (4, 9, 8, 7), (4, 9, 6, 8), (4, 9, 5, 6)],
-        [(5, 8, 6, 4), (5, 8, 9, 6), (5, 8, 7, 9), (5, 8, 4, 7)],
-        [(6, 7, 8, 4), (6, 7, 9, 8), (6, 7, 5, 9), (6, 7, 4, 5)],
-    ]
-)
+CHILDREN = 8  # of each tetrahedron
 
 
 class Refinement(NamedTuple):
@@ -46,26 +36,31 @@ class Refinement(NamedTuple):
 
 
 def in_eight(vertices: Floats, tetrahedra: Integers) -> Refinement:
-    """Cut each tetrahedron into eight at the midpoints of its edges.
+    """Cut each tetrahedron of a mesh (mm) into eight at the midpoints of its edges.
 
     Its corners are cut off, and the octahedron that remains is cut along its shortest diagonal,
     which makes the least flat children (Zhang, Houston J. Math. 21, 1995, 541-556). All have an
     eighth of its volume. Faces are cut the same from both sides.
-
-    Parameters
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The mesh (mm).
     """
+    # corners of the children: 0 to 3 those of the parent, 4 to 9 the midpoints of its edges
+    at_corners = ((0, 4, 5, 6), (4, 1, 7, 8), (5, 7, 2, 9), (6, 8, 9, 3))
+    # the octahedron cut along each of its diagonals, whose ends are the first two corners
+    around_diagonal = np.array(
+        [
+            [(4, 9, 7, 5), (4, 9, 8, 7), (4, 9, 6, 8), (4, 9, 5, 6)],
+            [(5, 8, 6, 4), (5, 8, 9, 6), (5, 8, 7, 9), (5, 8, 4, 7)],
+            [(6, 7, 8, 4), (6, 7, 9, 8), (6, 7, 5, 9), (6, 7, 4, 5)],
+        ]
+    )
     pairs = np.sort(tetrahedra[:, TETRAHEDRON_EDGES].reshape(-1, 2), axis=1)
     key, place = np.unique(pairs @ [len(vertices), 1], return_inverse=True)
     edges = np.stack(np.divmod(key, len(vertices)), axis=1)
     finer = np.concatenate([vertices, vertices[edges].mean(axis=1)])
     midpoints = len(vertices) + place.reshape(-1, len(TETRAHEDRON_EDGES))
     points = np.concatenate([tetrahedra, midpoints], axis=1)
-    ends = finer[points[:, _AROUND_DIAGONAL[:, 0, :2]]]
+    ends = finer[points[:, around_diagonal[:, 0, :2]]]
     shortest = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).argmin(axis=1)
-    corners = np.broadcast_to(_AT_CORNERS, (len(points), 4, 4))
-    children = np.concatenate([corners, _AROUND_DIAGONAL[shortest]], axis=1)
+    corners = np.broadcast_to(at_corners, (len(points), 4, 4))
+    children = np.concatenate([corners, around_diagonal[shortest]], axis=1)
     cut = np.take_along_axis(points, children.reshape(len(points), -1), axis=1)
     return Refinement(finer, np.ascontiguousarray(cut.reshape(-1, 4)), edges)

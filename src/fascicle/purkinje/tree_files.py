@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import check_file, write_text
+from fascicle.core.files import check_file
 from fascicle.core.ranges import check_array
 from fascicle.mesh.formats import opencarp
 from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
@@ -79,8 +79,7 @@ def write_opencarp_tree(stem: Path, tree: PurkinjeTree) -> None:
     )
     along = tree.nodes[child] - tree.nodes[parent]
     opencarp.write_directions(opencarp.opencarp_file(stem, ".lon"), [unit(along)])
-    lengths = opencarp.rows(opencarp.COORDINATE, tree.lengths[child] * opencarp.MICROMETRES)
-    write_text(opencarp.opencarp_file(stem, "_length.dat"), lengths)
+    opencarp.write_lengths(opencarp.opencarp_file(stem, "_length.dat"), tree.lengths[child])
     opencarp.write_vtx(opencarp.opencarp_file(stem, "_root.vtx"), np.array([tree.root]))
     opencarp.write_vtx(opencarp.opencarp_file(stem, "_junctions.vtx"), tree.junctions)
 

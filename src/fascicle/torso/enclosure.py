@@ -10,7 +10,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_units
-from fascicle.mesh.intersections import self_intersections
+from fascicle.mesh.quality import intersections, self_intersections
 from fascicle.mesh.topology import directed_edges, unique_edges
 from fascicle.torso.surfaces import Surface, signed_distance
 
@@ -126,13 +126,5 @@ def _place(point: Floats) -> str:
 
 def crossing(one: Surface, other: Surface) -> Floats | None:
     """A place (3,) where two surfaces, or one given twice, pass through each other, if any."""
-    if one is other:
-        corners, pairs = one.corners, self_intersections(*one)
-    else:
-        corners = np.concatenate([one.corners, other.corners])
-        triangles = np.concatenate([one.triangles, len(one.vertices) + other.triangles])
-        surface = np.repeat([0, 1], [len(one.triangles), len(other.triangles)])
-        pairs = self_intersections(
-            np.concatenate([one.vertices, other.vertices]), triangles, surface
-        )
-    return np.asarray(corners[pairs[0, 0]].mean(axis=0)) if len(pairs) else None
+    pairs = self_intersections(*one) if one is other else intersections(one, other)
+    return np.asarray(one.corners[pairs[0, 0]].mean(axis=0)) if len(pairs) else None

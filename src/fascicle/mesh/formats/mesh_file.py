@@ -1,4 +1,4 @@
-"""Meshes in VTK, VTU, VTP, OBJ, STL, PLY, Gmsh and openCARP files."""
+"""What a mesh file holds, whatever its format."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 
 OPENCARP_FORMATS = (".pts", ".elem")  # either stands for both, and for the `.lon`
-
-
-# VTK's numbers for the cells that are used here, and meshio's names for the same
-LINE, POLY_LINE, TRIANGLE, TETRAHEDRON = 3, 4, 5, 10
-VTK_IGNORED = (0, 1, 2)  # empty cells and lone vertices
+LINE, TRIANGLE, TETRAHEDRON = 3, 5, 10  # VTK's numbers for the cells that are used here
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
 

@@ -1,4 +1,10 @@
-"""Gmsh and PLY files, by meshio."""
+"""PLY files and Gmsh files of format 4 by meshio, and Gmsh files of format 2.
+
+VTK's PLY reader crashes on truncated binary files and fills up text ones. meshio mixes up element
+data of Gmsh's format 2 where there are cells of several kinds, and takes no data of some elements
+only, as Gmsh writes fibres of tetrahedra that lie beside triangles. The format is that of the Gmsh
+reference manual, section "MSH file format version 2 (Legacy)".
+"""
 
 from __future__ import annotations
 
@@ -6,6 +12,7 @@ import contextlib
 import io
 import re
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +20,19 @@ import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
-from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
+from fascicle.mesh.formats.mesh_file import GROUP, LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
-MESHIO_CELLS = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
+# Gmsh's number of an element type: its name and how many nodes it has
+ELEMENTS = {
+    1: ("line", 2), 2: ("triangle", 3), 3: ("quadrangle", 4), 4: ("tetra", 4),
+    5: ("hexahedron", 8), 6: ("prism", 6), 7: ("pyramid", 5), 8: ("line3", 3), 9: ("triangle6", 6),
+    10: ("quadrangle9", 9), 11: ("tetrahedron10", 10), 15: ("vertex", 1),
+}  # fmt: skip
+USED = {"line": LINE, "triangle": TRIANGLE, "tetra": TETRAHEDRON}
 
 
 def read_meshio(path: Path) -> MeshFile:
-    """Read a Gmsh or PLY file by meshio."""
+    """Read a Gmsh file of format 4 or a PLY file by meshio."""
     import meshio
 
     printed = io.StringIO()
@@ -37,7 +50,7 @@ def read_meshio(path: Path) -> MeshFile:
         raise damaged(path, one_line(printed.getvalue()))
     cells: dict[int, Integers] = {}
     cell_data: dict[int, dict[str, Floats]] = {}
-    for name, kind in MESHIO_CELLS.items():
+    for name, kind in USED.items():
         blocks = [i for i, block in enumerate(data.cells) if block.type == name]
         if blocks:
             cells[kind] = np.concatenate([data.cells[i].data for i in blocks]).astype(np.int64)
@@ -49,9 +62,7 @@ def read_meshio(path: Path) -> MeshFile:
     if points.shape[1] != 3:
         raise InputError(f"{path}: points have {points.shape[1]} coordinates; 3 are needed")
     others = {
-        block.type: len(block.data)
-        for block in data.cells
-        if block.type not in MESHIO_CELLS and block.type != "vertex"
+        block.type: len(block.data) for block in data.cells if block.type not in (*USED, "vertex")
     }
     groups = {name: (int(of), int(number)) for name, (number, of) in data.field_data.items()}
     return MeshFile(path, points, cells, dict(data.point_data), cell_data, others, groups=groups)
@@ -73,3 +84,171 @@ def _read_ply(path: Path) -> Any:
         if int(number) != found[element]:
             raise ValueError(f"{found[element]} of {int(number)} elements '{element.decode()}'")
     return data
+
+
+def gmsh22_header(content: bytes) -> re.Match[bytes] | None:
+    """The header of a Gmsh file of format 2; its group is 1 in a binary file."""
+    return re.match(rb"\$MeshFormat\s+2(?:\.\d+)?\s+([01])\s+8\s*\n", content)
+
+
+def read_gmsh22(path: Path, content: bytes) -> MeshFile:
+    """Read a Gmsh file of format 2, text or binary.
+
+    Physical groups are in the cell array `GROUP` and in ``groups``. Element data are cell arrays
+    of the kinds that have any, not a number where an element has none.
+
+    Raises
+    ------
+    InputError
+        If the file is truncated or damaged.
+    """
+    try:
+        return _parsed(path, content)
+    except (ValueError, LookupError, OverflowError, MemoryError) as error:
+        raise damaged(path, one_line(error)) from None
+
+
+def _parsed(path: Path, content: bytes) -> MeshFile:
+    header = gmsh22_header(content)
+    is_binary = header is not None and header[1] == b"1"
+    nodes, elements = np.empty((0, 4)), list[tuple[int, int, Integers]]()
+    groups: dict[str, tuple[int, int]] = {}
+    data: dict[str, dict[str, Floats]] = {"NodeData": {}, "ElementData": {}}
+    for name, body in _sections(content):
+        if name == "MeshFormat" and is_binary and body.split(b"\n")[1][:4] != b"\1\0\0\0":
+            raise ValueError("byte order of another machine")
+        if name == "PhysicalNames":
+            for line in _counted(body)[1].decode("utf-8", "replace").strip().splitlines():
+                dimension, number, group = line.split(maxsplit=2)
+                groups[group.strip().strip('"')] = (int(dimension), int(number))
+        elif name == "Nodes":
+            nodes = _table(*_counted(body), 3, is_binary)
+        elif name == "Elements":
+            elements = (_binary_elements if is_binary else _text_elements)(*_counted(body))
+        elif name in data:
+            title, table = _read_data(body, is_binary)
+            data[name][title] = table
+    if not len(nodes) or not elements:
+        raise ValueError("no nodes or no elements")
+    ids = nodes[:, 0].astype(np.int64)
+    cells, cell_data, others = {}, {}, {}
+    for kind in sorted({kind for kind, _, _ in elements}):
+        type_name = ELEMENTS[kind][0]
+        tables = [(tags, table) for of, tags, table in elements if of == kind]
+        if type_name not in USED:
+            if type_name != "vertex":
+                others[type_name] = sum(len(table) for _, table in tables)
+            continue
+        corners = np.concatenate([table[:, 1 + tags :] for tags, table in tables])
+        places = _places(corners, ids)
+        if (places < 0).any():
+            raise ValueError(f"no node {corners[places < 0][0]}")
+        cells[USED[type_name]] = places
+        tags_of_group = [table[:, 1] if tags else np.zeros(len(table)) for tags, table in tables]
+        numbers = np.concatenate([table[:, 0] for _, table in tables])
+        arrays = _arrays(data["ElementData"], numbers)
+        cell_data[USED[type_name]] = {GROUP: np.concatenate(tags_of_group).astype(float)} | arrays
+    point_data = _arrays(data["NodeData"], ids)
+    return MeshFile(path, nodes[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
+
+
+def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
+    """Name and content of each section."""
+    at = 0
+    while content[at:].strip():
+        start = re.compile(rb"\s*\$(\w+)\s*?\n").match(content, at)
+        if start is None:
+            raise ValueError(f"no section where one should start (byte {at})")
+        end = b"$End" + start[1]
+        found = content.find(end, start.end())
+        at = content.find(b"\n", found) + 1
+        if found < 0 or not at or content[found:at].strip() != end:
+            raise ValueError("ends within a section")
+        yield start[1].decode(), content[start.end() : found]
+
+
+def _lines(body: bytes, count: int) -> tuple[list[str], bytes]:
+    """So many lines, and what follows them."""
+    *lines, rest = body.split(b"\n", max(count, 0))
+    if len(lines) != count:
+        raise ValueError("ends within a section")
+    return [line.decode("utf-8", "replace").strip() for line in lines], rest
+
+
+def _counted(body: bytes) -> tuple[int, bytes]:
+    (count,), rest = _lines(body, 1)
+    return int(count), rest
+
+
+def _table(rows: int, body: bytes, columns: int, is_binary: bool) -> Floats:
+    """Rows of one whole number and so many others (rows, 1 + columns)."""
+    if not is_binary:
+        return np.array(body.decode("ascii").split(), dtype=float).reshape(rows, 1 + columns)
+    row = np.dtype([("id", "<i4"), ("values", "<f8", (columns,))])
+    if not 0 <= len(body) - rows * row.itemsize <= 2:  # a line end may follow
+        raise ValueError(f"announces {rows} rows")
+    read = np.frombuffer(body, row, rows)
+    return np.column_stack([read["id"].astype(float), read["values"]])
+
+
+def _text_elements(count: int, body: bytes) -> list[tuple[int, int, Integers]]:
+    """Type, number of tags, and a table of number, tags and nodes, of each block of elements."""
+    by_shape: dict[tuple[int, int], list[str]] = {}
+    lines = body.decode("ascii").strip().splitlines()
+    if len(lines) != count:
+        raise ValueError(f"announces {count} elements, {len(lines)} follow")
+    for line in lines:
+        kind, tags = line.split(maxsplit=3)[1:3]
+        by_shape.setdefault((int(kind), int(tags)), []).append(line)
+    parts = []
+    for (kind_number, tag_count), rows in by_shape.items():
+        numbers = np.array(" ".join(rows).split(), dtype=np.int64)
+        table = numbers.reshape(len(rows), 3 + tag_count + ELEMENTS[kind_number][1])
+        parts.append((kind_number, tag_count, np.delete(table, (1, 2), axis=1)))
+    return parts
+
+
+def _binary_elements(count: int, body: bytes) -> list[tuple[int, int, Integers]]:
+    parts, at = [], 0
+    while count > 0:
+        kind, rows, tags = map(int, np.frombuffer(body, "<i4", 3, at))
+        if not 0 < rows <= count or tags < 0:
+            raise ValueError(f"a block of {rows} elements with {tags} tags")
+        columns = 1 + tags + ELEMENTS[kind][1]
+        table = np.frombuffer(body, "<i4", rows * columns, at + 12).reshape(rows, columns)
+        parts.append((kind, tags, table.astype(np.int64)))
+        at += 12 + table.nbytes
+        count -= rows
+    return parts
+
+
+def _read_data(body: bytes, is_binary: bool) -> tuple[str, Floats]:
+    """Name of an array, and its rows: number of the node or element, and the values."""
+    tags = []
+    for _ in range(3):  # texts, numbers (the time) and whole numbers
+        count, body = _counted(body)
+        lines, body = _lines(body, count)
+        tags.append(lines)
+    names, _, (_, components, rows, *_) = tags
+    if not 0 < int(components) <= 9:
+        raise ValueError(f"data of {components} components")
+    return names[0].strip('"'), _table(int(rows), body, int(components), is_binary)
+
+
+def _places(wanted: Integers, numbers: Integers) -> Integers:
+    """Where each number stands among others; -1 where it does not."""
+    order = np.argsort(numbers, kind="stable")
+    at = np.searchsorted(numbers[order], wanted)
+    place = order[np.minimum(at, len(order) - 1)]
+    return np.where(numbers[place] == wanted, place, -1)
+
+
+def _arrays(tables: dict[str, Floats], ids: Integers) -> dict[str, Floats]:
+    """Values of each table in the order of these numbers, without tables that have none of them."""
+    arrays = {}
+    for name, table in tables.items():
+        place = _places(ids, table[:, 0].astype(np.int64)) if len(table) else np.full(len(ids), -1)
+        if (place >= 0).any():
+            values = np.where((place >= 0)[:, None], table[place, 1:], np.nan)
+            arrays[name] = values[:, 0] if values.shape[1] == 1 else values
+    return arrays

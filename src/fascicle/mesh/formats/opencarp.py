@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -25,30 +25,12 @@ from fascicle.mesh.formats.mesh_file import (
     damaged,
 )
 
-MICROMETRES = 1000.0  # per mm
-# Coordinates that span less than this are in mm: as µm it would be 3 mm, less than any ventricle
-# or tree; as mm it is 3 m, more than any torso.
-LARGEST_IN_MM = 3000.0
-
-# VTK's numbers for the elements that are used here, and how many nodes they have
+# Names of elements: VTK's number of those that are used here, and how many nodes they have
 ELEMENTS = {"Ln": (LINE, 2), "Tr": (TRIANGLE, 3), "Tt": (TETRAHEDRON, 4)}
 OTHER_ELEMENTS = {
-    "Cx": "connections",
-    "Qd": "quadrangles",
-    "Py": "pyramids",
-    "Pr": "prisms",
-    "Hx": "hexahedra",
+    "Cx": "connections", "Qd": "quadrangles", "Py": "pyramids", "Pr": "prisms", "Hx": "hexahedra",
     "Oc": "octahedra",
-}
-DOMAINS = ("intra", "extra")
-
-
-class _Block(NamedTuple):
-    """Elements of one type: their place in the file, nodes, and tags if there are any."""
-
-    rows: Integers
-    nodes: Integers
-    tags: Integers | None
+}  # fmt: skip
 
 
 def opencarp_file(path: Path | str, suffix: str) -> Path:
@@ -63,7 +45,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read `.pts` and `.elem`, and `.lon` where there is one.
 
     Coordinates are in µm and become mm; those that span less than 3000 are taken to be in mm
-    already.
+    already: as µm it would be 3 mm, less than any ventricle or tree; as mm more than any torso.
 
     Parameters
     ----------
@@ -83,54 +65,37 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     InputError
         If a file is missing, truncated or damaged, or they contradict one another.
     """
-    points = _read_points(opencarp_file(path, ".pts"), purpose)
+    file = opencarp_file(path, ".pts")
+    points = _table(file, _counted_lines(file, purpose), (3,))
+    if float(np.ptp(points, axis=0).max()) >= 3000.0:
+        points = points / 1000
     elements = opencarp_file(path, ".elem")
-    blocks, others, count = _read_elements(elements, purpose, len(points))
-    directions: dict[str, Floats] = {}
-    if opencarp_file(path, ".lon").exists():
-        directions = _read_directions(opencarp_file(path, ".lon"), count)
-    cells, cell_data = {}, {}
-    for kind, block in blocks.items():
-        cells[kind] = block.nodes
-        arrays = {name: values[block.rows] for name, values in directions.items()}
-        if block.tags is not None:
-            arrays["region"] = block.tags.astype(float)
-        cell_data[kind] = arrays
-    return MeshFile(elements, points, cells, {}, cell_data, others)
-
-
-def _read_points(path: Path, purpose: str) -> Floats:
-    points = _table(path, _counted_lines(path, purpose), (3,))
-    extent = float(np.ptp(points, axis=0).max())
-    return points if extent < LARGEST_IN_MM else points / MICROMETRES
-
-
-def _read_elements(
-    path: Path, purpose: str, points: int
-) -> tuple[dict[int, _Block], dict[str, int], int]:
-    """Elements by VTK's number of their kind, counts of other kinds, and of all."""
-    lines = _counted_lines(path, purpose)
+    lines = _counted_lines(elements, purpose)
     by_type: dict[str, list[int]] = {}
     for row, line in enumerate(lines):
         by_type.setdefault(line.lstrip()[:2], []).append(row)
-    blocks, others = {}, {}
-    for code, rows in by_type.items():
+    cells, cell_data, others = {}, dict[int, dict[str, Floats]](), {}
+    for code, rows_of_type in by_type.items():
         if code in OTHER_ELEMENTS:
-            others[OTHER_ELEMENTS[code]] = len(rows)
+            others[OTHER_ELEMENTS[code]] = len(rows_of_type)
             continue
         if code not in ELEMENTS:
             raise InputError(
-                f"{path}: line {rows[0] + 2} is of an unknown element type '{printable(code)}'; "
-                f"the types are {', '.join((*ELEMENTS, *OTHER_ELEMENTS))}"
+                f"{elements}: line {rows_of_type[0] + 2} is of an unknown element type "
+                f"'{printable(code)}'; the types are {', '.join((*ELEMENTS, *OTHER_ELEMENTS))}"
             )
         kind, corners = ELEMENTS[code]
-        table = _table(path, [lines[row].lstrip()[2:] for row in rows], (corners, corners + 1))
-        numbers = _whole(path, table)
-        tags = numbers[:, corners] if numbers.shape[1] > corners else None
-        nodes = np.ascontiguousarray(numbers[:, :corners])
-        _check_range(path, nodes, points)
-        blocks[kind] = _Block(np.array(rows), nodes, tags)
-    return blocks, others, len(lines)
+        text = [lines[row].lstrip()[2:] for row in rows_of_type]
+        numbers = _indices(elements, text, corners, len(points))
+        cells[kind] = np.ascontiguousarray(numbers[:, :corners])
+        tags = numbers[:, corners:].astype(float)
+        cell_data[kind] = {"region": tags[:, 0]} if tags.size else {}
+    if opencarp_file(path, ".lon").exists():
+        directions = _read_directions(opencarp_file(path, ".lon"), len(lines))
+        for code in by_type.keys() & ELEMENTS.keys():
+            rows = by_type[code]
+            cell_data[ELEMENTS[code][0]] |= {name: v[rows] for name, v in directions.items()}
+    return MeshFile(elements, points, cells, {}, cell_data, others)
 
 
 def _read_directions(path: Path, count: int) -> dict[str, Floats]:
@@ -138,34 +103,21 @@ def _read_directions(path: Path, count: int) -> dict[str, Floats]:
     header, *lines = _lines(path, "fibres")
     if header.strip() not in ("1", "2"):
         raise InputError(
-            f"{path}: the first line is '{_shown(header)}'; it must be the number of vectors in a "
+            f"{path}: the first line is '{_start(header)}'; it must be the number of vectors in a "
             "line: 1 (fibre) or 2 (fibre and sheet)"
         )
-    vectors = int(header)
     if len(lines) != count:
         raise InputError(
             f"{path}: {len(lines)} lines of fibres for {count} elements; give one a line for each "
             "element, or remove the file"
         )
-    table = _table(path, lines, (3 * vectors,))
-    names = ("fibre", "sheet")[:vectors]
+    names = ("fibre", "sheet")[: int(header)]
+    table = _table(path, lines, (3 * len(names),))
     return {name: table[:, 3 * k : 3 * k + 3] for k, name in enumerate(names)}
 
 
 def read_surf(path: Path, points: int) -> Integers:
-    """Read the triangles of a `.surf` file, as indices of the mesh's points.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    points : int
-        How many points the mesh has.
-
-    Returns
-    -------
-    (k, 3) array
-        Point indices.
+    """Read the triangles (k, 3) of a `.surf` file beside a mesh of so many points.
 
     Raises
     ------
@@ -177,40 +129,36 @@ def read_surf(path: Path, points: int) -> Integers:
     bad = next((row for row, line in enumerate(lines) if line.split()[:1] != ["Tr"]), None)
     if bad is not None:
         raise InputError(
-            f"{path}: line {bad + 2} is '{_shown(lines[bad])}'; every line must be a triangle "
+            f"{path}: line {bad + 2} is '{_start(lines[bad])}'; every line must be a triangle "
             "('Tr' and three indices)"
         )
-    table = _table(path, [line.lstrip()[2:] for line in lines], (3, 4))  # a tag may follow
-    triangles = _whole(path, table)[:, :3]
-    _check_range(path, triangles, points)
-    return np.ascontiguousarray(triangles)
+    triangles = _indices(path, [line.lstrip()[2:] for line in lines], 3, points)
+    return np.ascontiguousarray(triangles[:, :3])
 
 
-def read_vtx(path: Path | str) -> tuple[Integers, str]:
+def read_vtx(path: Path | str, points: int | None = None) -> tuple[Integers, str]:
     """Read the vertex numbers of a `.vtx` file, and its domain (``"intra"`` or ``"extra"``).
 
     Raises
     ------
     InputError
-        If the file is missing, truncated or damaged, or names no domain.
+        If the file is missing, truncated or damaged, names no domain, or refers to points that the
+        mesh, of so many `points`, does not have.
     """
     path = Path(path)
     header, *lines = _lines(path, "vertices")
     domain = lines[0].strip() if lines else ""
-    if domain not in DOMAINS:
+    if domain not in ("intra", "extra"):
         raise InputError(
-            f"{path}: the second line is '{_shown(domain)}'; it must be 'intra' or 'extra'"
+            f"{path}: the second line is '{_start(domain)}'; it must be 'intra' or 'extra'"
         )
-    indices = _whole(path, _table(path, _checked_count(path, header, lines[1:]), (1,)))[:, 0]
-    if indices.min() < 0:
-        raise InputError(f"{path}: index {indices.min()} is negative; indices count from 0")
-    return indices, domain
+    text = _checked_count(path, header, lines[1:])
+    return _indices(path, text, 1, points, tagged=False)[:, 0], domain
 
 
 def read_lengths(path: Path) -> Floats:
     """Read a `.dat` file of one length (µm) an element, as mm."""
-    lengths = _table(path, _lines(path, "lengths"), (1,))[:, 0] / MICROMETRES
-    return np.asarray(lengths, dtype=float)
+    return np.asarray(_table(path, _lines(path, "lengths"), (1,))[:, 0] / 1000)
 
 
 def _lines(path: Path, purpose: str) -> list[str]:
@@ -235,24 +183,18 @@ def _counted_lines(path: Path, purpose: str) -> list[str]:
 
 def _checked_count(path: Path, header: str, lines: list[str]) -> list[str]:
     """Lines, if they are as many as the header says."""
-    try:
-        count = int(header)
-    except ValueError:
-        found = f"the first line is '{_shown(header)}', not the number of lines that follow"
-        raise damaged(path, found) from None
-    if count != len(lines) or not lines:
-        raise damaged(path, f"the first line announces {count}, but {len(lines)} follow")
+    if not lines or header.strip() != str(len(lines)):
+        raise damaged(path, f"the first line is '{_start(header)}', and {len(lines)} lines follow")
     return lines
 
 
 def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
-    empty = next((row for row, line in enumerate(lines) if not line.strip()), None)
-    if empty is not None:
-        raise damaged(path, f"entry {empty + 1} has no numbers")
+    if not all(line.strip() for line in lines):
+        raise damaged(path, "a line without numbers")
     try:
         table = np.loadtxt(lines, ndmin=2, comments=None)
     except ValueError as error:
-        raise damaged(path, _shown(str(error).split(";")[0])) from None
+        raise damaged(path, _start(str(error).split(";")[0])) from None
     if len(table) != len(lines) or table.shape[1] not in columns:
         wanted = " or ".join(map(str, columns))
         found = f"{len(table)} lines with {table.shape[1]} numbers"
@@ -261,51 +203,48 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
     if bad.size:
         raise InputError(
             f"{path}: {bad.size} of {len(table)} lines hold numbers that are not finite (first: "
-            f"'{_shown(lines[bad[0]])}'); correct them"
+            f"'{_start(lines[bad[0]])}'); correct them"
         )
     return np.asarray(table, dtype=float)
 
 
-def _whole(path: Path, table: Floats) -> Integers:
+def _indices(
+    path: Path, lines: list[str], corners: int, points: int | None, tagged: bool = True
+) -> Integers:
+    """Indices of points, so many a line, and a tag where there is one."""
+    table = _table(path, lines, (corners, corners + 1) if tagged else (corners,))
     # beyond 2^53 not every whole number is a float, and no index is so large
     bad = np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))
     if len(bad):
         raise InputError(
             f"{path}: {table[tuple(bad[0])]:g} stands where a whole number should; correct it"
         )
-    return table.astype(np.int64)
-
-
-def _check_range(path: Path, nodes: Integers, points: int) -> None:
-    bad = nodes[(nodes < 0) | (nodes >= points)]
-    if bad.size:
-        raise InputError(
-            f"{path}: {bad.size} indices are out of range (first: {bad[0]}); the mesh has points 0 "
-            f"to {points - 1}"
+    numbers = table.astype(np.int64)
+    nodes = numbers[:, :corners]
+    outside = nodes[(nodes < 0) | (nodes >= (np.inf if points is None else points))]
+    if outside.size:
+        known = (
+            "indices count from 0" if points is None else f"the mesh has points 0 to {points - 1}"
         )
+        raise InputError(
+            f"{path}: {outside.size} indices are out of range (first: {outside[0]}); {known}"
+        )
+    return numbers
 
 
-def _shown(text: str) -> str:
+def _start(text: str) -> str:
     """Start of a line, fit for a message of one line."""
     return printable(" ".join(text.split())[:60])
 
 
-COORDINATE, DIRECTION = "%.6f", "%.15f"  # 1e-6 µm
-
-
 def write_vtx(path: Path, indices: Integers, domain: Literal["intra", "extra"] = "intra") -> None:
-    """Write vertex numbers as a `.vtx` file, whole or not at all.
+    """Write point indices (k,) of one of openCARP's domains as a `.vtx` file."""
+    write_text(path, f"{len(indices)}\n{domain}\n" + _rows("%d", indices))
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    indices : (k,) array
-        Point indices.
-    domain : {"intra", "extra"}
-        Which of openCARP's domains they belong to.
-    """
-    write_text(path, f"{len(indices)}\n{domain}\n" + rows("%d", indices))
+
+def write_surf(path: Path, triangles: Integers) -> None:
+    """Write triangles (k, 3) of a mesh as a `.surf` file."""
+    write_text(path, f"{len(triangles)}\n" + _rows("Tr %d %d %d", triangles))
 
 
 def write_opencarp_mesh(
@@ -321,24 +260,27 @@ def write_opencarp_mesh(
         Positions (mm).
     code : str
         openCARP's name of the cells, such as ``"Tt"`` for tetrahedra.
-    cells : (m, k) array
-        Point indices.
-    tags : (m,) array
-        The region of each cell.
+    cells, tags : (m, k) and (m,) arrays
+        Point indices, and the region of each cell.
     """
-    positions = rows(" ".join([COORDINATE] * 3), points * MICROMETRES)
+    positions = _rows("%.6f %.6f %.6f", points * 1000)
     write_text(opencarp_file(stem, ".pts"), f"{len(points)}\n{positions}")
-    text = rows(" ".join([code, *["%d"] * (cells.shape[1] + 1)]), np.column_stack([cells, tags]))
+    text = _rows(" ".join([code, *["%d"] * (cells.shape[1] + 1)]), np.column_stack([cells, tags]))
     write_text(opencarp_file(stem, ".elem"), f"{len(cells)}\n{text}")
 
 
 def write_directions(path: Path, axes: list[Floats]) -> None:
     """Write one or more unit vectors (m, 3) a cell as a `.lon` file, whole or not at all."""
-    text = rows(" ".join([DIRECTION] * (3 * len(axes))), np.hstack(axes))
+    text = _rows(" ".join(["%.15f"] * (3 * len(axes))), np.hstack(axes))
     write_text(path, f"{len(axes)}\n{text}")
 
 
-def rows(form: str, values: Floats | Integers) -> str:
+def write_lengths(path: Path, lengths: Floats) -> None:
+    """Write one length (mm) a cell as a `.dat` file, in µm."""
+    write_text(path, _rows("%.6f", lengths * 1000))
+
+
+def _rows(form: str, values: Floats | Integers) -> str:
     """Text with one line for each row of `values`, in this printf format."""
     text = io.StringIO()
     np.savetxt(text, values, fmt=form)

@@ -1,4 +1,4 @@
-"""Mesh files of any format."""
+"""Mesh files of any format: VTK, VTU, VTP, OBJ, STL, PLY, Gmsh and openCARP."""
 
 from __future__ import annotations
 
@@ -10,23 +10,13 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.isolated import read_isolated
-from fascicle.mesh.formats.gmsh22 import is_gmsh22, read_gmsh22
 from fascicle.mesh.formats.mesh_file import OPENCARP_FORMATS, MeshFile, damaged
-from fascicle.mesh.formats.meshio_files import read_meshio
+from fascicle.mesh.formats.meshio_files import gmsh22_header, read_gmsh22, read_meshio
 from fascicle.mesh.formats.opencarp import read_opencarp_mesh
 from fascicle.mesh.formats.vtk import is_ascii_vtk, read_vtk
 
 VTK_FORMATS = (".vtk", ".vtu", ".vtp", ".obj", ".stl")
-
-MESHIO_FORMATS = (".ply", ".msh")  # VTK's PLY reader crashes on truncated files
-
-MESH_FORMATS = VTK_FORMATS + MESHIO_FORMATS + OPENCARP_FORMATS
-
-# What a complete file has near its end: VTK reads a truncated one as far as it goes.
-HEAD, TAIL = 512, 1024  # bytes
-
-# A binary STL is a header, the number of triangles, and so many bytes for each of them.
-STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
+MESH_FORMATS = (*VTK_FORMATS, ".ply", ".msh", *OPENCARP_FORMATS)
 
 
 def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
@@ -43,7 +33,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     if path.suffix.lower() in OPENCARP_FORMATS:
         return read_opencarp_mesh(path, purpose)
     _check_complete(path)
-    if path.suffix.lower() == ".msh" and is_gmsh22(content := path.read_bytes()):
+    if path.suffix.lower() == ".msh" and gmsh22_header(content := path.read_bytes()):
         mesh = read_gmsh22(path, content)
     else:
         mesh = MeshFile.of_parts(path, read_isolated(read_by_library, path))
@@ -57,9 +47,7 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         )
     for cells in mesh.cells.values():
         if cells.size and (cells.min() < 0 or cells.max() >= len(mesh.points)):
-            raise InputError(
-                f"{path}: cells refer to points that are not there; export or copy it again"
-            )
+            raise damaged(path, "cells refer to points that are not there")
     return mesh
 
 
@@ -70,11 +58,11 @@ def read_by_library(path: Path) -> dict[str, Any]:
 
 
 def _check_complete(path: Path) -> None:
-    """Refuse files that lack the end which their format requires."""
+    """Refuse files without their format's end: VTK reads a truncated one as far as it goes."""
     size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(HEAD)
-        file.seek(max(0, size - TAIL))
+        head = file.read(512)
+        file.seek(max(0, size - 1024))
         tail = file.read()
     promised = {
         ".vtu": ("</VTKFile>", b"</VTKFile>" in tail),
@@ -91,6 +79,7 @@ def _check_complete(path: Path) -> None:
 
 
 def _stl_is_whole(head: bytes, tail: bytes, size: int) -> bool:
-    announced = int.from_bytes(head[STL_HEADER - 4 : STL_HEADER], "little")
-    fits = len(head) >= STL_HEADER and size >= STL_HEADER + STL_TRIANGLE * announced
+    """Whether there are 50 bytes a triangle after the header of 80 and their number, or text."""
+    announced = int.from_bytes(head[80:84], "little")
+    fits = len(head) >= 84 and size >= 84 + 50 * announced
     return (fits and any(tail)) or b"endsolid" in tail.lower()

@@ -15,31 +15,18 @@ from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import write_text
 from fascicle.core.isolated import Limits
-from fascicle.mesh.formats.mesh_file import (
-    LINE,
-    POLY_LINE,
-    TETRAHEDRON,
-    TRIANGLE,
-    VTK_IGNORED,
-    MeshFile,
-    damaged,
-)
-
-VERTICES, STRIP, POLYGON = 2, 6, 7  # VTK's numbers of cells that are not used
-XML_FORMATS = (".vtu", ".vtp")
-STATED = re.compile(rb'NumberOf(Points|Cells|Verts|Lines|Strips|Polys)\s*=\s*"\s*(\d+)')
-SMALLEST_ITEM = 8  # bytes; a point takes 12 at least, a cell 9
-LONGEST_NUMBER = 20  # digits
-OTHER_NAMES = {POLYGON: "polygons", STRIP: "triangle strips"}
+from fascicle.mesh.formats.mesh_file import LINE, TETRAHEDRON, TRIANGLE, MeshFile, damaged
 
 
 def read_vtk(path: Path) -> MeshFile:
     """Read a VTK, VTU, VTP, OBJ or STL file by VTK's own reader.
 
     It may crash, or take any amount of memory: call it by `fascicle.core.isolated`. Nothing here
-    imports PyVista, so that a child process starts 0.1 s sooner.
+    imports PyVista, whose readers log complaints where they cannot be collected, and without which
+    a child process starts 0.1 s sooner.
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkFiltersCore import vtkAppendFilter
 
     _check_stated_counts(path)
     reader = _vtk_reader(path)
@@ -53,8 +40,14 @@ def read_vtk(path: Path) -> MeshFile:
             f"{path}: holds a {data.GetClassName().removeprefix('vtk')}, not a mesh of triangles, "
             "tetrahedra or lines; export it as an unstructured grid or polydata"
         )
+    if data.IsA("vtkPolyData"):
+        as_grid = vtkAppendFilter()
+        as_grid.AddInputData(data)
+        with _vtk_complaints() as complaints:
+            as_grid.Update()
+            data = as_grid.GetOutput()
     try:
-        cells, index, others = _cells(*_listed(data))
+        cells, index, others = _cells(data)
         cell_arrays = _named_arrays(data.GetCellData())
         cell_data = {
             kind: {name: values[rows] for name, values in cell_arrays.items()}
@@ -65,22 +58,22 @@ def read_vtk(path: Path) -> MeshFile:
     positions = data.GetPoints()  # None in a file that holds none
     points = np.empty((0, 3)) if positions is None else vtk_to_numpy(positions.GetData())
     lines = index.get(LINE, np.empty(0))
-    has_polylines = np.unique(lines).size < lines.size
     return MeshFile(
         path, points.astype(float), cells, _named_arrays(data.GetPointData()), cell_data, others,
-        has_polylines,
+        has_polylines=np.unique(lines).size < lines.size,
     )  # fmt: skip
 
 
 def _check_stated_counts(path: Path) -> None:
     """Refuse an XML file that states more points or cells than a file of its size may hold."""
-    if path.suffix.lower() not in XML_FORMATS:
+    if path.suffix.lower() not in (".vtu", ".vtp"):
         return  # others state sizes too, but VTK compares them with the file, or memory is limited
-    most = Limits.of(path).memory / SMALLEST_ITEM
-    for what, number in STATED.findall(path.read_bytes()):
-        if len(number) > LONGEST_NUMBER or int(number) > most:
+    most = Limits.of(path).memory / 8  # a point takes 12 bytes at least, a cell 9
+    pattern = rb'NumberOf(Points|Cells|Verts|Lines|Strips|Polys)\s*=\s*"\s*(\d+)'
+    for what, number in re.findall(pattern, path.read_bytes()):
+        if len(number) > 20 or int(number) > most:
             raise InputError(
-                f"{path}: states {number[:LONGEST_NUMBER].decode()} {what.decode().lower()}, and a "
+                f"{path}: states {number[:20].decode()} {what.decode().lower()}, and a "
                 f"file of {path.stat().st_size / 2**20:.3g} MB may hold {most:.2g}; it is damaged, "
                 "export it again"
             )
@@ -99,7 +92,6 @@ def _named_arrays(fields: Any) -> dict[str, NDArray[Any]]:
 
 
 def _vtk_reader(path: Path) -> Any:
-    """VTK's own reader: pyvista's would log complaints where they cannot be collected."""
     from vtkmodules.vtkIOGeometry import vtkOBJReader, vtkSTLReader
     from vtkmodules.vtkIOLegacy import vtkDataSetReader
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
@@ -152,62 +144,37 @@ def _vtk_complaints() -> Iterator[list[str]]:
                 complaints.append(one_line(re.sub(r"^\s*\w+ \(0x\w+\): ", "", text)))
 
 
-def _listed(data: Any) -> tuple[Integers, Integers, Integers]:
-    """VTK's number of the kind of each cell (m,), where its points start (m + 1,), all points."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    is_grid = data.IsA("vtkUnstructuredGrid")
-    lists = {0: data.GetCells()} if is_grid else {
-        VERTICES: data.GetVerts(), POLY_LINE: data.GetLines(),
-        POLYGON: data.GetPolys(), STRIP: data.GetStrips(),
-    }  # fmt: skip
-    none = np.empty(0, np.int64)
-    kinds, sizes, points = [none], [none], [none]
-    for number, cells in lists.items():
-        if cells is not None and cells.GetNumberOfCells():  # a file may hold points alone
-            sizes.append(np.diff(vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)))
-            points.append(vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64))
-            kinds.append(np.full(len(sizes[-1]), number))
-    kind, size = np.concatenate(kinds), np.concatenate(sizes)
-    kind[(kind == POLYGON) & (size == 3)] = TRIANGLE
-    start = np.concatenate([[0], np.cumsum(size)])
-    return _kinds(data) if is_grid else kind, start, np.concatenate(points)
-
-
-def _kinds(grid: Any) -> Integers:
-    """VTK's number of the kind of each cell of an unstructured grid."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-    from vtkmodules.vtkCommonCore import vtkVersion
-
-    version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
-    kinds = grid.GetCellTypes() if version >= (9, 6) else grid.GetCellTypesArray()
-    return np.empty(0, np.int64) if kinds is None else vtk_to_numpy(kinds).astype(np.int64)
-
-
-def _cells(
-    kinds: Integers, start: Integers, points: Integers
-) -> tuple[dict[int, Integers], dict[int, Integers], dict[str, int]]:
+def _cells(grid: Any) -> tuple[dict[int, Integers], dict[int, Integers], dict[str, int]]:
     """Cells of the kinds used here, the cell of the file that each stands for, and other kinds.
 
     A line of several points becomes as many segments as it has.
     """
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkVersion
     from vtkmodules.vtkCommonDataModel import vtkCellTypes
 
+    if not grid.GetNumberOfCells():  # a file may hold points alone
+        return {}, {}, {}
+    version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
+    kinds = vtk_to_numpy(grid.GetCellTypes() if version >= (9, 6) else grid.GetCellTypesArray())
+    start = vtk_to_numpy(grid.GetCells().GetOffsetsArray()).astype(np.int64)
+    points = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).astype(np.int64)
     cells, index = {}, {}
     for kind, corners in ((TRIANGLE, 3), (TETRAHEDRON, 4)):
         rows = np.flatnonzero(kinds == kind)
         if rows.size:
             cells[kind] = points[start[rows][:, None] + np.arange(corners)]
             index[kind] = rows
-    is_line = np.isin(kinds, (LINE, POLY_LINE))
+    is_line = np.isin(kinds, (LINE, 4))  # 4: several segments in one
     if is_line.any():
         cell = np.repeat(np.arange(len(kinds)), np.diff(start))
         inside = (cell[:-1] == cell[1:]) & is_line[cell[:-1]]
         cells[LINE] = np.column_stack([points[:-1], points[1:]])[inside]
         index[LINE] = cell[:-1][inside]
-    used = (LINE, POLY_LINE, TRIANGLE, TETRAHEDRON, *VTK_IGNORED)
-    found, counts = np.unique(kinds[~np.isin(kinds, used)], return_counts=True)
-    names = (OTHER_NAMES.get(k, vtkCellTypes.GetClassNameFromTypeId(k)) for k in found.tolist())
+    ignored = (0, 1, 2)  # empty cells and lone vertices
+    unused = kinds[~np.isin(kinds, (LINE, 4, TRIANGLE, TETRAHEDRON, *ignored))]
+    found, counts = np.unique(unused, return_counts=True)
+    names = (vtkCellTypes.GetClassNameFromTypeId(kind) for kind in found.tolist())
     others = {
         name.removeprefix("vtk"): int(count) for name, count in zip(names, counts, strict=True)
     }
@@ -222,18 +189,9 @@ def write_grid(
     point_data: dict[str, Floats] | None = None,
     cell_data: dict[str, Floats] | None = None,
 ) -> None:
-    """Write cells of one kind as a compressed VTU file, whole or not at all.
+    """Write cells of one kind, such as `TETRAHEDRON`, as a VTU file, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    points, cells : (n, 3) and (m, k) arrays
-        Positions (mm) and point indices.
-    kind : int
-        VTK's number of that kind of cell, such as `TETRAHEDRON`.
-    point_data, cell_data : dict of name to array, optional
-        Arrays with one row a point, or a cell.
+    Points (n, 3) are in mm, cells (m, k) their indices; arrays have one row a point, or a cell.
     """
     import pyvista as pv
 
@@ -249,17 +207,7 @@ def write_surface(
     triangles: Integers,
     cell_data: dict[str, NDArray[np.generic]] | None = None,
 ) -> None:
-    """Write a triangle surface as VTP, whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    points, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and point indices.
-    cell_data : dict of name to array, optional
-        Arrays with one row a triangle.
-    """
+    """Write triangles, with arrays of one row a triangle, as VTP, whole or not at all."""
     import pyvista as pv
 
     surface = pv.PolyData.from_regular_faces(np.asarray(points), triangles)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.classification.ambient_occlusion import openness
-from fascicle.build.classification.borders import BASAL, FIRST, OUTER, SECOND, smoothed_regions
-from fascicle.build.classification.dual_graph import DualGraph
-from fascicle.build.sides import cavity_volume, leftness
-from fascicle.build.surface_checks import check_edges, oriented_piece, place
-from fascicle.core.arrays import Floats, Integers
+from fascicle.build.borders import Region, smoothed_regions
+from fascicle.build.dual_graph import DualGraph, openness
+from fascicle.build.surface_checks import (
+    check_edges,
+    closed_by_fan,
+    leftness,
+    oriented_piece,
+    place,
+)
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
@@ -18,16 +22,9 @@ from fascicle.heart.validate import check_units
 from fascicle.mesh.measures import turned_outwards, unit
 from fascicle.mesh.topology import boundary_loops, without_unused_vertices
 
-# Openness (one minus ambient occlusion). At the upper edge of a cavity that of a wall is a half,
-# deeper less; that of the epicardium is more than 0.8 even in the grooves between the ventricles.
+# At the upper edge of a cavity the openness of a wall is a half, deeper less; that of the
+# epicardium is more than 0.8 even in the grooves between the ventricles.
 IN_CAVITY, OUTSIDE = 0.6, 0.85
-# Cosine of the angle between normal and the way up out of the wall: base within 26°, none from 46°.
-FACING_UP, NOT_FACING_UP = 0.9, 0.7
-REACH = 10.0  # mm along the edge of an opening over which its direction is taken
-FARTHEST = 50.0  # mm from an opening to which the base may reach
-SMALLEST_CAVITY = 0.02  # of the whole area; smaller dents are none
-CLEANING_ROUNDS = 20
-ML = 1e3  # mm³
 
 
 def classify_surface(
@@ -75,7 +72,7 @@ def classify_surface(
     _check_openings(graph, regions, name)
     outer, first, second = (
         (vertices, np.ascontiguousarray(triangles[regions == region]))
-        for region in (OUTER, FIRST, SECOND)
+        for region in (Region.OUTER, Region.FIRST, Region.SECOND)
     )
     sides = [Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM]
     if leftness(first, second, outer) < 0:
@@ -88,32 +85,32 @@ def _cavities(graph: DualGraph, exposed: Floats, name: str) -> Integers:
     """Number of the cavity that each triangle lies deep in, -1 elsewhere; there must be two."""
     piece = graph.components(exposed < IN_CAVITY)
     area = np.bincount(piece[piece >= 0], graph.areas[piece >= 0], minlength=1)
-    found = int((area > SMALLEST_CAVITY * graph.areas.sum()).sum())
+    found = int((area > 0.02 * graph.areas.sum()).sum())  # smaller dents are no cavities
     if found != 2:
-        volumes = [
-            cavity_volume(graph.vertices, graph.triangles[piece == k]) / ML for k in range(found)
-        ]
-        sizes = ", ".join(f"{volume:.3g}" for volume in volumes)
-        what = {0: "no cavity", 1: f"one cavity ({sizes} ml)"}.get(
-            found, f"{found} cavities ({sizes} ml)"
-        )
+        sizes = [f"{_millilitres(graph, piece == k):.3g}" for k in range(found)]
+        what = f"{found or 'no'} {'cavity' if found < 2 else 'cavities'}"
         raise InputError(
-            f"{name}: {what} found; it must have two, of the left and the right ventricle, each "
-            "open at the base"
+            f"{name}: {what} found ({', '.join(sizes) or 0} ml); it must have "
+            "two, of the left and the right ventricle, each open at the base"
         )
     return np.where(piece < 2, piece, -1)
 
 
+def _millilitres(graph: DualGraph, chosen: Booleans) -> float:
+    """Volume of the cavity that chosen triangles line."""
+    return closed_by_fan(graph.vertices, graph.triangles[chosen])[0] / 1e3
+
+
 def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     """Divide the surface into the two cavities, the outer surface and the base between them."""
-    seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, OUTER, -1))
+    seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, Region.OUTER, -1))
     upwards = _cosine_to_base(graph, graph.random_walker(seeds, 3))
     outside = exposed > IN_CAVITY
     # the inner edge of a rounded rim faces neither up nor out: it is left to the random walker
-    outer = graph.components((exposed > OUTSIDE) & (upwards < NOT_FACING_UP)) == 0
+    outer = graph.components((exposed > OUTSIDE) & (upwards < 0.7)) == 0  # from 46 degrees
     seeds = np.where(cavity >= 0, cavity, -1)
-    seeds[outer] = OUTER
-    seeds[outside & (upwards > FACING_UP)] = BASAL
+    seeds[outer] = Region.OUTER
+    seeds[outside & (upwards > 0.9)] = Region.BASAL  # within 26 degrees
     return graph.random_walker(seeds, 4)
 
 
@@ -121,12 +118,12 @@ def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
     """Cosine between each triangle's normal and the way up out of the wall, shape (m,).
 
     Up is normal to the plane of the nearest opening and, since rims undulate, to the opening's
-    edge; farther than `FARTHEST` from both openings the cosine is -1.
+    edge; farther than 50 mm from both openings the cosine is -1.
     """
     sides = regions[graph.edges[0]]
     middle = graph.vertices[graph.edges[1]].mean(axis=1)
     edges, directions = [], []
-    for cavity in (FIRST, SECOND):
+    for cavity in (Region.FIRST, Region.SECOND):
         edge = middle[(sides == cavity).sum(axis=1) == 1]
         inside = graph.centres[regions == cavity].mean(axis=0)
         edges.append(edge)
@@ -134,7 +131,7 @@ def _cosine_to_base(graph: DualGraph, regions: Integers) -> Floats:
     distance, nearest = cKDTree(np.vstack(edges)).query(graph.centres)
     up = np.vstack(directions)[nearest]
     cosine = np.einsum("ij,ij->i", graph.smooth_normals, up)
-    return np.where(distance > FARTHEST, -1.0, cosine)
+    return np.where(distance > 50.0, -1.0, cosine)
 
 
 def _upwards(edge: Floats, inside: Floats) -> Floats:
@@ -143,7 +140,7 @@ def _upwards(edge: Floats, inside: Floats) -> Floats:
     normal = np.linalg.svd(edge - centre, full_matrices=False)[2][2]
     normal *= np.sign(normal @ (centre - inside))
     tangents = []
-    for near in cKDTree(edge).query_ball_point(edge, REACH):
+    for near in cKDTree(edge).query_ball_point(edge, 10.0):  # mm
         piece = edge[near] - edge[near].mean(axis=0)
         tangents.append(np.linalg.svd(piece, full_matrices=False)[2][0])
     along = np.array(tangents)
@@ -152,7 +149,7 @@ def _upwards(edge: Floats, inside: Floats) -> Floats:
 
 def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
     """Make each region one manifold piece, all apart from one another by the base."""
-    for _ in range(CLEANING_ROUNDS):
+    for _ in range(20):
         before = regions
         regions = _without_non_manifold_vertices(
             graph, _in_one_piece(graph, _separated(graph, regions))
@@ -168,19 +165,19 @@ def _clean_regions(graph: DualGraph, regions: Integers, name: str) -> Integers:
 def _separated(graph: DualGraph, regions: Integers) -> Integers:
     """Give the base the triangles about vertices at which two other regions meet."""
     sides = regions[graph.edges[0]]
-    meeting = (sides[:, 0] != sides[:, 1]) & (sides < BASAL).all(axis=1)
+    meeting = (sides[:, 0] != sides[:, 1]) & (sides < Region.BASAL).all(axis=1)
     if not meeting.any():
         return regions
     touched = np.isin(graph.triangles, graph.edges[1][meeting]).any(axis=1)
-    return np.where(touched, BASAL, regions)
+    return np.where(touched, Region.BASAL, regions)
 
 
 def _in_one_piece(graph: DualGraph, regions: Integers) -> Integers:
     """Keep the largest piece of each region; the rest goes to what it is surrounded by."""
     kept = np.full(len(regions), -1)
-    for region in range(BASAL + 1):
+    for region in Region:
         kept[graph.components(regions == region) == 0] = region
-    return graph.random_walker(kept, BASAL + 1)
+    return graph.random_walker(kept, len(Region))
 
 
 def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integers:
@@ -189,7 +186,7 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
     border = graph.edges[1][sides[:, 0] != sides[:, 1]]
     changes = np.bincount(border.ravel(), minlength=len(graph.vertices))
     corners = graph.triangles.ravel()
-    present = np.zeros((len(graph.vertices), BASAL + 1), dtype=bool)
+    present = np.zeros((len(graph.vertices), len(Region)), dtype=bool)
     present[corners, np.repeat(regions, 3)] = True
     # around a vertex k regions change k times (two regions twice), more where one comes back
     kinds = present.sum(axis=1)
@@ -197,21 +194,21 @@ def _without_non_manifold_vertices(graph: DualGraph, regions: Integers) -> Integ
     result = regions.copy()
     for vertex in np.flatnonzero(touching):
         around = np.flatnonzero((graph.triangles == vertex).any(axis=1))
-        result[around] = BASAL if present[vertex, BASAL] else regions[around[0]]
+        result[around] = Region.BASAL if present[vertex, Region.BASAL] else regions[around[0]]
     return result
 
 
 def _check_openings(graph: DualGraph, regions: Integers, name: str) -> None:
     """Refuse a surface that is all base or has none, and a cavity with several openings."""
-    for region, what in ((OUTER, "epicardium"), (BASAL, "base")):
+    for region, what in ((Region.OUTER, "epicardium"), (Region.BASAL, "base")):
         if not (regions == region).any():
             raise InputError(
                 f"{name}: no {what} found around the cavities; give the surface's parts one by one"
             )
-    for region in (FIRST, SECOND):
+    for region in (Region.FIRST, Region.SECOND):
         loops = boundary_loops(graph.triangles[regions == region])
         if len(loops) != 1:
-            volume = cavity_volume(graph.vertices, graph.triangles[regions == region]) / ML
+            volume = _millilitres(graph, regions == region)
             where = " and ".join(place(graph.vertices[loop].mean(axis=0)) for loop in loops)
             raise InputError(
                 f"{name}: the cavity of {volume:.3g} ml has {len(loops)} openings, about {where}"

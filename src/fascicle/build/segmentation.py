@@ -14,15 +14,6 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.validate import check_units
 
-MM3_PER_ML = 1000.0
-# Voxel axes that are this far from right angles (cosine) are more than rounding in the file.
-LARGEST_SHEAR = 0.01
-# Pieces smaller than this fraction of the whole are slips of the segmentation.
-SMALL = 0.01
-SHOWN = 12  # so many labels of a map are named in a message
-NEIGHBOURS = np.ones((3, 3, 3), dtype=bool)
-BACKGROUND = 0
-
 
 @dataclass(frozen=True)
 class Segmentation:
@@ -53,13 +44,14 @@ class Segmentation:
     def __post_init__(self) -> None:
         spacing, axes = self.spacing, self.affine[:3, :3]
         if not (np.isfinite(self.affine).all() and np.isfinite(spacing).all() and spacing.all()):
+            listed = ", ".join(f"{length:.3g}" for length in spacing)
             raise InputError(
-                f"{self.name}: the voxels have no size (spacing {_listed(spacing)} mm); "
-                "write the voxel spacing, in mm, into the file"
+                f"{self.name}: the voxels have no size (spacing {listed} mm) or no place; write "
+                "the voxel spacing and origin, in mm, into the file"
             )
         unit = axes / spacing
         shear = float(np.abs(unit.T @ unit - np.eye(3)).max())
-        if shear > LARGEST_SHEAR:
+        if shear > 0.01:  # more than rounding in the file
             raise InputError(
                 f"{self.name}: the voxel axes are not at right angles (cosine {shear:.3f}); "
                 "resample the map onto a rectangular grid"
@@ -108,12 +100,10 @@ class SegmentationLabels:
 
     def __post_init__(self) -> None:
         numbers = [number for _, part in self.parts() for number in part]
-        twice = sorted({number for number in numbers if numbers.count(number) > 1})
-        if twice or BACKGROUND in numbers:
-            wrong = f"label {twice[0]} stands for two parts" if twice else "label 0 is background"
+        if len(set(numbers)) < len(numbers) or 0 in numbers:
             raise InputError(
-                f"segmentation labels: {wrong} (lv {self.lv}, rv {self.rv}, myocardium "
-                f"{self.myocardium}, scar {self.scar}); give each part its own numbers"
+                f"segmentation labels: lv {self.lv}, rv {self.rv}, myocardium {self.myocardium}, "
+                f"scar {self.scar}; give each part its own numbers, other than 0 (background)"
             )
 
     def parts(self) -> list[tuple[str, tuple[int, ...]]]:
@@ -132,7 +122,7 @@ class SegmentationLabels:
 
 
 @dataclass(frozen=True)
-class Bodies:
+class Masks:
     """The parts of a segmentation as masks on a grid that just holds them.
 
     Attributes
@@ -161,31 +151,13 @@ class Bodies:
 
 
 def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
-    """Whether points lie in scar: the label of the nearest voxel of muscle or scar.
+    """Whether points (n, 3) in mm lie in scar (1) or not (0): that of the nearest voxel of tissue.
 
-    At a surface the voxel around a point of the tissue may well be blood or background.
-
-    Parameters
-    ----------
-    segmentation, labels : Segmentation, SegmentationLabels
-        The map.
-    points : (n, 3) array
-        Positions (mm), in the segmentation's frame.
-
-    Returns
-    -------
-    (n,) array
-        1 in scar, 0 elsewhere, and more than a voxel's diagonal from all muscle.
-
-    Raises
-    ------
-    InputError
-        If a label is not in the map.
+    At a surface the voxel around a point of the tissue may well be blood or background; more than a
+    voxel's diagonal from all tissue there is no scar.
     """
-    masks = _masks(segmentation, labels)
-    if "scar" not in masks:
-        return np.zeros(len(points), dtype=np.int64)
-    voxels = np.argwhere(masks["myocardium"] | masks["scar"])
+    parts = _parts(segmentation, labels)
+    voxels = np.argwhere(parts["myocardium"] | parts.get("scar", False))
     affine = segmentation.affine
     diagonal = float(np.linalg.norm(segmentation.spacing))
     distance, nearest = cKDTree(voxels @ affine[:3, :3].T + affine[:3, 3]).query(
@@ -193,19 +165,15 @@ def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: F
     )
     near = np.isfinite(distance)
     regions = np.zeros(len(points), dtype=np.int64)
-    regions[near] = masks["scar"][tuple(voxels[nearest[near]].T)]
+    if "scar" in parts:
+        regions[near] = parts["scar"][tuple(voxels[nearest[near]].T)]
     return regions
 
 
-def bodies_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Bodies:
+def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list[str]) -> Masks:
     """Masks of the parts, each in one piece, with small components given to what surrounds them.
 
-    Parameters
-    ----------
-    segmentation, labels : Segmentation, SegmentationLabels
-        The map.
-    notes : list of str
-        A line is added for every part that had small components.
+    A line is added to the notes for every part that had small components.
 
     Raises
     ------
@@ -213,18 +181,17 @@ def bodies_of(segmentation: Segmentation, labels: SegmentationLabels, notes: lis
         If a label is not in the map, the heart has not the size of one, or a part falls into
         several large pieces.
     """
-    masks = _masks(segmentation, labels)
     name = segmentation.name
     parts = np.zeros(segmentation.labels.shape, dtype=np.int8)
     kinds = {"LV blood": 1, "RV blood": 2, "myocardium": 3, "scar": 3}
-    for part, mask in masks.items():
+    for part, mask in _parts(segmentation, labels).items():
         parts[mask] = kinds[part]
     parts, affine = _cropped(parts, segmentation.affine)
     for kind, part in ((3, "tissue"), (1, "LV blood"), (2, "RV blood")):
         _remove_small_components(parts, kind, part, segmentation, notes)
     parts, affine = _cropped(parts, affine)
     check_units(name, np.array([[0, 0, 0], parts.shape]) * segmentation.spacing)
-    return Bodies(parts == 1, parts == 2, parts == 3, affine, name)
+    return Masks(parts == 1, parts == 2, parts == 3, affine, name)
 
 
 def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8], Floats]:
@@ -235,21 +202,20 @@ def _cropped(parts: NDArray[np.int8], affine: Floats) -> tuple[NDArray[np.int8],
     return np.pad(parts[box], 1), affine
 
 
-def _masks(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, Booleans]:
+def _parts(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, Booleans]:
     """The mask of each part, by its name; every one of them has voxels."""
     masks = {}
     for name, numbers in labels.parts():
         masks[name] = np.isin(segmentation.labels, numbers)
         if not masks[name].any():
             found, counts = np.unique(segmentation.labels, return_counts=True)
-            there = ", ".join(
-                f"{value} ({count} voxels)"
-                for value, count in zip(found[:SHOWN], counts[:SHOWN], strict=True)
-            )
-            more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+            there = [
+                f"{value} ({count} voxels)" for value, count in zip(found, counts, strict=True)
+            ]
+            more = f" and {len(found) - 12} more" if len(found) > 12 else ""
             raise InputError(
-                f"{segmentation.name}: {name} (label {_listed(numbers)}) has 0 voxels; the map "
-                f"has labels {there}{more}; say which label is {name}"
+                f"{segmentation.name}: {name} (label {', '.join(map(str, numbers))}) has 0 voxels; "
+                f"the map has labels {', '.join(there[:12])}{more}; say which label is {name}"
             )
     return masks
 
@@ -257,16 +223,17 @@ def _masks(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, 
 def _remove_small_components(
     parts: NDArray[np.int8], kind: int, part: str, segmentation: Segmentation, notes: list[str]
 ) -> None:
-    """Give the small components of a part to what surrounds most of each, in place."""
-    pieces, n = label(parts == kind, structure=NEIGHBOURS)
+    """Give components below 1 % of a part to what surrounds most of each, in place."""
+    touching = np.ones((3, 3, 3), dtype=bool)
+    pieces, n = label(parts == kind, structure=touching)
     if n == 1:
         return
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(sizes.argmax())
-    ml = sizes * segmentation.voxel_volume / MM3_PER_ML
-    large = np.flatnonzero(sizes > SMALL * sizes.sum())
+    ml = sizes * segmentation.voxel_volume / 1000
+    large = np.flatnonzero(sizes > 0.01 * sizes.sum())
     if large.size > 1:
-        listed = ", ".join(f"{v:.3g}" for v in sorted(ml[large], reverse=True)[:SHOWN])
+        listed = ", ".join(f"{v:.3g}" for v in sorted(ml[large], reverse=True)[:12])
         raise InputError(
             f"{segmentation.name}: {part} falls into {large.size} unconnected pieces "
             f"({listed} ml); join them, or keep one"
@@ -276,13 +243,9 @@ def _remove_small_components(
             continue
         around = tuple(slice(max(one.start - 1, 0), one.stop + 1) for one in box)
         here = pieces[around] == piece + 1
-        border = binary_dilation(here, NEIGHBOURS) & ~here
+        border = binary_dilation(here, touching) & ~here
         parts[around][here] = np.bincount(parts[around][border]).argmax()
     notes.append(
         f"{segmentation.name}: {n - 1} small components of {part} ({ml.sum() - ml[largest]:.2g} ml "
         "in all) were given to what surrounds them"
     )
-
-
-def _listed(numbers: Floats | tuple[int, ...]) -> str:
-    return ", ".join(f"{n}" if isinstance(n, int) else f"{n:.3g}" for n in numbers)

@@ -6,24 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fascicle.build.segmentation.image import Bodies
+from fascicle.build.segmentation import Masks
 from fascicle.core.arrays import Booleans, Floats, Integers
 
-# The LV is open at the base where blood that borders on no tissue covers at least this fraction of
-# its largest cross-section; less is a hole in the label map.
-OPEN = 0.25
-# The opening is flat where this fraction of it lies within half a voxel of a plane.
-FLAT = 0.6
-# The flat opening is the base where a cut along it keeps this fraction of the LV blood that one
-# across the long axis keeps: a mitral valve may be flat as well, but tissue ends below it.
-KEPT = 0.97
-# The ring of tissue is closed where it borders on this fraction of the LV blood's circumference.
-RING = 0.9
-# A map that is closed over the base is cut where the LV still has this fraction of its largest
-# cross-section.
-CLOSED_SECTION = 0.5
 LEVEL = 1.0  # mm, resolution of the search along the axis
-TRIALS, REFITS = 300, 5
 
 
 @dataclass(frozen=True)
@@ -64,108 +50,90 @@ class Faces:
     free: Booleans
 
 
-def find_base_plane(bodies: Bodies) -> BasePlane:
+def find_base_plane(masks: Masks) -> BasePlane:
     """Find the base: the flat end of the map, or the highest complete ring of tissue.
 
     Where the LV blood ends in a flat opening that tissue surrounds, the map was cut there.
     Otherwise the plane is perpendicular to the LV's long axis, the principal axis of its blood, at
     the level above which tissue does not surround the blood any more; where tissue closes over the
     base, at the level at which the LV begins to close.
-
-    Parameters
-    ----------
-    bodies : Bodies
-        The segmentation.
-
-    Returns
-    -------
-    BasePlane
-        The normal points to the base.
     """
-    blood = bodies.positions(bodies.lv)
+    blood = masks.positions(masks.lv)
     centre = blood.mean(axis=0)
-    faces = blood_faces(bodies, bodies.lv, bodies.rv)
+    faces = blood_faces(masks, masks.lv, masks.rv)
     size = np.linalg.norm(faces.areas, axis=1)
     axis = np.linalg.eigh(np.cov((blood - centre).T))[1][:, 2]
     along = (blood - centre) @ axis
-    counts, width = _sections(bodies, along, axis)
-    largest = float(counts.max() * abs(np.linalg.det(bodies.affine[:3, :3])) / width)
-    is_open = float(size[faces.free].sum()) > OPEN * largest
+    counts, width = _sections(masks, along, axis)
+    largest = float(counts.max() * abs(np.linalg.det(masks.affine[:3, :3])) / width)
+    # less than a quarter of the largest cross-section is a hole in the label map
+    is_open = float(size[faces.free].sum()) > 0.25 * largest
     if is_open:
         towards = float((size * ((faces.centres - centre) @ axis))[faces.free].sum())
     else:
         towards = -float((along**3).sum())  # the longer tail is the apex
     axis = axis if towards > 0 else -axis
-    level, how = _level(bodies, faces, centre, axis)
+    level, how = _level(masks, faces, centre, axis)
     across = BasePlane(centre + level * axis, axis, how)
-    flat = _flat_opening(bodies, faces, centre) if is_open else None
+    flat = _flat_opening(masks, faces, centre) if is_open else None
     if flat is None:
         return across
-    ring, _ = _level(bodies, faces, centre, flat.normal)
-    kept_flat = int(
-        (np.maximum(flat.height(blood), (blood - centre) @ flat.normal - ring) < 0).sum()
-    )
-    return flat if kept_flat >= KEPT * int((across.height(blood) < 0).sum()) else across
+    ring, _ = _level(masks, faces, centre, flat.normal)
+    below_ring = (blood - centre) @ flat.normal < ring
+    kept = int(((flat.height(blood) < 0) & below_ring).sum())
+    # a mitral valve may be flat as well, but tissue ends below it
+    return flat if kept >= 0.97 * int((across.height(blood) < 0).sum()) else across
 
 
-def blood_faces(bodies: Bodies, blood: Booleans, other: Booleans) -> Faces:
-    """Faces of one ventricle's blood.
-
-    Parameters
-    ----------
-    bodies : Bodies
-        The segmentation.
-    blood, other : (i, j, k) boolean arrays
-        Blood of this ventricle and of the other one.
-    """
-    axes = bodies.affine[:3, :3]
+def blood_faces(masks: Masks, blood: Booleans, other: Booleans) -> Faces:
+    """Faces of one ventricle's blood, given that of the other."""
+    axes = masks.affine[:3, :3]
     voxels, centres, areas, free = [], [], [], []
     for k in range(3):
         across = np.cross(axes[:, (k + 1) % 3], axes[:, (k + 2) % 3])
         across *= np.sign(across @ axes[:, k])
         for step in (-1, 1):
             index = np.argwhere(blood & ~np.roll(blood, -step, axis=k))
-            beside = index.copy()
-            beside[:, k] += step
-            voxels.append(index @ axes.T + bodies.affine[:3, 3])
-            centres.append((index + beside) / 2 @ axes.T + bodies.affine[:3, 3])
+            neighbour = index.copy()
+            neighbour[:, k] += step
+            voxels.append(index @ axes.T + masks.affine[:3, 3])
+            centres.append((index + neighbour) / 2 @ axes.T + masks.affine[:3, 3])
             areas.append(np.tile(step * across, (len(index), 1)))
-            free.append(~(bodies.tissue | other)[tuple(beside.T)])
+            free.append(~(masks.tissue | other)[tuple(neighbour.T)])
     return Faces(
         np.concatenate(voxels), np.concatenate(centres), np.concatenate(areas), np.concatenate(free)
     )
 
 
-def _sections(bodies: Bodies, along: Floats, axis: Floats) -> tuple[Integers, float]:
+def _sections(masks: Masks, along: Floats, axis: Floats) -> tuple[Integers, float]:
     """Voxels of blood in each slice from the lowest up, and how thick slices are (mm)."""
-    width = max(bodies.thickness(axis), LEVEL)
+    width = max(masks.thickness(axis), LEVEL)
     return np.bincount(np.floor((along - along.min()) / width).astype(np.int64)), width
 
 
-def _flat_opening(bodies: Bodies, faces: Faces, centre: Floats) -> BasePlane | None:
-    """The plane that holds most of the opening (by random samples); None if it is not flat."""
+def _flat_opening(masks: Masks, faces: Faces, centre: Floats) -> BasePlane | None:
+    """The plane with most of the opening within half a voxel, by random samples; None if < 60 %."""
     points, areas = faces.centres[faces.free], faces.areas[faces.free]
     size = np.linalg.norm(areas, axis=1)
     rng = np.random.default_rng(0)
     best, inliers = 0.0, np.zeros(len(points), dtype=bool)
-    for corners in rng.choice(len(points), size=(TRIALS, 3), p=size / size.sum()):
+    for corners in rng.choice(len(points), size=(300, 3), p=size / size.sum()):
         a, b, c = points[corners]
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal)
         if length == 0:
             continue
         normal /= length
-        near = np.abs((points - a) @ normal) <= bodies.thickness(normal) / 2
+        near = np.abs((points - a) @ normal) <= masks.thickness(normal) / 2
         # what a slanted step has of its faces counts as it is seen along the normal
         seen = abs(float((areas[near] @ normal).sum()))
         if seen > best:
             best, inliers = seen, near
-    total = float(np.linalg.norm(areas.sum(axis=0)))
-    if best < FLAT * total:
+    if best < 0.6 * float(np.linalg.norm(areas.sum(axis=0))):
         return None
     points, areas = points[inliers], areas[inliers]
     normal = areas.sum(axis=0)
-    for _ in range(REFITS):
+    for _ in range(5):
         weight = np.abs(areas @ normal)  # the sides of gaps in the ring do not count
         middle = np.average(points, axis=0, weights=weight)
         _, _, rows = np.linalg.svd(
@@ -176,7 +144,7 @@ def _flat_opening(bodies: Bodies, faces: Faces, centre: Floats) -> BasePlane | N
     return BasePlane(middle, normal, "the flat end of the label map")
 
 
-def _level(bodies: Bodies, faces: Faces, centre: Floats, axis: Floats) -> tuple[float, str]:
+def _level(masks: Masks, faces: Faces, centre: Floats, axis: Floats) -> tuple[float, str]:
     """Height of the plane above the centre of the LV blood (mm), and how it was found."""
     along = (faces.centres - centre) @ axis
     # only the part of a face that looks sideways belongs to the ring
@@ -187,13 +155,13 @@ def _level(bodies: Bodies, faces: Faces, centre: Floats, axis: Floats) -> tuple[
     ring = np.bincount(level, weights=sideways * ~faces.free)
     heights = (start + np.arange(len(whole)) + 0.5) * LEVEL
     used = (whole > 0) & (heights > 0)
-    closed = ring[used] >= RING * whole[used]
+    closed = ring[used] >= 0.9 * whole[used]  # the ring borders on so much of the circumference
     heights = heights[used]
     if not closed.all():
         first = int(np.argmin(closed))
         below = heights[first - 1] if first else 0.0
         return float(below + heights[first]) / 2, "the highest complete ring of tissue"
-    blood = (bodies.positions(bodies.lv) - centre) @ axis
-    counts, width = _sections(bodies, blood, axis)
-    last = np.flatnonzero(counts >= CLOSED_SECTION * counts.max())[-1]
+    blood = (masks.positions(masks.lv) - centre) @ axis
+    counts, width = _sections(masks, blood, axis)
+    last = np.flatnonzero(counts >= 0.5 * counts.max())[-1]
     return float(blood.min() + last * width), "the end of the LV blood, which tissue closes over"

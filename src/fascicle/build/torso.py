@@ -1,4 +1,4 @@
-"""The body around a heart: its torso, electrodes and lead fields."""
+"""What surrounds a heart: its torso, electrodes and lead fields."""
 
 from __future__ import annotations
 
@@ -33,11 +33,9 @@ from fascicle.torso.mesh import mesh_torso
 from fascicle.torso.surface_files import read_torso_surfaces
 from fascicle.torso.surfaces import Surface, TorsoSurfaces
 
-IDEALISED, NONE = "idealised", "none"
-
 
 @dataclass(frozen=True)
-class Body:
+class TorsoOptions:
     """What surrounds the heart.
 
     Attributes
@@ -56,14 +54,14 @@ class Body:
         standard places.
     """
 
-    torso: str = IDEALISED
+    torso: str = "idealised"
     lungs: tuple[Path, ...] = ()
     measures: Mapping[str, float] = field(default_factory=dict)
     pose: Pose = "standard"
     electrodes: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.torso != IDEALISED:
+        if self.torso != "idealised":
             if self.electrodes is None:
                 raise InputError(
                     f"--torso {self.torso}: electrodes are missing; give --electrodes (only the "
@@ -75,10 +73,10 @@ class Body:
                     f"{option} goes with the idealised torso, not with --torso {self.torso}; leave "
                     "it out"
                 )
-        if self.lungs and self.torso in (IDEALISED, NONE):
+        skin = () if self.torso in ("idealised", "none") else (Path(self.torso),)
+        if self.lungs and not skin:
             raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
         # what would otherwise be found out after minutes is refused at once
-        skin = () if self.torso in (IDEALISED, NONE) else (Path(self.torso),)
         for path in (*skin, *self.lungs):
             if not path.is_file():
                 raise InputError(f"{path}: no such file (torso); check the path")
@@ -91,8 +89,8 @@ class Body:
         return None if self.electrodes is None else read_electrodes(self.electrodes)
 
 
-def in_body(
-    heart: Heart, mesh: LabelledMesh, body: Body, progress: Progress | None = None
+def in_torso(
+    heart: Heart, mesh: LabelledMesh, options: TorsoOptions, progress: Progress | None = None
 ) -> tuple[Heart, tuple[str, ...]]:
     """Put torso, electrodes and lead fields around a heart.
 
@@ -102,7 +100,7 @@ def in_body(
         Its electrodes do not count.
     mesh : LabelledMesh
         Its tetrahedra, with their boundary labelled.
-    body : Body
+    options : TorsoOptions
         What surrounds it.
     progress : Progress, optional
         Progress callback.
@@ -114,24 +112,24 @@ def in_body(
     notes : tuple of str
         How the torso was fitted, for people.
     """
-    source = str(body.electrodes) if body.electrodes is not None else mesh.name
+    source = str(options.electrodes) if options.electrodes is not None else mesh.name
     notes: tuple[str, ...] = ()
     surfaces: TorsoSurfaces | None = None
-    if body.positions is None:
-        surfaces = idealised_torso(mesh, BodySize(**body.measures), body.pose)
+    if options.positions is None:
+        surfaces = idealised_torso(mesh, BodySize(**options.measures), options.pose)
         positions = surfaces.electrodes
         assert positions is not None
         heart = _with_electrodes(heart, positions, source)
     else:
-        heart = _with_electrodes(heart, body.positions, source)
-        if body.torso == IDEALISED:
+        heart = _with_electrodes(heart, options.positions, source)
+        if options.torso == "idealised":
             check_not_exchanged(source, heart)
             surfaces, fitted = fitted_torso(
-                mesh, heart.electrodes, source, body.measures, body.pose
+                mesh, heart.electrodes, source, options.measures, options.pose
             )
-            notes = tuple(_notes_on_fit(heart, fitted, body.pose))
-        elif body.torso != NONE:
-            surfaces = read_torso_surfaces(Path(body.torso), body.lungs, mesh)
+            notes = tuple(_notes_on_fit(heart, fitted, options.pose))
+        elif options.torso != "none":
+            surfaces = read_torso_surfaces(Path(options.torso), options.lungs, mesh)
     if surfaces is None:
         return heart, notes
     check_on_skin(source, distances_to_skin(heart.electrodes, surfaces.skin))

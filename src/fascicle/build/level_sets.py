@@ -1,4 +1,4 @@
-"""Smooth functions whose zero levels are the surfaces of segmented bodies."""
+"""Smooth functions whose zero levels are the surfaces of segmented tissue and blood."""
 
 from __future__ import annotations
 
@@ -7,17 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates, spline_filter
 
-from fascicle.build.segmentation.base_plane import BasePlane
-from fascicle.build.segmentation.image import Bodies
+from fascicle.build.base_plane import BasePlane
+from fascicle.build.segmentation import Masks
 from fascicle.core.arrays import Booleans, Floats
 
-# Standard deviation of the smoothing, in voxels along their finest direction, and in edges of the
-# grid: enough to level the staircase, which is one voxel high, and what the grid cannot resolve.
-SMOOTHING = 1.5
-# Room around the bodies (mm): an added wall has to fit in.
-MARGIN = 6.0
-PADDING = 5  # voxels, three standard deviations of the smoothing
-HALF = 0.5
+PADDING = 5  # voxels around a mask, three standard deviations of the smoothing
 
 
 @dataclass(frozen=True)
@@ -59,42 +53,28 @@ class Grid:
         )
 
 
-def grid_below(plane: BasePlane, bodies: Bodies, edge: float) -> Grid:
-    """Lay a grid around what lies below the base plane.
-
-    Parameters
-    ----------
-    plane : BasePlane
-        The top layer.
-    bodies : Bodies
-        What the grid must hold.
-    edge : float
-        Distance of neighbouring nodes (mm).
-    """
+def grid_below(plane: BasePlane, masks: Masks, edge: float) -> Grid:
+    """Lay a grid with this edge (mm) around what lies below the base plane."""
     across = np.eye(3)[np.argmin(np.abs(plane.normal))]
     first = np.cross(plane.normal, across)
     first /= np.linalg.norm(first)
     axes = np.array([first, np.cross(plane.normal, first), plane.normal])
-    relative = (bodies.positions(bodies.lv | bodies.rv | bodies.tissue) - plane.point) @ axes.T
+    relative = (masks.positions(masks.lv | masks.rv | masks.tissue) - plane.point) @ axes.T
     low, high = relative.min(axis=0), relative.max(axis=0)
-    halves = np.array([bodies.thickness(axis) / 2 for axis in axes])
-    low, high = low - halves - MARGIN, high + halves + MARGIN
+    halves = np.array([masks.thickness(axis) / 2 for axis in axes])
+    low, high = low - halves - 6.0, high + halves + 6.0  # mm; an added wall has to fit in
     shape = np.ceil((high - low) / edge).astype(np.int64) + 1
     layers = int(np.ceil(-low[2] / edge)) + 1
     corner = np.array([low[0], low[1], -(layers - 1) * edge])
     return Grid(plane.point + corner @ axes, axes, (int(shape[0]), int(shape[1]), layers), edge)
 
 
-def _continued_above(mask: Booleans, bodies: Bodies, plane: BasePlane) -> Booleans:
-    """Continue a body above the base plane as it is just below, so that smoothing keeps its edge.
-
-    There are `PADDING` more voxels on each side of the result.
-    """
-    half = bodies.thickness(plane.normal) / 2
-    # room for the smoothing to see above the plane
-    mask, back = np.pad(mask, PADDING), np.linalg.inv(bodies.affine)
+def _continued_above(mask: Booleans, masks: Masks, plane: BasePlane) -> Booleans:
+    """Continue a padded mask above the base plane by what is just below, to keep its edge sharp."""
+    half = masks.thickness(plane.normal) / 2
+    mask, back = np.pad(mask, PADDING), np.linalg.inv(masks.affine)
     index = np.argwhere(np.ones(mask.shape, dtype=bool)) - PADDING
-    height = plane.height(index @ bodies.affine[:3, :3].T + bodies.affine[:3, 3])
+    height = plane.height(index @ masks.affine[:3, :3].T + masks.affine[:3, 3])
     above = height > 0
     down = (height[above] + half)[:, None] * (back[:3, :3] @ plane.normal)
     source = np.rint(index[above] - down).astype(np.int64) + PADDING
@@ -106,45 +86,41 @@ def _continued_above(mask: Booleans, bodies: Bodies, plane: BasePlane) -> Boolea
     return mask
 
 
-def level_set(mask: Booleans, bodies: Bodies, plane: BasePlane, grid: Grid) -> Floats:
-    """Signed distance to the smoothed surface of a mask, at the nodes of a grid.
+def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Floats:
+    """Signed distance (mm, negative inside) to the smoothed surface of a mask, at a grid's nodes.
 
     The distance to the mask's voxels is interpolated between them, which between thick slices
     moves contours steadily from one to the next (Raya and Udupa, IEEE Trans Med Imaging 9:32–42,
-    1990), and smoothed by 2G − G², G a Gaussian: unlike G alone, this leaves quadratic functions
-    as they are, so curved surfaces do not shrink. A constant is added such that the volume below
+    1990), and smoothed by 2G − G², G a Gaussian: unlike G alone, this does not change quadratic
+    functions, so curved surfaces do not shrink. A constant is added such that the volume below
     the plane is the mask's.
 
     Parameters
     ----------
     mask : (i, j, k) boolean array
-        A body, on the voxel grid of `bodies`.
-    bodies : Bodies
+        A part, on the voxel grid of `masks`.
+    masks : Masks
         The segmentation.
     plane : BasePlane
-        The body counts below it.
+        The part counts below it.
     grid : Grid
         Where the function is wanted.
-
-    Returns
-    -------
-    (i', j', k') array
-        Distance (mm), negative inside.
     """
-    mask = _continued_above(mask, bodies, plane)
-    spacing = np.linalg.norm(bodies.affine[:3, :3], axis=0)
+    mask = _continued_above(mask, masks, plane)
+    spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
     outside = distance_transform_edt(~mask, sampling=spacing)
     inside = distance_transform_edt(mask, sampling=spacing)
     # the surface lies between two voxel centres
-    distance = outside - inside + HALF * spacing.min() * np.where(mask, 1, -1)
-    sigma = SMOOTHING * max(spacing.min(), grid.edge) / spacing
+    distance = outside - inside + 0.5 * spacing.min() * np.where(mask, 1, -1)
+    # enough to level the staircase, which is one voxel high, and what the grid cannot resolve
+    sigma = 1.5 * max(spacing.min(), grid.edge) / spacing
     once = gaussian_filter(distance, sigma, mode="nearest")
     smooth = 2 * once - gaussian_filter(once, sigma, mode="nearest")
-    nodes = grid.nodes_in(bodies.affine) + PADDING
+    nodes = grid.nodes_in(masks.affine) + PADDING
     values = map_coordinates(
         spline_filter(smooth, mode="nearest"), nodes, mode="nearest", prefilter=False
     )
-    nodes_inside = _volume_below(mask, bodies, plane) / grid.edge**3
+    nodes_inside = _volume_below(mask, masks, plane) / grid.edge**3
     # half of the cubes around the top layer's nodes lie below the plane: the others count twice
     below = values[:, :, :-1].ravel()
     twice = np.concatenate([below, below, values[:, :, -1].ravel()])
@@ -153,30 +129,18 @@ def level_set(mask: Booleans, bodies: Bodies, plane: BasePlane, grid: Grid) -> F
     return np.asarray(values - level, dtype=np.float64)
 
 
-def _volume_below(mask: Booleans, bodies: Bodies, plane: BasePlane) -> float:
+def _volume_below(mask: Booleans, masks: Masks, plane: BasePlane) -> float:
     """Volume of a padded mask below the plane (mm³); voxels that it cuts count in part."""
-    axes = bodies.affine[:3, :3]
-    height = plane.height((np.argwhere(mask) - PADDING) @ axes.T + bodies.affine[:3, 3])
-    share = np.clip(HALF - height / bodies.thickness(plane.normal), 0, 1)
+    axes = masks.affine[:3, :3]
+    height = plane.height((np.argwhere(mask) - PADDING) @ axes.T + masks.affine[:3, 3])
+    share = np.clip(0.5 - height / masks.thickness(plane.normal), 0, 1)
     return float(share.sum() * abs(np.linalg.det(axes)))
 
 
 def closed_by(values: Floats, radius: float, edge: float) -> Floats:
-    """Morphological closing of a body given by its signed distance, with a ball.
+    """Morphological closing, with a ball (mm), of what a signed distance (mm) on a grid describes.
 
-    Parameters
-    ----------
-    values : array
-        Signed distance at the nodes of a grid (mm).
-    radius : float
-        Of the ball (mm); strands of outside thinner than twice this are filled.
-    edge : float
-        Distance of neighbouring nodes (mm).
-
-    Returns
-    -------
-    array
-        Signed distance to the filled body (mm), shape of `values`.
+    Strands of outside thinner than twice the radius are filled.
     """
     grown = distance_transform_edt(values < radius) * edge
     # one edge less than all, so that nothing but gaps changes for what the grid cannot resolve

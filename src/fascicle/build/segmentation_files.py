@@ -3,59 +3,36 @@
 from __future__ import annotations
 
 import bz2
-import contextlib
 import gzip
 import io
 import math
 import warnings
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.build.segmentation.image import Segmentation
+from fascicle.build.segmentation import Segmentation
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line
 from fascicle.core.files import check_file, named_by
 from fascicle.core.ranges import shown
 
-NRRD_FORMATS = (".nrrd", ".nhdr")
-LARGEST = 1 << 28  # voxels; a CT of the whole thorax at 0.5 mm, or 512 x 512 x 1024
-LARGEST_CONTENT = 3 << 29  # bytes, unpacked; 512 x 512 x 600 voxels of 8 bytes take 1.3 GB
-NRRD_UNPACKERS: dict[str, Any] = {
+UNPACKERS: dict[str, Any] = {
     "gzip": gzip.open, "gz": gzip.open, "bzip2": bz2.open, "bz2": bz2.open,
 }  # fmt: skip
-NRRD_SKIPS = ("byteskip", "byte skip", "lineskip", "line skip")
-# What the readers raise for files that are cut short, scrambled, or not what their name says
-DAMAGED = (
-    OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError,
-    MemoryError, AssertionError, StopIteration, zlib.error, gzip.BadGzipFile,
-)  # fmt: skip
-# NIfTI's numbers for the units of length, and NRRD's names, in mm; 0 is unknown, read as mm
-NIFTI_UNITS = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
-NRRD_UNITS = {"mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "": 1.0, "m": 1e3, "cm": 10.0,
-              "um": 1e-3, "μm": 1e-3, "µm": 1e-3}  # fmt: skip
-NIFTI_SPATIAL_UNITS = 0x07  # bits of xyzt_units
-# The right-handed spaces of NRRD, and what each is called here
-SPACES = {
-    "right-anterior-superior": "RAS",
-    "ras": "RAS",
-    "left-posterior-superior": "LPS",
-    "lps": "LPS",
-    "3d-right-handed": "",
-}
 
 
 def read_segmentation(path: Path | str) -> Segmentation:
     """Read a label map.
 
-    NIfTI positions are RAS+ by definition; NRRD positions in an LPS or LAS space are turned to
-    RAS+. An NRRD file that names no space gives spacings alone, and its own axes are kept, with
-    the first voxel at the origin unless the file says otherwise.
+    NIfTI positions are RAS+ by definition. NRRD positions stay in the file's space, which must be
+    LPS or RAS; a file that names no space gives spacings alone, and its own axes are kept, with the
+    first voxel at the origin unless the file says otherwise.
 
     Parameters
     ----------
@@ -74,12 +51,9 @@ def read_segmentation(path: Path | str) -> Segmentation:
         spacing, in other units, or has values that are not whole numbers.
     """
     path = Path(path)
-    plain = path.with_suffix("") if path.suffix.lower() == ".gz" else path
-    if path.suffix.lower() == ".gz" and plain.suffix.lower() == ".nii":
-        check_file(path, (".gz",), "segmentation")
-    else:
-        check_file(path, (".nii", *NRRD_FORMATS), "segmentation")
-    read = _read_nrrd if path.suffix.lower() in NRRD_FORMATS else _read_nifti
+    packed = path.name.lower().endswith(".nii.gz")
+    check_file(path, (".gz",) if packed else (".nii", ".nrrd", ".nhdr"), "segmentation")
+    read = _read_nrrd if path.suffix.lower() in (".nrrd", ".nhdr") else _read_nifti
     values, affine, space = read(path)
     return Segmentation(_whole_numbers(path, values), affine, str(path), space)
 
@@ -87,7 +61,10 @@ def read_segmentation(path: Path | str) -> Segmentation:
 @contextmanager
 def _refusing_damage(path: Path, *errors: type[Exception]) -> Iterator[None]:
     """Say in one line what a reader found wrong, and nothing else that it has to say."""
-    refused: tuple[type[Exception], ...] = (*DAMAGED, *errors)
+    refused: tuple[type[Exception], ...] = (
+        OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
+        MemoryError, AssertionError, StopIteration, zlib.error, *errors,
+    )  # fmt: skip
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -112,13 +89,15 @@ def _unlogged() -> Iterator[None]:
 
 
 def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
+    """Voxels, affine and space; the header counts as it is in the file, not as nibabel mends it."""
     import nibabel
     from nibabel.filebasedimages import ImageFileError
     from nibabel.openers import ImageOpener
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    with _unlogged(), _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
+    errors = ImageFileError, HeaderDataError, WrapStructError
+    with _unlogged(), _refusing_damage(path, *errors):
         image = nibabel.load(path)
         with ImageOpener(path) as file:
             header = type(image.header).from_fileobj(file, check=False)
@@ -139,16 +118,18 @@ def _read_nifti(path: Path) -> tuple[NDArray[Any], Floats, str]:
             f"{path}: sform_code and qform_code are 0, so it does not say where the voxels lie; "
             "export it again with its position and directions"
         )
-    unit = int(header["xyzt_units"]) & NIFTI_SPATIAL_UNITS
-    if unit not in NIFTI_UNITS:
+    unit = int(header["xyzt_units"]) & 0x07  # the bits of lengths
+    factors = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}  # unknown, m, mm, µm
+    if unit not in factors:
         raise InputError(f"{path}: unknown unit of length {unit} (xyzt_units); write it in mm")
-    with _refusing_damage(path, ImageFileError, HeaderDataError, WrapStructError):
+    with _refusing_damage(path, *errors):
         values = np.asanyarray(image.dataobj)
     affine = np.array(image.affine, dtype=np.float64)
-    return values, _scaled(affine, NIFTI_UNITS[unit]), "RAS"
+    return values, _scaled(affine, factors[unit]), "RAS"
 
 
 def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
+    """Voxels, affine and space."""
     import nrrd
 
     with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file:
@@ -159,11 +140,10 @@ def _read_nrrd(path: Path) -> tuple[NDArray[Any], Floats, str]:
     if data_file is not None:
         check_file(named_by(path, data_file), (Path(data_file).suffix.lower(),), "voxels")
     _check_size(path, shape, dtype)
-    affine = _nrrd_affine(path, header)
-    space = SPACES[str(header.get("space", "3D-right-handed")).lower()]
+    affine, space = _nrrd_affine(path, header)
     with _refusing_damage(path, nrrd.NRRDError), path.open("rb") as file:
         header = nrrd.read_header(file)  # the data follow
-        if header["encoding"] in NRRD_UNPACKERS:
+        if header["encoding"] in UNPACKERS:
             values = _unpacked(path, header, file, dtype)
         else:
             values = nrrd.read_data(header, file, str(path))
@@ -174,7 +154,7 @@ def _nrrd_type(header: dict[str, Any]) -> np.dtype[Any]:
     """Type of the voxels: that of an array which the reader makes without any."""
     import nrrd
 
-    encoding = "raw" if header["encoding"] in NRRD_UNPACKERS else header["encoding"]
+    encoding = "raw" if header["encoding"] in UNPACKERS else header["encoding"]
     none = {"encoding": encoding, "sizes": np.zeros(3, dtype=np.int64), "dimension": 3}
     fields = {name: header[name] for name in ("type", "endian") if name in header}
     return nrrd.read_data(none | fields, io.BytesIO()).dtype  # type: ignore[no-any-return]
@@ -184,17 +164,18 @@ def _unpacked(
     path: Path, header: dict[str, Any], attached: BinaryIO, dtype: np.dtype[Any]
 ) -> NDArray[Any]:
     """Unpack as many bytes as an NRRD file states; nrrd would unpack all there are."""
-    skipped = [name for name in NRRD_SKIPS if header.get(name)]
+    skips = ("byteskip", "byte skip", "lineskip", "line skip")
+    skipped = [name for name in skips if header.get(name)]
     if skipped:
         raise ValueError(f"compressed data with '{skipped[0]}'")
     data_file = header.get("datafile", header.get("data file"))
     shape = [int(n) for n in header["sizes"]]
     content = np.zeros(math.prod(shape) * dtype.itemsize, dtype=np.uint8)
-    with contextlib.ExitStack() as stack:
+    with ExitStack() as stack:
         file = attached
         if data_file is not None:
             file = stack.enter_context((path.parent / data_file).open("rb"))
-        stream = stack.enter_context(NRRD_UNPACKERS[header["encoding"]](file))
+        stream = stack.enter_context(UNPACKERS[header["encoding"]](file))
         found = stream.readinto(content)
         if found < content.size or stream.read(1):
             holds = f"holds {found}" if found < content.size else "more follow"
@@ -202,10 +183,14 @@ def _unpacked(
     return content.view(dtype).reshape(shape, order="F")
 
 
-def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
-    """Voxel index to mm, in the file's own space."""
+def _nrrd_affine(path: Path, header: dict[str, Any]) -> tuple[Floats, str]:
+    """Voxel index to mm, in the file's own space, and what that is called."""
+    spaces = {
+        "right-anterior-superior": "RAS", "ras": "RAS", "left-posterior-superior": "LPS",
+        "lps": "LPS", "3d-right-handed": "",
+    }  # fmt: skip
     space = str(header.get("space", "3D-right-handed")).lower()
-    if space not in SPACES:  # in a left-handed one the heart would be mirrored
+    if space not in spaces:  # in a left-handed one the heart would be mirrored
         raise InputError(
             f"{path}: space {shown(space)} is unknown or left-handed; export the map in "
             "left-posterior-superior or right-anterior-superior"
@@ -229,16 +214,14 @@ def _nrrd_affine(path: Path, header: dict[str, Any]) -> Floats:
             f"{path}: neither space directions nor spacings; write the voxel spacing, in mm, into "
             "the file"
         )
-    if not np.isfinite(affine).all():
-        raise InputError(
-            f"{path}: spacing or origin are not finite; write them, in mm, into the file"
-        )
+    factors = {"mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "": 1.0, "m": 1e3, "cm": 10.0,
+               "um": 1e-3, "μm": 1e-3, "µm": 1e-3}  # fmt: skip
     units = {
         str(unit).strip().lower() for unit in header.get("space units", header.get("units", []))
     }
-    if len(units) > 1 or not units <= NRRD_UNITS.keys():
+    if len(units) > 1 or not units <= factors.keys():
         raise InputError(f"{path}: space units {sorted(units)} are not of length; write it in mm")
-    return _scaled(affine, NRRD_UNITS[units.pop()] if units else 1.0)
+    return _scaled(affine, factors[units.pop()] if units else 1.0), spaces[space]
 
 
 def _scaled(affine: Floats, millimetres: float) -> Floats:
@@ -257,15 +240,12 @@ def _check_size(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Non
             f"{path}: {len(shape)} dimensions ({written}); give one label map in three dimensions "
             "(one frame of a cine, no channels)"
         )
-    if min(shape) < 2 or int(np.prod(shape, dtype=np.float64)) > LARGEST:
+    voxels, content = math.prod(shape), math.prod(shape) * dtype.itemsize
+    # a CT of the whole thorax at 0.5 mm, or 512 x 512 x 1024; 1.5 GB
+    if min(shape) < 2 or voxels > 1 << 28 or content > 3 << 29:
         raise InputError(
-            f"{path}: {written} voxels; give a label map of the heart (2 voxels or more along each "
-            f"axis, at most {LARGEST} in all)"
-        )
-    if math.prod(shape) * dtype.itemsize > LARGEST_CONTENT:
-        raise InputError(
-            f"{path}: {written} voxels of type {dtype} take more than "
-            f"{LARGEST_CONTENT / 2**30:g} GB; save labels as numbers of 8 or 16 bits"
+            f"{path}: {written} voxels of type {dtype}; give a label map of the heart: 2 voxels or "
+            "more along each axis, at most 2^28 in all and 1.5 GB"
         )
 
 

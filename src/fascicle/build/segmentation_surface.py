@@ -6,48 +6,25 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import binary_fill_holes, label, map_coordinates
 
-from fascicle.build.segmentation.base_plane import BasePlane, blood_faces, find_base_plane
-from fascicle.build.segmentation.image import Bodies, Segmentation, SegmentationLabels, bodies_of
-from fascicle.build.segmentation.level_sets import Grid, closed_by, grid_below, level_set
+from fascicle.build.base_plane import BasePlane, blood_faces, find_base_plane
+from fascicle.build.level_sets import Grid, closed_by, grid_below, level_set
+from fascicle.build.segmentation import Masks, Segmentation, SegmentationLabels, masks_of
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
-from fascicle.mesh.measures import turned_outwards
+from fascicle.mesh.meshing import marching_cubes
 from fascicle.mesh.topology import boundary_loops, unique_edges, without_unused_vertices
 
 EDGE = 1.0  # mm, of the cubes that the surface is cut from
 # Wall of the RV where none was segmented: it is 3 to 5 mm thick (Ho and Nihoyannopoulos, Heart
 # 92 Suppl 1:i2–i13, 2006).
 RV_WALL = 3.0  # mm
-# The RV has no wall where this fraction of its blood's surface borders on nothing; less are holes.
-WALL_MISSING = 0.2
-# Thinnest wall and septum that cubes of this edge can tell from a hole.
-THINNEST = 1.5 * EDGE  # mm
-# A section across the ventricles can be the base if each cavity has this fraction of its largest
-# cross-section there, and all but this fraction of its circumference has tissue around it.
-OPENING, GAP = 0.3, 0.1
-# The base is looked for no lower than this fraction of the ventricles' length.
-LOWEST = 0.5
-# A cavity with handles is opened with a ball, which takes away threads of blood, then closed with
-# larger and larger ones, which fills the gaps around papillary muscles, until none is left.
-OPENING_BALL = 1.5  # mm, radius
-CLOSING_BALLS = (2.0, 4.0, 6.0)  # mm
-# No node lies closer to the surface than this (edges), which keeps slivers away.
-SNAP = 0.05
-FAR = 1e9  # mm, above the base
-STEPS = 6
-# That the parts of the ventricles' surface have
-BOUNDARY_LOOPS = {
-    Label.LV_ENDOCARDIUM: 1,
-    Label.RV_ENDOCARDIUM: 1,
-    Label.EPICARDIUM: 1,
-    Label.BASE: 3,
-}
-STRAY = 0.01  # of all triangles; so many may lie outside the largest piece
+# A cavity with handles is opened with the first ball, which takes away threads of blood, then
+# closed with larger and larger ones, which fills gaps around papillary muscles, until none is left.
+BALLS = (1.5, 2.0, 4.0, 6.0)  # mm, radius
 
 
 @dataclass(frozen=True)
@@ -74,7 +51,7 @@ def surface_from_segmentation(
 ) -> LabelledSurface:
     """Extract the surface of the ventricles from a label map, cut flat at the base.
 
-    Each body (the LV's blood, the RV's, and all with the tissue) becomes a smooth function on a
+    Each part (the LV's blood, the RV's, and all with the tissue) becomes a smooth function on a
     grid whose top layer is the base plane; the tissue lies where the largest of outer, −LV and −RV
     is negative, and its surface is found by marching cubes (Lorensen and Cline, SIGGRAPH Comput
     Graph 21:163–169, 1987). Triangles end on the plane, so the borders of the base are sharp.
@@ -84,10 +61,8 @@ def surface_from_segmentation(
 
     Parameters
     ----------
-    segmentation : Segmentation
-        The label map.
-    labels : SegmentationLabels
-        Which number stands for what.
+    segmentation, labels : Segmentation, SegmentationLabels
+        The label map, and which number stands for what.
     progress : StageProgress
         Called with the steps done and in all.
     notes : list of str, optional
@@ -106,54 +81,55 @@ def surface_from_segmentation(
         If a label is not in the map, a part falls into pieces, or no plane cuts both cavities open.
     """
     notes = notes if notes is not None else []
-    bodies = _coarsened(bodies_of(segmentation, labels, notes))
-    progress(1, STEPS)
-    plane = find_base_plane(bodies)
-    grid = grid_below(plane, bodies, EDGE)
-    progress(2, STEPS)
-    lv = level_set(bodies.lv, bodies, plane, grid)
-    rv = level_set(bodies.rv, bodies, plane, grid)
-    progress(3, STEPS)
-    filled = binary_fill_holes(bodies.lv | bodies.rv | bodies.tissue)
-    outer = level_set(filled, bodies, plane, grid)
-    progress(4, STEPS)
-    levels = _walled(lv, rv, _with_rv_wall(bodies, plane, outer, rv, notes))
-    layers = _base_layer(levels, bodies.name)
+    steps = 6
+    masks = _coarsened(masks_of(segmentation, labels, notes))
+    progress(1, steps)
+    plane = find_base_plane(masks)
+    grid = grid_below(plane, masks, EDGE)
+    progress(2, steps)
+    lv = level_set(masks.lv, masks, plane, grid)
+    rv = level_set(masks.rv, masks, plane, grid)
+    progress(3, steps)
+    filled = binary_fill_holes(masks.lv | masks.rv | masks.tissue)
+    outer = level_set(filled, masks, plane, grid)
+    progress(4, steps)
+    levels = _walled(lv, rv, _with_rv_wall(masks, plane, outer, rv, notes))
+    layers = _base_layer(levels, masks.name)
     below = (grid.shape[2] - layers) * grid.edge
-    notes.append(f"{bodies.name}: cut at {plane.how}, {below:g} mm below it")
-    progress(5, STEPS)
-    surface = _closed_surface(levels.below(layers), grid, bodies.name, notes)
-    progress(STEPS, STEPS)
+    notes.append(f"{masks.name}: cut at {plane.how}, {below:g} mm below it")
+    progress(5, steps)
+    surface = _closed_surface(levels.below(layers), grid, masks.name, notes)
+    progress(steps, steps)
     return surface
 
 
-def _coarsened(bodies: Bodies) -> Bodies:
+def _coarsened(masks: Masks) -> Masks:
     """Take every other (third, …) voxel of maps that are finer than the surface can be."""
-    spacing = np.linalg.norm(bodies.affine[:3, :3], axis=0)
+    spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)
     every = np.maximum(np.floor(EDGE / spacing * (1 + 1e-6)), 1).astype(np.int64)
     if (every == 1).all():
-        return bodies
+        return masks
     take = tuple(slice(n // 2, None, n) for n in every)
-    affine = bodies.affine.copy()
+    affine = masks.affine.copy()
     affine[:3, 3] += affine[:3, :3] @ (every // 2)
     affine[:3, :3] *= every
-    lv, rv, tissue = (np.pad(mask[take], 1) for mask in (bodies.lv, bodies.rv, bodies.tissue))
+    lv, rv, tissue = (np.pad(mask[take], 1) for mask in (masks.lv, masks.rv, masks.tissue))
     affine[:3, 3] -= affine[:3, :3].sum(axis=1)
-    return Bodies(lv, rv, tissue, affine, bodies.name)
+    return Masks(lv, rv, tissue, affine, masks.name)
 
 
 def _with_rv_wall(
-    bodies: Bodies, plane: BasePlane, outer: Floats, rv: Floats, notes: list[str]
+    masks: Masks, plane: BasePlane, outer: Floats, rv: Floats, notes: list[str]
 ) -> Floats:
-    """Distance to the epicardium, with a wall around the RV if the map has none."""
-    faces = blood_faces(bodies, bodies.rv, bodies.lv)
-    deep = plane.height(faces.voxels) < -bodies.thickness(plane.normal)
+    """Distance to the epicardium, with a wall around the RV if a fifth of its blood has none."""
+    faces = blood_faces(masks, masks.rv, masks.lv)
+    deep = plane.height(faces.voxels) < -masks.thickness(plane.normal)
     size = np.linalg.norm(faces.areas, axis=1) * deep
     bare, whole = float(size[faces.free].sum()), float(size.sum())
-    if whole == 0 or bare < WALL_MISSING * whole:
+    if whole == 0 or bare < 0.2 * whole:
         return outer
     notes.append(
-        f"{bodies.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
+        f"{masks.name}: {bare / whole:.0%} of the RV blood borders on no tissue, so an RV wall of "
         f"{RV_WALL:g} mm was added"
     )
     wall = rv - RV_WALL
@@ -165,8 +141,9 @@ def _with_rv_wall(
 
 def _walled(lv: Floats, rv: Floats, gaps: Floats) -> _Levels:
     """Close holes in the septum and in the outer walls."""
-    rv = np.maximum(rv, THINNEST - lv)
-    return _Levels(np.minimum(gaps, np.minimum(lv, rv) - THINNEST), lv, rv, gaps)
+    thinnest = 1.5 * EDGE  # that cubes of this edge can tell from a hole
+    rv = np.maximum(rv, thinnest - lv)
+    return _Levels(np.minimum(gaps, np.minimum(lv, rv) - thinnest), lv, rv, gaps)
 
 
 def _base_layer(levels: _Levels, name: str) -> int:
@@ -175,7 +152,7 @@ def _base_layer(levels: _Levels, name: str) -> int:
     occupied = np.flatnonzero(areas[0] + areas[1])
     top = levels.outer.shape[2] - 1
     first = ""
-    for k in range(top, int(top - LOWEST * (top - occupied[0])), -1):
+    for k in range(top, int(top - 0.5 * (top - occupied[0])), -1):  # in the upper half
         wrong = _wrong_with_section(levels, k, areas)
         if not wrong:
             return k + 1
@@ -187,20 +164,24 @@ def _base_layer(levels: _Levels, name: str) -> int:
 
 
 def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
-    """Why a layer cannot be the base; empty if it can."""
+    """Why a layer cannot be the base; empty if it can.
+
+    Each cavity must have 30 % of its largest cross-section there, and tissue around all but 10 % of
+    its circumference.
+    """
     outer = levels.outer[:, :, k] < 0
     if label(outer)[1] != 1:
         return f"the section has {label(outer)[1]} pieces"
     tissue = outer.copy()
     for side, cavity, area in zip(("LV", "RV"), (levels.lv, levels.rv), areas, strict=True):
         blood = cavity[:, :, k] < 0
-        if area[k] < OPENING * area.max():
+        if area[k] < 0.3 * area.max():
             return f"the {side} is closed or small"
         if label(blood)[1] != 1:
             return f"the {side} has {label(blood)[1]} openings"
         border = (cavity[:, :, k] >= 0) & (cavity[:, :, k] < EDGE)
         bare = float((levels.gaps[:, :, k][border] > 0).mean())
-        if bare > GAP:
+        if bare > 0.1:
             return f"{bare:.0%} of the {side} has no wall"
         tissue &= ~blood
     openings = int(label(~tissue)[1]) - 1
@@ -210,16 +191,16 @@ def _wrong_with_section(levels: _Levels, k: int, areas: list[Integers]) -> str:
 def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) -> LabelledSurface:
     """Extract the surface; mend the cavities where they are not disks."""
     attempts = {Label.LV_ENDOCARDIUM: 0, Label.RV_ENDOCARDIUM: 0}
-    cavities = {Label.LV_ENDOCARDIUM: levels.lv, Label.RV_ENDOCARDIUM: levels.rv}
     while True:
-        lv, rv = (_mended(cavity, attempts[kind], grid.edge) for kind, cavity in cavities.items())
+        lv = _mended(levels.lv, attempts[Label.LV_ENDOCARDIUM], grid.edge)
+        rv = _mended(levels.rv, attempts[Label.RV_ENDOCARDIUM], grid.edge)
         tried = _walled(lv, rv, levels.gaps) if any(attempts.values()) else levels
         surface = _extract(tried, grid, name)
         wrong = _wrong_topology(surface)
         if wrong is None:
             break
         part, found = wrong
-        if attempts.get(part, len(CLOSING_BALLS) + 1) > len(CLOSING_BALLS):
+        if attempts.get(part, len(BALLS)) == len(BALLS):
             raise InputError(
                 f"{name}: {found}; fill holes in the walls and take papillary muscles and "
                 "trabeculae that cross the cavities out of the myocardium"
@@ -229,7 +210,7 @@ def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) ->
         if attempt:
             how = "threads of blood were taken away"
             if attempt > 1:
-                gap = 2 * CLOSING_BALLS[attempt - 2]
+                gap = 2 * BALLS[attempt - 1]
                 how = f"gaps up to {gap:g} mm wide around papillary muscles were filled"
             notes.append(f"{name}: {kind.words}: {how}, to leave no handles")
     return surface
@@ -239,18 +220,19 @@ def _mended(cavity: Floats, attempt: int, edge: float) -> Floats:
     if attempt == 0:
         return cavity
     if attempt == 1:
-        return -closed_by(-cavity, OPENING_BALL, edge)
-    return closed_by(cavity, CLOSING_BALLS[attempt - 2], edge)
+        return -closed_by(-cavity, BALLS[0], edge)
+    return closed_by(cavity, BALLS[attempt - 1], edge)
 
 
 def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     """Marching cubes on the tissue's function, with a layer far outside put on top."""
     tissue = np.maximum(np.maximum(levels.outer, -levels.lv), -levels.rv)
-    near = np.abs(tissue) < SNAP * grid.edge
-    tissue[near] = np.where(tissue[near] < 0, -SNAP, SNAP) * grid.edge
+    snap = 0.05 * grid.edge  # no node closer to the surface, which keeps slivers away
+    near = np.abs(tissue) < snap
+    tissue[near] = np.where(tissue[near] < 0, -snap, snap)
     top = tissue.shape[2] - 1
-    tissue = np.concatenate([tissue, np.full((*tissue.shape[:2], 1), FAR)], axis=2)
-    vertices, triangles = _marching_cubes(tissue)
+    far = np.full((*tissue.shape[:2], 1), 1e9)
+    vertices, triangles = marching_cubes(np.concatenate([tissue, far], axis=2))
     vertices, triangles = without_unused_vertices(vertices, _largest_piece(triangles, name))
     # the last vertices lie a millionth of an edge above the plane, for the layer on top
     vertices[:, 2] = np.minimum(vertices[:, 2], top)
@@ -265,26 +247,11 @@ def _extract(levels: _Levels, grid: Grid, name: str) -> LabelledSurface:
     return LabelledSurface(grid.positions(vertices), triangles, labels.astype(np.int64), name)
 
 
-def _marching_cubes(values: Floats) -> tuple[Floats, Integers]:
-    """Surface of {values < 0}, in node indices, with outward normals."""
-    corners = np.array(
-        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    )
-    inside = sliding_window_view(values < 0, (2, 2, 2))
-    cells = np.argwhere(inside.any(axis=(3, 4, 5)) & ~inside.all(axis=(3, 4, 5)))
-    nodes = np.ravel_multi_index(tuple(np.moveaxis(cells[:, None] + corners, 2, 0)), values.shape)
-    used, cubes = np.unique(nodes, return_inverse=True)
-    positions = np.stack(np.unravel_index(used, values.shape), axis=1).astype(np.float64)
-    vertices, triangles, _ = igl.marching_cubes(
-        values.ravel()[used], positions, cubes.reshape(-1, 8).astype(np.int64), 0.0
-    )
-    return vertices, turned_outwards(vertices, triangles)
-
-
 def _largest_piece(triangles: Integers, name: str) -> Integers:
+    """The largest piece, outside which at most 1 % of all triangles may lie."""
     _, pieces = igl.facet_components(triangles)
     sizes = np.bincount(pieces)
-    if sizes.max() < (1 - STRAY) * len(triangles):
+    if sizes.max() < 0.99 * len(triangles):
         listed = ", ".join(str(size) for size in np.sort(sizes)[::-1])
         raise InputError(
             f"{name}: the surface of the tissue falls into {len(sizes)} pieces ({listed} triangles)"
@@ -295,7 +262,8 @@ def _largest_piece(triangles: Integers, name: str) -> Integers:
 
 def _wrong_topology(surface: LabelledSurface) -> tuple[Label, str] | None:
     """First part of a surface that is not like that of two ventricles, and what is wrong."""
-    for part, n_loops in BOUNDARY_LOOPS.items():
+    for part in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE):
+        n_loops = 3 if part == Label.BASE else 1
         own = surface.having(part)
         loops = len(boundary_loops(own))
         euler = np.unique(own).size - len(unique_edges(own)[0]) + len(own)

@@ -1,1 +1,0 @@
-"""Which part of an unlabelled surface is which."""

@@ -1,1 +1,0 @@
-"""From separate surfaces to one closed surface."""

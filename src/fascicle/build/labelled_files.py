@@ -1,0 +1,370 @@
+"""Closed surfaces and tetrahedra from files, with the labels of their triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fascicle.build.anatomy import Anatomy
+from fascicle.build.endocardia import labels_from_points
+from fascicle.build.surface_repair import MERGED
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.errors import InputError
+from fascicle.core.files import check_file
+from fascicle.heart.assembly import FIBRE_NAMES, average_to_tetrahedra, region_labels
+from fascicle.heart.label_names import (
+    LABEL_NAMES,
+    Names,
+    label_of,
+    labels_by_number,
+    labels_of,
+    whole_numbers,
+)
+from fascicle.heart.labelled_surface import (
+    NEEDED,
+    Label,
+    LabelledMesh,
+    LabelledSurface,
+    missing_parts,
+)
+from fascicle.heart.validate import check_fibres, check_tetrahedra, check_units
+from fascicle.mesh.formats.mesh_file import GROUP, OPENCARP_FORMATS, TETRAHEDRON, TRIANGLE, MeshFile
+from fascicle.mesh.formats.opencarp import opencarp_file, read_surf, read_vtx
+from fascicle.mesh.measures import signed_volumes, unit
+from fascicle.mesh.topology import (
+    boundary_triangles,
+    merged_vertices,
+    places_in,
+    without_unused_vertices,
+)
+
+
+class LabelArray(NamedTuple):
+    """An array of labels in a file: where, its values (k,), and what they belong to.
+
+    `groups` are the names of Gmsh's physical groups by number, None where these are no groups.
+    """
+
+    source: str
+    values: Floats | Integers
+    of_triangles: bool
+    groups: Mapping[int, str] | None
+
+
+def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
+    """Find the array called so, or else one of `LABEL_NAMES`; triangles come before points.
+
+    Raises
+    ------
+    InputError
+        If there is none called so.
+    """
+    of_triangles = mesh.cell_data.get(TRIANGLE, {})
+    for arrays in (of_triangles, mesh.point_data):
+        names = {key.lower(): key for key in arrays} if array is None else {array: array}
+        wanted = LABEL_NAMES if array is None else (array,)
+        name = next((names[name] for name in wanted if names.get(name) in arrays), None)
+        if name is not None:
+            surfaces = {number: group for group, (size, number) in mesh.groups.items() if size == 2}
+            groups = surfaces if name == GROUP else None
+            source = f"{mesh.path}: array '{name}'"
+            return LabelArray(source, arrays[name], arrays is of_triangles, groups)
+    if array is not None:
+        known = ", ".join(sorted({*of_triangles, *mesh.point_data})) or "none"
+        raise InputError(
+            f"{mesh.path}: no array '{array}' on triangles or points; there are: {known}; name one "
+            "of them (--label-array)"
+        )
+    return None
+
+
+def has_labels(mesh: MeshFile, array: str | None = None, labels_file: Path | None = None) -> bool:
+    """Whether there are labels: a file of them, a named array, or one of `LABEL_NAMES`."""
+    if labels_file is not None or array is not None:
+        return True
+    found = find_label_array(mesh, None)
+    # a surface that is all one physical group, or none, has no labels
+    return found is not None and (found.groups is None or len(np.unique(found.values)) > 1)
+
+
+def labelled_surface(
+    mesh: MeshFile,
+    array: str | None = None,
+    names: Mapping[str, int] | None = None,
+    labels_file: Path | str | None = None,
+) -> LabelledSurface:
+    """The surface of a file with the labels of its triangles.
+
+    Parameters
+    ----------
+    mesh : MeshFile
+        A file of triangles, in mm.
+    array : str, optional
+        Name of the array of labels, one a triangle or one a point, if it is none of
+        `fascicle.heart.label_names.LABEL_NAMES`.
+    names : mapping of str to int, optional
+        Which number in the file stands for which label, as ``{"lv": 3}``; names are what
+        `fascicle.heart.label_names.label_of` understands. Those not named have `Label`'s number.
+    labels_file : Path, optional
+        A text file with one whole number a triangle or point, in the order of the surface file,
+        instead of an array in it; STL files hold none.
+
+    Returns
+    -------
+    LabelledSurface
+        With repeated points merged. Labels of points are brought to triangles by
+        `fascicle.build.endocardia.labels_from_points`.
+
+    Raises
+    ------
+    InputError
+        If it is not in mm, or has no labels, or unknown ones.
+    """
+    check_units(str(mesh.path), mesh.points)
+    triangles = mesh.require(TRIANGLE, "triangles")
+    if labels_file is None:
+        found = find_label_array(mesh, array)
+        if found is None:
+            there = sorted({*mesh.point_data, *mesh.cell_data.get(TRIANGLE, {})})
+            raise InputError(
+                f"{mesh.path}: no labels: no array called {', '.join(LABEL_NAMES[:-1])} on "
+                f"triangles or points (arrays: {', '.join(there) or 'none'}); name the array "
+                "(--label-array) or give a file of labels (--labels-file)"
+            )
+    else:
+        values = _read_numbers(Path(labels_file))
+        if len(values) not in (len(triangles), len(mesh.points)):
+            raise InputError(
+                f"{labels_file}: {len(values)} labels, but {mesh.path} has {len(triangles)} "
+                f"triangles and {len(mesh.points)} points; give one a triangle or point"
+            )
+        found = LabelArray(str(labels_file), values, len(values) == len(triangles), None)
+    numbers = {} if names is None else labels_by_number(names)
+    whole = whole_numbers(found.source, found.values)
+    labels = labels_of(found.source, whole, numbers, found.groups or {})
+    extent = float(np.ptp(mesh.points, axis=0).max())
+    used, number = np.unique(merged_vertices(mesh.points, MERGED * extent), return_inverse=True)
+    vertices, triangles = mesh.points[used], number[triangles]
+    if not found.of_triangles:
+        at_vertices = np.empty(len(vertices), dtype=np.int64)
+        at_vertices[number] = labels
+        labels = labels_from_points(vertices, triangles, at_vertices)
+    return LabelledSurface(vertices, triangles, labels, str(mesh.path))
+
+
+def _read_numbers(path: Path) -> Integers:
+    """Whole numbers of a text file, one a line or separated by commas or blanks."""
+    check_file(path, (".txt", ".csv", ".dat"), "labels")
+    words = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").split()
+    for place, word in enumerate(words):
+        if not word.lstrip("+-").isdecimal():
+            raise InputError(
+                f"{path}: entry {place + 1} is {word[:20]!r}; give one whole number a triangle or "
+                "point, and no heading"
+            )
+    return np.array(words, dtype=np.int64)
+
+
+def labelled_tetrahedra(
+    mesh: MeshFile, array: str | None = None, names: Names | None = None
+) -> Anatomy:
+    """Tetrahedra of a file, the labels of their surface, regions, fibres and sheets.
+
+    The labels come from
+
+    - triangles beside the tetrahedra with a cell array ``label`` (or ``class``, ``surface``, ...)
+      of `Label` numbers: VTK, VTU;
+    - such a point array on the boundary's points; a triangle gets the label of most of its corners
+      (ties: the endocardia, then the epicardium, then the base);
+    - physical groups of triangles, by name or number: Gmsh;
+    - ``.surf`` files, or else ``.vtx`` files, beside the mesh with names like
+      ``<stem>_lv_endo.surf``: openCARP.
+
+    Parameters
+    ----------
+    mesh : MeshFile
+        VTK, VTU, Gmsh or openCARP file; in mm, openCARP's in µm.
+    array : str, optional
+        Name of the array of labels, if it has another one.
+    names : mapping of str to Label, optional
+        The file's own names or numbers (as text) of labels, where they are not understood;
+        `fascicle.heart.label_names.labels_by_number` makes them from ``{"lv": 3}``.
+
+    Returns
+    -------
+    Anatomy
+        Vertices that no tetrahedron has are left out; labels are 0 if the file has none.
+
+    Raises
+    ------
+    InputError
+        If tetrahedra are flat, overlap or are inverted (unless all are: then they are turned, and
+        `Anatomy.notes` says so), or lie in several pieces; if labels are missing or unknown,
+        contradict one another, or lie on triangles that are not on the boundary; if regions are not
+        whole numbers or fibres have no length; if it is not in mm.
+    """
+    file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
+    name = str(mesh.path)
+    vertices, tetrahedra = without_unused_vertices(mesh.points, file_tetrahedra)
+    check_units(name, vertices)
+    notes: tuple[str, ...] = ()
+    # another program's convention, or the file is mirrored
+    if (signed_volumes(vertices, tetrahedra) < 0).all():
+        tetrahedra = tetrahedra[:, [0, 2, 1, 3]]
+        notes = (
+            "tetrahedra: all were inverted and have been turned; if left and right are exchanged "
+            "in the picture, the file is mirrored",
+        )
+    check_tetrahedra(name, vertices, tetrahedra)
+    triangles, _ = boundary_triangles(tetrahedra)
+    boundary = np.unique(file_tetrahedra)[triangles]
+    labels = label_boundary(mesh, boundary, array, names if names is not None else {})
+    if labels is None:
+        labels = np.zeros(len(triangles), dtype=np.int64)
+    names_of_regions = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
+    region = _named(mesh.cell_data.get(TETRAHEDRON, {}), names_of_regions)
+    regions = None if region is None else region_labels(mesh, region[0])
+    return Anatomy(
+        LabelledMesh(vertices, tetrahedra, triangles, labels, regions, name),
+        fibres=_directions(mesh, FIBRE_NAMES),
+        sheets=_directions(mesh, ("sheet", "sheets", "s0", "sheet_direction")),
+        notes=notes,
+        own_mesh=True,
+    )
+
+
+def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, Floats] | None:
+    """First array with one of these names, in the order of the names."""
+    lower = {key.lower(): key for key in arrays}
+    return next(((lower[name], arrays[lower[name]]) for name in names if name in lower), None)
+
+
+def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
+    """Unit directions of the tetrahedra, from a cell or else a point array so named."""
+    tetrahedra = mesh.cells[TETRAHEDRON]
+    found = _named(mesh.cell_data.get(TETRAHEDRON, {}), names)
+    per_cell = found is not None
+    found = found if found is not None else _named(mesh.point_data, names)
+    if found is None:
+        return None
+    title, values = f"{mesh.path}: array '{found[0]}'", np.asarray(found[1], dtype=float)
+    if values.shape[1:] != (3,):
+        raise InputError(f"{title} has shape {values.shape}; give three components, or rename it")
+    at = np.arange(len(tetrahedra)) if per_cell else np.unique(tetrahedra)
+    check_fibres(title, values[at])
+    return unit(values) if per_cell else average_to_tetrahedra(values, tetrahedra)
+
+
+def label_boundary(
+    mesh: MeshFile, boundary: Integers, array: str | None, names: Names
+) -> Integers | None:
+    """Label each triangle (b, 3) of the boundary by what the mesh's file, or files beside it, say.
+
+    Returns
+    -------
+    (b,) array or None
+        A `Label` each; None if nothing is labelled.
+
+    Raises
+    ------
+    InputError
+        If labels are missing, unknown or contradictory, or not on the boundary.
+    """
+    if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
+        found = _from_files_beside(mesh, boundary, names)
+    else:
+        found = _from_array(mesh, boundary, array, names)
+    if found is None:
+        return None
+    source, labels = found
+    missing = missing_parts(labels)
+    without = np.flatnonzero(labels == 0)
+    rest = f"{without.size} of {len(labels)} boundary triangles have no label"
+    if missing:
+        counted = f" ({rest})" if without.size else ""
+        raise InputError(f"{source}: labels missing: {', '.join(missing)}{counted}; add them")
+    if without.size:
+        raise InputError(f"{source}: {rest} (first: {without[0]}); label every one")
+    return labels
+
+
+def _from_array(
+    mesh: MeshFile, boundary: Integers, array: str | None, names: Names
+) -> tuple[str, Integers] | None:
+    """Source and labels (b,) of the boundary's triangles by an array of triangles or points."""
+    found = find_label_array(mesh, array)
+    if found is None:
+        return None
+    if not found.of_triangles:
+        points = np.unique(boundary)
+        numbers = whole_numbers(found.source, found.values[points])
+        votes = np.zeros((len(mesh.points), max(Label) + 1), dtype=bool)
+        votes[points, labels_of(found.source, numbers, names, {})] = True
+        return found.source, _elected(votes, boundary)
+    numbers = whole_numbers(found.source, found.values)
+    given = np.full(len(numbers), found.groups is None) | (numbers != 0)
+    if not given.any():
+        return None
+    labels = labels_of(found.source, numbers[given], names, found.groups or {})
+    return found.source, _on_boundary(found.source, mesh.cells[TRIANGLE][given], labels, boundary)
+
+
+def _from_files_beside(
+    mesh: MeshFile, boundary: Integers, names: Names
+) -> tuple[str, Integers] | None:
+    """Source and labels (b,) of the boundary's triangles by `.surf` files, or else `.vtx` files."""
+    stem, points = opencarp_file(mesh.path, "").name, len(mesh.points)
+    for suffix in (".surf", ".vtx"):
+        files = []
+        for path in sorted(mesh.path.parent.glob(f"*{suffix}")):
+            name = path.name.removesuffix(suffix).removesuffix(".surf").removeprefix(stem)
+            name = name.strip("._- ")
+            label = names.get(name, label_of(name))
+            if label is not None:
+                files.append((path, label))
+        if not files:
+            continue
+        source = f"{mesh.path} ({', '.join(path.name for path, _ in files)})"
+        if suffix == ".surf":
+            parts = [read_surf(path, points) for path, _ in files]
+            labels = np.repeat([int(label) for _, label in files], list(map(len, parts)))
+            return source, _on_boundary(source, np.concatenate(parts), labels, boundary)
+        votes = np.zeros((points, max(Label) + 1), dtype=bool)
+        for path, label in files:
+            votes[read_vtx(path, points)[0], label] = True
+        if not votes[np.unique(boundary)].any(axis=1).all():
+            raise InputError(
+                f"{source}: some points of the boundary have no label; label every one"
+            )
+        return source, _elected(votes, boundary)
+    return None
+
+
+def _elected(votes: Booleans, boundary: Integers) -> Integers:
+    """Label that most corners of each triangle have, of the votes (points, labels), shape (b,)."""
+    endocardia_first = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
+    valves = sorted(set(Label) - set(NEEDED))
+    order = np.array([*endocardia_first, *valves, Label.BASE], dtype=np.int64)
+    # argmax takes the first of those with as many
+    return np.asarray(order[np.argmax(votes[boundary].sum(axis=1)[:, order], axis=1)])
+
+
+def _on_boundary(source: str, triangles: Integers, given: Integers, boundary: Integers) -> Integers:
+    """Label of each boundary triangle; 0 where none was given."""
+    at = places_in(triangles, boundary)
+    labels = np.zeros(len(boundary), dtype=np.int64)
+    labels[at] = given
+    for bad, fault, remedy in (
+        (at < 0, "labelled triangles are not on the boundary", "label faces of the mesh itself"),
+        (labels[at] != given, "triangles have two labels", "keep one"),
+    ):
+        if bad.any():
+            first = " ".join(map(str, triangles[np.argmax(bad)]))
+            raise InputError(
+                f"{source}: {int(bad.sum())} of {len(triangles)} {fault} (first: points {first}); "
+                f"{remedy}"
+            )
+    return labels

@@ -1,1 +1,0 @@
-"""From a segmented image to a labelled surface."""

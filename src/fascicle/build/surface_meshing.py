@@ -1,0 +1,181 @@
+"""Triangles of a given edge length on a closed labelled surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import igl
+import numpy as np
+
+from fascicle.build.surface_checks import place
+from fascicle.build.surface_repair import closed_surface, compacted, oriented_outwards
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import LabelledSurface
+from fascicle.mesh.measures import closed_volume, edge_lengths, mean_edge_length, triangle_areas
+from fascicle.mesh.meshing import remeshed_triangles
+from fascicle.mesh.quality import self_intersections
+
+
+def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSurface:
+    """Triangles with this mean edge length, and the borders between labels where they were.
+
+    A first pass removes the noise of a surface from marching cubes. It keeps sharp edges, without
+    which the narrow end of the right cavity would be folded; the second does not look for them
+    (angle=0), which would keep every badly shaped triangle, and keeps the borders between labels
+    alone. Mmg's mean length is not the size that it is given, so the size is corrected by what came
+    out. Mmg stays far nearer to the surface than it may: on a heart the volume changes by 0.02 %,
+    the walls by 0.06 mm at 2 mm; with less leave it follows the noise of borders.
+
+    Raises
+    ------
+    InputError
+        If the new surface cuts itself.
+    """
+    smooth = _remeshed(
+        without_short_edges(surface, 0.3 * edge_length),
+        hmin=0.77 * edge_length,
+        hmax=1.43 * edge_length,
+        hausd=0.1 * edge_length,
+        angle=1,
+    )
+    size, best, error = 1.05 * edge_length, smooth, np.inf
+    for _ in range(6):  # two or three are enough
+        trial = _remeshed(smooth, hsiz=size, hausd=0.4 * edge_length, angle=0)
+        ratio = mean_edge_length(trial.vertices, trial.triangles) / edge_length
+        if abs(ratio - 1) < error:
+            best, error = trial, abs(ratio - 1)
+        if error < 0.01:
+            break
+        # slivers that Mmg leaves must not drive the size of all the others away
+        size = edge_length * float(np.clip(size / ratio / edge_length, 0.75, 1.35))
+    best = oriented_outwards(compacted(best))
+    cuts = self_intersections(best.vertices, best.triangles)
+    if len(cuts):
+        at = place(best.vertices[best.triangles[cuts[0, 0]]].mean(axis=0))
+        raise InputError(
+            f"{surface.name}: with edges of {edge_length:g} mm the surface cuts itself in "
+            f"{len(cuts)} places (the first at {at}); give a shorter edge length, or smooth the "
+            "surface there"
+        )
+    return best
+
+
+def _remeshed(surface: LabelledSurface, **options: float) -> LabelledSurface:
+    """The surface remeshed by Mmg with these of its options."""
+    new = remeshed_triangles(surface.vertices, surface.triangles, surface.labels, **options)
+    return LabelledSurface(*new, surface.name)
+
+
+def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSurface:
+    """Bring the two ends of every shorter edge (mm) together, where the surface stays one.
+
+    That is where the ends have no common neighbour but the corners of the edge's two triangles (the
+    link condition; Dey et al. 1999, Publ Inst Math 66:23-45). Mmg alone does as well where
+    triangles are fine, but not where edges are as long as walls are thick: on ellipsoids with walls
+    of 12 mm and edges of 8 mm the worst radius ratio is 0.11 instead of 0.27, and helix angles at
+    the endocardium are off by up to 4.6 instead of 1.1 degrees.
+    """
+    while True:
+        edges = np.asarray(igl.edges(surface.triangles))
+        length = edge_lengths(surface.vertices, edges)
+        short = edges[np.argsort(length, kind="stable")[: int((length < shortest).sum())]]
+        target = _merge_targets(surface.triangles, short)
+        moved = target != np.arange(len(target))
+        if not moved.any():
+            return surface
+        vertices = surface.vertices.copy()
+        vertices[target[moved]] = (vertices[target[moved]] + vertices[moved]) / 2
+        triangles = target[surface.triangles]
+        keep = (np.diff(np.sort(triangles, axis=1), axis=1) != 0).all(axis=1)
+        labels = surface.labels[keep]
+        surface = compacted(
+            replace(surface, vertices=vertices, triangles=triangles[keep], labels=labels)
+        )
+
+
+def _merge_targets(triangles: Integers, edges: Integers) -> Integers:
+    """The vertex that each becomes part of, for as many edges as do not touch one another."""
+    near: dict[int, set[int]] = {int(vertex): set() for vertex in np.unique(edges)}
+    for corners in triangles[np.isin(triangles, edges).any(axis=1)].tolist():
+        for vertex in corners:
+            if vertex in near:
+                near[vertex].update(corners)
+    target = np.arange(int(triangles.max()) + 1)
+    busy: set[int] = set()
+    for kept, lost in edges.tolist():
+        around = near[kept] | near[lost]
+        if busy.isdisjoint(around) and len(near[kept] & near[lost]) == 4:  # two of them the ends
+            target[lost] = kept
+            busy |= around
+    return target
+
+
+def is_coarse(surface: LabelledSurface, edge_length: float) -> bool:
+    """Whether the mean edge is above three edge lengths (mm).
+
+    Remeshing keeps to its flat triangles, so the mesh would have their edges and creases.
+    """
+    return mean_edge_length(surface.vertices, surface.triangles) > 3.0 * edge_length
+
+
+def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSurface, str]:
+    """Make a coarse surface smooth and finer: Loop subdivision, corrected for its shrinking.
+
+    Loop's surface does not pass through the vertices that it comes from: walls of one or two
+    triangles would shrink. So each vertex is first moved by as much as it would be missed by (one
+    step of progressive interpolation; more make a flat base undulate), or by half of it where walls
+    would cut one another. Then the finer surface is moved along its normals by the hundredths of a
+    mm that give the volume back.
+
+    Parameters
+    ----------
+    surface : LabelledSurface
+        Coarse in the sense of `is_coarse`; small holes are closed first.
+    edge_length : float
+        The wanted mean edge length (mm).
+
+    Returns
+    -------
+    surface : LabelledSurface
+        Closed, with edges of at most two edge lengths (mean); remeshing does the rest. The label of
+        each triangle is that of the one it is part of.
+    note : str
+        What was done, for people.
+
+    References
+    ----------
+    Loop 1987, Smooth subdivision surfaces based on triangles (thesis, University of Utah). Cheng,
+    Fan, Lai et al. 2009, Loop subdivision surface based progressive interpolation, J Comput Sci
+    Technol 24:39-46.
+    """
+    given = closed_surface(surface)
+    before = mean_edge_length(given.vertices, given.triangles)
+    levels = int(np.ceil(np.log2(before / (2.0 * edge_length))))
+    # two levels show where a vertex comes to lie, to a few percent
+    limit = igl.loop(given.vertices, given.triangles, 2)[0][: len(given.vertices)]
+    volume = closed_volume(given.vertices, given.triangles)
+    for share in (1.0, 0.5, 0.0):
+        moved = given.vertices + share * (given.vertices - np.asarray(limit, dtype=float))
+        finer, parts = igl.loop(moved, given.triangles, levels)
+        triangles = np.asarray(parts, dtype=np.int64)
+        vertices = _with_volume(np.asarray(finer, dtype=float), triangles, volume)
+        if not len(self_intersections(vertices, triangles)):
+            break
+    labels = np.repeat(given.labels, 4**levels)  # four follow one another for each
+    note = (
+        f"surface: its triangles of {before:.3g} mm are coarse for edges of {edge_length:g} mm; "
+        f"subdivided {levels} times (Loop) to a smooth one of "
+        f"{mean_edge_length(vertices, triangles):.3g} mm; volume {volume / 1e3:.1f} ml before, "
+        f"{closed_volume(vertices, triangles) / 1e3:.1f} ml after"
+    )
+    return replace(given, vertices=vertices, triangles=triangles, labels=labels), note
+
+
+def _with_volume(vertices: Floats, triangles: Integers, volume: float) -> Floats:
+    """Vertices moved along their normals by one distance so that the volume is this one (mm³)."""
+    for _ in range(3):  # Newton steps; each leaves a thousandth of the error
+        missing = volume - closed_volume(vertices, triangles)
+        normals = np.asarray(igl.per_vertex_normals(vertices, triangles))
+        vertices = vertices + missing / triangle_areas(vertices, triangles).sum() * normals
+    return vertices
