@@ -46,7 +46,7 @@ import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +77,11 @@ from fascicle.study.likelihood import PriorKnowledge, likelihood_of, prior_knowl
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import predict_recording
 from fascicle.study.prior_simulations import PriorSimulations, make_bank
-from fascicle.study.problem import Network, Problem
 from fascicle.study.settings import FitSettings, Method
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.target_comparison import Network, TargetComparison, evaluate
+from fascicle.study.target_comparison import networks as simulated
 from fascicle.study.verdict import explained
 from fascicle.torso.variation.conductor import InvalidBody
 
@@ -245,21 +247,23 @@ def prepared(heart_path: str, gain_sd: float, method: Method) -> tuple[Any, ...]
     _, some = truth_of(model, space, fixed, rng)
     flat = PriorKnowledge(np.eye(8), np.eye(8))
     target = recorded(some, flat, 0.0, rng)
-    problem = Problem(model, target, space, gain_sd > 0, fixed=fixed)
-    known = prior_knowledge(problem, np.array(INDEPENDENT_ROWS), rng)
+    known = prior_knowledge(PointSimulator(model, space, fixed), target, None, rng)
     centred = heart.vertices - heart.vertices.mean(axis=0)
     axis = centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0]
     return model, space, fixed, bank, known, axis
 
 
-def fitted(problem: Problem, settings: FitSettings, number: int) -> Population:
-    """Fit a problem whole, in a folder that is not kept."""
+def fitted(
+    simulator: PointSimulator, recording: TargetComparison, settings: FitSettings, number: int
+) -> Population:
+    """Fit a recording whole, in a folder that is not kept."""
     run = posterior.Run if settings.method == "posterior" else paper.Run
     with tempfile.TemporaryDirectory() as folder:
         database = Database(Path(folder) / "evaluations.sqlite")
         database.prepare()
-        journal = Journal(database, problem, len(problem.space), number, 1)
-        return run(settings, problem.space, journal).population()
+        objective = partial(evaluate, simulator, [recording])
+        journal = Journal(database, objective, len(simulator.space), number, 1)
+        return run(settings, simulator.space, journal).population()
 
 
 def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, Any]:
@@ -276,24 +280,25 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         simulation = another_body(model, simulation, len(axis), rng)
     if of_paper:
         target = synthetic_target(simulation.leads, rng, BEATS_OF_THE_PAPER)
-        problem = Problem(model, target, space, free_gain=False, fixed=fixed)
+        simulator, recording = PointSimulator(model, space, fixed), TargetComparison(target)
     else:
         noise = None if given.noise is None else residuals(read_target(given.noise))
         target = recorded(simulation, known, gain_sd, rng, given.physics == "same", noise)
         likelihood = likelihood_of(target, known, gain_sd)
-        problem = Problem(
-            model, target, space, free_gain=True, fixed=fixed, likelihood=likelihood, bank=bank
-        )
-    population = fitted(problem, settings, number)
+        simulator = PointSimulator(model, space, fixed, prior=bank)
+        recording = TargetComparison(target, likelihood=likelihood, free_gain=True)
+    population = fitted(simulator, recording, settings, number)
     result: dict[str, Any] = {"networks": len(population)}
     if len(population):
         chosen = rng.choice(len(population), min(MAPPED, len(population)), replace=False)
-        networks = list(problem.networks(population.parameters(int(k)) for k in chosen))
+        networks = list(
+            simulated(simulator, recording, [population.parameters(int(k)) for k in chosen])
+        )
         truth = true[1].from_unit(point)
         paced = true[0].simulate({**true[2], **truth, **TOGETHER})
-        result |= places(problem, population, networks, (truth, simulation, paced), axis, rng)
+        result |= places(simulator, population, networks, (truth, simulation, paced), axis, rng)
     if isinstance(population, Posterior):
-        checks = predict_recording(problem, likelihood, networks, rng).checks
+        checks = predict_recording(target, likelihood, networks, rng).checks
         result |= {
             "converged": population.converged,
             "explained": explained(checks),
@@ -306,7 +311,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
 
 
 def places(
-    problem: Problem,
+    simulator: PointSimulator,
     population: Population,
     networks: list[Network],
     true: tuple[Any, Simulation, Simulation],
@@ -315,10 +320,10 @@ def places(
 ) -> dict[str, Any]:
     """Where the truth (parameters, simulation, with both roots together) lies among networks."""
     truth, simulation, paced = true
-    space, count = problem.space, len(axis)
+    space, count = simulator.space, len(axis)
 
     def together(values: Any) -> Simulation:
-        return problem.model.simulate({**problem.fixed, **values, **TOGETHER})
+        return simulator.model.simulate({**simulator.fixed, **values, **TOGETHER})
 
     found = np.array([predictions(n.simulation, together(n.parameters), axis) for n in networks])
     expected = predictions(on_mesh(simulation, count), on_mesh(paced, count), axis)

@@ -118,14 +118,14 @@ CASES = {
 
 def row(name: str, fitted: FittedStudy, seconds: float) -> str:
     """One line of the table."""
-    problem, best = fitted.problem, fitted.best_network
-    target, used = problem.target, problem.compared
+    recording, best = fitted.recordings[0], fitted.best_network
+    target, used = recording.target, recording.compared
     leads = zip(target.qrs[used], best.predicted[used][:, target.qrs_samples], strict=True)
     correlation = np.mean([np.corrcoef(one, other)[0, 1] for one, other in leads])
     population = fitted.population
     effective = population.effective.sum() if isinstance(population, Posterior) else len(population)
     return (
-        f"{name:<17} {fitted.study.config.method:<9} {problem.flat:6.2f} "
+        f"{name:<17} {fitted.study.config.method:<9} {fitted.null_loss:6.2f} "
         f"{population.best_loss:6.3f} {correlation:5.2f} {target.qrs_duration:4.0f} "
         f"{best.simulation.qrs_duration:4.0f} {len(fitted.study.records()):6d} {effective:5.0f} "
         f"{seconds:6.0f} {fitted.verdict}"

@@ -22,6 +22,7 @@ from fascicle.core.parameters import ParameterSpace, free
 from fascicle.core.progress import stage_progress
 from fascicle.core.quantities import BODY, GROUPS, QUANTITIES
 from fascicle.inference.evaluation import best_of
+from fascicle.study.target_comparison import evaluate
 
 
 def main() -> None:
@@ -35,18 +36,19 @@ def main() -> None:
     fitted = fascicle.load_study(given.study)
     known = [record.evaluation for record in fitted.study.records()]
     names = [name for group in given.free for name in GROUPS.get(group, (group,))]
-    learnt = fitted.problem.space
+    learnt = fitted.simulator.space
     body = ParameterSpace(tuple(free(name) for name in names))
     space = ParameterSpace((*learnt.parameters, *body.parameters))
-    problem = replace(fitted.problem, space=space)
+    simulator = replace(fitted.simulator, space=space)
     networks = spread(known)
     bodies = rng.random((len(networks), len(body)))
     bodies[0] = body.to_unit({name: QUANTITIES[name].default for name in body.names})
-    starts = problem(list(np.hstack([networks, bodies])))
+    points = list(np.hstack([networks, bodies]))
+    starts = list(evaluate(simulator, fitted.recordings, points))
     found = list(starts)
 
     def objective(points):
-        evaluations = problem(points)
+        evaluations = list(evaluate(simulator, fitted.recordings, points))
         found.extend(evaluations)
         return evaluations
 
@@ -55,7 +57,7 @@ def main() -> None:
             rng, starts, objective, given.generations, stage_progress(progress, "refinement", "")
         )
     best = best_of(found)
-    print(f"flat line {problem.flat:.3f}, body as it is {best_of(known).loss:.3f}, "
+    print(f"flat line {fitted.null_loss:.3f}, body as it is {best_of(known).loss:.3f}, "
           f"freed {best.loss:.3f} mV² after {given.generations} generations")  # fmt: skip
     values = space.from_unit(best.point)
     for name in ("root_time", *(n for n in BODY if n in values)):

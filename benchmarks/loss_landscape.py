@@ -28,7 +28,7 @@ from examples.recover_known_network import TRUTH, synthetic_target
 from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.forward.loss import placed
 from fascicle.recording.target import Target
-from fascicle.study.problem import Problem
+from fascicle.study.target_comparison import TargetComparison
 
 Array = npt.NDArray[np.float64]
 NEAR = 1e-3  # of the mismatch of a flat line
@@ -61,21 +61,22 @@ def row(
     name: str, model: fascicle.ForwardModel, target: Target, networks: list[fascicle.Simulation]
 ) -> str:
     """One line of the table."""
-    problem = Problem(model, target, NETWORK_SPACE)
-    recorded = target.qrs[problem.compared]
-    losses = np.array([problem.align(network).loss for network in networks])
+    comparison = TargetComparison(target)
+    recorded = target.qrs[comparison.compared]
+    losses = np.array([comparison.align(network.leads).loss for network in networks])
     alone = [
         window_alone(
-            placed(n.leads[problem.compared], 0.0, n.leads.shape[1], target.response), recorded
+            placed(n.leads[comparison.compared], 0.0, n.leads.shape[1], target.response), recorded
         )
         for n in networks
     ]
     near_alone, near = (
-        np.mean(np.abs(values / problem.flat - 1) < NEAR) for values in (np.array(alone), losses)
+        np.mean(np.abs(values / comparison.null_loss - 1) < NEAR)
+        for values in (np.array(alone), losses)
     )
     different = len(np.unique(losses.round(6)))
     return (
-        f"{name:<20} {problem.flat:6.2f} {near_alone:12.1%} {near:10.1%} "
+        f"{name:<20} {comparison.null_loss:6.2f} {near_alone:12.1%} {near:10.1%} "
         f"{different:6d} of {len(losses)} {min(alone):9.3f} {losses.min():9.3f}"
     )
 

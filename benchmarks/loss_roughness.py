@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 import fascicle
 from fascicle.forward.model import ForwardModel
 from fascicle.purkinje.tree import InvalidTree
-from fascicle.study.problem import Problem
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.target_comparison import TargetComparison
 
 Array = NDArray[np.float64]
 Values = dict[str, float]
@@ -34,6 +35,9 @@ Values = dict[str, float]
 LENGTH, ANGLE, TIME, SPEED = 0.01, 0.001, 0.01, 0.001  # mm, rad, ms, mm/ms
 ALPHA = 0.001  # of its value
 LEVELS = (50, 90, 100)  # percentiles of the changes
+
+
+Problem = tuple[PointSimulator, TargetComparison]
 
 
 def simulated_problem(model: ForwardModel) -> Problem:
@@ -45,22 +49,24 @@ def simulated_problem(model: ForwardModel) -> Problem:
         raise RuntimeError(f"the example gives no tree: {simulation.reason}")
     target = synthetic_target(simulation.leads, np.random.default_rng(0), noise=0.0)
     space, fixed = study_space("posterior", {}, model.heart)
-    return Problem(model, target, space, fixed=fixed)
+    return PointSimulator(model, space, fixed), TargetComparison(target)
 
 
 def loss(problem: Problem, values: Mapping[str, float]) -> float:
     """Loss (mV²) at the best alignment; NaN where the network does not fit."""
-    simulation = problem.model.simulate({**problem.fixed, **values})
+    simulator, comparison = problem
+    simulation = simulator.model.simulate({**simulator.fixed, **values})
     if isinstance(simulation, InvalidTree):
         return np.nan
-    return problem.align(simulation).loss
+    return comparison.align(simulation.leads).loss
 
 
 def networks(problem: Problem, count: int) -> Iterator[Values]:
     """Random networks that fit."""
     rng = np.random.default_rng(0)
     while count > 0:
-        values = problem.space.from_unit(rng.uniform(size=len(problem.space)))
+        space = problem[0].space
+        values = space.from_unit(rng.uniform(size=len(space)))
         if np.isfinite(loss(problem, values)):
             count -= 1
             yield values
@@ -87,7 +93,7 @@ def roughness(problem: Problem, drawn: Sequence[Values], losses: Array) -> Itera
     """A row of the table for each change."""
     rows = {
         label: [(values, added) for values in drawn]
-        for label, added in steps(problem.space.names).items()
+        for label, added in steps(problem[0].space.names).items()
     }
     rows["alpha"] = [(values, {"alpha": ALPHA * values["alpha"]}) for values in drawn]
     for label, cases in rows.items():
@@ -113,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     losses = np.array([loss(problem, values) for values in drawn])
     print(
         f"{len(drawn)} networks: losses {losses.min():.2f} to {losses.max():.2f} mV², median "
-        f"{np.median(losses):.2f}; of a flat line {problem.flat:.2f}"
+        f"{np.median(losses):.2f}; of a flat line {problem[1].null_loss:.2f}"
     )
     columns = ("median", "90 %", "largest", "both ways", "do not fit")
     print(f"{'change of the loss, mV²':<24}" + "".join(f"{column:>12}" for column in columns))

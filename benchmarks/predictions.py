@@ -21,8 +21,9 @@ from fascicle.prediction.scenarios import simulate_scenarios
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.study.pool import Threads
-from fascicle.study.problem import Network, Problem
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.target_comparison import Network, TargetComparison
 
 SCENARIOS = (
     "intrinsic", "his-pacing", "left-bundle-pacing", "left-bundle-pacing-nonselective",
@@ -55,13 +56,14 @@ def main() -> None:
     beats = smooth_noise(rng, (2, 12, len(time_axis)), 0.1)  # of any recording; its filters count
     target = Target(beats, time_axis, -40.0, 40.0, 60.0, {}, 4.0, 5.0)
     space, _ = study_space("posterior", {}, model.heart)
-    problem = Problem(model, target, space, pool=Threads(given.workers))
+    simulator = PointSimulator(model, space, pool=Threads(given.workers))
+    recording = TargetComparison(target)
     scenarios = read_scenarios(SCENARIOS)
     begin = time.perf_counter()
-    simulate_scenarios(problem, networks[:1], scenarios)
+    simulate_scenarios(simulator, recording, networks[:1], scenarios)
     once = time.perf_counter() - begin
     begin = time.perf_counter()
-    simulate_scenarios(problem, networks, scenarios)
+    simulate_scenarios(simulator, recording, networks, scenarios)
     seconds = time.perf_counter() - begin
     print(f"{len(networks)} networks, {len(scenarios)} scenarios: {seconds:.1f} s")
     print(f"once for the heart, with the first network: {once:.1f} s")

@@ -123,16 +123,20 @@ def heart_task(folder: Path) -> Task:
     from fascicle.core.parameters import NETWORK_SPACE
     from fascicle.forward.model import ForwardModel
     from fascicle.purkinje.tree import InvalidTree
-    from fascicle.study.problem import Problem
+    from fascicle.study.simulator import PointSimulator
+    from fascicle.study.target_comparison import TargetComparison, evaluate
 
     model = ForwardModel(_heart(build_case(folder)))
     simulation = model.simulate(TRUTH)
     assert not isinstance(simulation, InvalidTree)
     target = synthetic_target(simulation.leads, np.random.default_rng(0))
-    problem = Problem(model, target, NETWORK_SPACE, fixed={"alpha": TRUTH["alpha"]})
+    simulator = PointSimulator(model, NETWORK_SPACE, {"alpha": TRUTH["alpha"]})
+    recordings = [TargetComparison(target)]
 
     def losses(points: Array) -> Array:
-        return np.array([evaluation.loss for evaluation in problem(list(points))])
+        return np.array(
+            [evaluation.loss for evaluation in evaluate(simulator, recordings, list(points))]
+        )
 
     return Task("crtdemo (mV²)", len(NETWORK_SPACE), losses)
 

@@ -25,13 +25,15 @@ import numpy as np
 import fascicle
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.threads import one_thread
+from fascicle.forward.model import ForwardModel
 from fascicle.inference.importance.sampling import BATCH, sampling
 from fascicle.recording.target import Target
 from fascicle.study.pool import parts
 from fascicle.study.posterior import RUNS
 from fascicle.study.prior_simulations import prior_points
-from fascicle.study.problem import Problem
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.target_comparison import TargetComparison, evaluate
 
 NETWORKS = 200  # that are timed
 BANK, EVALUATIONS = 8000, 10_000  # of a fit
@@ -40,7 +42,7 @@ THREADS_TIMED, CALL, ITEMS = 32, 1000, 10_000  # threads of idle workers; items 
 PATIENTS, THREADS = 256, 16
 
 
-def the_problem(heart: str) -> Problem:
+def the_problem(heart: str) -> tuple[PointSimulator, TargetComparison]:
     """A target of the example network, with the default parameters to learn."""
     model = fascicle.ForwardModel(fascicle.load_heart(heart))
     ecg = model.simulate(fascicle.example_parameters(model) | EXAMPLE_PARAMETERS).leads
@@ -48,16 +50,17 @@ def the_problem(heart: str) -> Problem:
     beats = beat + 0.02 * np.random.default_rng(0).normal(size=(10, *beat.shape))
     times = np.arange(beat.shape[1]) - 60.0
     space, fixed = study_space("posterior", {}, model.heart)
-    return Problem(model, Target(beats, times, -20.0, 60.0, 60.0), space, fixed=fixed)
+    target = Target(beats, times, -20.0, 60.0, 60.0)
+    return PointSimulator(model, space, fixed), TargetComparison(target)
 
 
-def network_seconds(problem: Problem) -> np.ndarray:
+def network_seconds(simulator: PointSimulator, comparison: TargetComparison) -> np.ndarray:
     """Seconds that networks of the prior take, each on one core, shape (n,)."""
-    points = prior_points(len(problem.space), NETWORKS + 1)
+    points = prior_points(len(simulator.space), NETWORKS + 1)
     seconds = []
     for point in points:
         began = time.perf_counter()
-        problem.evaluate(point)
+        list(evaluate(simulator, [comparison], [point]))
         seconds.append(time.perf_counter() - began)
     return np.array(seconds[1:])  # the first compiles
 
@@ -80,11 +83,11 @@ def thinking_seconds(dimension: int) -> list[float]:
     return seconds[1:]  # the first imports
 
 
-def _nothing(problem: Problem, item: float) -> float:
+def _nothing(item: float, model: ForwardModel) -> float:
     return item
 
 
-def jobs_a_second(problem: Problem) -> float:
+def jobs_a_second(model: ForwardModel) -> float:
     """How many jobs a second pass through a Dask scheduler, to workers that do nothing."""
     from distributed import LocalCluster
 
@@ -92,12 +95,12 @@ def jobs_a_second(problem: Problem) -> float:
         n_workers=2, threads_per_worker=THREADS_TIMED // 2, dashboard_address=None
     ) as cluster:
         pool = fascicle.Cluster(cluster.scheduler_address)
-        list(pool.map(_nothing, problem, [0.5] * 64))  # the heart goes to the workers
+        list(pool.map(_nothing, [0.5] * 64, model))  # the heart goes to the workers
         began, jobs = time.perf_counter(), 0
         for start in range(0, ITEMS, CALL):
             items = [float(item) for item in range(start, start + CALL)]
             jobs += len(parts(items, pool.workers))
-            list(pool.map(_nothing, problem, items))
+            list(pool.map(_nothing, items, model))
         return jobs / (time.perf_counter() - began)
 
 
@@ -160,10 +163,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--heart", default="default")
     given = parser.parse_args(argv)
-    problem = the_problem(given.heart)
-    seconds = network_seconds(problem)
-    thinking = thinking_seconds(len(problem.space))
-    rate = jobs_a_second(problem)
+    simulator, comparison = the_problem(given.heart)
+    seconds = network_seconds(simulator, comparison)
+    thinking = thinking_seconds(len(simulator.space))
+    rate = jobs_a_second(simulator.model)
     low, high = 1e3 * np.percentile(seconds, [5, 95])
     print(
         f"a network takes {1e3 * seconds.mean():.0f} ms ({low:.0f} to {high:.0f} in 90 %), a run "

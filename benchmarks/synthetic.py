@@ -50,7 +50,7 @@ from fascicle.reporting.study import activation_row
 from fascicle.reporting.style import BLUE, VERMILION
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network, evaluate
 
 LARGEST_ANGLE = 3 * math.pi / 4
 PAPER = {
@@ -92,11 +92,11 @@ def contraction(values: np.ndarray[Any, Any], lower: float, upper: float) -> flo
 
 def print_losses(fitted: FittedStudy, truth: Mapping[str, float]) -> None:
     """Print the mismatch after each stage, and that of the truth, which is noise alone."""
-    population, space = fitted.population, fitted.problem.space
-    at_truth = fitted.problem.evaluate(space.to_unit(truth)).loss
+    population, space = fitted.population, fitted.simulator.space
+    at_truth = next(evaluate(fitted.simulator, fitted.recordings, [space.to_unit(truth)])).loss
     tried = [e.loss for e in fitted.candidates if e.feasible]
     rounds = fitted.study.steps(Stage.REJECTION)
-    print(f"  mismatch (mV²)   flat line {fitted.problem.flat:.3f}, truth {at_truth:.4f}")
+    print(f"  mismatch (mV²)   flat line {fitted.null_loss:.3f}, truth {at_truth:.4f}")
     print(f"    design         {fitted.best_initial_loss:.4f}")
     print(f"    optimisation   {population.best_loss:.4f}")
     print(f"    candidates     {min(tried):.4f} to {max(tried):.4f} ({len(tried)} with a tree of "
@@ -113,7 +113,7 @@ def print_parameters(fitted: FittedStudy, truth: Mapping[str, float]) -> None:
           f" {'contraction':>11} {'rank':>7}")  # fmt: skip
     found: dict[str, list[float]] = {"left tree": [], "right tree": [], "root time, speed": []}
     groups = {"lv": "left tree", "rv": "right tree"}
-    for parameter in fitted.problem.space.parameters:
+    for parameter in fitted.simulator.space.parameters:
         name, values = parameter.name, population.values[parameter.name]
         shrunk = contraction(values, parameter.lower, parameter.upper)
         found[groups.get(name[:2], "root time, speed")].append(shrunk)
@@ -153,18 +153,18 @@ def tree_figure(heart: fascicle.Heart, simulations: Mapping[str, Simulation]) ->
 def write_figures(
     folder: Path, fitted: FittedStudy, networks: list[Network], truth: Mapping[str, float]
 ) -> None:
-    problem, population = fitted.problem, fitted.population
-    heart, window = problem.model.heart, problem.target.qrs_samples
-    true = simulate(problem.model, truth)
+    target, population = fitted.recordings[0].target, fitted.population
+    model, space, window = fitted.simulator.model, fitted.simulator.space, target.qrs_samples
+    heart, true = model.heart, simulate(model, truth)
     drawn = {"truth": true, "best": fitted.best_network.simulation}
     rows = [activation_row(name, simulation).since_first() for name, simulation in drawn.items()]
     save(activation_figure(heart, rows, SINCE_FIRST), folder / "activation.png")
-    time_axis = problem.target.time[window]
+    time_axis = target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
-    reference = EcgGroup("reference", "beat", time_axis, problem.target.qrs_beats, BLUE)
+    reference = EcgGroup("reference", "beat", time_axis, target.qrs_beats, BLUE)
     found = EcgGroup("networks", "network", time_axis, predicted, VERMILION)
     save(ecg_figure([reference, found], fitted.networks_called), folder / "ecg.png")
-    pairs = pair_figure(problem.space, population.values, population.best, truth)
+    pairs = pair_figure(space, population.values, population.best, truth)
     save(pairs, folder / "pairs.png")
     trees = {"truth": true} | {f"{k}": n.simulation for k, n in enumerate(networks)}
     save(tree_figure(heart, trees), folder / "trees.png")

@@ -121,7 +121,7 @@ def main() -> None:
     population = fitted.population
     print(fitted.verdict)
     print(f"{'':<22} {'true':>8} {'median':>8} {'5 %':>8} {'95 %':>8}")
-    for parameter in fitted.problem.space.parameters:
+    for parameter in fitted.simulator.space.parameters:
         values = population.values[parameter.name]
         print(
             f"{parameter.name:<22} {truth[parameter.name]:8.3g} {np.median(values):8.3g} "
@@ -129,7 +129,7 @@ def main() -> None:
         )
     drawn = drawings(fitted, fitted.networks())
     write_figures(drawn, fitted.folder / "figures", ["png"])
-    pairs = pair_figure(fitted.problem.space, population.values, population.best, truth)
+    pairs = pair_figure(fitted.simulator.space, population.values, population.best, truth)
     save(pairs, fitted.folder / "figures" / "pairs_with_truth.png")
 
 

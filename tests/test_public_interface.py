@@ -100,7 +100,7 @@ def predicted(study):
 @pytest.fixture(scope="module")
 def right(study, predicted, recording, default_heart, default_model):
     """Every public function, with arguments that it takes."""
-    fitted, target, plot = {"fitted": study}, study.problem.target, fascicle.plot
+    fitted, target, plot = {"fitted": study}, study.recordings[0].target, fascicle.plot
     of_two = {"predicted": predicted, "name": "left-bundle-pacing"}
     pacing = predicted["left-bundle-pacing"]
     return {
@@ -185,7 +185,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
 ):
     """Before any work has begun, and so that the line says what was given."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("fascicle.study.fit._problem", begun)
+    monkeypatch.setattr("fascicle.study.fit._simulated_and_compared", begun)
     monkeypatch.setattr("fascicle.study.prior_simulations.ForwardModel", begun)
     function, arguments = right[name]
     failures = []

@@ -127,7 +127,7 @@ def pairs(fitted: GivenStudy) -> list[Axes]:
     """
     fitted = as_study(fitted)
     population = fitted.population
-    return _shown(pair_figure(fitted.problem.space, population.values, population.best))
+    return _shown(pair_figure(fitted.simulator.space, population.values, population.best))
 
 
 def priors(fitted: GivenStudy) -> list[Axes]:
@@ -139,7 +139,7 @@ def priors(fitted: GivenStudy) -> list[Axes]:
         The study, or its folder.
     """
     fitted = as_study(fitted)
-    return _shown(prior_figure(fitted.problem.space, fitted.population.values))
+    return _shown(prior_figure(fitted.simulator.space, fitted.population.values))
 
 
 def convergence(fitted: GivenStudy) -> list[Axes]:
@@ -177,7 +177,7 @@ def _check_predicted(predicted: Mapping[str, Predicted]) -> None:
 def _heart(given: Heart | GivenStudy, predicted: Mapping[str, Predicted]) -> Heart:
     """The heart that the predictions are of."""
     if isinstance(given, FittedStudy):
-        heart = given.problem.model.heart
+        heart = given.simulator.model.heart
     elif isinstance(given, Heart):
         heart = given
     else:

@@ -29,6 +29,7 @@ from fascicle.study.agreement import agreement
 from fascicle.study.caution import NOT_CONVERGED
 from fascicle.study.fit import load_study
 from fascicle.study.results import _posterior_summary
+from fascicle.study.target_comparison import evaluate
 
 BUDGET = {"evaluations": 200, "bank": 100, "effective": 20, "workers": 2}
 
@@ -71,7 +72,7 @@ def test_study_folder_holds_what_is_promised(study):
     assert {"activation", "activation_mean", "activation_sd"} <= set(activation.point_data)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["verdict"] == study.verdict
-    target = study.problem.target
+    target = study.recordings[0].target
     for name, recorded in (
         ("qrs_duration_ms", target.qrs_duration),
         ("global_qrs_duration_ms", target.global_qrs_duration),
@@ -90,7 +91,13 @@ def test_study_folder_holds_what_is_promised(study):
 
 
 def test_best_network_is_what_the_summary_says(study, target):
-    again = study.problem.evaluate(study.problem.space.to_unit(study.population.best))
+    again = next(
+        evaluate(
+            study.simulator,
+            study.recordings,
+            [study.simulator.space.to_unit(study.population.best)],
+        )
+    )
     assert again.loss == pytest.approx(study.population.best_loss, rel=1e-9)
     assert again.loss < float((target.qrs**2).sum(axis=0).mean())  # better than a flat line
 
@@ -165,7 +172,7 @@ def test_another_forward_model_is_refused(study, target, monkeypatch):
         alignment = align(*arguments, **options)
         return replace(alignment, loss=1.001 * alignment.loss)
 
-    monkeypatch.setattr("fascicle.study.problem.align", louder)
+    monkeypatch.setattr("fascicle.study.target_comparison.align", louder)
     names = ("study.json", "evaluations.sqlite", "posterior.nc")
     before = [(study.folder / name).read_bytes() for name in names]
     with pytest.raises(fascicle.InputError, match="another forward model"):
@@ -270,7 +277,7 @@ def test_sweep(study, tmp_path, monkeypatch, capsys):
 def test_pacing_together_undoes_a_delay(study):
     """Both roots at once: the same trees as before, with nothing but their roots' times changed."""
     network = study.networks()[0]
-    model, trees, cv = study.problem.model, network.simulation.trees, network.parameters["cv"]
+    model, trees, cv = study.simulator.model, network.simulation.trees, network.parameters["cv"]
     late = model.activate(trees, -60.0, cv)
     together = model.activate(trees, 0.0, cv)
     assert together.total_activation_time < late.total_activation_time
@@ -358,7 +365,7 @@ def test_plots_in_a_notebook(study):
     """Every one draws something on axes of a figure of its own, of which pyplot knows."""
     plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-pacing")
     assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
-    heart = study.problem.model.heart
+    heart = study.simulator.model.heart
     drawn = {
         "ecg": plot.ecg(study),
         "scenario_ecg": plot.scenario_ecg(predicted, "left-bundle-pacing"),
@@ -368,7 +375,7 @@ def test_plots_in_a_notebook(study):
         "pairs": plot.pairs(study),
         "priors": plot.priors(study),
         "convergence": plot.convergence(study),
-        "target": plot.target(study.problem.target),
+        "target": plot.target(study.recordings[0].target),
     }
     public = {name for name, known in vars(plot).items() if getattr(known, "__module__", "") ==
               plot.__name__ and not name.startswith("_")}  # fmt: skip

@@ -6,9 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fascicle.study.target_comparison import evaluate
+
 pytestmark = pytest.mark.slow
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "recover_known_network.py"
+
+
+def at(fitted, point):
+    return next(evaluate(fitted.simulator, fitted.recordings, [point]))
 
 
 def test_fit_comes_closer_to_the_truth_than_the_first_networks(tmp_path):
@@ -19,7 +25,7 @@ def test_fit_comes_closer_to_the_truth_than_the_first_networks(tmp_path):
         "default", example.TRUTH, tmp_path / "study", 0,
         evaluations=1200, bank=200, effective=20,
     )  # fmt: skip
-    at_truth = fitted.problem.evaluate(fitted.problem.space.to_unit(example.TRUTH)).loss
+    at_truth = at(fitted, fitted.simulator.space.to_unit(example.TRUTH)).loss
     first = [r.evaluation.loss for r in fitted.study.records()[:60]]
     assert at_truth < 0.02  # noise alone
     assert at_truth < fitted.population.best_loss < 0.8 * np.nanmin(first)

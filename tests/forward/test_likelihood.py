@@ -10,6 +10,8 @@ from scipy.stats import multivariate_normal, norm
 from fascicle.forward import likelihood as tested
 from fascicle.forward.likelihood import MARGIN, SHARES, QrsLikelihood, cosines, matern, separable
 from fascicle.forward.loss import placed
+from fascicle.forward.simulation import Signals
+from fascicle.recording.target import Target
 
 QRS = 60  # samples
 ONSET = 15.3  # sample of the simulation's first activation
@@ -27,6 +29,18 @@ def signal(width: float = 8.0) -> np.ndarray:
     )
 
 
+def ecg(leads: np.ndarray, onset: float = ONSET) -> Signals:
+    """V1 and V2, and nothing in the others."""
+    return Signals(np.pad(leads, ((6, 4), (0, 0))), onset, (1, 1))
+
+
+def target(recorded: np.ndarray) -> Target:
+    """One beat, which is all QRS, in V1 and V2."""
+    beat = np.full((1, 12, QRS), np.nan)
+    beat[0, 6:8] = recorded
+    return Target(beat, np.arange(float(QRS)), 0.0, QRS - 1.0, 60.0, onset_sd=4.0)
+
+
 def example(gain_sd: float = 0.3, noise: float = 0.02) -> QrsLikelihood:
     """The same signal, louder, later by 1.6 samples and with an error, as a recording."""
     modes = cosines(QRS)
@@ -36,14 +50,17 @@ def example(gain_sd: float = 0.3, noise: float = 0.02) -> QrsLikelihood:
     ) * rng.standard_normal((2, 1))
     known = noise**2 * np.eye(2 * modes.shape[1])
     leads = np.array([[1.0, -0.3], [-0.3, 1.0]])
-    return QrsLikelihood(recorded, known, separable(leads, matern(len(modes)), modes), 4.0, gain_sd)
+    discrepancy = separable(leads, matern(len(modes)), modes)
+    return QrsLikelihood(target(recorded), known, discrepancy, gain_sd)
 
 
 def brute_force(likelihood: QrsLikelihood, simulated: np.ndarray, scale: float) -> float:
     """The same integral over shift and gain for one discrepancy, by plain sums."""
     covariance = likelihood.known + scale**2 * likelihood.discrepancy
-    data = (np.pad(likelihood.recorded, ((0, 0), (MARGIN, MARGIN))) @ likelihood.modes).ravel()
-    sd = np.hypot(likelihood.onset_sd, tested.FIRST_ACTIVATION_SD)
+    data = (
+        np.pad(likelihood.target.qrs[6:8], ((0, 0), (MARGIN, MARGIN))) @ likelihood.modes
+    ).ravel()
+    sd = np.hypot(4.0, 3.0)
     gains = np.linspace(-5, 5, 601) * likelihood.gain_sd + 1
     log_gain = norm.logpdf(gains, 1, likelihood.gain_sd) + np.log(gains[1] - gains[0])
     logs = []
@@ -62,28 +79,28 @@ def test_against_brute_force(noise, scale, monkeypatch):
     likelihood = example(noise=noise)
     assert likelihood.scales == pytest.approx([scale])
     expected = brute_force(likelihood, signal(), scale)
-    assert likelihood.fit(signal(), ONSET).log_likelihood == pytest.approx(expected, abs=0.02)
+    assert likelihood.fit(ecg(signal())).log_likelihood == pytest.approx(expected, abs=0.02)
 
 
 def test_the_sizes_of_the_discrepancy_are_averaged(monkeypatch):
     monkeypatch.setattr(tested, "SHARES", SHARES[[0, 3, 7]])
     likelihood = example()
     each = [brute_force(likelihood, signal(), scale) for scale in likelihood.scales]
-    fit = likelihood.fit(signal(), ONSET)
+    fit = likelihood.fit(ecg(signal()))
     assert fit.log_likelihood == pytest.approx(logsumexp(each) - np.log(3), abs=0.02)
     assert fit.weights.sum(axis=1) == pytest.approx(np.exp(each - logsumexp(each)), abs=0.02)
 
 
 def test_gain_and_shift_are_found():
-    fit = example(gain_sd=1.0).fit(signal(), ONSET)
+    fit = example(gain_sd=1.0).fit(ecg(signal()))
     by_shift = fit.weights.sum(axis=0)
     assert by_shift @ fit.shifts == pytest.approx(ONSET - MARGIN + 1.6, abs=1.0)
     assert (fit.weights * fit.gains).sum() == pytest.approx(1.2, abs=0.1)
 
 
 def test_a_fixed_gain_is_the_limit_of_a_certain_one():
-    fixed = example(gain_sd=0.0).fit(signal(), ONSET)
-    almost = example(gain_sd=1e-5).fit(signal(), ONSET)
+    fixed = example(gain_sd=0.0).fit(ecg(signal()))
+    almost = example(gain_sd=1e-5).fit(ecg(signal()))
     assert fixed.log_likelihood == pytest.approx(almost.log_likelihood, abs=1e-6)
     assert (fixed.gains == 1).all()
 
@@ -91,16 +108,16 @@ def test_a_fixed_gain_is_the_limit_of_a_certain_one():
 def test_moved_in_time_by_parts_of_a_sample():
     likelihood = example()
     later = placed(signal(), -0.37, 110)
-    assert likelihood.fit(later, ONSET + 0.37).log_likelihood == pytest.approx(
-        likelihood.fit(signal(), ONSET).log_likelihood, abs=1e-3
+    assert likelihood.fit(ecg(later, ONSET + 0.37)).log_likelihood == pytest.approx(
+        likelihood.fit(ecg(signal())).log_likelihood, abs=1e-3
     )
 
 
 def test_what_it_was_made_from_is_likeliest():
     modes = cosines(QRS)
-    exact = replace(example(gain_sd=0.1), recorded=placed(signal(), ONSET, QRS))
-    own = exact.fit(signal(), ONSET).log_likelihood
-    other = exact.fit(signal(width=20.0), ONSET).log_likelihood
+    exact = replace(example(gain_sd=0.1), target=target(placed(signal(), ONSET, QRS)))
+    own = exact.fit(ecg(signal())).log_likelihood
+    other = exact.fit(ecg(signal(width=20.0))).log_likelihood
     assert own > other + 2
     assert modes.T @ modes == pytest.approx(np.eye(modes.shape[1]), abs=1e-12)
 

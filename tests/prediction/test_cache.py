@@ -16,7 +16,7 @@ from fascicle.prediction.scenarios import predict
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.pool import Threads
 from fascicle.study.population import Population
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network
 
 ROOT_TIMES = np.array([-50.0, -20.0])
 
@@ -26,9 +26,9 @@ class Study(FittedStudy):
 
     def networks(self, progress=None, recording=0, chosen=None):
         every = range(len(self.population)) if chosen is None else chosen
-        parameters = [self.problem.fixed | self.population.parameters(k) for k in every]
+        parameters = [self.simulator.fixed | self.population.parameters(k) for k in every]
         gains = [1.0 if self.gains is None else self.gains[k] for k in every]
-        simulations = [self.problem.model.simulate(p) for p in parameters]
+        simulations = [self.simulator.model.simulate(p) for p in parameters]
         return [
             Network(p, s, s.leads, 1.0, 1.0, drawn_gain=g)
             for p, s, g in zip(parameters, simulations, gains, strict=True)
@@ -38,14 +38,13 @@ class Study(FittedStudy):
 @pytest.fixture
 def study(default_model, tmp_path):
     fixed = {n: v for n, v in EXAMPLE_PARAMETERS.items() if n != "root_time"}
-    problem = SimpleNamespace(
-        model=default_model, target=SimpleNamespace(response=None), pool=Threads(1), fixed=fixed,
-        scenario=None,
-    )  # fmt: skip
+    simulator = SimpleNamespace(model=default_model, pool=Threads(1), fixed=fixed)
+    recording = SimpleNamespace(target=SimpleNamespace(response=None), scenario=None)
     best = {"root_time": -20.0}
     config = SimpleNamespace(model_dump_json=lambda: "{}")
     on_disk = SimpleNamespace(folder=tmp_path, config=config)
-    return Study(on_disk, problem, Population({"root_time": ROOT_TIMES}, np.ones(2), best, 1.0))
+    population = Population({"root_time": ROOT_TIMES}, np.ones(2), best, 1.0)
+    return Study(on_disk, simulator, (recording,), population)
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from fascicle.prediction.scenarios import (
     with_intrinsic_beat,
 )
 from fascicle.study.pool import Threads
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network
 
 OF_THE_TISSUE = (
     "biventricular-pacing", "left-bundle-pacing-nonselective", "left-septal-pacing",
@@ -31,9 +31,11 @@ PARAMETERS = EXAMPLE_PARAMETERS | {"root_time": -50.0, "cv": 2.5}
 
 
 @pytest.fixture(scope="module")
-def problem(default_model):
+def simulated_by(default_model):
+    """Simulator, and the recording of the networks."""
     target = SimpleNamespace(response=None)
-    return SimpleNamespace(model=default_model, target=target, pool=Threads(2), scenario=None)
+    simulator = SimpleNamespace(model=default_model, pool=Threads(2))
+    return simulator, SimpleNamespace(target=target, scenario=None)
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +45,9 @@ def networks(default_model):
 
 
 @pytest.fixture(scope="module")
-def predicted(problem, networks):
+def predicted(simulated_by, networks):
     names = ["intrinsic", "his-pacing", "left-bundle-branch-block", "left-bundle-pacing"]
-    return simulate_scenarios(problem, networks, read_scenarios(names))
+    return simulate_scenarios(*simulated_by, networks, read_scenarios(names))
 
 
 class TestLibrary:
@@ -106,22 +108,22 @@ class TestPredicted:
         assert (predicted["left-bundle-pacing"].indices["lv_rv_delay"] < 0).all()
 
 
-def test_a_gain_that_was_drawn_stands_in_place_of_the_best(problem, networks, predicted):
+def test_a_gain_that_was_drawn_stands_in_place_of_the_best(simulated_by, networks, predicted):
     drawn = replace(networks[0], drawn_gain=3.0)
-    found = simulate_scenarios(problem, [drawn], {"intrinsic": Scenario()})["intrinsic"]
+    found = simulate_scenarios(*simulated_by, [drawn], {"intrinsic": Scenario()})["intrinsic"]
     before = predicted["intrinsic"]
     np.testing.assert_allclose(found.beats[0].leads, 1.5 * before.beats[0].leads)
     assert found.indices["qrs_area"][0] == pytest.approx(1.5 * before.indices["qrs_area"][0])
 
 
-def test_stimuli_that_capture_nothing_are_seen(problem, networks):
+def test_stimuli_that_capture_nothing_are_seen(simulated_by, networks):
     """One before all fronts, one in the middle of the beat, one with a radius long after it."""
     stimuli = (
         Stimulus(-60.0, site="rv apex"),
         Stimulus(0.0, site="left bundle", tree="lv"),
         Stimulus(300.0, site="segment 12 epicardium", radius=5.0),
     )
-    found = simulate_scenarios(problem, networks, {"late": Scenario(stimuli)})["late"]
+    found = simulate_scenarios(*simulated_by, networks, {"late": Scenario(stimuli)})["late"]
     assert [beat.captured.tolist() for beat in found.beats] == [[True, False]] * 3
     np.testing.assert_array_equal(found.captured, [1, 0])
 
@@ -136,14 +138,14 @@ def test_the_own_beat_keeps_its_name(tmp_path):
     ]  # fmt: skip
 
 
-def test_errors_name_the_file_or_the_scenario(problem, networks, tmp_path):
+def test_errors_name_the_file_or_the_scenario(simulated_by, networks, tmp_path):
     path = tmp_path / "case.toml"
     path.write_text("[[stimulus]]\ntime = 0\nsite = 'rv apx'\n")
     with pytest.raises(InputError, match=r"case.toml: there is no site 'rv apx'; did you mean"):
-        simulate_scenarios(problem, networks, read_scenarios([path]))
+        simulate_scenarios(*simulated_by, networks, read_scenarios([path]))
     far = Scenario((Stimulus(0.0, (1e4, 0.0, 0.0)),))
     with pytest.raises(InputError, match=r"far: stimulus at \(10000, 0, 0\): \d"):
-        simulate_scenarios(problem, networks, {"far": far})
+        simulate_scenarios(*simulated_by, networks, {"far": far})
 
 
 def test_maps_and_extremes_by_hand():
@@ -166,14 +168,10 @@ def test_maps_and_extremes_by_hand():
     np.testing.assert_allclose(maps["probability_latest_fifth"], [0, 1 / 3, 1 / 3, 1 / 2, np.nan])
 
 
-def test_a_steep_filter_changes_the_ecg_and_no_index(problem, networks, predicted):
-    filtered = SimpleNamespace(
-        model=problem.model,
-        target=SimpleNamespace(response=lambda f: np.where(f < 0.03, 1.0, 0.0)),
-        pool=Threads(1),
-        scenario=None,
-    )
-    found = simulate_scenarios(filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
+def test_a_steep_filter_changes_the_ecg_and_no_index(simulated_by, networks, predicted):
+    target = SimpleNamespace(response=lambda f: np.where(f < 0.03, 1.0, 0.0))
+    filtered = simulated_by[0], SimpleNamespace(target=target, scenario=None)
+    found = simulate_scenarios(*filtered, networks[:1], {"intrinsic": Scenario()})["intrinsic"]
     for name, values in found.indices.items():
         np.testing.assert_array_equal(values, predicted["intrinsic"].indices[name][:1])
     before, after = predicted["intrinsic"].beats[0].filtered, found.beats[0].filtered

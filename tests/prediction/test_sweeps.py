@@ -20,7 +20,7 @@ from fascicle.prediction.sweeps import (
     simulate_sweep,
 )
 from fascicle.study.pool import Threads
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network
 
 HIS = His(time=np.inf)
 PAIR = Scenario((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)
@@ -83,14 +83,10 @@ class TestSimulated:
     def fitted(self, default_model):
         own = default_model.simulate(EXAMPLE_PARAMETERS)
         every = [Network(EXAMPLE_PARAMETERS, own, own.leads, 1.0, gain) for gain in range(1, 8)]
-        problem = SimpleNamespace(
-            model=default_model,
-            target=SimpleNamespace(response=None),
-            pool=Threads(2),
-            scenario=None,
-        )
+        recording = SimpleNamespace(target=SimpleNamespace(response=None), scenario=None)
         return SimpleNamespace(
-            problem=problem,
+            simulator=SimpleNamespace(model=default_model, pool=Threads(2)),
+            recordings=(recording,),
             population=every,
             networks=lambda progress, chosen: [every[k] for k in chosen],
         )
@@ -106,7 +102,7 @@ class TestSimulated:
 
     def test_a_segment_that_cannot_be_fired_is_named(self, fitted, monkeypatch):
         """The others are simulated; if none can be, the sweep is refused."""
-        sites = fitted.problem.model.sites
+        sites = fitted.simulator.model.sites
         position = type(sites).position
 
         def lacking(self, name):

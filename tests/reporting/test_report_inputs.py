@@ -46,8 +46,12 @@ def made(default_heart, default_model, tmp_path_factory):
             **growth_and_conduction(default_heart), **checked.model_dump(),
         )  # fmt: skip
         target = target or SimpleNamespace(provenance={})
-        problem = SimpleNamespace(model=default_model, recordings=[SimpleNamespace(target=target)])
-        return SimpleNamespace(study=SimpleNamespace(config=config), problem=problem, folder=folder)
+        return SimpleNamespace(
+            study=SimpleNamespace(config=config),
+            simulator=SimpleNamespace(model=default_model),
+            recordings=[SimpleNamespace(target=target)],
+            folder=folder,
+        )
 
     return make
 

@@ -47,7 +47,7 @@ def study(*, converged=True, share=0.2, disagreeing=None, paper=False):
         checks=Checks(share, disagreeing or {"V1": 0.5}),
         verdict="the verdict",
         warnings=["a warning"],
-        problem=SimpleNamespace(space=SPACE),
+        simulator=SimpleNamespace(space=SPACE),
     )
 
 

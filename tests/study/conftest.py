@@ -1,4 +1,4 @@
-"""What tests of pools evaluate."""
+"""What tests of pools and comparisons evaluate."""
 
 from __future__ import annotations
 
@@ -7,18 +7,31 @@ import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
 from fascicle.recording.target import Target
-from fascicle.study.problem import Problem
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.target_comparison import TargetComparison, evaluate
 
 
 @pytest.fixture(scope="module")
-def problem(default_model):
+def recordings(default_model):
     ecg = default_model.simulate(EXAMPLE_PARAMETERS).leads
     beat = np.pad(ecg, ((0, 0), (40, 40)))
     beats = beat + 0.02 * np.random.default_rng(0).normal(size=(5, *beat.shape))
     time = np.arange(beat.shape[1]) - 60.0
-    return Problem(default_model, Target(beats, time, -20.0, 40.0, 60.0), NETWORK_SPACE)
+    return (TargetComparison(Target(beats, time, -20.0, 40.0, 60.0)),)
 
 
 @pytest.fixture(scope="module")
-def expected(problem, points):
-    return list(problem(points))
+def simulator(default_model):
+    return PointSimulator(default_model, NETWORK_SPACE)
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Seven networks, and one that cannot be grown."""
+    longest = NETWORK_SPACE.to_unit(EXAMPLE_PARAMETERS | {"lv_initial_length": 300.0})
+    return [*np.random.default_rng(1).uniform(0.2, 0.6, (7, len(NETWORK_SPACE))), longest]
+
+
+@pytest.fixture(scope="module")
+def expected(simulator, recordings, points):
+    return list(evaluate(simulator, recordings, points))

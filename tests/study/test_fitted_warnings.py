@@ -55,14 +55,15 @@ def fitted(
     tried = [SimpleNamespace(evaluation=e, stage=Stage.REJECTION) for e in candidates]
     study = FittedStudy(
         SimpleNamespace(config=SimpleNamespace(method=method, samples=30), records=lambda: tried),
-        SimpleNamespace(
-            flat=2.0,
-            model=model,
-            space=NETWORK_SPACE,
-            fixed=fixed or {},
-            target=SimpleNamespace(qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)),
-            compared=np.arange(12) != 11,  # all but V6
-            others=(),
+        SimpleNamespace(model=model, space=NETWORK_SPACE, fixed=fixed or {}),
+        (
+            SimpleNamespace(
+                null_loss=2.0,
+                target=SimpleNamespace(
+                    qrs=recorded, qrs_samples=slice(2, 42), beats=np.empty(beats)
+                ),
+                compared=np.arange(12) != 11,  # all but V6
+            ),
         ),
         Population(learnt or {}, np.ones(networks), MIDDLE | (best or {}), loss),
         None if share is None else Checks(share, {}),

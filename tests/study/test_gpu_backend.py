@@ -9,25 +9,19 @@ import pytest
 
 import fascicle
 from fascicle.cli import main
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.scenario import His, Scenario
-from fascicle.forward.simulation import Signals
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.study import SAME_LOSS
+from fascicle.study.target_comparison import evaluate, networks
 
 
 @pytest.fixture
 def backend(emulated):
     return GpuBackend.on(emulated, 4)
-
-
-@pytest.fixture(scope="module")
-def points():
-    longest = NETWORK_SPACE.to_unit(EXAMPLE_PARAMETERS | {"lv_initial_length": 300.0})
-    return [*np.random.default_rng(1).uniform(0.2, 0.6, (5, len(NETWORK_SPACE))), longest]
 
 
 def assert_alike(found, expected, simulated_here=()):
@@ -40,38 +34,46 @@ def assert_alike(found, expected, simulated_here=()):
             assert (one.loss == other.loss) == (k in simulated_here)
 
 
-def test_evaluations(backend, problem, points, expected):
+def evaluated(simulator, recordings, points, backend):
+    return list(evaluate(replace(simulator, backend=backend), recordings, points))
+
+
+def test_evaluations(backend, simulator, recordings, points, expected):
     """In batches, in order, and of what does not fit the reason."""
-    assert_alike(list(replace(problem, backend=backend)(points)), expected)
+    assert_alike(evaluated(simulator, recordings, points, backend), expected)
 
 
-def test_what_the_bank_has_is_not_simulated(backend, problem, points, expected, tmp_path):
-    bank = PriorSimulations(tmp_path)
-    known = {points[k].tobytes(): Signals.of(problem._simulate(points[k])) for k in (1, 4)}
-    bank.get = lambda point: known.get(point.tobytes())
-    found = list(replace(problem, backend=backend, bank=bank)(points))
+def test_what_is_stored_is_not_simulated(
+    backend, simulator, recordings, points, expected, tmp_path
+):
+    prior = PriorSimulations(tmp_path)
+    known = {points[k].tobytes(): next(simulator.signals([points[k]])) for k in (1, 4)}
+    prior.get = lambda point: known.get(point.tobytes())
+    found = evaluated(replace(simulator, prior=prior), recordings, points, backend)
     assert_alike(found, expected, simulated_here=(1, 4))
 
 
-def test_what_is_too_large_is_simulated_here(backend, problem, points, expected, monkeypatch):
+def test_what_is_too_large_is_simulated_here(
+    backend, simulator, recordings, points, expected, monkeypatch
+):
     monkeypatch.setattr(batch, "MOST_SITES", 100)
-    found = list(replace(problem, backend=backend)(points))
-    assert_alike(found, expected, simulated_here=range(5))
+    found = evaluated(simulator, recordings, points, backend)
+    assert_alike(found, expected, simulated_here=range(7))
 
 
-def test_further_recordings_are_simulated_here(backend, problem, points):
-    """Paced ones beside an intrinsic one."""
-    problem = replace(problem, others=(replace(problem, scenario=Scenario(his=His(right=0.0))),))
-    alone = list(problem(points[:2]))
-    found = replace(problem, backend=backend)(points[:2])
-    for one, other in zip(found, alone, strict=True):
+def test_further_recordings_are_simulated_here(backend, simulator, recordings, points):
+    """Paced ones after an intrinsic one."""
+    both = (*recordings, replace(recordings[0], scenario=Scenario(his=His(right=0.0))))
+    alone = evaluated(simulator, both, points[:2], None)
+    for one, other in zip(evaluated(simulator, both, points[:2], backend), alone, strict=True):
         np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * SAME_LOSS)
         assert one.loss != other.loss
 
 
-def test_networks_are_simulated_here(backend, problem):
+def test_networks_are_simulated_here(backend, simulator, recordings):
     """With all that a card does not give."""
-    (network,) = replace(problem, backend=backend).networks([EXAMPLE_PARAMETERS])
+    of_card = replace(simulator, backend=backend)
+    (network,) = networks(of_card, recordings[0], [EXAMPLE_PARAMETERS])
     assert network.simulation.coupled.retrograde
 
 
@@ -91,11 +93,11 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
 
 
 @pytest.mark.slow
-def test_a_fit_on_a_card_is_opened_without_one(backend, problem, tmp_path):
+def test_a_fit_on_a_card_is_opened_without_one(backend, recordings, tmp_path):
     """What threads find again is close enough to what the card found."""
     settings = {"effective": 20, "evaluations": 400, "bank": 200}
     fitted = fascicle.fit(
-        "default", problem.target, tmp_path / "study", backend=backend, **settings
+        "default", recordings[0].target, tmp_path / "study", backend=backend, **settings
     )
     opened = fascicle.load_study(tmp_path / "study")
     for name, values in fitted.population.values.items():

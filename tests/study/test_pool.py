@@ -14,29 +14,22 @@ import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 import fascicle
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.core.shared_files import read_shared, write_shared
 from fascicle.forward import model as model_module
 from fascicle.forward.scenario import His, Scenario
-from fascicle.forward.simulation import Signals
-from fascicle.study.pool import JOBS, ExecutorPool, Pool, Threads, parts
+from fascicle.study.pool import ExecutorPool, Pool, Threads, parts
 from fascicle.study.prior_simulations import PriorSimulations
-from fascicle.study.problem import Problem
+from fascicle.study.target_comparison import evaluate, networks
 from tests.dask_processes import LOST, a_scheduler, a_worker_of
 
 KILLS = 10
-
-
-@pytest.fixture(scope="module")
-def points():
-    longest = NETWORK_SPACE.to_unit(EXAMPLE_PARAMETERS | {"lv_initial_length": 300.0})
-    return [*np.random.default_rng(1).uniform(0.2, 0.6, (7, len(NETWORK_SPACE))), longest]
 
 
 def assert_same(found, expected):
@@ -53,25 +46,29 @@ def test_expected_differ(expected):
     assert not expected[-1].feasible
 
 
-def test_threads(problem, points, expected):
+def evaluated(simulator, recordings, points, pool):
+    return list(evaluate(replace(simulator, pool=pool), recordings, points))
+
+
+def test_threads(simulator, recordings, points, expected):
     pool = Threads(2)
     for _ in range(2):
-        assert_same(replace(problem, pool=pool)(points), expected)
+        assert_same(evaluated(simulator, recordings, points, pool), expected)
 
 
-def test_processes(problem, points, expected):
-    """The model goes to them once, and what follows from another question of it does not."""
+def test_processes(simulator, recordings, points, expected):
+    """The model goes to them once, and further recordings do not send it again."""
     context = multiprocessing.get_context("spawn")
+    paced = (replace(recordings[0], scenario=Scenario(his=His())),)
     with ProcessPoolExecutor(2, mp_context=context) as executor:
         pool = ExecutorPool(executor, 2)
-        here = replace(problem, pool=pool)
-        assert_same(here(points), expected)
-        assert len(list(here.networks([EXAMPLE_PARAMETERS] * 2))) == 2
-        assert len(pool._models) == 1
-        paced = replace(here, scenario=Scenario(his=His()))
-        alone = replace(paced, pool=Threads(1))
-        assert_same(paced(points[:2]), list(alone(points[:2])))
-        assert len(pool._models) == 1
+        assert_same(evaluated(simulator, recordings, points, pool), expected)
+        elsewhere = replace(simulator, pool=pool)
+        assert len(list(networks(elsewhere, recordings[0], [EXAMPLE_PARAMETERS] * 2))) == 2
+        found = evaluated(simulator, paced, points[:2], pool)
+        assert_same(found, evaluated(simulator, paced, points[:2], Threads(1)))
+        sent = [content for content, _ in pool._sent]
+        assert sent == [simulator.model, recordings, recordings[0], paced]
 
 
 class Counting(Pool):
@@ -79,21 +76,21 @@ class Counting(Pool):
 
     sent = 0
 
-    def map(self, function, question, items):
+    def map(self, function, items, *shared):
         self.sent += len(items)
-        return map(partial(function, question.portable().of(question.model)), items)
+        return (function(item, *shared) for item in items)
 
 
-def test_what_the_bank_has_is_not_sent(problem, points, expected, tmp_path):
-    """In order, whether it is there or not; a paced beat is in no bank."""
-    bank = PriorSimulations(tmp_path)
-    bank.__dict__["_known"] = {point.tobytes(): (0, 0) for point in points[2:5]}
-    bank.get = lambda point: Signals.of(problem._simulate(point))
+def test_what_is_stored_is_not_sent(simulator, recordings, points, expected, tmp_path):
+    """In order, whether it is there or not; a paced beat is not stored."""
+    known = {point.tobytes(): next(simulator.signals([point])) for point in points[2:5]}
+    prior = PriorSimulations(tmp_path)
+    prior.get = lambda point: known.get(point.tobytes())
     pool = Counting()
-    here = replace(problem, pool=pool, bank=bank)
-    assert_same(here(points), expected)
+    here = replace(simulator, prior=prior)
+    assert_same(evaluated(here, recordings, points, pool), expected)
     assert pool.sent == len(points) - 3
-    list(replace(here, scenario=Scenario(his=His()))(points[:4]))
+    evaluated(here, (replace(recordings[0], scenario=Scenario(his=His())),), points[:4], pool)
     assert pool.sent == len(points) - 3 + 4
 
 
@@ -103,7 +100,7 @@ def test_parts_hold_everything_in_order(count):
     for workers in (1, 3, 64):
         found = parts(items, workers)
         assert [item for part in found for item in part] == items
-        assert len(found) <= JOBS * workers
+        assert len(found) <= 8 * workers
         sizes = [len(part) for part in found]
         assert max(sizes) - min(sizes) <= 1
 
@@ -115,8 +112,8 @@ def test_parts_are_as_many_as_workers_need_and_a_scheduler_passes(count, workers
     assert len(parts(list(range(count)), workers)) == jobs
 
 
-def test_threads_of_a_worker_read_one_heart(problem, tmp_path, monkeypatch):
-    written = problem.model.write(tmp_path)
+def test_threads_of_a_worker_read_one_heart(simulator, tmp_path, monkeypatch):
+    file = write_shared(tmp_path / "model", simulator.model)
     reads = []
     load = model_module.load
 
@@ -127,32 +124,32 @@ def test_threads_of_a_worker_read_one_heart(problem, tmp_path, monkeypatch):
 
     monkeypatch.setattr(model_module, "load", slowly)
     with ThreadPoolExecutor(4) as threads:
-        models = list(threads.map(lambda _: written.read(), range(4)))
+        models = list(threads.map(lambda _: read_shared(file), range(4)))
     assert len(reads) == 1
     assert all(model is models[0] for model in models)
 
 
-def refuse(problem, point):
+def refuse(point, model):
     raise InputError("this is not to be had")
 
 
-def test_errors_arrive_as_themselves(problem, points):
+def test_errors_arrive_as_themselves(simulator, points):
     context = multiprocessing.get_context("spawn")
     with (
         ProcessPoolExecutor(1, mp_context=context) as executor,
         pytest.raises(InputError, match="not to be had"),
     ):
-        list(ExecutorPool(executor, 1).map(refuse, problem, points))
+        list(ExecutorPool(executor, 1).map(refuse, points, simulator.model))
 
 
-def fill(problem, point):
+def fill(point, model):
     raise OSError("the disk is full")
 
 
-def pause(seconds, problem, point):
+def pause(point, simulator, recordings):
     """A slow evaluation, in which a worker can be killed."""
-    time.sleep(seconds)
-    return problem.evaluate(point)
+    time.sleep(0.2)
+    return next(evaluate(simulator, recordings, [point]))
 
 
 @pytest.fixture(scope="module")
@@ -191,18 +188,20 @@ def connected():
 
 
 class TestCluster:
-    def test_the_same_as_here(self, cluster, problem, points, expected):
+    def test_the_same_as_here(self, cluster, simulator, recordings, points, expected):
         from fascicle.study.cluster import Cluster
 
         pool = Cluster(cluster.scheduler_address)
         assert pool.workers == 2
-        assert_same(replace(problem, pool=pool)(points), expected)
-        assert_same(replace(problem, pool=pool)(points), expected)
-        assert len(pool._known) == 2  # the model, and what is asked of it
+        assert_same(evaluated(simulator, recordings, points, pool), expected)
+        assert_same(evaluated(simulator, recordings, points, pool), expected)
+        assert len(pool._sent) == 2  # the model, and the recordings
         with pytest.raises(InputError, match="not to be had"):
-            list(pool.map(refuse, problem, points))
+            list(pool.map(refuse, points, simulator.model))
 
-    def test_workers_that_are_killed_and_join_late(self, cluster, problem, points, expected):
+    def test_workers_that_are_killed_and_join_late(
+        self, cluster, simulator, recordings, points, expected
+    ):
         """Nothing is lost, and nothing is counted twice."""
         from fascicle.study.cluster import Cluster
 
@@ -231,13 +230,13 @@ class TestCluster:
         many = points * 6
         found = []
         while killer.is_alive() or not found:
-            found = list(pool.map(partial(pause, 0.2), problem, many))
+            found = list(pool.map(pause, many, simulator, recordings))
         ended.set()
         killer.join()
         assert len(killed) == KILLS
         assert_same(found, expected * 6)
 
-    def test_a_scheduler_that_is_lost(self, scheduler, connected, problem, points):
+    def test_a_scheduler_that_is_lost(self, scheduler, connected, simulator, points):
         process, address = scheduler
         pool = connected(address)
 
@@ -248,9 +247,9 @@ class TestCluster:
 
         threading.Thread(target=kill).start()
         with pytest.raises(InputError, match=LOST):
-            list(pool.map(Problem.evaluate, problem, points))  # there is no worker
+            list(pool.map(str, points))  # there is no worker
         process.wait()
-        for call in (lambda: pool._hold({}, "something else"), lambda: pool.workers):
+        for call in (lambda: pool._send("something else"), lambda: pool.workers):
             with pytest.raises(InputError, match=LOST):
                 call()
 
@@ -279,14 +278,11 @@ class TestCluster:
             with pytest.raises(InputError, match=LOST):
                 pool._results(futures)
 
-    def test_errors_of_the_system_arrive_as_themselves(
-        self, cluster, connected, problem, points, monkeypatch
-    ):
+    def test_errors_of_the_system_arrive_as_themselves(self, cluster, connected, simulator, points):
         """They are of the worker, not of the connection: nothing is tried again."""
-        monkeypatch.setattr("fascicle.study.cluster.PAUSE", None)  # no such time to wait
         pool = connected(cluster.scheduler_address)
         with pytest.raises(OSError, match="the disk is full"):
-            list(pool.map(fill, problem, points))
+            list(pool.map(fill, points, simulator.model))
 
     def test_workers_that_take_no_heart(self, cluster, connected):
         """One line, which does not say that the disk of this machine is full."""
@@ -305,21 +301,23 @@ class TestCluster:
         with pytest.raises(InputError, match=r"jobs were cancelled there .* the same command goes"):
             pool._results(futures)
 
-    def test_a_scheduler_that_is_restarted(self, connected, problem, points, expected):
+    def test_a_scheduler_that_is_restarted(
+        self, connected, simulator, recordings, points, expected
+    ):
         """What was sent to the first is sent again to the second."""
         with a_scheduler() as (process, address):
             pool = connected(address)
             with a_worker_of(address):
-                assert_same(replace(problem, pool=pool)(points[:2]), expected[:2])
+                assert_same(evaluated(simulator, recordings, points[:2], pool), expected[:2])
             process.kill()
             process.wait()
         with a_scheduler(address.rpartition(":")[2]), a_worker_of(address):
             until = time.monotonic() + 30
             while pool.client.status != "running" and time.monotonic() < until:
                 time.sleep(0.1)
-            assert_same(replace(problem, pool=pool)(points[:2]), expected[:2])
+            assert_same(evaluated(simulator, recordings, points[:2], pool), expected[:2])
 
-    def test_a_scheduler_without_workers(self, problem, points, expected):
+    def test_a_scheduler_without_workers(self, simulator, recordings, points, expected):
         """It is said once a second that nobody works, until somebody does."""
         import distributed
 
@@ -335,7 +333,7 @@ class TestCluster:
                     empty.scale(1)
 
             pool = Cluster(address, watch)
-            assert_same(replace(problem, pool=pool)(points[:1]), expected[:1])
+            assert_same(evaluated(simulator, recordings, points[:1], pool), expected[:1])
         assert len(seen) >= 2
         assert seen[0] == ("workers", 0, 1, f"{address} has no worker; waiting for one")
         assert {news[:3] for news in seen} <= {("workers", 0, 1), ("workers", 1, 1)}

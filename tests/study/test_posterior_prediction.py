@@ -6,11 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fascicle.core.leads import independent_rows
-from fascicle.forward.likelihood import MARGIN, QrsLikelihood, cosines, matern, separable
+from fascicle.forward.likelihood import (
+    MARGIN,
+    QrsLikelihood,
+    beat_noise,
+    cosines,
+    matern,
+    separable,
+)
 from fascicle.forward.loss import placed
 from fascicle.recording.target import Target
-from fascicle.study.likelihood import beat_noise
 from fascicle.study.predictive import RARE, frontal_axis, predict_recording
 
 QRS, TIME = 80, np.arange(-100.0, 160.0)
@@ -47,25 +52,24 @@ def recorded():
 
 
 def likelihood(recorded):
-    rows = independent_rows(recorded.used)
     modes = cosines(recorded.qrs.shape[1])
-    known = beat_noise(recorded, rows) + 1e-6 * np.eye(8 * modes.shape[1])
+    known = beat_noise(recorded) + 1e-6 * np.eye(8 * modes.shape[1])
     discrepancy = separable(np.eye(8), matern(len(modes)), modes)
-    return QrsLikelihood(recorded.qrs[rows], known, discrepancy, recorded.onset_sd, 0.3)
+    return QrsLikelihood(recorded, known, discrepancy, 0.3)
 
 
 def predict(recorded):
     network = SimpleNamespace(
-        simulation=SimpleNamespace(leads=simulated(), first_activation=FIRST, qrs_duration=80.0)
+        simulation=SimpleNamespace(
+            leads=simulated(), first_activation=FIRST, qrs_duration=80.0, trees=()
+        )
     )
-    problem = SimpleNamespace(target=recorded)
     rng = np.random.default_rng(1)
-    return predict_recording(problem, likelihood(recorded), [network] * NETWORKS, rng)
+    return predict_recording(recorded, likelihood(recorded), [network] * NETWORKS, rng)
 
 
 def test_noise_of_the_mean_beat(recorded):
-    rows = independent_rows(recorded.used)
-    found = beat_noise(recorded, rows)
+    found = beat_noise(recorded)
     inside = cosines(recorded.qrs.shape[1])[MARGIN:-MARGIN]
     white = 0.02**2 / 40 * np.kron(np.eye(8), inside.T @ inside)
     assert np.trace(found) == pytest.approx(np.trace(white), rel=0.1)
@@ -74,10 +78,9 @@ def test_noise_of_the_mean_beat(recorded):
 
 def test_noise_of_a_single_beat_is_the_stated_one(recorded):
     single = replace(recorded, beats=recorded.beats[:1], noise=0.03)
-    rows = independent_rows(single.used)
     inside = cosines(single.qrs.shape[1])[MARGIN:-MARGIN]
     expected = 0.03**2 * np.kron(np.eye(8), inside.T @ inside)
-    assert beat_noise(single, rows) == pytest.approx(expected, abs=1e-12)
+    assert beat_noise(single) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_recording_of_the_model_agrees(recorded):

@@ -1,7 +1,6 @@
 """A bank of simulations: what it stores, how it goes on, and what it is refused for."""
 
 import shutil
-from functools import partial
 
 import numpy as np
 import pytest
@@ -16,8 +15,9 @@ from fascicle.study import prior_simulations as tested
 from fascicle.study.fit import load_study
 from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import PriorSimulations, make_bank, prior_points
-from fascicle.study.problem import Problem
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.target_comparison import TargetComparison, evaluate
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +36,9 @@ class Counting(Pool):
 
     sent = 0
 
-    def map(self, function, question, items):
+    def map(self, function, items, *shared):
         self.sent += len(items)
-        return map(partial(function, question.portable().of(question.model)), items)
+        return (function(item, *shared) for item in items)
 
 
 @pytest.fixture(scope="module")
@@ -65,12 +65,14 @@ def same(first: Evaluation, second: Evaluation) -> bool:
 def test_evaluations_are_those_of_simulations(heart, target):
     space, fixed = study_space("posterior", {}, heart)
     model = ForwardModel(heart)
-    plain = Problem(model, target, space, fixed=fixed)
-    banked = Problem(model, target, space, fixed=fixed, bank=bank_of(heart))
+    recordings = [TargetComparison(target)]
+    plain = PointSimulator(model, space, fixed)
+    stored = PointSimulator(model, space, fixed, prior=bank_of(heart))
     points = list(prior_points(len(space), 12))
-    expected = list(plain(points))
+    expected = list(evaluate(plain, recordings, points))
     model.simulate = None  # nothing is simulated again
-    assert all(same(one, other) for one, other in zip(expected, banked(points), strict=True))
+    again = evaluate(stored, recordings, points)
+    assert all(same(one, other) for one, other in zip(expected, again, strict=True))
     assert sum(e.feasible for e in expected) > 6
 
 

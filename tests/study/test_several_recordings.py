@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 import fascicle
 from fascicle.cli.arguments import with_scenario
 from fascicle.core.errors import InputError
-from fascicle.core.leads import independent_rows
 from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separable
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario, Slowing, Stimulus
@@ -18,9 +17,10 @@ from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.synthetic import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.reporting.study import drawings
-from fascicle.study.problem import Problem
-from fascicle.study.recordings import given_recordings, read_recordings, write_recordings
+from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.target_comparison import TargetComparison, evaluate
 
 SMALL = {"bank": 100, "evaluations": 300, "effective": 20, "workers": 2}
 EVERYTHING = Scenario(
@@ -80,9 +80,9 @@ def test_recordings_are_kept(both, tmp_path):
         "target.nc", "target-2.nc", "scenario-2.toml",
     }  # fmt: skip
     again = read_recordings(tmp_path, 2)
-    assert [one.digests for one in again] == [one.digests for one in given]
-    assert given[0].digests[1] == ""
-    assert len({digest for one in given for digest in one.digests}) == 4
+    assert [*map(digests, again)] == [*map(digests, given)]
+    assert digests(given[0])[1] == ""
+    assert len({digest for one in given for digest in digests(one)}) == 4
 
 
 def test_regions_are_the_hearts(both, tmp_path):
@@ -122,30 +122,31 @@ def test_arguments_of_the_command(tmp_path, monkeypatch):
 
 
 def likelihood(target):
-    rows = independent_rows(target.used)
     modes = cosines(target.qrs.shape[1])
     unit = separable(np.eye(8), matern(len(modes)), modes)
-    return QrsLikelihood(target.qrs[rows], 1e-4 * np.eye(len(unit)), unit, 4.0, 0.3)
+    return QrsLikelihood(target, 1e-4 * np.eye(len(unit)), unit, 0.3)
 
 
 def test_likelihoods_and_losses_add_up(model, paced, both):
     space, fixed = study_space("posterior", {}, model.heart)
     first, second = (
-        Problem(model, target, space, True, fixed=fixed, likelihood=likelihood(target), scenario=s)
-        for target, s in ((both[0], None), both[1])
+        TargetComparison(target, scenario, likelihood(target), free_gain=True)
+        for target, scenario in ((both[0], None), both[1])
     )
-    joint = replace(first, others=(second,))
+    simulator = PointSimulator(model, space, fixed)
     values = {"alpha": 0.05, **fascicle.EXAMPLE_PARAMETERS}
     point = space.to_unit({name: values[name] for name in space.names})
-    one, other, together = (p.evaluate(point) for p in (first, second, joint))
+    one, other, together, swapped = (
+        next(evaluate(simulator, recordings, [point]))
+        for recordings in ([first], [second], [first, second], [replace(second, scenario=None)])
+    )
     assert together.loss == pytest.approx(one.loss + other.loss)
     assert together.log_likelihood == pytest.approx(one.log_likelihood + other.log_likelihood)
     assert_allclose(together.log_likelihoods, [*one.log_likelihoods, *other.log_likelihoods])
     assert_allclose(together.beat_errors, one.beat_errors)
     # in the other's scenario the same network would not be explained
-    swapped = replace(second, scenario=None).evaluate(point)
     assert swapped.log_likelihood < other.log_likelihood - 20
-    assert other.loss < 0.1 * second.flat
+    assert other.loss < 0.1 * second.null_loss
 
 
 @pytest.mark.slow

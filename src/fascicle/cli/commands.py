@@ -302,8 +302,10 @@ def predict(
         predicted = predict_scenarios(fitted, scenarios, progress)
         write_prediction(fitted, predicted, out, kind, progress)
         if isinstance(fitted.population, Posterior) and fitted.population.converged:
-            networks = prior_networks(fitted.problem, progress)
-            prior = simulate_scenarios(fitted.problem, networks, scenarios, progress, " (prior)")
+            networks = prior_networks(fitted.simulator, progress)
+            prior = simulate_scenarios(
+                fitted.simulator, fitted.recordings[0], networks, scenarios, progress, " (prior)"
+            )
     print_verdict(fitted)
     print_prediction(predicted, prior)
     print(f"prediction in {out}")

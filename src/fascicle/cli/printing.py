@@ -63,7 +63,7 @@ def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
     print(f"evaluations            {_evaluations(fitted)}")
     if fitted.of_the_paper:
         first = fitted.best_initial_loss
-        print(f"best of the first      {first:.4f} mV² (flat line: {fitted.problem.flat:.4f})")
+        print(f"best of the first      {first:.4f} mV² (flat line: {fitted.null_loss:.4f})")
     best = f"{population.best_loss:.4f} mV², {max(fitted.explained, 0):.0%} of the QRS explained"
     print(f"best network           {best}")
     _print_agreement(summary)
@@ -119,9 +119,9 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
     if not posterior.converged:
         print("parameters             nothing is said of them: the runs do not agree")
         return
-    if len(fitted.problem.recordings) > 1 and posterior.first_alone is None:
+    if len(fitted.recordings) > 1 and posterior.first_alone is None:
         print("first recording alone  not converged: what the others add cannot be said")
-    for statement in statements(posterior, fitted.problem.space):
+    for statement in statements(posterior, fitted.simulator.space):
         print(f"{statement.name:<22} {statement}")
     for first, second, correlation in trade_offs(posterior):
         print(f"{first} and {second} are strongly correlated (rank correlation {correlation:.2f})")

@@ -39,9 +39,9 @@ def study_show(study: StudyArgument) -> Result:
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
     print(f"study                  {study}")
-    print(f"heart                  {fitted.problem.model.heart.name}")
-    for number, recording in enumerate(fitted.problem.recordings, 1):
-        name = "recording" if len(fitted.problem.recordings) == 1 else f"recording {number}"
+    print(f"heart                  {fitted.simulator.model.heart.name}")
+    for number, recording in enumerate(fitted.recordings, 1):
+        name = "recording" if len(fitted.recordings) == 1 else f"recording {number}"
         print(f"{name:<22} {Path(recording.target.provenance.get('source', 'in memory')).name}")
     print(f"method                 {fitted.study.config.method}, seed {fitted.study.config.seed}")
     summary = written_summary(study)

@@ -28,6 +28,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -35,16 +36,61 @@ from scipy.fft import idct
 from scipy.linalg import eigh
 from scipy.special import logsumexp
 
-from fascicle.core.arrays import Floats
-from fascicle.forward.loss import Response, placed
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
+from fascicle.core.ranges import short_repr
+from fascicle.forward.loss import placed
+from fascicle.forward.simulation import Signals
+from fascicle.recording.covariance import residual_covariance
+from fascicle.recording.target import Target
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS
-RESOLUTION = 20.0  # ms; half a period of the fastest cosine
-CORRELATIONS = 12.0, 4.0  # ms; of the smooth and of the rough half of the discrepancy in time
-OWN = 0.5  # share of its variance that is each lead's own
-REACH = 3.0  # standard deviations of the shift that are summed over
-FIRST_ACTIVATION_SD = 3.0  # ms; of the recorded onset after the first activation, beside its own
 SHARES = np.geomspace(0.5, 1.0, 8)  # of the recorded QRS (root mean square): the discrepancy's
+
+
+class Likelihood(Protocol):
+    """What a likelihood of one recording offers; `fascicle.fit` takes any object that has these."""
+
+    def log_likelihood(self, ecg: Signals) -> float:
+        """Log-likelihood of the recording, given the simulated ECG of a network."""
+
+    def predictive(self, ecg: Signals, rng: np.random.Generator) -> Replicate:
+        """Draw a recording as a network with this ECG may give it."""
+
+
+@dataclass(frozen=True)
+class Replicate:
+    """A recording as a network may give it, at the times of the target.
+
+    Attributes
+    ----------
+    ecg : (12, n_time) array
+        Of the network, scaled and in its place, without noise and discrepancy (mV).
+    noisy : (12, n_time) array
+        With both (mV).
+    gain : float
+        By which the simulated ECG is scaled.
+    shift : float
+        Time of the first activation from the recorded onset (ms).
+    discrepancy : float
+        Size of what no network explains (mV).
+    left, error : (n_leads,) arrays, optional
+        Of each independent lead, the energy of recording minus `ecg`, and that of an error that is
+        drawn, in the terms of the likelihood; by default over the QRS window.
+    unexplained : float, optional
+        Energy of recording minus `ecg`; by default the sum of `left`.
+    """
+
+    ecg: Floats
+    noisy: Floats
+    gain: float = 1.0
+    shift: float = 0.0
+    discrepancy: float = 0.0
+    left: Floats | None = None
+    error: Floats | None = None
+    unexplained: float | None = None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -73,46 +119,62 @@ class Fit:
 
 @dataclass(frozen=True)
 class QrsLikelihood:
-    """The likelihood of one recorded mean QRS.
+    """The likelihood of one recorded mean QRS in its independent leads.
 
     Attributes
     ----------
-    recorded : (n_leads, n_qrs) array
-        Mean QRS in independent leads (mV).
+    target : Target
+        What was recorded.
     known : (n, n) array
         C (mV²), with n = n_leads · n_modes; leads outside, cosines inside.
     discrepancy : (n, n) array
         D, of unit mean over the samples of a lead.
-    onset_sd : float
-        Standard deviation of the recorded onset (ms).
     gain_sd : float
         Of the gain about 1; 0 fixes it.
-    response : callable, optional
-        Gain of the filters that the recording has passed.
     """
 
-    recorded: Floats
+    target: Target
     known: Floats
     discrepancy: Floats
-    onset_sd: float
     gain_sd: float
-    response: Response | None = None
 
-    def fit(self, simulated: Floats, onset: float) -> Fit:
-        """Compare a simulation with the recording.
+    __repr__ = short_repr
 
-        Parameters
-        ----------
-        simulated : (n_leads, n) array
-            V (mV); zero before its first and after its last sample.
-        onset : float
-            Sample of the first activation.
-        """
-        sd = float(np.hypot(self.onset_sd, FIRST_ACTIVATION_SD))
-        reach = math.ceil(REACH * sd)
+    def log_likelihood(self, ecg: Signals) -> float:
+        """Log-likelihood of the recording, given a simulated ECG."""
+        return self.fit(ecg).log_likelihood
+
+    def predictive(self, ecg: Signals, rng: np.random.Generator) -> Replicate:
+        """Draw shift, gain and size of the discrepancy, and an error of that size."""
+        target, fit = self.target, self.fit(ecg)
+        place = rng.choice(fit.weights.size, p=fit.weights.ravel() / fit.weights.sum())
+        scale, at = np.unravel_index(place, fit.weights.shape)
+        gain = rng.normal(fit.gains[scale, at], fit.gain_sds[scale, at])
+        shift = float(fit.shifts[at])
+        begin = shift + MARGIN - target.qrs_samples.start
+        clean = gain * placed(ecg.leads, begin, len(target.time), target.response)
+        error, least = self.noise(rng, int(scale)), self.noise(rng, 0)
+        model = placed(ecg.leads[self._rows], shift, self.length, target.response)
+        left = self._padded - gain * model
+        return Replicate(
+            clean,
+            clean + self._in_twelve_leads(error @ self.modes.T),
+            gain,
+            ecg.first_activation - shift - MARGIN,
+            self.scales[scale],
+            ((left @ self.modes) ** 2).sum(axis=1),
+            (least**2).sum(axis=1),
+            float((left**2).sum()),
+        )
+
+    def fit(self, ecg: Signals) -> Fit:
+        """Compare a simulated ECG, zero before its first and after its last sample."""
+        # ms; 3 of the recorded onset after the first activation, besides the onset's own
+        sd = float(np.hypot(self.target.onset_sd, 3.0))
+        reach = math.ceil(3.0 * sd)
         steps = np.arange(-reach, reach + 1.0)
-        shifts = onset - MARGIN + steps
-        joint, gains, gain_sds = self._joint(self._whitened(simulated, shifts))
+        shifts = ecg.first_activation - MARGIN + steps
+        joint, gains, gain_sds = self._joint(self._whitened(ecg.leads[self._rows], shifts))
         joint += -0.5 * (steps / sd) ** 2 - math.log(sd * math.sqrt(2 * math.pi))
         total = float(logsumexp(joint))
         weights = np.exp(joint - total)
@@ -121,7 +183,9 @@ class QrsLikelihood:
     def _whitened(self, simulated: Floats, shifts: Floats) -> Floats:
         """Coefficients in the diagonal basis, (n, n_shifts), at shifts that are 1 apart."""
         length = self.length
-        samples = placed(simulated, float(shifts[0]), length + len(shifts) - 1, self.response)
+        samples = placed(
+            simulated, float(shifts[0]), length + len(shifts) - 1, self.target.response
+        )
         windows = sliding_window_view(samples, length, axis=1)  # (n_leads, n_shifts, length)
         basis = self._diagonal[0]
         found = np.ascontiguousarray(windows) @ self.modes
@@ -139,31 +203,47 @@ class QrsLikelihood:
         logs = -0.5 * (square + np.log(precision) + log_determinants[:, None])
         return logs, 1 + variance * along / precision, self.gain_sd / np.sqrt(precision)
 
-    def residual(self, simulated: Floats, shift: float, gain: float) -> Floats:
-        """What a simulation at a shift and gain leaves (mV), (n_leads, length)."""
-        model = placed(simulated, shift, self.length, self.response)
-        return np.pad(self.recorded, ((0, 0), (MARGIN, MARGIN))) - gain * model
-
     def noise(self, rng: np.random.Generator, scale: int) -> Floats:
         """Draw ε for the discrepancy `scales[scale]`, in coefficients (n_leads, n_modes)."""
         basis, weights, _, _ = self._diagonal
         drawn = rng.standard_normal(len(basis)) / np.sqrt(weights[scale])
-        return np.asarray((self.known @ basis @ drawn).reshape(len(self.recorded), -1))
+        return np.asarray((self.known @ basis @ drawn).reshape(len(self._rows), -1))
 
     @property
     def length(self) -> int:
         """Samples of the window of the cosines."""
-        return int(self.recorded.shape[1] + 2 * MARGIN)
+        return int(self._padded.shape[1])
 
     @cached_property
     def scales(self) -> Floats:
         """Sizes of the discrepancy that are summed over (mV), shape (n_scales,)."""
-        return np.asarray(SHARES * np.sqrt((self.recorded**2).mean()))
+        return np.asarray(SHARES * np.sqrt((self.target.qrs[self._rows] ** 2).mean()))
 
     @cached_property
     def modes(self) -> Floats:
         """The cosines, orthonormal, shape (length, n_modes)."""
-        return cosines(self.recorded.shape[1])
+        return cosines(self.length - 2 * MARGIN)
+
+    @cached_property
+    def _rows(self) -> Integers:
+        return independent_rows(self.target.used)
+
+    @cached_property
+    def _padded(self) -> Floats:
+        """Mean QRS in independent leads (mV), silent on either side."""
+        return np.pad(self.target.qrs[self._rows], ((0, 0), (MARGIN, MARGIN)))
+
+    def _in_twelve_leads(self, independent: Floats) -> Floats:
+        """Errors (mV) in independent leads about the QRS, in all leads at the target's times."""
+        begin, times = self.target.qrs_samples.start - MARGIN, len(self.target.time)
+        out = np.zeros((len(LEADS), times))
+        inside = np.arange(independent.shape[1]) + begin
+        there = (inside >= 0) & (inside < times)
+        out[np.ix_(self._rows, inside[there])] = independent[:, there]
+        limb = limb_leads_from([LEADS[row] for row in self._rows if row < len(LIMB_LEADS)])
+        if limb is not None:
+            out[: len(LIMB_LEADS)] = limb @ out[: len(LIMB_LEADS)]
+        return out
 
     @cached_property
     def _diagonal(self) -> tuple[Floats, Floats, Floats, Floats]:
@@ -171,27 +251,47 @@ class QrsLikelihood:
         values, basis = eigh(self.discrepancy, self.known)
         spread = 1 + self.scales[:, None] ** 2 * np.maximum(values, 0)
         constant = np.linalg.slogdet(2 * np.pi * self.known)[1]
-        padded = np.pad(self.recorded, ((0, 0), (MARGIN, MARGIN)))
-        data = basis.T @ (padded @ self.modes).reshape(-1, 1)
+        data = basis.T @ (self._padded @ self.modes).reshape(-1, 1)
         return basis, 1 / spread, constant + np.log(spread).sum(axis=1), data
 
 
 def cosines(qrs: int) -> Floats:
-    """Orthonormal cosines over a QRS of so many samples and its margins, (length, n_modes)."""
+    """Orthonormal cosines over a QRS of so many samples and its margins, (length, n_modes).
+
+    Half a period of the fastest one takes 20 ms.
+    """
     length = qrs + 2 * MARGIN
-    return np.asarray(idct(np.eye(length)[:, : round(length / RESOLUTION)], axis=0, norm="ortho"))
+    return np.asarray(idct(np.eye(length)[:, : round(length / 20.0)], axis=0, norm="ortho"))
+
+
+def beat_noise(target: Target) -> Floats:
+    """Covariance (n, n) of the coefficients of the mean beat (mV²): of one beat, over their number.
+
+    A single beat has its stated noise.
+    """
+    rows, covariance = independent_rows(target.used), residual_covariance(target)
+    count = 1 if target.noise is not None else len(target.beats)
+    modes = cosines(target.qrs.shape[1])[MARGIN:-MARGIN]
+    scaled = [covariance.sd[row][:, None] * modes for row in rows]
+    pairs = list(zip(rows, scaled, strict=True))
+    blocks = [
+        [covariance.leads[i, j] * left.T @ covariance.time @ right for j, right in pairs]
+        for i, left in pairs
+    ]
+    return np.asarray(np.block(blocks) / count)
 
 
 def discrepancy_in_time(length: int) -> Floats:
     """Correlation of the discrepancy of so many samples 1 ms apart, (length, length).
 
-    The residuals of fits to recordings fall as the smooth half does over the first 10 ms (0.94 at
-    3 ms, 0.78 at 6 ms). Without the rough half, fast deflections would decide between networks.
+    Half of it is smooth (12 ms), half rough (4 ms). The residuals of fits to recordings fall as the
+    smooth half does over the first 10 ms (0.94 at 3 ms, 0.78 at 6 ms). Without the rough half, fast
+    deflections would decide between networks.
     """
-    return np.asarray(np.mean([matern(length, each) for each in CORRELATIONS], axis=0))
+    return np.asarray(np.mean([matern(length, each) for each in (12.0, 4.0)], axis=0))
 
 
-def matern(length: int, correlation: float = CORRELATIONS[0]) -> Floats:
+def matern(length: int, correlation: float = 12.0) -> Floats:
     """Matérn correlation (order 3/2) of so many samples 1 ms apart, (length, length)."""
     lag = np.sqrt(3.0) * np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
     scaled = lag / correlation
@@ -203,17 +303,12 @@ def separable(leads: Floats, time: Floats, modes: Floats) -> Floats:
     return np.asarray(np.kron(leads, modes.T @ time @ modes))
 
 
-def lead_pattern(signals: Sequence[Floats], own: float = OWN) -> Floats:
-    """Correlation of leads of the differences between simulations, scaled to unit mean.
+def lead_pattern(signals: Sequence[Floats], own: float = 0.5) -> Floats:
+    """Correlation of leads of differences between simulations (n_leads, n), of unit mean.
 
-    Parameters
-    ----------
-    signals : sequence of (n_leads, n) arrays
-        Differences (mV).
-    own : float
-        Share of the variance that is each lead's own, such as by its electrode's place. With a
-        small share the likelihood would rather have twice the mismatch than one that differences
-        between networks do not look like.
+    `own` is the share of the variance that is each lead's own, such as by its electrode's place.
+    With a small share the likelihood would rather have twice the mismatch than one that differences
+    between networks do not look like.
     """
     products = [signal @ signal.T for signal in signals]
     total = np.asarray(np.sum(products, axis=0) / np.sum(np.trace(products, axis1=1, axis2=2)))

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 from types import NoneType
-from typing import Protocol, overload, runtime_checkable
+from typing import Any, Protocol, overload, runtime_checkable
 
 import numpy as np
 
@@ -25,13 +26,8 @@ from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, body_values, checked, quantity
 from fascicle.core.ranges import check_items, check_kind
-from fascicle.forward.body import (
-    BodyModel,
-    body_model,
-    prepare_response,
-    read_response,
-    write_response,
-)
+from fascicle.core.shared_files import read_shared, write_shared
+from fascicle.forward.body import BodyModel, body_model, prepare_response
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
@@ -52,7 +48,6 @@ REMEMBERED = 8  # grown networks that are kept, in case only speeds and times ch
 TISSUES = 2  # tissues that are kept; each takes the memory of a heart
 
 SCENARIO = "a fascicle.Scenario; fascicle.read_scenarios reads them"  # what to give
-MODEL_FILE, BODY_FILE = "model.npz", "body.npz"  # of a model for other processes
 
 
 @runtime_checkable
@@ -391,76 +386,47 @@ class ForwardModel:
             raise InputError("give an executor, or a backend such as fascicle.GpuBackend()")
         check_kind(executor, Executor, "executor", "one of concurrent.futures, or a subclass")
         bodies = [name for network in networks for name in body_values(network)]
+        if bodies:
+            self.body(bodies)  # built here, not by every worker
         if isinstance(executor, ThreadPoolExecutor):
             return list(executor.map(lambda p: self.simulate(p, scenario), networks))
         with TemporaryDirectory(prefix="fascicle-") as folder:
-            written = self.write(Path(folder), bodies)
+            file = write_shared(Path(folder) / "model", self)
             futures = [
-                executor.submit(_simulate_elsewhere, written, network, scenario)
+                executor.submit(_simulate_elsewhere, file, network, scenario)
                 for network in networks
             ]
             return [future.result() for future in futures]
 
-    def write(self, folder: Path, bodies: Sequence[str] = ()) -> WrittenModel:
-        """Write a model into a folder, for other processes to read.
-
-        Parameters
-        ----------
-        folder : Path
-            Where to.
-        bodies : sequence of str
-            Quantities of the body that will be asked for.
-        """
-        save(folder / MODEL_FILE, self.prepared, self.heart)
-        if bodies:
-            write_response(folder / BODY_FILE, self.body(bodies).response)
-        return WrittenModel(folder, self.conduction, self.rules, self.action_potential)
-
-
-@dataclass(frozen=True)
-class WrittenModel:
-    """A forward model in files, and what of it is small.
-
-    Attributes
-    ----------
-    folder : Path
-        Holds the files.
-    conduction, rules, action_potential : Conduction, GrowthRules, ActionPotential
-        Of the model.
-    """
-
-    folder: Path
-    conduction: Conduction
-    rules: GrowthRules
-    action_potential: ActionPotential
-
-    def read(self) -> ForwardModel:
-        """Read the model; the one that this process has read last is remembered."""
-        with _READING:  # threads of a worker begin together, and one heart is enough for all
-            model = _READ.get(self.folder)
-            if model is None:
-                _READ.clear()
-                model = _READ[self.folder] = self._read()
-            return model
-
-    def _read(self) -> ForwardModel:
-        heart, prepared = load(self.folder / MODEL_FILE, self.action_potential)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Send it to another process with all that is prepared."""
+        content = BytesIO()
+        save(content, self.prepared, self.heart)
+        response = None if self._body is None else self._body.response
         settings = self.conduction, self.rules, self.action_potential
-        model = ForwardModel(heart, *settings, prepared)
-        if (self.folder / BODY_FILE).exists():
-            model.use_body(read_response(self.folder / BODY_FILE))
-        return model
+        return _received, (content.getvalue(), response, *settings)
 
 
-# The model that this process, as a worker of another one, has read, by where it came from
-_READ: dict[Path, ForwardModel] = {}
-_READING = Lock()
+def _received(
+    content: bytes,
+    response: BodyResponse | None,
+    conduction: Conduction,
+    rules: GrowthRules,
+    action_potential: ActionPotential,
+) -> ForwardModel:
+    """Make of what `ForwardModel.__reduce__` has sent the model again."""
+    heart, prepared = load(BytesIO(content), action_potential)
+    model = ForwardModel(heart, conduction, rules, action_potential, prepared)
+    if response is not None:
+        model.use_body(response)
+    return model
 
 
 def _simulate_elsewhere(
-    written: WrittenModel, parameters: dict[str, float], scenario: Scenario | None
+    file: Path, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree | InvalidBody:
-    return written.read().simulate(parameters, scenario)
+    model: ForwardModel = read_shared(file)
+    return model.simulate(parameters, scenario)
 
 
 def _grow_trees(

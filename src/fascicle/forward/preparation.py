@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -88,7 +88,8 @@ def prepare(
         prepared = build(heart, conduction, action_potential, progress)  # not there, or damaged
     # somebody else's cache, a full disk, or another process tidying up: only this cache is lost
     with suppress(OSError, InputError):
-        save(path, prepared)
+        with atomic_path(path) as temporary:
+            save(temporary, prepared)
         kept = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
         for old in kept[:-KEPT]:
             old.unlink(missing_ok=True)
@@ -171,18 +172,8 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
     return {e.side: find_seed(e, charts[e.side]) for e in heart.endocardia}
 
 
-def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
-    """Write the arrays, and those of the heart if it is given, whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        NPZ file.
-    prepared : Prepared
-        What is written.
-    heart : Heart, optional
-        The heart it was prepared from, if that is to be read back, too.
-    """
+def save(file: Path | BinaryIO, prepared: Prepared, heart: Heart | None = None) -> None:
+    """Write an NPZ file of the arrays, and those of the heart if it is given."""
     myocardium = prepared.myocardium
     parts = {
         "mesh": myocardium.mesh._asdict(),
@@ -200,8 +191,7 @@ def save(path: Path, prepared: Prepared, heart: Heart | None = None) -> None:
             surface = _attributes(e, "vertices", "triangles", "root", "direction")
             parts[f"{e.side} endocardium"] = surface
     arrays = {f"{part}.{n}": value for part, values in parts.items() for n, value in values.items()}
-    with atomic_path(path) as temporary:
-        np.savez(temporary, allow_pickle=False, **arrays)
+    np.savez(file, allow_pickle=False, **arrays)
 
 
 def _attributes(part: object, *names: str) -> dict[str, Any]:
@@ -209,24 +199,14 @@ def _attributes(part: object, *names: str) -> dict[str, Any]:
 
 
 def load(
-    path: Path, action_potential: ActionPotential, heart: Heart | None = None
+    file: Path | BinaryIO, action_potential: ActionPotential, heart: Heart | None = None
 ) -> tuple[Heart, Prepared]:
-    """Read what `save` wrote.
-
-    Parameters
-    ----------
-    path : Path
-        NPZ file.
-    action_potential : ActionPotential
-        The template U.
-    heart : Heart, optional
-        What it was prepared for, if that was not written, too.
-    """
+    """Read what `save` wrote; the heart, if it was not written, is as given."""
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-        for key in file.files:
+    with np.load(file, allow_pickle=False) as content:
+        for key in content.files:
             part, name = key.split(".")
-            value = aligned(file[key]) if name == "solver" else file[key]
+            value = aligned(content[key]) if name == "solver" else content[key]
             parts[part][name] = value if value.ndim else value.item()
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))

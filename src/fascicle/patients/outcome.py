@@ -112,7 +112,7 @@ class Outcome(BaseModel):
         """
         summary = json.loads((fitted.folder / "summary.json").read_text(encoding="utf-8"))
         qrs = summary.get("qrs_duration_ms", {"recorded": None, "networks": {"median": None}})
-        noticed = fitted.problem.target.provenance.get("warnings", "").splitlines()
+        noticed = fitted.recordings[0].target.provenance.get("warnings", "").splitlines()
         return cls(
             patient=patient,
             status=Status.FITTED,
@@ -131,7 +131,7 @@ class Outcome(BaseModel):
 
 def _said(fitted: FittedStudy) -> dict[str, Said]:
     """Of every parameter; of none where the runs do not agree."""
-    population, space = fitted.population, fitted.problem.space
+    population, space = fitted.population, fitted.simulator.space
     if not isinstance(population, Posterior):
         units = {parameter.name: parameter.unit for parameter in space.parameters}
         found = {}

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from fascicle.core.files import atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import complete
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import scenario_text
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.problem import Problem
 
 FOLDER = "predictions"  # in a study's
 FORMAT = 1  # of the files; raised when what they hold changes
@@ -105,13 +105,14 @@ class PredictionCache:
 
     def _trees(self) -> Trees:
         """The heart's own trees in every network, grown again: that takes a few ms each."""
-        population, problem = self.fitted.population, self.fitted.problem
-        learnt = [population.parameters(k) for k in range(len(population))]
-        return list(problem.pool.map(_grown, problem, learnt))
+        population, simulator = self.fitted.population, self.fitted.simulator
+        every = [population.parameters(k) for k in range(len(population))]
+        parameters = [{**simulator.fixed, **each} for each in every]
+        return list(simulator.pool.map(_grown, parameters, simulator.model))
 
 
-def _grown(problem: Problem, learnt: Mapping[str, float]) -> tuple[PurkinjeTree, ...]:
-    trees = problem.model.grow(complete({**problem.fixed, **learnt}))
+def _grown(parameters: Mapping[str, float], model: ForwardModel) -> tuple[PurkinjeTree, ...]:
+    trees = model.grow(complete(parameters))
     if isinstance(trees, InvalidTree):
         raise RuntimeError(f"a network of the population is impossible: {trees.reason}")
     return trees

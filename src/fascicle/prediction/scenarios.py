@@ -15,7 +15,8 @@ from fascicle.core.leads import LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
 from fascicle.core.ranges import check_items, check_kind, check_text
 from fascicle.forward.ecg.electrocardiogram import STEP
-from fascicle.forward.loss import placed
+from fascicle.forward.loss import Response, placed
+from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.forward.simulation import Simulation
@@ -27,7 +28,8 @@ from fascicle.recording.window import qrs_window
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.prior_simulations import prior_points
-from fascicle.study.problem import Network, Problem
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.target_comparison import Network, TargetComparison
 
 INTRINSIC = "intrinsic"  # the scenario that others are compared with
 LEAD_IN, LEAD_OUT = 10, 20  # samples before the QRS onset (`RINGING` at most), after the last's end
@@ -98,7 +100,9 @@ def predict(
     if missing:
         with shown_progress(progress) as shown:
             networks = fitted.networks(shown) if networks is None else networks
-            simulated = simulate_scenarios(fitted.problem, networks, missing, shown)
+            simulated = simulate_scenarios(
+                fitted.simulator, fitted.recordings[0], networks, missing, shown
+            )
         kept.write(simulated)
         found |= simulated
     effective = fitted.population.effective_size
@@ -110,7 +114,8 @@ def _up_to_date(fitted: FittedStudy, kept: Mapping[str, Predicted]) -> dict[str,
     if not kept:
         return {}
     first = fitted.networks(chosen=[0])
-    again = simulate_scenarios(fitted.problem, first, {n: p.scenario for n, p in kept.items()})
+    scenarios = {name: found.scenario for name, found in kept.items()}
+    again = simulate_scenarios(fitted.simulator, fitted.recordings[0], first, scenarios)
     return {name: found for name, found in kept.items() if found.matches_first(again[name])}
 
 
@@ -136,7 +141,8 @@ def check_population(fitted: FittedStudy) -> None:
 
 
 def simulate_scenarios(
-    problem: Problem,
+    simulator: PointSimulator,
+    recording: TargetComparison,
     networks: Sequence[Network],
     scenarios: Mapping[str, Scenario],
     progress: Progress | None = None,
@@ -146,8 +152,10 @@ def simulate_scenarios(
 
     Parameters
     ----------
-    problem : Problem
-        Of the study: heart, target, and where to simulate.
+    simulator : PointSimulator
+        Of the study: heart, and where to simulate.
+    recording : TargetComparison
+        In whose scenario the networks were simulated, and whose filters the ECGs pass.
     networks : sequence of Network
         The n networks, simulated.
     scenarios : mapping of name to Scenario
@@ -157,15 +165,18 @@ def simulate_scenarios(
     of : str
         What the stages are called beside the scenario's name.
     """
-    sites = problem.model.sites
-    territories = Territories.of(problem.model.heart, sites.places)
+    model = simulator.model
+    sites, response = model.sites, recording.target.response
+    territories = Territories.of(model.heart, sites.places)
     predicted = {}
     for name, scenario in scenarios.items():
         report, beats, found = stage_progress(progress, name + of), [], []
         try:
             owners = scenario.located(sites).owners
-            each_network = partial(_simulate, territories, scenario, owners)
-            for beat, values in problem.pool.map(each_network, problem, networks):
+            # in that of the recording they are simulated already
+            new = None if scenario == (recording.scenario or Scenario()) else scenario
+            each_network = partial(_simulate, territories, scenario, owners, new, response)
+            for beat, values in simulator.pool.map(each_network, networks, model):
                 beats.append(beat)
                 found.append(values)
                 report(len(beats), len(networks))
@@ -180,40 +191,39 @@ def _simulate(
     territories: Territories,
     scenario: Scenario,
     owners: Integers,
-    problem: Problem,
+    new: Scenario | None,
+    response: Response | None,
     network: Network,
+    model: ForwardModel,
 ) -> tuple[PredictedBeat, dict[str, float]]:
     simulation = network.simulation
-    if scenario != (problem.scenario or Scenario()):  # in that it is simulated already
-        simulation = problem.model.activate(
-            simulation.trees, scenario=scenario, **network.parameters
-        )
+    if new is not None:
+        simulation = model.activate(simulation.trees, scenario=new, **network.parameters)
     gain = network.gain if network.drawn_gain is None else network.drawn_gain
     leads = gain * simulation.leads
-    length, response = leads.shape[1] + 2 * RINGING, problem.target.response
     values = indices(replace(simulation, leads=leads), territories, scenario.first_stimulus)
-    filtered = placed(leads, -RINGING, length, response)
+    filtered = placed(leads, -RINGING, leads.shape[1] + 2 * RINGING, response)
     captured = np.bincount(owners, simulation.coupled.captured) > 0
     return PredictedBeat.of(simulation, leads, filtered, captured), values
 
 
-def prior_networks(problem: Problem, progress: Progress | None = None) -> list[Network]:
+def prior_networks(simulator: PointSimulator, progress: Progress | None = None) -> list[Network]:
     """Networks of the prior, which know nothing of the recording.
 
     Parameters
     ----------
-    problem : Problem
+    simulator : PointSimulator
         Its space is the prior.
     progress : Progress, optional
         Called as networks are simulated.
     """
-    points = prior_points(len(problem.space), PRIOR_NETWORKS)
+    points = prior_points(len(simulator.space), PRIOR_NETWORKS)
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, point in enumerate(points, 1):
-        (found,) = problem.simulate([point])
+        (found,) = simulator.simulate([point])
         if isinstance(found, Simulation):
-            values = {**problem.fixed, **problem.space.from_unit(point)}
-            networks.append(Network(values, found, found.leads, 1.0, 1.0))
+            parameters = simulator.parameters(point)
+            networks.append(Network(parameters, found, found.leads, 1.0, 1.0))
         report(done, len(points))
     return networks
 

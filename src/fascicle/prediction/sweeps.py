@@ -91,7 +91,9 @@ def simulate_sweep(
     for key, scenario in sweep.scenarios.items():
         name = swept.called(key)
         try:
-            found = simulate_scenarios(fitted.problem, some, {name: scenario}, progress)
+            found = simulate_scenarios(
+                fitted.simulator, fitted.recordings[0], some, {name: scenario}, progress
+            )
         except InputError as error:
             swept.impossible[key] = str(error)
         else:

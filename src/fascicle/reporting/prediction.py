@@ -66,7 +66,7 @@ def write_prediction(
         Called after each scenario.
     """
     report = stage_progress(progress, "pictures")
-    heart, own, caution = fitted.problem.model.heart, predicted[INTRINSIC], caution_text(fitted)
+    heart, own, caution = fitted.simulator.model.heart, predicted[INTRINSIC], caution_text(fitted)
     with atomic_folder(out, disposable=_pictures(predicted)) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
         said = {"verdict": fitted.verdict, "caution": caution}

@@ -16,6 +16,7 @@ from fascicle.core.ranges import check_items
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population
+from fascicle.recording.target import Target
 from fascicle.reporting.check import check_figure
 from fascicle.reporting.convergence import convergence_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
@@ -31,7 +32,7 @@ from fascicle.reporting.target import target_figure
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.problem import Network, Problem
+from fascicle.study.target_comparison import Network
 
 SHARE = 0.9  # of beats and of networks, in bands: ranges of unequal numbers cannot be compared
 
@@ -80,8 +81,8 @@ def drawings(
         Scenarios over it, the intrinsic beat first.
     """
     check_population(fitted)
-    problem, population = fitted.problem, fitted.population
-    heart = problem.model.heart
+    model, space, population = fitted.simulator.model, fitted.simulator.space, fitted.population
+    heart = model.heart
     best = activation_row("best network", fitted.best_network.simulation).since_first()
     activations = np.array([network.simulation.activation for network in networks])
     spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
@@ -97,13 +98,11 @@ def drawings(
         ),
         **_of_scenarios(predicted),
         "priors": Drawing(
-            prior_figure(problem.space, population.values),
+            prior_figure(space, population.values),
             "What was thought before (grey lines) and the networks (orange).",
         ),
         "pairs": Drawing(
-            pair_figure(
-                problem.space, population.values, population.best, title=fitted.networks_called
-            ),
+            pair_figure(space, population.values, population.best, title=fitted.networks_called),
             "Pairs of parameters on the whole ranges of their priors.",
         ),
         "convergence": Drawing(
@@ -113,7 +112,7 @@ def drawings(
             of_networks=False,
         ),
         "heart": Drawing(
-            check_figure(heart, check_heart(heart, problem.model.prepared.charts)),
+            check_figure(heart, check_heart(heart, model.prepared.charts)),
             "The heart: walls, fibres, where the bundles start, and the body with its electrodes.",
             of_networks=False,
         ),
@@ -162,7 +161,7 @@ def loss_figure(fitted: FittedStudy) -> Figure:
     records = fitted.study.records()
     losses = np.array([record.evaluation.loss for record in records])
     stages = [record.stage for record in records]
-    return convergence_figure(losses, stages, fitted.problem.flat)
+    return convergence_figure(losses, stages, fitted.null_loss)
 
 
 def recorded_ecg_figure(
@@ -182,15 +181,15 @@ def recorded_ecg_figure(
     check_population(fitted)
     if networks is None:
         networks = fitted.networks(recording=recording)
-    problem = fitted.problem.recordings[recording]
-    return _ecg(problem, networks, agreement(problem.target, networks))
+    target = fitted.recordings[recording].target
+    return _ecg(target, networks, agreement(target, networks))
 
 
-def _ecg(problem: Problem, networks: Sequence[Network], found: Agreement) -> Figure:
-    window = problem.target.qrs_samples
-    time = problem.target.time[window]
+def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figure:
+    window = target.qrs_samples
+    time = target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
-    recorded = EcgGroup("recorded", "beat", time, problem.target.qrs_beats, BLUE, SHARE)
+    recorded = EcgGroup("recorded", "beat", time, target.qrs_beats, BLUE, SHARE)
     groups = [recorded, EcgGroup("predicted", "network", time, predicted, VERMILION, SHARE)]
     notes = [f"r {r:.2f}" if np.isfinite(r) else "" for r in found.correlation]
     title = f"Recorded QRS and {len(networks)} networks"
@@ -222,7 +221,7 @@ def _of_scenarios(predicted: Mapping[str, Predicted]) -> dict[str, Drawing]:
 
 def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, Drawing]:
     """Recorded and predicted QRS, and the beats of every recording."""
-    recordings = fitted.problem.recordings
+    recordings = fitted.recordings
     names = [""] if len(recordings) == 1 else [f" {n + 1}" for n in range(len(recordings))]
     found: dict[str, Drawing] = {}
     for number, name in enumerate(names):
@@ -230,7 +229,7 @@ def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str
         its = fitted.networks(recording=number) if number else networks
         agreed = agreement(recordings[number].target, its)
         found[f"ecg{suffix}"] = Drawing(
-            _ecg(recordings[number], its, agreed),
+            _ecg(recordings[number].target, its, agreed),
             f"Recorded beats{name} and what the networks predict: means, and what 90 % of beats "
             "and of networks span. Time counts from the R peak.",
             agreed,

@@ -12,7 +12,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS, LIMB_LEADS
 from fascicle.recording.target import Target
 from fascicle.study.predictive import frontal_axis
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network
 
 INTERVAL = (5, 50, 95)  # percentiles
 OVER_ALL = "all"

@@ -1,8 +1,4 @@
-"""Workers of a Dask cluster, which may die, join late and be restarted.
-
-The heart goes to every worker once, and to those that come later when they come; the scheduler
-keeps it for them. Jobs are named by their content, so that one that is sent again is the same job.
-"""
+"""Workers of a Dask cluster, which may die, join late and be restarted."""
 
 from __future__ import annotations
 
@@ -10,13 +6,12 @@ import asyncio
 import hashlib
 import pickle
 import re
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
-from pathlib import Path
-from tempfile import TemporaryDirectory, mkdtemp
-from typing import Any, TypeVar
+from contextlib import suppress
+from threading import Lock
+from typing import Any
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 
@@ -24,56 +19,41 @@ from fascicle.core.errors import InputError, one_line
 from fascicle.core.progress import Lines, Progress, progress_of
 from fascicle.core.ranges import shown
 from fascicle.core.threads import keep_one_thread
-from fascicle.forward.model import WrittenModel
-from fascicle.study.pool import Remote, Task, run_part
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+from fascicle.study.pool import Remote, run_part
 
 TIMEOUT = 30  # s, until a scheduler has answered
-NOTICED = 1  # s between looks at what is waited for
 ANSWERED = 5  # s that a scheduler has to say which workers it has
-PAUSE = 0.5  # s before a broken connection is tried again
 RETRIES = 20  # of a job whose workers were lost, which a walltime does to all that wait there
-RUNNING = "running"  # a client that has its scheduler
-ADDRESS = r"(tcp|tls)://[^/\s]+:\d{1,5}"
-KEY = 24  # digits of a name by content
+_READING = Lock()
 
 
 class WorkerData(WorkerPlugin):
-    """What a worker is given when it joins, and keeps: a model, or what is asked of one.
+    """What every worker is given when it joins, such as a forward model; unpacked when first used.
 
     Parameters
     ----------
     name : str
         Of its content.
-    files : dict of name to bytes
-        Of a model.
-    small : object
-        What is not in them.
+    content : bytes
+        Pickled.
     """
 
-    def __init__(self, name: str, files: dict[str, bytes], small: Any) -> None:
-        self.name, self.files, self.small = name, files, small
-        self.folder: Path | None = None
+    def __init__(self, name: str, content: bytes) -> None:
+        self.name, self.content = name, content
+        self.unpacked: list[Any] = []
 
     def setup(self, worker: Worker) -> None:
-        """Write the files for this worker to read; BLAS takes one thread here from now on."""
-        keep_one_thread()  # jobs of several threads would set it back for one another
-        folder = Path(mkdtemp(prefix="fascicle-", dir=worker.local_directory))
-        try:
-            for name, content in self.files.items():
-                (folder / name).write_bytes(content)
-        except OSError:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
-        self.files.clear()  # they are on the worker's disk
-        self.folder = folder  # last: a job may already be waiting for it
+        """Keep BLAS to one thread from now on: jobs of several threads would set it back."""
+        keep_one_thread()
 
-    def teardown(self, worker: Worker) -> None:
-        """Remove the files."""
-        if self.folder is not None:
-            shutil.rmtree(self.folder, ignore_errors=True)
+    def read(self) -> Any:
+        """Unpack the content, once for all threads."""
+        with _READING:
+            if not self.unpacked:
+                content = pickle.loads(self.content)  # noqa: S301 - as Dask does with jobs
+                self.unpacked.append(content)
+                self.content = b""
+        return self.unpacked[0]
 
 
 class Cluster(Remote):
@@ -94,7 +74,9 @@ class Cluster(Remote):
     """
 
     def __init__(self, address: str, progress: Progress | Lines | None = "lines") -> None:
-        if not isinstance(address, str) or not re.fullmatch(ADDRESS, address):
+        if not isinstance(address, str) or not re.fullmatch(
+            r"(tcp|tls)://[^/\s]+:\d{1,5}", address
+        ):
             raise InputError(
                 f"{shown(address)} is no address of a Dask scheduler; it prints its own when it "
                 "starts, such as tcp://10.0.0.1:8786"
@@ -102,14 +84,13 @@ class Cluster(Remote):
         self.progress = progress_of(progress)
         try:
             self.client: Any = Client(address, timeout=TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-        except (OSError, TypeError) as error:  # the second of TLS that is not configured
+        except (OSError, TypeError, ValueError) as error:  # TypeError of TLS without configuration
             raise InputError(
                 f"{address}: no Dask scheduler answers ({one_line(error)}); start one with "
                 "'dask scheduler', and workers with 'dask worker ADDRESS'"
             ) from error
         super().__init__()
         self.address = address
-        self._known: set[str] = set()
         self._connection = self.client.scheduler_comm
         self._waits = False  # for a worker, or for the scheduler
 
@@ -123,21 +104,32 @@ class Cluster(Remote):
         there: dict[str, int] = self._ask(self.client.nthreads)
         return there
 
-    def _submit(self, *job: Any) -> Any:
+    def _place(self, content: Any) -> Any:
+        if not self._same_scheduler:  # a restarted one has nothing of what was sent
+            self._connection = self.client.scheduler_comm
+            self._sent.clear()
+        return super()._place(content)
+
+    def _send(self, content: Any) -> str:
+        pickled = pickle.dumps(content)
+        name = f"fascicle-{hashlib.sha256(pickled).hexdigest()[:24]}"
+        self._ask(self.client.register_plugin, WorkerData(name, pickled))
+        return name
+
+    def _submit(self, function: Callable[..., Any], items: Sequence[Any], *places: str) -> Any:
         self._check_there()
-        key = f"fascicle-{_name(pickle.dumps(job))}"
-        return self.client.submit(_job, *job, key=key, pure=False)
+        return self.client.submit(_job, function, items, *places, pure=False)
 
     def cancel(self, futures: Sequence[Any]) -> None:
         """Cancel jobs, unless losing the scheduler has done so."""
-        if self.client.status == RUNNING:
-            self.client.cancel(futures)
+        with suppress(InputError):  # a silent scheduler is not waited for
+            wait([self._begin(self.client.cancel, list(futures))], ANSWERED)
 
     def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
         """Fetch together what jobs have given: one by one each would take some milliseconds."""
         first = self._result(futures[0])
         try:
-            return [first, *self._gather(futures[1:])]
+            return [first, *(self._gather(futures[1:]) if len(futures) > 1 else ())]
         except KilledWorker:  # of one that had ended: what it had given was lost with it
             return [first, *map(self._result, futures[1:])]
 
@@ -151,9 +143,6 @@ class Cluster(Remote):
         return self._gather([future])[0]
 
     def _gather(self, futures: Sequence[Any]) -> list[Any]:
-        """Wait for jobs, and fetch what they have given."""
-        if not futures:
-            return []
         results: list[Any] = self._ask(self.client.gather, list(futures), jobs=futures)
         return results
 
@@ -174,7 +163,7 @@ class Cluster(Remote):
                     raise InputError(
                         f"{self.address}: its workers fail ({one_line(error)}); see what they say"
                     ) from error
-                time.sleep(PAUSE)
+                time.sleep(0.5)  # before a broken connection is tried again
             except CancelledError as error:
                 if self._same_scheduler:
                     raise InputError(
@@ -188,7 +177,7 @@ class Cluster(Remote):
         """Wait as long as it takes, since jobs may be long; say meanwhile what is waited for."""
         answer = self._begin(method, *given)
         try:
-            while not wait([answer], NOTICED).done:
+            while not wait([answer], 1.0).done:
                 self._say(self._what_is_missing(answer))
             result = answer.result()
             self._say("")
@@ -227,13 +216,13 @@ class Cluster(Remote):
 
     @property
     def _same_scheduler(self) -> bool:
-        """Whether the connection is the one through which models were sent."""
-        there: bool = self.client.status == RUNNING
+        """Whether the connection is the one through which shared data were sent."""
+        there: bool = self.client.status == "running"
         return there and self.client.scheduler_comm is self._connection
 
     def _check_there(self, error: OSError | None = None) -> None:
         """Say so in one line if the scheduler is lost."""
-        if self.client.status != RUNNING:
+        if self.client.status != "running":
             raise self._lost() from error
 
     def _lost(self) -> InputError:
@@ -242,51 +231,18 @@ class Cluster(Remote):
             "again, and the same command goes on"
         )
 
-    def _model(self, task: Task) -> Any:
-        if not self._same_scheduler:  # a restarted one has no models
-            self._connection = self.client.scheduler_comm
-            self._known.clear()
-            self._models.clear()
-        return super()._model(task)
 
-    def _send(self, task: Task) -> str:
-        with TemporaryDirectory(prefix="fascicle-") as folder:
-            written = task.model.write(Path(folder), task.bodies)
-            files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
-        return self._hold(files, (written.conduction, written.rules, written.action_potential))
-
-    def _rest(self, portable: Any) -> str:
-        return self._hold({}, portable)
-
-    def _hold(self, files: dict[str, bytes], small: Any) -> str:
-        """Give all workers, those that come later too, something to keep; its name."""
-        name = f"fascicle-{_name(pickle.dumps((files, small)))}"
-        if name not in self._known:
-            self._ask(self.client.register_plugin, WorkerData(name, files, small))
-            self._known.add(name)
-        return name
-
-
-def _name(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:KEY]
-
-
-def _held(name: str) -> tuple[Path, Any]:
+def _read(name: str) -> Any:
     """What this worker was given; a worker that has just joined gets its jobs sooner than that."""
     worker = get_worker()
     until = time.monotonic() + TIMEOUT
     while time.monotonic() < until:
-        held = worker.plugins.get(name)
-        if isinstance(held, WorkerData) and held.folder is not None:
-            return held.folder, held.small
+        data = worker.plugins.get(name)
+        if isinstance(data, WorkerData):
+            return data.read()
         time.sleep(0.1)
     raise RuntimeError(f"worker {worker.address} was never given {name}")
 
 
-def _job(
-    model: str, rest: str, function: Callable[[Any, Item], Result], items: Sequence[Item]
-) -> list[Result]:
-    folder, small = _held(model)
-    _, portable = _held(rest)
-    task: Task = portable.of(WrittenModel(folder, *small).read())
-    return run_part(task, function, items)
+def _job(function: Callable[..., Any], items: Sequence[Any], *names: str) -> list[Any]:
+    return run_part(function, items, [_read(name) for name in names])

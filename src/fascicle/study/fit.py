@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -13,8 +14,10 @@ import numpy as np
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path
 from fascicle.core.progress import Lines, Progress, shown_progress
+from fascicle.core.quantities import body_values
 from fascicle.core.ranges import check_kind
 from fascicle.forward.compile_kernels import compile_kernels
+from fascicle.forward.likelihood import Likelihood
 from fascicle.forward.model import Backend, ForwardModel, usable
 from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
@@ -22,25 +25,27 @@ from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
 from fascicle.study.agreement import agreement
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.likelihood import FEWEST, qrs_likelihood
+from fascicle.study.likelihood import likelihood_of, prior_knowledge
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.population import RESULT
 from fascicle.study.population_files import read_checks, read_gains, read_population
 from fascicle.study.predictive import Checks, predict_recording
 from fascicle.study.prior_simulations import PriorSimulations, prior_points
-from fascicle.study.problem import Problem
 from fascicle.study.recordings import (
     Given,
-    Recording,
+    Recorded,
+    digests,
     given_recordings,
     read_recordings,
     write_recordings,
 )
 from fascicle.study.results import write_results
 from fascicle.study.settings import FitSettings, checked_settings
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import Study, StudyConfig, check_same, check_study_folder
+from fascicle.study.target_comparison import TargetComparison, evaluate
 
 GivenStudy = FittedStudy | Path | str  # a study, or its folder
 
@@ -57,6 +62,7 @@ def fit(
     progress: Progress | Lines | None = "lines",
     pool: Pool | None = None,
     backend: Backend | None = None,
+    likelihood: Likelihood | Sequence[Likelihood] | None = None,
     **settings: Any,
 ) -> FittedStudy:
     """Learn the Purkinje networks that explain a target, or several of one heart.
@@ -88,6 +94,9 @@ def fit(
     backend : Backend, optional
         What simulates intrinsic beats in place of the pool: a graphics card (`fascicle.GpuBackend`)
         changes the last digits of the result.
+    likelihood : Likelihood, or sequence of them, optional
+        Of a posterior: what the recording says of a network, one for each recording; the page
+        "Extending fascicle" shows how to write one.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
@@ -119,7 +128,22 @@ def fit(
     refuse_held(folder)
     with shown_progress(progress) as shown:
         inputs = read_inputs(heart, target, parameters or {}, checked)
+        if likelihood is not None:
+            inputs = replace(inputs, likelihoods=_given_likelihoods(likelihood, inputs))
         return fit_inputs(inputs, folder, shown, pool, backend)
+
+
+def _given_likelihoods(
+    given: Likelihood | Sequence[Likelihood], inputs: Inputs
+) -> Sequence[Likelihood]:
+    """One likelihood for each recording."""
+    each = given if isinstance(given, Sequence) else [given]
+    if inputs.config.method == "paper" or len(each) != len(inputs.recordings):
+        raise InputError(
+            f"{len(each)} likelihood(s) for {len(inputs.recordings)} recording(s) by the method "
+            f"'{inputs.config.method}'; give one for each, to the method 'posterior'"
+        )
+    return each
 
 
 @dataclass(frozen=True)
@@ -129,14 +153,17 @@ class Inputs:
     Attributes
     ----------
     heart : Heart
-    recordings : sequence of Recording
+    recordings : sequence of (Target, Scenario or None)
+    likelihoods : sequence of Likelihood, optional
+        In place of those that are made of the prior.
     config : StudyConfig
         All that decides the outcome, with their hashes.
     """
 
     heart: Heart
-    recordings: Sequence[Recording]
+    recordings: Sequence[Recorded]
     config: StudyConfig
+    likelihoods: Sequence[Likelihood] | None = None
 
 
 def read_inputs(
@@ -187,30 +214,39 @@ def fit_inputs(
     progress, pool, backend
         As for `fit`, which says what is raised, too.
     """
-    heart, recordings, config = inputs.heart, inputs.recordings, inputs.config
-    problem = _problem(config, heart, recordings, pool, progress, backend)
-    _check_scenarios(problem)
+    heart, config = inputs.heart, inputs.config
+    simulator, recordings = _simulated_and_compared(
+        config, heart, inputs.recordings, pool, progress, backend
+    )
+    _check_scenarios(simulator, recordings)
     with study_lock(folder):
         study = Study.create_or_resume(folder, config, progress)
         if not _holds(folder / HEART, heart):
             write_heart(heart, folder / HEART)
         share_prepared(heart, folder / HEART)
-        write_recordings(folder, recordings)
+        write_recordings(folder, inputs.recordings)
         if config.method == "posterior":
-            problem = _with_likelihoods(problem, config, heart, progress)
-        fitted = FittedStudy(study, problem, study.run(problem, progress))
-        return _completed(fitted, progress)
+            simulator = replace(simulator, prior=_prior(simulator))
+            likelihoods = inputs.likelihoods or _likelihoods(
+                simulator, recordings, config, progress
+            )
+            recordings = tuple(
+                replace(each, likelihood=its)
+                for each, its in zip(recordings, likelihoods, strict=True)
+            )
+        population = study.run(partial(evaluate, simulator, recordings), progress)
+        return _completed(FittedStudy(study, simulator, recordings, population), progress)
 
 
 def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
     """Simulate what was found, compare a posterior with the recording, and write it all."""
     networks, agreements, predictions = fitted.networks(progress), [], []
     rng = np.random.default_rng([fitted.study.config.seed, PREDICTION])
-    for number, problem in enumerate(fitted.problem.recordings):
+    for number, each in enumerate(fitted.recordings):
         its = networks if number == 0 else fitted.networks(progress, number)
-        agreements.append(agreement(problem.target, its))
-        if problem.likelihood is not None:
-            predictions.append(predict_recording(problem, problem.likelihood, its, rng))
+        agreements.append(agreement(each.target, its))
+        if each.likelihood is not None:
+            predictions.append(predict_recording(each.target, each.likelihood, its, rng))
     if predictions:
         checks = Checks.joined([each.checks for each in predictions])
         fitted = replace(fitted, checks=checks, gains=predictions[0].gains)
@@ -218,22 +254,22 @@ def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
     return fitted
 
 
-def _check_method(method: str, recordings: Sequence[Recording]) -> None:
+def _check_method(method: str, recordings: Sequence[Recorded]) -> None:
     """The paper's method knows one intrinsic beat."""
-    if method == "paper" and (len(recordings) > 1 or recordings[0].scenario is not None):
+    if method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
         raise InputError(
             "the method 'paper' fits one recording of an intrinsic beat; give one without a "
             "scenario, or use the method 'posterior'"
         )
 
 
-def _check_scenarios(problem: Problem) -> None:
+def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetComparison]) -> None:
     """Refuse a scenario that does not fit the heart, with the first network of the prior."""
-    for each in problem.recordings:
+    for each in recordings:
         if each.scenario is None:
             continue
-        for point in prior_points(len(each.space), FEWEST):
-            if isinstance(each.simulate([point])[0], Simulation):
+        for point in prior_points(len(simulator.space), 10):
+            if isinstance(next(simulator.simulate([point], each.scenario)), Simulation):
                 break
 
 
@@ -245,31 +281,35 @@ def _holds(folder: Path, heart: Heart) -> bool:
         return False
 
 
-def _hashes(recordings: Sequence[Recording]) -> dict[str, Any]:
+def _hashes(recordings: Sequence[Recorded]) -> dict[str, Any]:
     """What a configuration says of the recordings."""
-    targets, scenarios = zip(*(recording.digests for recording in recordings), strict=True)
+    targets, scenarios = zip(*map(digests, recordings), strict=True)
     return {"target": targets[0], "other_targets": targets[1:], "scenarios": scenarios}
 
 
-def _with_likelihoods(
-    problem: Problem, config: StudyConfig, heart: Heart, progress: Progress | None
-) -> Problem:
-    """The problem with the likelihood of every recording, and with the heart's bank."""
-    rng, bank = np.random.default_rng([config.seed, PRIOR]), _bank(heart, problem)
-    first, *others = (
-        replace(each, likelihood=qrs_likelihood(each, rng, _gain_sd(config), progress), bank=bank)
-        for each in problem.recordings
-    )
-    return replace(first, others=tuple(others))
+def _likelihoods(
+    simulator: PointSimulator,
+    recordings: Sequence[TargetComparison],
+    config: StudyConfig,
+    progress: Progress | None,
+) -> list[Likelihood]:
+    """The built-in likelihood of each recording."""
+    rng, gain_sd = np.random.default_rng([config.seed, PRIOR]), _gain_sd(config)
+    found: list[Likelihood] = []
+    for each in recordings:
+        known = prior_knowledge(simulator, each.target, each.scenario, rng, progress)
+        found.append(likelihood_of(each.target, known, gain_sd))
+    return found
 
 
-def _bank(heart: Heart, problem: Problem) -> PriorSimulations | None:
-    """The bank of a problem's networks, if there is one and it is of this forward model."""
-    bank = PriorSimulations.beside(heart, problem.space, problem.fixed)
-    if bank is None or not len(bank):
+def _prior(simulator: PointSimulator) -> PriorSimulations | None:
+    """The heart's prior simulations, if there are any and they are of this forward model."""
+    model, space, fixed = simulator.model, simulator.space, simulator.fixed
+    prior = PriorSimulations.beside(model.heart, space, fixed)
+    if prior is None or not len(prior):
         return None
-    bank.check(problem.model, problem.space, problem.fixed)
-    return bank
+    prior.check(model, space, fixed)
+    return prior
 
 
 def _gain_sd(config: StudyConfig) -> float:
@@ -340,37 +380,37 @@ def load_study(
     now = study.config.model_copy(update=growth_and_conduction(heart))
     check_same(folder, study.config, now)
     with shown_progress(progress) as shown:
-        problem = _problem(study.config, heart, recordings, pool, shown)
-    study.check_objective(problem)
-    return FittedStudy(study, problem, population, read_checks(result), read_gains(result))
+        simulator, compared = _simulated_and_compared(study.config, heart, recordings, pool, shown)
+    study.check_objective(partial(evaluate, simulator, compared))
+    checks, gains = read_checks(result), read_gains(result)
+    return FittedStudy(study, simulator, compared, population, checks, gains)
 
 
-def _problem(
+def _simulated_and_compared(
     config: StudyConfig,
     heart: Heart,
-    recordings: Sequence[Recording],
+    recordings: Sequence[Recorded],
     pool: Pool | None,
     progress: Progress | None,
     backend: Backend | None = None,
-) -> Problem:
-    """The study's problem; takes a while on a new machine or with a large new heart."""
+) -> tuple[PointSimulator, tuple[TargetComparison, ...]]:
+    """A study's simulator and comparisons; takes a while on a new machine or with a new heart."""
     if progress is not None:
         compile_kernels(progress)
-    model, pool = ForwardModel(heart, progress=progress), pool or Threads(config.workers)
-    names = [*config.parameter_space.names, *config.fixed]
-    backend = usable(backend, model, names, recordings[0].scenario)
-    first, *others = (
-        Problem(
-            model,
-            recording.target,
-            config.parameter_space,
-            config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
-            pool,
-            fixed=config.fixed,
+    space, fixed = config.parameter_space, config.fixed
+    model = ForwardModel(heart, progress=progress)
+    backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
+    if body := body_values(dict.fromkeys((*space.names, *fixed), 0.0)):
+        model.body([*body])  # built here, not by every worker
+    compared = tuple(
+        TargetComparison(
+            target,
+            scenario,
+            free_gain=config.free_gain if config.method == "paper" else _gain_sd(config) > 0,
             independent_leads=config.leads == "8",
             fewest_junctions=config.fewest_junctions,
-            scenario=recording.scenario,
         )
-        for recording in recordings
+        for target, scenario in recordings
     )
-    return replace(first, others=tuple(others), backend=backend)
+    pool = pool or Threads(config.workers)
+    return PointSimulator(model, space, fixed, pool, backend=backend), compared

@@ -21,8 +21,9 @@ from fascicle.study.agreement import pearson
 from fascicle.study.evaluations import Stage
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import Checks
-from fascicle.study.problem import Network, Problem
+from fascicle.study.simulator import PointSimulator
 from fascicle.study.study import Study
+from fascicle.study.target_comparison import Network, TargetComparison, networks, null_loss
 from fascicle.study.verdict import explained, how_to_go_on, verdict
 
 FEWEST_BEATS = 30  # below which a kernel density of their errors says little
@@ -43,8 +44,10 @@ class FittedStudy:
     ----------
     study : Study
         Folder, configuration and evaluations.
-    problem : Problem
-        Forward model and target.
+    simulator : PointSimulator
+        Forward model, and the parameters that are learnt.
+    recordings : tuple of TargetComparison
+        What was recorded.
     population : Population
         The networks that explain the target, and the best one.
     checks : Checks, optional
@@ -55,7 +58,8 @@ class FittedStudy:
     """
 
     study: Study
-    problem: Problem
+    simulator: PointSimulator
+    recordings: tuple[TargetComparison, ...]
     population: Population
     checks: Checks | None = None
     gains: Floats | None = None
@@ -101,7 +105,12 @@ class FittedStudy:
 
         Below 0 it is worse than a flat line.
         """
-        return 1 - self.population.best_loss / self.problem.flat
+        return 1 - self.population.best_loss / self.null_loss
+
+    @property
+    def null_loss(self) -> float:
+        """Loss of an ECG that is zero everywhere (mV²)."""
+        return null_loss(self.recordings)
 
     @property
     def warnings(self) -> list[str]:
@@ -125,7 +134,7 @@ class FittedStudy:
     @cached_property
     def best_network(self) -> Network:
         """The network with the least mismatch, simulated."""
-        return next(self.problem.networks([self.population.best]))
+        return next(networks(self.simulator, self.recordings[0], [self.population.best]))
 
     def networks(
         self,
@@ -147,22 +156,21 @@ class FittedStudy:
         if not len(self.population):
             return [self.best_network]
         check_count(recording, "recording", 0)
-        if recording >= len(self.problem.recordings):
+        if recording >= len(self.recordings):
             raise InputError(
                 f"{self.folder}: there is no recording {recording}; the study has "
-                f"{len(self.problem.recordings)}, counted from 0"
+                f"{len(self.recordings)}, counted from 0"
             )
-        problem = self.problem.recordings[recording]
         chosen = range(len(self.population)) if chosen is None else chosen
         report = stage_progress(progress, "networks")
-        networks: list[Network] = []
-        for network in problem.networks(self.population.parameters(k) for k in chosen):
+        learnt = [self.population.parameters(k) for k in chosen]
+        found: list[Network] = []
+        for network in networks(self.simulator, self.recordings[recording], learnt):
             if self.gains is not None and recording == 0:
-                gain = float(self.gains[chosen[len(networks)]])
-                network = replace(network, drawn_gain=gain)
-            networks.append(network)
-            report(len(networks), len(chosen))
-        return networks
+                network = replace(network, drawn_gain=float(self.gains[chosen[len(found)]]))
+            found.append(network)
+            report(len(found), len(chosen))
+        return found
 
 
 def has_few_junctions(network: Network) -> bool:
@@ -197,14 +205,13 @@ def _unexplained(fitted: FittedStudy) -> str:
 
 def _unexplained_leads(fitted: FittedStudy) -> str:
     """Warn of compared leads whose shape the best network does not have."""
-    problem = fitted.problem
     found: dict[str, float] = {}
-    for number, each in enumerate((problem, *problem.others), 1):
-        network = (
-            next(each.networks([fitted.population.best])) if number > 1 else (fitted.best_network)
-        )
+    for number, each in enumerate(fitted.recordings, 1):
+        network = fitted.best_network
+        if number > 1:
+            network = next(networks(fitted.simulator, each, [fitted.population.best]))
         recorded, predicted = each.target.qrs, network.predicted[:, each.target.qrs_samples]
-        of = f" of recording {number}" if problem.others else ""
+        of = f" of recording {number}" if len(fitted.recordings) > 1 else ""
         found |= {
             f"{name}{of}": pearson(recorded[lead], predicted[lead])
             for lead, name in enumerate(LEADS)
@@ -244,7 +251,7 @@ def _short(fitted: FittedStudy) -> str:
 
 def _few_beats(fitted: FittedStudy) -> str:
     """Warn of a rule of acceptance that rests on too few beats."""
-    count = len(fitted.problem.target.beats)
+    count = len(fitted.recordings[0].target.beats)
     if count >= FEWEST_BEATS or not fitted.of_the_paper:
         return ""
     return (
@@ -266,7 +273,7 @@ def _not_the_minimum(fitted: FittedStudy) -> str:
 
 def _unbounded(fitted: FittedStudy) -> str:
     """Warn of a heart without a body."""
-    heart = fitted.problem.model.heart
+    heart = fitted.simulator.model.heart
     if heart.torso is not None or heart.lead_fields is not None:
         return ""
     return (
@@ -278,11 +285,11 @@ def _unbounded(fitted: FittedStudy) -> str:
 
 def _regions_taken_as_healthy(fitted: FittedStudy) -> str:
     """Warn of labelled regions of which nothing is said."""
-    model = fitted.problem.model
+    model = fitted.simulator.model
     if model.heart.regions is None:
         return ""
     own = {region.label for region in model.conduction.regions}
-    learnt = region_labels((*fitted.problem.space.names, *fitted.problem.fixed))
+    learnt = region_labels((*fitted.simulator.space.names, *fitted.simulator.fixed))
     there = {int(label) for label in np.unique(model.heart.regions)}
     healthy = sorted(there - own - learnt.keys() - {HEALTHY})
     if not healthy:
@@ -313,7 +320,7 @@ def _at_end_of_range(fitted: FittedStudy) -> str:
 
 def _stopped(fitted: FittedStudy) -> list[str]:
     """Parameters of which the best network is at an end of the prior."""
-    space = fitted.problem.space
+    space = fitted.simulator.space
     best = space.to_unit(fitted.population.best)
     at_end = np.minimum(best, 1 - best) < AT_END
     return [name for name, there in zip(space.names, at_end, strict=True) if there]
@@ -322,7 +329,7 @@ def _stopped(fitted: FittedStudy) -> list[str]:
 def _crowded_ends(fitted: FittedStudy) -> dict[str, tuple[str, float]]:
     """Parameters of which many networks are in the outer tenth of the prior, and at which end."""
     crowded = {}
-    for parameter in fitted.problem.space.parameters:
+    for parameter in fitted.simulator.space.parameters:
         values = fitted.population.values.get(parameter.name, np.empty(0))
         if not len(values):
             continue

@@ -20,6 +20,7 @@ from fascicle.core.leads import independent_rows
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.likelihood import (
     QrsLikelihood,
+    beat_noise,
     cosines,
     discrepancy_in_time,
     lead_pattern,
@@ -27,15 +28,10 @@ from fascicle.forward.likelihood import (
     separable,
 )
 from fascicle.forward.loss import placed
-from fascicle.forward.simulation import Simulation
-from fascicle.recording.covariance import residual_covariance
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
-from fascicle.study.problem import Problem
-
-NETWORKS = 100  # of the prior
-CHANGE = 0.001  # of the range of every parameter: standard deviation of "next to nothing"
-FEWEST = 10  # networks that must fit
-BEFORE, LENGTH = 20, 320  # samples of an ECG before its first activation, and in all
+from fascicle.study.simulator import PointSimulator
 
 
 @dataclass(frozen=True)
@@ -54,114 +50,77 @@ class PriorKnowledge:
     roughness: Floats
 
 
-def qrs_likelihood(
-    problem: Problem, rng: np.random.Generator, gain_sd: float, progress: Progress | None = None
-) -> QrsLikelihood:
-    """Make the likelihood of a problem's target.
-
-    Parameters
-    ----------
-    problem : Problem
-        Forward model, target, and the prior.
-    rng : numpy.random.Generator
-        Draws the networks of the prior.
-    gain_sd : float
-        Standard deviation of the gain about 1.
-    progress : Progress, optional
-        Called as networks are simulated.
-    """
-    rows = independent_rows(problem.target.used)
-    return likelihood_of(problem.target, prior_knowledge(problem, rows, rng, progress), gain_sd)
-
-
 def likelihood_of(target: Target, known: PriorKnowledge, gain_sd: float) -> QrsLikelihood:
-    """Make the likelihood of a target, with what is known beforehand.
+    """Make the likelihood of a target, with what is known of its independent leads beforehand.
 
     Parameters
     ----------
     target : Target
         What was recorded.
     known : PriorKnowledge
-        Of the leads that it has.
     gain_sd : float
         Standard deviation of the gain about 1.
     """
-    rows = independent_rows(target.used)
     modes = cosines(target.qrs.shape[1])
     smooth, discrepancy = matern(len(modes)), discrepancy_in_time(len(modes))
+    known_covariance = beat_noise(target) + separable(known.roughness, smooth, modes)
     return QrsLikelihood(
-        target.qrs[rows],
-        beat_noise(target, rows) + separable(known.roughness, smooth, modes),
-        separable(known.pattern, discrepancy, modes),
-        target.onset_sd,
-        gain_sd,
-        target.response,
+        target, known_covariance, separable(known.pattern, discrepancy, modes), gain_sd
     )
 
 
-def beat_noise(target: Target, rows: Integers) -> Floats:
-    """Covariance (n, n) of the coefficients of the mean beat (mV²): of one beat, over their number.
-
-    A single beat has its stated noise.
-    """
-    covariance = residual_covariance(target)
-    count = 1 if target.noise is not None else len(target.beats)
-    modes = cosines(target.qrs.shape[1])
-    margin = (len(modes) - target.qrs.shape[1]) // 2
-    scaled = [covariance.sd[row][:, None] * modes[margin:-margin] for row in rows]
-    pairs = list(zip(rows, scaled, strict=True))
-    blocks = [
-        [covariance.leads[i, j] * left.T @ covariance.time @ right for j, right in pairs]
-        for i, left in pairs
-    ]
-    return np.asarray(np.block(blocks) / count)
-
-
 def prior_knowledge(
-    problem: Problem, rows: Integers, rng: np.random.Generator, progress: Progress | None = None
+    simulator: PointSimulator,
+    target: Target,
+    scenario: Scenario | None,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
 ) -> PriorKnowledge:
-    """Simulate networks of the prior, and each once more with next to nothing changed.
+    """Simulate 100 networks of the prior, and each once more with next to nothing changed.
 
     Parameters
     ----------
-    problem, rng, progress
-        As for `qrs_likelihood`.
-    rows : (n_leads,) array
-        The leads that are compared.
+    simulator : PointSimulator
+        Forward model, and the prior.
+    target, scenario : Target, Scenario or None
+        What was recorded, and in what; its independent leads are compared.
+    rng : numpy.random.Generator
+        Draws the networks.
+    progress : Progress, optional
+        Called as networks are simulated.
 
     Raises
     ------
     InputError
         If hardly any network of the prior fits the heart.
     """
-    points = rng.random((NETWORKS, len(problem.space)))
-    changed = np.abs(points + CHANGE * rng.standard_normal(points.shape))
+    count, rows = 100, independent_rows(target.used)
+    points = rng.random((count, len(simulator.space)))
+    # by a thousandth of the range of every parameter, reflected at its ends
+    changed = np.abs(points + 0.001 * rng.standard_normal(points.shape))
     changed = np.where(changed > 1, 2 - changed, changed)
     report = stage_progress(progress, "prior")
     found: list[tuple[Floats, Floats]] = []
-    for start in range(0, NETWORKS, NETWORKS // 10):
-        part = slice(start, start + NETWORKS // 10)
-        both = problem.simulate([*points[part], *changed[part]])
-        for one, other in zip(both[: len(both) // 2], both[len(both) // 2 :], strict=True):
-            if isinstance(one, Simulation) and isinstance(other, Simulation):
-                found.append(_from_activation(one, other, rows))
-        report(part.stop, NETWORKS)
-    if len(found) < FEWEST:
+    for start in range(0, count, 10):
+        part = slice(start, start + 10)
+        both = [*simulator.signals([*points[part], *changed[part]], scenario)]
+        for one, other in zip(both[:10], both[10:], strict=True):
+            if isinstance(one, Signals) and isinstance(other, Signals):
+                found.append((_from_activation(one, rows), _from_activation(other, rows)))
+        report(part.stop, count)
+    if len(found) < 10:
         raise InputError(
-            f"only {len(found)} of {NETWORKS} networks of the prior fit this heart; check the "
+            f"only {len(found)} of {count} networks of the prior fit this heart; check the "
             "heart, or narrow the ranges of the lengths"
         )
     differences = [first - second for (first, _), (second, _) in pairwise(found)]
     rough = [(one - other) / np.sqrt(2) for one, other in found]
     # The median: a few networks lose a whole branch, which the discrepancy's size must cover.
     energy = float(np.median([(each**2).sum() for each in rough]))
-    variance = energy / (len(rows) * problem.target.qrs.shape[1])
+    variance = energy / (len(rows) * target.qrs.shape[1])
     return PriorKnowledge(lead_pattern(differences), variance * lead_pattern(rough))
 
 
-def _from_activation(one: Simulation, other: Simulation, rows: Integers) -> tuple[Floats, Floats]:
-    """Both ECGs (mV) from a little before their first activation on, as long as all ECGs here."""
-    cut = (
-        placed(each.leads[rows], each.first_activation - BEFORE, LENGTH) for each in (one, other)
-    )
-    return next(cut), next(cut)
+def _from_activation(ecg: Signals, rows: Integers) -> Floats:
+    """Some leads (mV) from 20 ms before the first activation on, for 320 ms."""
+    return placed(ecg.leads[rows], ecg.first_activation - 20, 320)

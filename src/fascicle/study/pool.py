@@ -1,65 +1,42 @@
-"""Where networks are evaluated: on threads of this process, or elsewhere."""
+"""Where networks are evaluated: on threads of this process, or in others."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import NoneType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, TypeVar
 
 from fascicle.core.ranges import check_count, check_kind
+from fascicle.core.shared_files import read_shared, write_shared
 from fascicle.core.threads import one_thread
-from fascicle.forward.model import ForwardModel, WrittenModel
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# How items become jobs: a scheduler passes some hundreds a second, and workers should end together
-JOBS = 8  # a worker and call at most
-FEWEST = 8  # items of each, if there are then enough jobs for all workers
-CROWD = 128  # jobs that are enough, however many workers there are
-
-
-class Task(Protocol):
-    """What jobs are about: a forward model, which is large, and the rest, which is small."""
-
-    @property
-    def model(self) -> ForwardModel:
-        """The forward model."""
-
-    @property
-    def bodies(self) -> Sequence[str]:
-        """Quantities of the body that the model will be asked for."""
-
-    def portable(self) -> Any:
-        """The rest, which can be pickled."""
-
-    def of(self, model: ForwardModel) -> Self:
-        """The rest and a model put together again."""
-
 
 class Pool(ABC):
-    """Runs functions of a task and an item; lives as long as its study."""
+    """Runs a function of many items; lives as long as its study."""
 
     @abstractmethod
     def map(
-        self, function: Callable[[Any, Item], Result], task: Task, items: Sequence[Item]
+        self, function: Callable[..., Result], items: Sequence[Item], *shared: Any
     ) -> Iterator[Result]:
         """Results in the order of the items, as soon as they are there.
 
         Parameters
         ----------
         function : callable
-            Called with the task and an item; of a module or a partial of such, so that it can
+            Called with an item and what is shared; of a module or a partial of such, so that it can
             be sent.
-        task : Task
-            The same for all.
         items : sequence
+        *shared
+            The same for all items, such as the forward model; sent to each worker once.
         """
 
 
@@ -82,12 +59,12 @@ class Threads(Pool):
         self.workers = workers
 
     def map(
-        self, function: Callable[[Any, Item], Result], task: Any, items: Sequence[Item]
+        self, function: Callable[..., Result], items: Sequence[Item], *shared: Any
     ) -> Iterator[Result]:
-        """Give results in the order of the items; the task may be anything."""
+        """Give results in the order of the items."""
         if self.workers == 1 or len(items) == 1:
-            return map(partial(function, task), items)
-        return self._executor.map(partial(function, task), items)
+            return (function(item, *shared) for item in items)
+        return self._executor.map(lambda item: function(item, *shared), items)
 
     @cached_property
     def _executor(self) -> ThreadPoolExecutor:
@@ -95,29 +72,29 @@ class Threads(Pool):
 
 
 class Remote(Pool):
-    """Workers in other processes: the model goes to them once, jobs are several items each."""
+    """Workers in other processes: what is shared goes to them once, jobs are several items each."""
 
     workers: int
 
     def __init__(self) -> None:
-        self._models: list[tuple[ForwardModel, Any]] = []
+        self._sent: list[tuple[Any, Any]] = []
 
     def map(
-        self, function: Callable[[Any, Item], Result], task: Task, items: Sequence[Item]
+        self, function: Callable[..., Result], items: Sequence[Item], *shared: Any
     ) -> Iterator[Result]:
         """Give results in the order of the items."""
-        given = self._model(task), self._rest(task.portable())
-        futures = [self._submit(*given, function, part) for part in parts(items, self.workers)]
-        return self._in_order(futures)
+        places = [self._place(each) for each in shared]
+        jobs = [self._submit(function, part, *places) for part in parts(items, self.workers)]
+        return self._in_order(jobs)
 
-    def _model(self, task: Task) -> Any:
-        """What jobs need to find the task's model, which is sent if it has not been."""
-        for model, sent in self._models:
-            if model is task.model:
-                return sent
-        sent = self._send(task)
-        self._models.append((task.model, sent))
-        return sent
+    def _place(self, content: Any) -> Any:
+        """Where workers find what is shared, which is sent if it has not been."""
+        for each, place in self._sent:
+            if each is content:
+                return place
+        place = self._send(content)
+        self._sent.append((content, place))
+        return place
 
     def _in_order(self, futures: list[Any]) -> Iterator[Any]:
         """Results of jobs; what is not begun when nobody waits any more is not begun."""
@@ -133,31 +110,25 @@ class Remote(Pool):
             self.cancel(futures)
 
     @abstractmethod
-    def _send(self, task: Task) -> Any:
-        """Send the task's model, and say what jobs need to find it."""
+    def _send(self, content: Any) -> Any:
+        """Send something to all workers; where they find it."""
 
     @abstractmethod
-    def _rest(self, portable: Any) -> Any:
-        """What jobs need to find the rest of a task."""
+    def _submit(self, function: Callable[..., Any], items: Sequence[Any], *places: Any) -> Any:
+        """Begin a job; its future."""
 
     @abstractmethod
-    def _submit(self, *job: Any) -> Any:
-        """Send a job, of model, rest, function and items; its future."""
+    def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
+        """Wait for the first of some jobs, and fetch what all have given; the others have ended."""
 
     def cancel(self, futures: Sequence[Any]) -> None:
         """Cancel jobs that have not begun."""
         for future in futures:
             future.cancel()
 
-    @abstractmethod
-    def _results(self, futures: Sequence[Any]) -> Sequence[Any]:
-        """Wait for the first of some jobs, and fetch what all have given; the others have ended."""
-
 
 class ExecutorPool(Remote):
     """Workers of any executor in other processes, which see this machine's temporary folder.
-
-    The model goes to each once, through a file.
 
     Parameters
     ----------
@@ -174,16 +145,13 @@ class ExecutorPool(Remote):
         self.executor, self.workers = executor, workers
         self._folder = TemporaryDirectory(prefix="fascicle-")
 
-    def _send(self, task: Task) -> WrittenModel:
-        folder = Path(self._folder.name) / f"{len(self._models)}"
-        folder.mkdir()
-        return task.model.write(folder, task.bodies)
+    def _send(self, content: Any) -> Path:
+        return write_shared(Path(self._folder.name) / f"{len(self._sent)}", content)
 
-    def _rest(self, portable: Any) -> Any:
-        return portable
-
-    def _submit(self, *job: Any) -> Future[list[Any]]:
-        return self.executor.submit(_job, *job)
+    def _submit(
+        self, function: Callable[..., Any], items: Sequence[Any], *places: Path
+    ) -> Future[list[Any]]:
+        return self.executor.submit(_job, function, items, *places)
 
     def _results(self, futures: Sequence[Future[list[Any]]]) -> list[list[Any]]:
         return [future.result() for future in futures]
@@ -192,26 +160,23 @@ class ExecutorPool(Remote):
 def parts(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
     """Items in parts of nearly equal sizes, in order: a job each.
 
-    Parts of unequal sizes would let workers wait for the last one.
+    A scheduler passes some hundreds of jobs a second: 8 items each, if there are then enough jobs,
+    8 a worker at most, and as many as there are workers up to 128. Parts of unequal sizes would let
+    workers wait for the last one.
     """
-    jobs = max(min(len(items) // FEWEST, JOBS * workers), min(workers, CROWD))
+    jobs = max(min(len(items) // 8, 8 * workers), min(workers, 128))
     jobs = max(1, min(jobs, len(items)))
     ends = [number * len(items) // jobs for number in range(jobs + 1)]
     return [items[start:end] for start, end in pairwise(ends)]
 
 
 def run_part(
-    task: Task, function: Callable[[Any, Item], Result], items: Sequence[Item]
+    function: Callable[..., Result], items: Sequence[Any], shared: Sequence[Any]
 ) -> list[Result]:
     """What a worker does: BLAS takes one thread, since there is a worker for every core."""
-    results: list[Result] = one_thread(lambda: [function(task, item) for item in items])()
+    results: list[Result] = one_thread(lambda: [function(item, *shared) for item in items])()
     return results
 
 
-def _job(
-    written: WrittenModel,
-    rest: Task,
-    function: Callable[[Any, Item], Result],
-    items: Sequence[Item],
-) -> list[Result]:
-    return run_part(rest.of(written.read()), function, items)
+def _job(function: Callable[..., Result], items: Sequence[Any], *places: Path) -> list[Result]:
+    return run_part(function, items, [read_shared(place) for place in places])

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_from
+from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows
 from fascicle.core.ranges import short_repr
-from fascicle.forward.likelihood import MARGIN, QrsLikelihood
-from fascicle.forward.loss import placed
+from fascicle.forward.likelihood import Likelihood
+from fascicle.forward.simulation import Signals
 from fascicle.recording.target import Target
-from fascicle.study.problem import Network, Problem
+from fascicle.study.target_comparison import Network
 
 RARE = 0.01  # probability under the model below which the recording disagrees with it
 
@@ -87,65 +87,44 @@ class Prediction:
 
 
 def predict_recording(
-    problem: Problem,
-    likelihood: QrsLikelihood,
-    networks: Sequence[Network],
-    rng: np.random.Generator,
+    target: Target, likelihood: Likelihood, networks: Sequence[Network], rng: np.random.Generator
 ) -> Prediction:
-    """Draw what networks predict for a problem's recording, and compare it with the recording.
+    """Draw what n networks of a posterior predict for a recording, and compare it with that.
 
     Parameters
     ----------
-    problem : Problem
-        Its target is what was recorded.
-    likelihood : QrsLikelihood
+    target : Target
+        What was recorded.
+    likelihood : Likelihood
         Of that target.
     networks : sequence of Network
-        n of the posterior.
     rng : numpy.random.Generator
-        Draws shifts, gains and errors.
+        Draws what `likelihood` draws.
     """
-    target = problem.target
-    rows, begin = independent_rows(target.used), target.qrs_samples.start
-    ecg = np.zeros((len(networks), len(LEADS), len(target.time)))
-    noisy = ecg.copy()
-    drawn, rarer = np.empty((3, len(networks))), np.empty((len(networks), len(rows)))
-    unexplained = np.empty(len(networks))
-    for k, network in enumerate(networks):
-        simulation = network.simulation
-        fit = likelihood.fit(simulation.leads[rows], simulation.first_activation)
-        place = rng.choice(fit.weights.size, p=fit.weights.ravel() / fit.weights.sum())
-        scale, at = np.unravel_index(place, fit.weights.shape)
-        gain = rng.normal(fit.gains[scale, at], fit.gain_sds[scale, at])
-        shift = float(fit.shifts[at])
-        ecg[k] = gain * placed(
-            simulation.leads, shift + MARGIN - begin, len(target.time), target.response
-        )
-        error, least = likelihood.noise(rng, int(scale)), likelihood.noise(rng, 0)
-        noisy[k] = ecg[k] + _in_twelve_leads(error @ likelihood.modes.T, target)
-        left = likelihood.residual(simulation.leads[rows], shift, gain)
-        rarer[k] = (least**2).sum(axis=1) >= ((left @ likelihood.modes) ** 2).sum(axis=1)
-        unexplained[k] = (left**2).sum()
-        drawn[:, k] = gain, simulation.first_activation - shift - MARGIN, likelihood.scales[scale]
+    rows, window = independent_rows(target.used), target.qrs_samples
+    drawn = [likelihood.predictive(Signals.of(each.simulation), rng) for each in networks]
+    rarer, unexplained = np.empty((len(drawn), len(rows))), np.empty(len(drawn))
+    for k, each in enumerate(drawn):
+        left, error = each.left, each.error
+        if left is None or error is None:
+            left = ((target.mean - each.ecg)[rows, window] ** 2).sum(axis=1)
+            error = ((each.noisy - each.ecg)[rows, window] ** 2).sum(axis=1)
+        rarer[k] = error >= left
+        unexplained[k] = left.sum() if each.unexplained is None else each.unexplained
+    noisy = np.array([each.noisy for each in drawn])
     probabilities = {LEADS[row]: float(p) for row, p in zip(rows, rarer.mean(0), strict=True)}
     probabilities["window QRS duration"] = _duration(target, networks)
     probabilities["axis"] = _axis(target, noisy)
-    share = float(np.sqrt(np.median(unexplained) / (target.qrs[rows] ** 2).sum()))
-    gains, shifts, discrepancies = drawn
-    return Prediction(ecg, noisy, gains, shifts, discrepancies, Checks(share, probabilities))
-
-
-def _in_twelve_leads(independent: Floats, target: Target) -> Floats:
-    """Errors (mV) in independent leads about the QRS, in all leads at the target's times."""
-    rows, begin = independent_rows(target.used), target.qrs_samples.start - MARGIN
-    out = np.zeros((len(LEADS), len(target.time)))
-    inside = np.arange(independent.shape[1]) + begin
-    there = (inside >= 0) & (inside < len(target.time))
-    out[np.ix_(rows, inside[there])] = independent[:, there]
-    limb = limb_leads_from([LEADS[row] for row in rows if row < len(LIMB_LEADS)])
-    if limb is not None:
-        out[: len(LIMB_LEADS)] = limb @ out[: len(LIMB_LEADS)]
-    return out
+    return Prediction(
+        np.array([each.ecg for each in drawn]),
+        noisy,
+        np.array([each.gain for each in drawn]),
+        np.array([each.shift for each in drawn]),
+        np.array([each.discrepancy for each in drawn]),
+        Checks(
+            float(np.sqrt(np.median(unexplained) / (target.qrs[rows] ** 2).sum())), probabilities
+        ),
+    )
 
 
 def _duration(target: Target, networks: Sequence[Network]) -> float:

@@ -11,10 +11,9 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +23,10 @@ from fascicle.core.files import DISPOSABLE, atomic_path
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
-from fascicle.core.quantities import body_values
 from fascicle.core.ranges import check_count
 from fascicle.forward.compile_kernels import compile_kernels
 from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
@@ -186,31 +185,12 @@ def _same(stored: Signals, simulation: Simulation) -> bool:
     return stored.leads.shape == leads.shape and bool(np.allclose(stored.leads, leads, atol=SAME))
 
 
-@dataclass(frozen=True)
-class _Prior:
-    """The networks of a prior, as a task for a pool."""
-
-    model: ForwardModel
-    space: ParameterSpace
-    fixed: Mapping[str, float]
-
-    @property
-    def bodies(self) -> list[str]:
-        """Quantities of the body that are learnt or fixed."""
-        return [*body_values(dict.fromkeys((*self.space.names, *self.fixed), 0.0))]
-
-    def portable(self) -> _Prior:
-        """All but the model."""
-        return replace(self, model=cast(ForwardModel, None))  # until `of` puts one in its place
-
-    def of(self, model: ForwardModel) -> _Prior:
-        """The same with a model, as a worker has it."""
-        return replace(self, model=model)
-
-    def signals(self, point: Floats) -> Signals | str:
-        """What a network gives, or why it is none."""
-        outcome = self.model.simulate({**self.fixed, **self.space.from_unit(point)})
-        return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
+def signals_of(
+    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
+) -> Signals | str:
+    """What of parameters in a scenario is compared with recordings, or why they give no network."""
+    outcome = model.simulate(*item)
+    return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
 
 
 def make_bank(
@@ -265,10 +245,11 @@ def make_bank(
         bank.check(model, space, fixed)
         report = stage_progress(shown, "bank")
         pool = pool or Threads(workers or os.cpu_count() or 1)
-        prior = _Prior(model, space, fixed)
         for number in range(len(bank) // PART, -(-count // PART)):
             outcomes: list[Signals | str] = []
-            for outcome in pool.map(_Prior.signals, prior, list(_part(len(space), number))):
+            points = _part(len(space), number)
+            networks_of_part = [({**fixed, **space.from_unit(point)}, None) for point in points]
+            for outcome in pool.map(signals_of, networks_of_part, model):
                 outcomes.append(outcome)
                 report(number * PART + len(outcomes), -(-count // PART) * PART)
             bank.add(number, outcomes)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, write_text
-from fascicle.core.ranges import short_repr
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.target import Target
@@ -21,31 +19,18 @@ from fascicle.recording.target_files import as_target, read_target, write_target
 Given = Target | Path | str | tuple[Target | Path | str, Scenario | Path | str]
 
 
-@dataclass(frozen=True)
-class Recording:
-    """A target, and what was done to the heart while it was recorded.
-
-    Attributes
-    ----------
-    target : Target
-    scenario : Scenario, optional
-        None for the intrinsic beat.
-    """
-
-    target: Target
-    scenario: Scenario | None = None
-
-    __repr__ = short_repr
-
-    @property
-    def digests(self) -> tuple[str, str]:
-        """SHA-256 of what a fit sees of target and scenario; empty without a scenario."""
-        scenario = self.scenario
-        text = hashlib.sha256(scenario_text(scenario).encode()).hexdigest() if scenario else ""
-        return target_digest(self.target), text
+# A target, and what was done to the heart while it was recorded: None for the intrinsic beat
+Recorded = tuple[Target, Scenario | None]
 
 
-def given_recordings(given: Given | list[Given]) -> list[Recording]:
+def digests(recorded: Recorded) -> tuple[str, str]:
+    """SHA-256 of what a fit sees of target and scenario; empty without a scenario."""
+    target, scenario = recorded
+    text = hashlib.sha256(scenario_text(scenario).encode()).hexdigest() if scenario else ""
+    return target_digest(target), text
+
+
+def given_recordings(given: Given | list[Given]) -> list[Recorded]:
     """Read what is not read yet; a list is of several recordings.
 
     Raises
@@ -59,7 +44,7 @@ def given_recordings(given: Given | list[Given]) -> list[Recording]:
     return [_recording(one) for one in several]
 
 
-def _recording(given: Given) -> Recording:
+def _recording(given: Given) -> Recorded:
     pair = given if isinstance(given, tuple) else (given, None)
     if len(pair) != 2:
         raise InputError(f"target is a tuple of {len(pair)}; give (target, scenario), or a list")
@@ -72,18 +57,18 @@ def _recording(given: Given) -> Recording:
                 f"{path}: has regions of the myocardium, which are the heart's in every "
                 "recording; say them in its heart.toml"
             )
-    return Recording(target, scenario)
+    return target, scenario
 
 
-def write_recordings(folder: Path, recordings: Sequence[Recording]) -> None:
+def write_recordings(folder: Path, recordings: Sequence[Recorded]) -> None:
     """Keep recordings in a study's folder, where they are not kept yet, or are damaged."""
-    for number, recording in enumerate(recordings, 1):
+    for number, recorded in enumerate(recordings, 1):
         target, scenario = recording_paths(folder, number)
-        if _kept(target, scenario) == recording.digests:
+        if _kept(target, scenario) == digests(recorded):
             continue
-        write_target(recording.target, target)
-        if recording.scenario is not None:
-            write_text(scenario, scenario_text(recording.scenario))
+        write_target(recorded[0], target)
+        if recorded[1] is not None:
+            write_text(scenario, scenario_text(recorded[1]))
         else:
             scenario.unlink(missing_ok=True)
 
@@ -91,17 +76,17 @@ def write_recordings(folder: Path, recordings: Sequence[Recording]) -> None:
 def _kept(target: Path, scenario: Path) -> tuple[str, str] | None:
     """Digests of what is kept, if it can be read."""
     try:
-        return _read(target, scenario).digests
+        return digests(_read(target, scenario))
     except InputError:
         return None
 
 
-def _read(target: Path, scenario: Path) -> Recording:
+def _read(target: Path, scenario: Path) -> Recorded:
     there = read_scenario(scenario)[0] if scenario.exists() else None
-    return Recording(read_target(target), there)
+    return read_target(target), there
 
 
-def read_recordings(folder: Path, count: int) -> list[Recording]:
+def read_recordings(folder: Path, count: int) -> list[Recorded]:
     """Read what `write_recordings` has written."""
     return [_read(*recording_paths(folder, number)) for number in range(1, count + 1)]
 

@@ -21,7 +21,7 @@ from fascicle.study.fitted import FittedStudy, has_few_junctions
 from fascicle.study.population import RESULT, Posterior
 from fascicle.study.population_files import write_population
 from fascicle.study.predictive import Prediction
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network
 from fascicle.study.verdict import explained_share, statements, trade_offs
 
 TREES_WRITTEN = 30  # networks whose trees are written; the parameters of all are
@@ -46,7 +46,8 @@ def write_results(
     predictions : sequence of Prediction
         Of a posterior, of each recording.
     """
-    problem, population, folder = fitted.problem, fitted.population, fitted.folder
+    population, folder = fitted.population, fitted.folder
+    heart, space = fitted.simulator.model.heart, fitted.simulator.space
     result = folder / RESULT[fitted.study.config.method]
     result.unlink(missing_ok=True)  # not finished while this is under way
     shown = range(0, len(networks), max(1, len(networks) // TREES_WRITTEN))[:TREES_WRITTEN]
@@ -57,8 +58,8 @@ def write_results(
     activations = np.stack([network.simulation.activation for network in networks])
     write_grid(
         folder / "activation.vtu",
-        problem.model.heart.vertices,
-        problem.model.heart.tetrahedra,
+        heart.vertices,
+        heart.tetrahedra,
         TETRAHEDRON,
         point_data={
             "activation": since_first(fitted.best_network.simulation.activation),
@@ -73,8 +74,8 @@ def write_results(
     write_population(
         result,
         population,
-        problem.space,
-        [recording.target for recording in problem.recordings],
+        space,
+        [recording.target for recording in fitted.recordings],
         predictions or predicted,
         {"networks_are": fitted.networks_called, "verdict": fitted.verdict} | _provenance(fitted),
     )
@@ -96,7 +97,7 @@ def _provenance(fitted: FittedStudy) -> dict[str, str]:
 
 def _sources(fitted: FittedStudy) -> str:
     """Where the recordings come from."""
-    return ", ".join(p.target.provenance.get("source", "") for p in fitted.problem.recordings)
+    return ", ".join(p.target.provenance.get("source", "") for p in fitted.recordings)
 
 
 def spread(values: Floats) -> dict[str, float]:
@@ -127,14 +128,14 @@ def _summary(
     return {
         "verdict": fitted.verdict,
         "networks_are": fitted.networks_called,
-        "heart": fitted.problem.model.heart.name,
+        "heart": fitted.simulator.model.heart.name,
         "recording": _sources(fitted),
         "evaluations": len(records),
         "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
         "best_loss_mV2": population.best_loss,
-        "flat_line_mV2": fitted.problem.flat,
+        "null_loss_mV2": fitted.null_loss,
         "warnings": fitted.warnings,
-        "fixed_parameters": dict(fitted.problem.fixed),
+        "fixed_parameters": dict(fitted.simulator.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
         **agreements[0].content(),
@@ -157,7 +158,7 @@ def _summary(
 
 def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
     """What only a posterior has; of one that has not converged nothing is said of parameters."""
-    posterior, space = fitted.population, fitted.problem.space
+    posterior, space = fitted.population, fitted.simulator.space
     assert isinstance(posterior, Posterior)
     said = statements(posterior, space) if posterior.converged else []
     traded = trade_offs(posterior) if posterior.converged else []

@@ -82,7 +82,7 @@ def answers(
     if isinstance(population, Posterior):
         converged = population.converged
         if converged:
-            known = statements(population, fitted.problem.space)
+            known = statements(population, fitted.simulator.space)
             traded = [
                 f"{parameter_name(a)} and {parameter_name(b)} are strongly correlated (rank "
                 f"correlation {r:.2f})"

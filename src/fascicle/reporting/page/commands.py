@@ -51,7 +51,7 @@ def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: s
     against : str
         That of them which the others are compared with.
     """
-    targets = [problem.target for problem in fitted.problem.recordings]
+    targets = [recording.target for recording in fitted.recordings]
     made = [target_words(target, f"target{_end(n)}.nc") for n, target in enumerate(targets, 1)]
     learnt, priors = _parameters(fitted)
     lines = [shlex.join(words) for words in made if words]
@@ -123,7 +123,7 @@ def _settings(config: StudyConfig) -> list[str]:
 
 def _parameters(fitted: FittedStudy) -> tuple[list[str], list[str]]:
     """Options that say what is learnt and fixed, and lines of a settings file for other priors."""
-    config, heart = fitted.study.config, fitted.problem.model.heart
+    config, heart = fitted.study.config, fitted.simulator.model.heart
     names = {*config.parameter_space.names, *config.fixed}
     counts = {f"{side}_fascicles": fascicles(side, names) for side in SIDES}
     fixed = {name: n for name, n in counts.items() if n != default_of(name)} | config.fixed

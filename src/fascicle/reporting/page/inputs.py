@@ -44,7 +44,7 @@ def prior_text(parameter: Parameter) -> str:
 
 def held(fitted: FittedStudy) -> list[Row]:
     """Quantities that are held at a value, and act: neither learnt, nor of a body not there."""
-    config, model = fitted.study.config, fitted.problem.model
+    config, model = fitted.study.config, fitted.simulator.model
     values = {**config.growth, **config.conduction, **_regions(fitted), **config.fixed}
     not_said = {*config.parameter_space.names, *_without_effect(config, model.heart)}
     return [
@@ -64,9 +64,9 @@ def settings(config: StudyConfig) -> dict[str, Any]:
 def recordings(fitted: FittedStudy) -> list[tuple[str, str]]:
     """Where each recording comes from, and all that its target says of itself."""
     found = []
-    for number, problem in enumerate(fitted.problem.recordings, 1):
-        notes = dict(problem.target.provenance)
-        of = f" {number}" if len(fitted.problem.recordings) > 1 else ""
+    for number, recording in enumerate(fitted.recordings, 1):
+        notes = dict(recording.target.provenance)
+        of = f" {number}" if len(fitted.recordings) > 1 else ""
         found.append((f"recording{of}", notes.pop("source", "in memory")))
         said = "; ".join(f"{name}: {value}" for name, value in notes.items())
         found.append((f"target{of}", said))
@@ -81,7 +81,7 @@ def digests(config: StudyConfig) -> list[tuple[str, str]]:
 
 def _regions(fitted: FittedStudy) -> dict[str, float]:
     """Factors on the conductivities of the heart's regions, by the names of their quantities."""
-    regions = fitted.problem.model.conduction.regions
+    regions = fitted.simulator.model.conduction.regions
     return {f"region_{region.label}_conductivity": region.conductivity for region in regions}
 
 

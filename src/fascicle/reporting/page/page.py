@@ -41,7 +41,7 @@ from fascicle.study.caution import caution_text
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.problem import Network
+from fascicle.study.target_comparison import Network
 
 RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
 PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")
@@ -183,7 +183,7 @@ def write_report(
     content = {
         **_words(fitted, predicted, against),
         "pictures": {name: Picture.of(drawing) for name, drawing in drawn.items()},
-        "scene": _safe(scene(fitted.problem.model.heart, predicted)),
+        "scene": _safe(scene(fitted.simulator.model.heart, predicted)),
         "style": _file("style.css"),
         "viewer": _file("viewer.js"),
     }
@@ -195,12 +195,12 @@ def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
     from fascicle import __version__
 
     said, config = answers(fitted, predicted, against), fitted.study.config
-    sources = [p.target.provenance.get("source", "a target") for p in fitted.problem.recordings]
+    sources = [p.target.provenance.get("source", "a target") for p in fitted.recordings]
     names = [Path(source).name for source in sources]
     return {
         "version": __version__,
         "title": f"What the ECG tells of the Purkinje network: {fitted.folder.resolve().name}",
-        "heart": fitted.problem.model.heart.name,
+        "heart": fitted.simulator.model.heart.name,
         "recordings": ", ".join(names),
         "answers": said,
         "predictions": list(zip(predicted, said.predicted, strict=True)),

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.forward.simulation import Signals
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, combined_gain
 from fascicle.recording.target import Target
 from fascicle.study.pool import Threads
-from fascicle.study.problem import Problem
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.target_comparison import TargetComparison, evaluate, networks
 
 NOISE = 0.02  # mV
 
@@ -40,27 +42,21 @@ def points(truth):
     return [NETWORK_SPACE.to_unit(truth), *random, longest]
 
 
-def test_workers_change_nothing_but_the_speed(default_model, target, points):
-    alone = Problem(default_model, target, NETWORK_SPACE)(points)
-    together = Problem(default_model, target, NETWORK_SPACE, pool=Threads(2))(points)
-    for one, other, point in zip(alone, together, points, strict=True):
-        assert one.point is point
-        assert one.reason == other.reason
-        np.testing.assert_array_equal(one.loss, other.loss)
-        np.testing.assert_array_equal(one.beat_errors, other.beat_errors)
+def evaluated(model, target, points, fixed=None, **options):
+    simulator = PointSimulator(model, NETWORK_SPACE, fixed or {}, Threads(2))
+    return list(evaluate(simulator, [TargetComparison(target, **options)], points))
 
 
 def test_truth_is_explained_to_the_noise(default_model, target, points):
     """Mean of 5 beats: 12·σ²/5; a single beat: 12·σ²."""
-    best = Problem(default_model, target, NETWORK_SPACE).evaluate(points[0])
+    best, *others = evaluated(default_model, target, points[:5])
     assert best.loss == pytest.approx(12 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 12 * NOISE**2, rtol=0.15)
-    others = Problem(default_model, target, NETWORK_SPACE)(points[1:5])
     assert min(e.loss for e in others if e.feasible) > 10 * best.loss
 
 
 def test_what_cannot_be_grown_is_a_typed_evaluation(default_model, target, points):
-    outcome = Problem(default_model, target, NETWORK_SPACE).evaluate(points[-1])
+    (outcome,) = evaluated(default_model, target, points[-1:])
     assert not outcome.feasible
     assert outcome.reason.startswith("LV bundle leaves the endocardium after")
     assert np.isnan(outcome.loss)
@@ -70,19 +66,20 @@ def test_what_cannot_be_grown_is_a_typed_evaluation(default_model, target, point
 def test_free_gain_forgives_the_amplitude_only(default_model, target, points):
     half = Target(0.5 * target.beats, target.time, target.qrs_onset, target.qrs_offset, 60.0)
     point = points[0]
-    fixed = Problem(default_model, half, NETWORK_SPACE).evaluate(point).loss
-    free = Problem(default_model, half, NETWORK_SPACE, free_gain=True)
-    assert free.evaluate(point).loss == pytest.approx(3 * NOISE**2 / 5, rel=0.1)
-    assert fixed > 20 * free.evaluate(point).loss
-    simulation = default_model.simulate(NETWORK_SPACE.from_unit(point))
-    assert free.align(simulation).gain == pytest.approx(0.5, abs=0.01)
+    (fixed,) = evaluated(default_model, half, [point])
+    (free,) = evaluated(default_model, half, [point], free_gain=True)
+    assert free.loss == pytest.approx(3 * NOISE**2 / 5, rel=0.1)
+    assert fixed.loss > 20 * free.loss
+    leads = default_model.simulate(NETWORK_SPACE.from_unit(point)).leads
+    comparison = TargetComparison(half, free_gain=True)
+    assert comparison.align(leads).gain == pytest.approx(0.5, abs=0.01)
 
 
 def test_prediction_lies_under_the_recorded_beat(default_model, target, points):
     """Over the whole beat, not only in the QRS window; a shift by the window's start would show."""
-    problem = Problem(default_model, target, NETWORK_SPACE)
-    simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    predicted = problem.predicted(simulation, problem.align(simulation))
+    comparison = TargetComparison(target)
+    leads = default_model.simulate(NETWORK_SPACE.from_unit(points[0])).leads
+    predicted = comparison.predicted(leads, comparison.align(leads))
     assert predicted.shape == target.mean.shape
     assert np.abs(predicted - target.mean).max() < 5 * NOISE
 
@@ -91,12 +88,12 @@ def test_unused_leads_do_not_count(default_model, target, points):
     """As if the lead were not there: no term of the loss, but a prediction in it, too."""
     beats = target.beats.copy()
     beats[:, 7] = np.nan
-    problem = Problem(default_model, replace(target, beats=beats), NETWORK_SPACE)
-    best = problem.evaluate(points[0])
+    comparison = TargetComparison(replace(target, beats=beats))
+    simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
+    best = comparison(points[0], Signals.of(simulation))
     assert best.loss == pytest.approx(11 * NOISE**2 / 5, rel=0.1)
     np.testing.assert_allclose(best.beat_errors, 11 * NOISE**2, rtol=0.15)
-    simulation = default_model.simulate(NETWORK_SPACE.from_unit(points[0]))
-    predicted = problem.predicted(simulation, problem.align(simulation))
+    predicted = comparison.predicted(simulation.leads, comparison.align(simulation.leads))
     assert np.abs(predicted[7] - target.mean[7]).max() < 5 * NOISE
 
 
@@ -104,8 +101,8 @@ def test_single_beat_varies_by_its_stated_noise(default_model, target, points):
     """Ten repetitions with noise σ: each misses the truth by about 12·σ², always the same."""
     mean = target.mean[None]
     single = replace(target, beats=mean, noise=0.05)
-    first = Problem(default_model, single, NETWORK_SPACE).evaluate(points[0])
-    again = Problem(default_model, single, NETWORK_SPACE).evaluate(points[0])
+    (first,) = evaluated(default_model, single, points[:1])
+    (again,) = evaluated(default_model, single, points[:1])
     assert len(first.beat_errors) == 10
     np.testing.assert_array_equal(first.beat_errors, again.beat_errors)
     assert first.beat_errors.mean() == pytest.approx(12 * 0.05**2, rel=0.2)
@@ -115,30 +112,30 @@ def test_single_beat_varies_by_its_stated_noise(default_model, target, points):
 
 def test_fixed_quantities_and_the_independent_leads(default_model, target, points):
     """A fixed gain is that of the simulation; eight leads say what twelve do."""
-    plain = Problem(default_model, target, NETWORK_SPACE)
-    loud = replace(plain, fixed={"gain": 2.0})
-    network = next(loud.networks([NETWORK_SPACE.from_unit(points[0])]))
+    plain = TargetComparison(target)
+    loud = PointSimulator(default_model, NETWORK_SPACE, {"gain": 2.0})
+    network = next(networks(loud, plain, [NETWORK_SPACE.from_unit(points[0])]))
     assert network.parameters["gain"] == 2.0
-    assert loud.evaluate(points[0]).loss == pytest.approx(plain.flat, rel=0.05)
+    (found,) = evaluate(loud, [plain], points[:1])
+    assert found.loss == pytest.approx(plain.null_loss, rel=0.05)
     eight = replace(plain, independent_leads=True)
     assert eight.compared.tolist() == [True, True, False, False, False, False] + [True] * 6
-    assert 0 < eight.flat < plain.flat
-    assert eight.evaluate(points[0]).loss == pytest.approx(8 * NOISE**2 / 5, rel=0.15)
+    assert 0 < eight.null_loss < plain.null_loss
+    (found,) = evaluated(default_model, target, points[:1], independent_leads=True)
+    assert found.loss == pytest.approx(8 * NOISE**2 / 5, rel=0.15)
 
 
 def test_a_network_lies_under_the_recorded_qrs(default_model, target, points):
-    problem = Problem(default_model, target, NETWORK_SPACE)
-    truth = next(problem.networks([NETWORK_SPACE.from_unit(points[0])]))
+    simulator = PointSimulator(default_model, NETWORK_SPACE)
+    parameters = [NETWORK_SPACE.from_unit(points[0])]
+    truth = next(networks(simulator, TargetComparison(target), parameters))
     assert truth.under_qrs == pytest.approx(1.0, abs=1e-3)
-    narrow = replace(target, qrs_onset=0.0, qrs_offset=20.0)
-    outside = next(replace(problem, target=narrow).networks([truth.parameters]))
-    assert outside.under_qrs < 0.9
+    narrow = TargetComparison(replace(target, qrs_onset=0.0, qrs_offset=20.0))
+    assert next(networks(simulator, narrow, parameters)).under_qrs < 0.9
 
 
 def test_trees_of_few_junctions_can_be_left_out(default_model, target, points):
-    problem = Problem(default_model, target, NETWORK_SPACE)
-    assert problem.evaluate(points[0]).feasible
-    strict = replace(problem, fewest_junctions=10_000).evaluate(points[0])
+    (strict,) = evaluated(default_model, target, points[:1], fewest_junctions=10_000)
     assert not strict.feasible
     assert strict.reason.startswith("LV tree has ")
 
@@ -160,20 +157,20 @@ def ringing(default_model, truth):
     )
 
 
-def predicted(problem, simulation):
-    return problem.predicted(simulation, problem.align(simulation))
+def predicted(comparison, leads):
+    return comparison.predicted(leads, comparison.align(leads))
 
 
 def test_ringing_is_explained_by_the_filter_and_not_without(default_model, truth, ringing):
     target, before = ringing
-    simulation = default_model.simulate(truth)
-    knowing = Problem(default_model, target, NETWORK_SPACE)
-    unaware = Problem(default_model, replace(target, filters=()), NETWORK_SPACE)
-    assert unaware.align(simulation).loss > 1e4 * knowing.align(simulation).loss
+    leads = default_model.simulate(truth).leads
+    knowing = TargetComparison(target)
+    unaware = TargetComparison(replace(target, filters=()))
+    assert unaware.align(leads).loss > 1e4 * knowing.align(leads).loss
     recorded = target.mean[:, before]
     assert np.abs(recorded).max() > 0.02  # mV
-    np.testing.assert_allclose(predicted(knowing, simulation)[:, before], recorded, atol=1e-3)
-    assert np.abs(predicted(unaware, simulation)[:, before]).max() < 1e-6
+    np.testing.assert_allclose(predicted(knowing, leads)[:, before], recorded, atol=1e-3)
+    assert np.abs(predicted(unaware, leads)[:, before]).max() < 1e-6
 
 
 def test_ringing_has_the_period_of_the_cut_off(ringing):

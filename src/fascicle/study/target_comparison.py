@@ -1,0 +1,232 @@
+"""Comparison of simulated networks with recordings: loss, likelihood, ECG under the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.leads import independent_rows
+from fascicle.core.quantities import SIDES
+from fascicle.core.ranges import short_repr
+from fascicle.forward.likelihood import Likelihood
+from fascicle.forward.loss import Alignment, align, mismatch, placed
+from fascicle.forward.model import ForwardModel
+from fascicle.forward.scenario import Scenario
+from fascicle.forward.simulation import Signals, Simulation
+from fascicle.inference.evaluation import Evaluation
+from fascicle.recording.synthetic import repeated
+from fascicle.recording.target import Target
+from fascicle.study.pool import Threads
+from fascicle.study.prior_simulations import signals_of
+from fascicle.study.simulator import PointSimulator
+
+# A point, its parameters, and its intrinsic beat if that is known
+Item = tuple[Floats, Mapping[str, float], Signals | str | None]
+
+
+@dataclass(frozen=True)
+class Network:
+    """One network of a population: its parameters and what it does.
+
+    Attributes
+    ----------
+    parameters : mapping of name to float
+        In their units.
+    simulation : Simulation
+        What the forward model makes of them.
+    predicted : (12, n_time) array
+        Its ECG under the recorded mean beat (mV).
+    under_qrs : float
+        Share of the energy of its ECG that lies under the recorded QRS, 0 to 1.
+    gain : float
+        By which its simulated ECG was scaled to give `predicted`; 1 unless the gain is free.
+    drawn_gain : float, optional
+        Of a posterior, the gain that was drawn with it, in place of the best one.
+    """
+
+    parameters: Mapping[str, float]
+    simulation: Simulation
+    predicted: Floats
+    under_qrs: float
+    gain: float
+    drawn_gain: float | None = None
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True)
+class TargetComparison:
+    """A recording, and how simulations are compared with it.
+
+    Attributes
+    ----------
+    target : Target
+        What was recorded.
+    scenario : Scenario, optional
+        In which, such as paced from a known site; None for the intrinsic beat.
+    likelihood : Likelihood, optional
+        If evaluations are to have one.
+    free_gain : bool
+        Whether each simulation is scaled by its best global gain first.
+    independent_leads : bool
+        Whether at most eight leads are compared: of the limb leads two, which say the rest.
+    fewest_junctions : int
+        A network with a tree of fewer is infeasible.
+    """
+
+    target: Target
+    scenario: Scenario | None = None
+    likelihood: Likelihood | None = None
+    free_gain: bool = False
+    independent_leads: bool = False
+    fewest_junctions: int = 0
+
+    __repr__ = short_repr
+
+    def __call__(self, point: Floats, signals: Signals | str) -> Evaluation:
+        """Compare what a point (d,) gives with the mean beat and with every beat."""
+        if isinstance(signals, str):
+            return Evaluation.infeasible(point, signals)
+        for side, junctions in zip(SIDES, signals.junctions, strict=True):
+            if junctions < self.fewest_junctions:
+                reason = f"{side.upper()} tree has {junctions} junctions only"
+                return Evaluation.infeasible(point, reason)
+        alignment = self.align(signals.leads)
+        # the beats are aligned with one another, so one alignment with their mean serves all
+        errors = mismatch(self._recorded_beats, alignment)
+        logs = [] if self.likelihood is None else [self.likelihood.log_likelihood(signals)]
+        return Evaluation(point, alignment.loss, errors, log_likelihoods=np.array(logs, float))
+
+    @cached_property
+    def compared(self) -> Booleans:
+        """Which of the twelve leads are compared, shape (12,)."""
+        used = self.target.used
+        if not self.independent_leads:
+            return used
+        return np.isin(np.arange(len(used)), independent_rows(used))
+
+    @property
+    def null_loss(self) -> float:
+        """Loss of an ECG that is zero everywhere (mV²)."""
+        recorded = self.target.qrs[self.compared]
+        return float((recorded**2).sum() / recorded.shape[1])
+
+    def align(self, leads: Floats) -> Alignment:
+        """Best alignment of simulated leads (12, n) with the mean QRS, over the compared leads."""
+        return align(
+            leads[self.compared],
+            self.target.qrs[self.compared],
+            free_gain=self.free_gain,
+            response=self.target.response,
+        )
+
+    def predicted(self, leads: Floats, alignment: Alignment) -> Floats:
+        """Simulated leads (12, n) under the whole recorded beat, shape (12, n_time) (mV)."""
+        shift = alignment.shift - self.target.qrs_samples.start
+        length, response = len(self.target.time), self.target.response
+        return alignment.gain * placed(leads, shift, length, response)
+
+    @cached_property
+    def _recorded_beats(self) -> Floats:
+        """QRS of every beat in the compared leads; a single one is repeated with its noise."""
+        target = self.target
+        if target.noise is not None:
+            # one seed for all time: every evaluation, and a resumed study, sees the same beats
+            target = repeated(target, np.random.default_rng(0))
+        return np.asarray(target.qrs_beats[:, self.compared])
+
+
+def null_loss(recordings: Sequence[TargetComparison]) -> float:
+    """Loss of an ECG that is zero everywhere (mV²), of several recordings their sum."""
+    return sum(recording.null_loss for recording in recordings)
+
+
+def evaluate(
+    simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
+) -> Iterator[Evaluation]:
+    """Evaluate points of the unit cube: all that the inference ever sees.
+
+    Parameters
+    ----------
+    simulator : PointSimulator
+        Makes ECGs of points.
+    recordings : sequence of TargetComparison
+        What they are compared with. Losses add up; the beats are those of the first.
+    points : sequence of (d,) arrays
+
+    Yields
+    ------
+    Evaluation
+        In the order of the points, as soon as they are there.
+    """
+    size = simulator.backend.batch if simulator.backend is not None else max(1, len(points))
+    for start in range(0, len(points), size):
+        yield from _evaluate_part(simulator, recordings, points[start : start + size])
+
+
+def _evaluate_part(
+    simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
+) -> Iterator[Evaluation]:
+    intrinsic = [recording.scenario is None for recording in recordings]
+    known = simulator.known(points) if any(intrinsic) else [None] * len(points)
+    items: list[Item] = [
+        (point, simulator.parameters(point), there)
+        for point, there in zip(points, known, strict=True)
+    ]
+    shared = simulator.model, recordings
+    if isinstance(simulator.pool, Threads):
+        yield from simulator.pool.map(_evaluate, items, *shared)
+        return
+    # what needs no simulation is compared here
+    left = [item for item in items if item[-1] is None or not all(intrinsic)]
+    outcomes = simulator.pool.map(_evaluate, left, *shared) if left else iter(())
+    for item in items:
+        here = item[-1] is not None and all(intrinsic)
+        yield _evaluate(item, *shared) if here else next(outcomes)
+
+
+def _evaluate(
+    item: Item, model: ForwardModel, recordings: Sequence[TargetComparison]
+) -> Evaluation:
+    """Simulate a point in the scenario of each recording, and compare it with all of them."""
+    point, parameters, known = item
+    simulated: list[Signals | str] = []
+    each: list[Evaluation] = []
+    for recording in recordings:
+        pairs = zip(recordings, simulated, strict=False)
+        same = [signals for other, signals in pairs if other.scenario == recording.scenario]
+        if same:
+            signals = same[0]
+        elif recording.scenario is None and known is not None:
+            signals = known
+        else:
+            signals = signals_of((parameters, recording.scenario), model)
+        simulated.append(signals)
+        each.append(recording(point, signals))
+        if not each[-1].feasible:
+            return each[-1]
+    logs = np.concatenate([evaluation.log_likelihoods for evaluation in each])
+    return replace(each[0], loss=sum(one.loss for one in each), log_likelihoods=logs)
+
+
+def networks(
+    simulator: PointSimulator, recording: TargetComparison, learnt: Iterable[Mapping[str, float]]
+) -> Iterator[Network]:
+    """Simulate parameters that are known to give trees, as those of a population are."""
+    parameters = [{**simulator.fixed, **each} for each in learnt]
+    return simulator.pool.map(_network, parameters, simulator.model, recording)
+
+
+def _network(
+    parameters: Mapping[str, float], model: ForwardModel, recording: TargetComparison
+) -> Network:
+    simulation = model.simulate(parameters, recording.scenario)
+    if not isinstance(simulation, Simulation):
+        raise RuntimeError(f"a network of the population is impossible: {simulation.reason}")
+    alignment = recording.align(simulation.leads)
+    predicted = recording.predicted(simulation.leads, alignment)
+    return Network(parameters, simulation, predicted, alignment.under_qrs, alignment.gain)
