@@ -257,13 +257,13 @@ def fitted(
     simulator: PointSimulator, recording: TargetComparison, settings: FitSettings, number: int
 ) -> Population:
     """Fit a recording whole, in a folder that is not kept."""
-    run = posterior.Run if settings.method == "posterior" else paper.Run
+    run = posterior.PosteriorFit if settings.method == "posterior" else paper.PaperFit
     with tempfile.TemporaryDirectory() as folder:
         database = Database(Path(folder) / "evaluations.sqlite")
         database.prepare()
         objective = partial(evaluate, simulator, [recording])
         journal = Journal(database, objective, len(simulator.space), number, 1)
-        return run(settings, simulator.space, journal).population()
+        return run(settings, simulator.space, journal).run()
 
 
 def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, Any]:

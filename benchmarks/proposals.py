@@ -46,10 +46,10 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
-from fascicle.inference.optimisation import acquisition as own
-from fascicle.inference.optimisation.step import Surrogates, latin_hypercube, step
-from fascicle.inference.surrogate.exponential import ExponentialGP
-from fascicle.inference.surrogate.surrogates import Observations
+from fascicle.inference import optimisation as own
+from fascicle.inference.gaussian_process import ExponentialGP
+from fascicle.inference.optimisation import Surrogates, latin_hypercube, step
+from fascicle.inference.surrogates import Observations
 from fascicle.study.settings import FitSettings
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def minimise(task: Task, seed: int, initial: int, steps: int, maximise: Maximise
     points = latin_hypercube(np.random.default_rng(seed), initial, task.dimension)
     losses = task.losses(points)
     surrogates = Surrogates.learn(Observations(points, losses))
-    with patch("fascicle.inference.optimisation.step.maximise", timed):
+    with patch("fascicle.inference.optimisation.maximise", timed):
         for k in range(steps):
             new = step(np.random.default_rng([seed, k]), surrogates)[None, :]
             points, losses = np.vstack([points, new]), np.append(losses, task.losses(new))
@@ -189,10 +189,10 @@ def maximise_by_botorch(
             return np.array(function(torch.tensor(points)[:, None, :]).numpy())
 
     def best(points: Array) -> Array:
-        return points[np.argsort(-values(points), kind="stable")[: own.RESTARTS]]
+        return points[np.argsort(-values(points), kind="stable")[:4]]
 
-    uniform = rng.random((own.RAW_UNIFORM, best_points.shape[1]))
-    local = own.perturbed(rng, best_points, own.RAW_LOCAL)
+    uniform = rng.random((2000, best_points.shape[1]))
+    local = own.perturbed(rng, best_points, 1000)
     starts = np.vstack([best(uniform), best(local)])
     with warnings.catch_warnings(record=True):  # a search that stops early; BoTorch sets filters
         polished, _ = gen_candidates_scipy(
@@ -200,7 +200,7 @@ def maximise_by_botorch(
             function,
             lower_bounds=0.0,
             upper_bounds=1.0,
-            options={"maxiter": own.ITERATIONS},
+            options={"maxiter": 60},
         )
     candidates = np.vstack([polished.detach().numpy()[:, 0, :], starts, uniform])
     return own.first_apart(candidates[np.argsort(-values(candidates), kind="stable")], known)

@@ -26,7 +26,7 @@ import fascicle
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.threads import one_thread
 from fascicle.forward.model import ForwardModel
-from fascicle.inference.importance.sampling import BATCH, sampling
+from fascicle.inference.importance_sampling import BATCH, sampling
 from fascicle.recording.target import Target
 from fascicle.study.pool import parts
 from fascicle.study.posterior import RUNS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration import LEVELS, coverage, distance, simultaneous
-from fascicle.inference.importance.sampling import importance_sample, sampling
+from fascicle.inference.importance_sampling import importance_sample, sampling
 
 TRUTHS, NOISE = 80, 0.3
 

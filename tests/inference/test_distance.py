@@ -6,8 +6,7 @@ from scipy.stats import norm
 from sklearn.model_selection import GridSearchCV, LeaveOneOut
 from sklearn.neighbors import KernelDensity
 
-from fascicle.inference.abc import distance
-from fascicle.inference.abc.distance import ErrorDensity, total_variation
+from fascicle.inference.abc import ErrorDensity, total_variation
 
 
 def fitted(errors):
@@ -54,7 +53,7 @@ def test_density_equals_scikit_learn():
 @pytest.mark.parametrize("n", [3, 12, 40])
 def test_bandwidth_equals_scikit_learn(n):
     errors = np.random.default_rng(n).gamma(2, 3, n)
-    trials = errors.std(ddof=1) * np.geomspace(*distance.BANDWIDTH_RANGE, distance.BANDWIDTHS)
+    trials = errors.std(ddof=1) * np.geomspace(0.05, 2.0, 30)
     search = GridSearchCV(KernelDensity(), {"bandwidth": trials}, cv=LeaveOneOut())
     search.fit(errors[:, None])
     assert fitted(errors).bandwidth == pytest.approx(search.best_params_["bandwidth"])
@@ -72,8 +71,3 @@ def test_equal_beats_make_a_narrow_density():
     a, b = fitted(np.full(5, 2.0)), fitted(np.full(5, 2.1))
     assert total_variation(a, a) == 0.0
     assert total_variation(a, b) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_one_beat_is_refused():
-    with pytest.raises(ValueError, match="1 beat"):
-        fitted([1.0])

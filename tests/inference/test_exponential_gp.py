@@ -7,8 +7,8 @@ from scipy.spatial.distance import cdist
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-from fascicle.inference.surrogate import exponential
-from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
+from fascicle.inference import gaussian_process as exponential
+from fascicle.inference.gaussian_process import ExponentialGP, Hyperparameters
 
 HYPER = Hyperparameters((0.4, 1.3, 2.5), variance=1.7, noise=0.02)
 

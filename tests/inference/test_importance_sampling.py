@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.inference.importance.agreement import agreement
-from fascicle.inference.importance.sampling import FEWEST, TRUSTED, importance_sample, sampling
+from fascicle.inference.importance_sampling import (
+    BATCH,
+    TRUSTED,
+    agreement,
+    importance_sample,
+    sampling,
+)
 
 CENTRE, SD = np.array([0.4, 0.6, 0.5]), np.array([0.05, 0.1, 0.03])
 SIZES = {"effective": 300, "most": 10_000}
@@ -87,7 +92,7 @@ def test_too_few_evaluations_are_no_complete_run():
     short = sample(1, most=300)
     assert not short.complete
     assert short.state.evaluations == 300
-    assert sample(1, effective=10).state.evaluations == FEWEST  # the proposals are tested first
+    assert sample(1, effective=10).state.evaluations == 2 * BATCH  # the proposals are tested first
 
 
 def test_runs_of_one_density_agree(run):

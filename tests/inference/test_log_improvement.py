@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from fascicle.inference.optimisation.log_improvement import (
+from fascicle.inference.optimisation import (
     log_expected_improvement,
     log_expected_improvement_slopes,
     log_h,

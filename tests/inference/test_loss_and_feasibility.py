@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from differences import central_differences
 
-from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.surrogates import FeasibilityGP, LossGP, Observations
+from fascicle.inference.gaussian_process import Hyperparameters
+from fascicle.inference.surrogates import FeasibilityGP, LossGP, Observations
 
 HYPER = Hyperparameters((1.0, 1.0), 1.0, 1e-4)
 

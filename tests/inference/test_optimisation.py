@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from differences import central_differences
 
-from fascicle.inference.optimisation.acquisition import (
+from fascicle.inference.optimisation import (
     FeasibleLogImprovement,
+    Surrogates,
     first_apart,
+    latin_hypercube,
     perturbed,
+    step,
 )
-from fascicle.inference.optimisation.step import Surrogates, latin_hypercube, step
-from fascicle.inference.surrogate.surrogates import Observations
+from fascicle.inference.surrogates import Observations
 
 
 def loss(points):

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.inference.abc import informed_prior as prior_module
-from fascicle.inference.abc.informed_prior import InformedPrior, draw_candidates
-from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.surrogates import LossGP, Observations
+from fascicle.inference.abc import InformedPrior, draw_candidates
+from fascicle.inference.gaussian_process import Hyperparameters
+from fascicle.inference.surrogates import LossGP, Observations
 
 DRAWS = 30_000
 
@@ -42,13 +41,11 @@ def brute_force(prior, chunk):
     return points[densest], density[densest]
 
 
-@pytest.mark.parametrize("chunk", [1000, 10_000])
-def test_accepts_exactly_what_brute_force_accepts(prior, chunk, monkeypatch):
-    monkeypatch.setattr(prior_module, "DRAW_CHUNK", chunk)
-    monkeypatch.setattr(prior_module, "NEAR_PER_CHUNK", 50)
+@pytest.mark.parametrize("chunk", [4000, 10_000])
+def test_accepts_exactly_what_brute_force_accepts(prior, chunk):
     points, density = brute_force(prior, chunk)
     assert 300 < len(points) < DRAWS / 4
-    found, found_density = draw_candidates(np.random.default_rng(11), prior, DRAWS)
+    found, found_density = draw_candidates(np.random.default_rng(11), prior, DRAWS, chunk=chunk)
     np.testing.assert_array_equal(found, points)
     np.testing.assert_allclose(found_density, density, rtol=1e-8)
 
@@ -106,13 +103,13 @@ def test_the_limit_keeps_the_densest(prior):
     assert few.std(0).max() < 0.5 * every.std(0).max()
 
 
-def test_progress_is_reported(prior, monkeypatch):
-    monkeypatch.setattr(prior_module, "DRAW_CHUNK", 400)
+def test_progress_is_reported(prior):
     seen = []
     draw_candidates(
         np.random.default_rng(0),
         prior,
         1000,
+        chunk=400,
         progress=lambda done, total: seen.append((done, total)),
     )
     assert seen == [(400, 1000), (800, 1000), (1000, 1000)]

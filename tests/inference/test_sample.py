@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from fascicle.inference.abc.distance import ErrorDensity, total_variation
-from fascicle.inference.abc.rejection import sample
-from fascicle.inference.abc.settings import AbcSettings
+from fascicle.inference.abc import ErrorDensity, sample, total_variation
 from fascicle.inference.evaluation import Evaluation
 
 BEATS = np.array([-0.9, -0.4, 0.0, 0.3, 1.0])
@@ -54,14 +52,16 @@ def uniform(number):
 
 @pytest.mark.parametrize("workers", [1, 7])
 def test_accepted_set_is_the_known_disc(objective, workers):
-    settings = AbcSettings(samples=20, refit_after=200, workers=workers)
+    settings = {"samples": 20, "refit_after": 200, "workers": workers}
     seen = []
-    result = sample(evaluate(CENTRE), uniform, objective, settings, lambda *news: seen.append(news))
+    result = sample(
+        evaluate(CENTRE), uniform, objective, **settings, progress=lambda *news: seen.append(news)
+    )
     radius = acceptance_radius()
     assert 0.1 < radius < 0.3
     tried = uniform(0)
     inside = tried[np.hypot(*(tried - CENTRE).T) < radius][:20]
-    np.testing.assert_array_equal([e.point for e in result.accepted], inside)
+    np.testing.assert_array_equal([e.point for e in result.evaluations], inside)
     assert (result.distances < 0.9).all()
     last = int(np.flatnonzero((tried == inside[-1]).all(1))[0])
     assert objective.evaluated == workers * int(np.ceil((last + 1) / workers))
@@ -76,10 +76,9 @@ def test_rejections_end_a_round_and_rounds_end_the_sampling(objective):
         asked.append((number, objective.evaluated))
         return far
 
-    settings = AbcSettings(refit_after=10, rounds=3, workers=1)
-    result = sample(evaluate(CENTRE), propose, objective, settings)
+    result = sample(evaluate(CENTRE), propose, objective, refit_after=10, rounds=3)
     assert asked == [(0, 0), (1, 10), (2, 20)]
-    assert (objective.evaluated, len(result.accepted)) == (30, 0)
+    assert (objective.evaluated, len(result.evaluations)) == (30, 0)
 
 
 def test_rounds_without_candidates_end(objective):
@@ -89,22 +88,21 @@ def test_rounds_without_candidates_end(objective):
         asked.append(number)
         return np.empty((0, 2))
 
-    sample(evaluate(CENTRE), propose, objective, AbcSettings(rounds=4))
+    sample(evaluate(CENTRE), propose, objective, rounds=4)
     assert (asked, objective.evaluated) == ([0, 1, 2, 3], 0)
 
 
 def test_infeasible_candidates_are_rejected(objective):
     outside = np.array([[0.95, 0.6]] * 5)
-    result = sample(evaluate(CENTRE), lambda _: outside, objective, AbcSettings(rounds=1))
-    assert (objective.evaluated, len(result.accepted)) == (5, 0)
+    result = sample(evaluate(CENTRE), lambda _: outside, objective, rounds=1)
+    assert (objective.evaluated, len(result.evaluations)) == (5, 0)
 
 
 def test_a_better_candidate_is_rejected_like_any_other(objective):
     start = evaluate([0.8, 0.1])
     near_start = np.array([0.79, 0.11])
     candidates = np.array([CENTRE, near_start])
-    settings = AbcSettings(samples=2, rounds=1, workers=1)
-    result = sample(start, lambda _: candidates, objective, settings)
+    result = sample(start, lambda _: candidates, objective, samples=2, rounds=1)
     assert (result.reference.point == start.point).all()
-    np.testing.assert_array_equal([e.point for e in result.accepted], [near_start])
+    np.testing.assert_array_equal([e.point for e in result.evaluations], [near_start])
     assert objective.evaluated == 2

@@ -4,9 +4,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fascicle.core.threads import blas_threads, in_chunks, one_thread
-from fascicle.inference.optimisation.step import Surrogates, step
-from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters
-from fascicle.inference.surrogate.surrogates import Observations
+from fascicle.inference.gaussian_process import ExponentialGP, Hyperparameters
+from fascicle.inference.optimisation import Surrogates, step
+from fascicle.inference.surrogates import Observations
 
 
 def with_threads(answers):

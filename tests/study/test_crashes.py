@@ -4,7 +4,6 @@ import multiprocessing
 import os
 import resource
 import signal
-import sqlite3
 import sys
 import tempfile
 import time
@@ -15,10 +14,9 @@ import pytest
 
 from fascicle import cli
 from fascicle.core.errors import InputError
-from fascicle.study.evaluations import DamagedStoreError, Database
-from fascicle.study.interruption import interrupted_afterwards
-from fascicle.study.lock import HOLDER, LOCK
-from fascicle.study.study import CHECKED, Study
+from fascicle.study.evaluations import DamagedStoreError, Database, interrupted_afterwards
+from fascicle.study.lock import LOCK
+from fascicle.study.study import Study
 from tests.study.crashing import killed_at_random
 from tests.study.test_study_folder import make_config, objective, outcome, summary
 
@@ -74,7 +72,6 @@ def test_ctrl_c_finishes_what_runs(tmp_path, whole):
     process.join(5)
     assert process.exitcode == 1  # of a Python that was interrupted
     assert len(Study.open(folder).records()) == begun.value == 3
-    assert not (folder / HOLDER).exists()
     run(folder)
     assert everything(folder) == everything(whole)
 
@@ -186,65 +183,31 @@ def study(tmp_path, whole):
     return folder
 
 
-def repaired(folder, whole):
-    """Evaluations that were kept, after a run that must come to the same result."""
-    kept, asked = [], []
-
-    def counting(points):
-        asked.extend(points)
-        return objective(points)
-
-    again = Study.create_or_resume(
-        folder, CONFIG, lambda stage, done, *_: kept.append((stage, done))
-    )
-    stored = len(again.records())
-    found = again.run(counting)
-    original = Study.open(whole)
-    assert outcome(found) == outcome(original.run(objective))
-    total = len(original.records())
-    assert len(again.records()) == total
-    assert len(asked) == total - stored + min(CHECKED, stored)
-    assert kept in ([], [("repair", stored)])
-    return stored, total
+def no_database(content):
+    return b"not a database" * 100
 
 
-def test_a_number_that_changed_is_noticed(study, whole):
-    with sqlite3.connect(study / STORE) as connection:
-        first = "SELECT min(rowid) FROM evaluations WHERE loss"
-        connection.execute(f"UPDATE evaluations SET loss = loss + 1e-9 WHERE rowid = ({first})")
-    with pytest.raises(DamagedStoreError, match=r"not as it was written; run 'fascicle fit'"):
-        Study.open(study).records()
-    damaged = (study / STORE).read_bytes()
-    stored, total = repaired(study, whole)
-    assert stored == total - 1
+def cut_off(content):
+    return content[: len(content) // 2]
+
+
+def page_of_rubbish(content):
+    return content[:4096] + np.random.default_rng(0).bytes(4096) + content[8192:]
+
+
+@pytest.mark.parametrize("damage", [no_database, cut_off, page_of_rubbish])
+def test_a_damaged_store_is_moved_aside_and_said(study, whole, damage):
+    damaged = damage((study / STORE).read_bytes())
+    (study / STORE).write_bytes(damaged)
+    with pytest.raises(DamagedStoreError, match=r"damaged \(.*; run 'fascicle fit'"):
+        Database(study / STORE)._make_tables()
+    said = []
+    again = Study.create_or_resume(study, CONFIG, lambda *news: said.append(news))
+    assert said[0][0] == "repair"
+    assert "is now evaluations.damaged.sqlite" in said[0][-1]
     assert (study / "evaluations.damaged.sqlite").read_bytes() == damaged
-
-
-def test_lost_proposals_are_made_again(study, whole):
-    with sqlite3.connect(study / STORE) as connection:
-        connection.execute("UPDATE proposals SET points = x'00' WHERE step = 2")
-    stored, total = repaired(study, whole)
-    assert stored == total
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_page_of_rubbish(study, whole, seed):
-    rng = np.random.default_rng(seed)
-    content = bytearray((study / STORE).read_bytes())
-    begin = int(rng.integers(4096, len(content) - 500))  # the first page holds the tables' names
-    content[begin : begin + 500] = rng.bytes(500)
-    (study / STORE).write_bytes(content)
-    repaired(study, whole)
-
-
-@pytest.mark.parametrize("share", [0.7, 0.9, 0.97, 0.99, 0.999])
-def test_most_of_the_file(study, whole, share):
-    content = (study / STORE).read_bytes()
-    (study / STORE).write_bytes(content[: int(share * len(content))])
-    with pytest.raises(DamagedStoreError, match=r"; run 'fascicle fit'"):
-        Study.open(study).records()
-    stored, total = repaired(study, whole)
-    assert 0 < stored < total
+    assert again.records() == []
+    assert outcome(again.run(objective)) == outcome(Study.open(whole).run(objective))
 
 
 def test_damage_is_said_in_one_line_wherever_it_is(study):
@@ -252,34 +215,21 @@ def test_damage_is_said_in_one_line_wherever_it_is(study):
     rng = np.random.default_rng(0)
     whole = np.frombuffer((study / STORE).read_bytes(), dtype=np.uint8)
     said = set()
-    for trial in range(120):
+    for trial in range(60):
         content = whole.copy()
         reach = len(content) if trial % 2 else 4 * 4096
         content[rng.integers(reach, size=10)] = rng.integers(256, size=10)
         (study / STORE).write_bytes(content)
         database = Database(study / STORE)
-        for read in (database.check, database.records, database.prepare):
+        for read in (database._make_tables, database.records):
             try:
                 read()
-            except DamagedStoreError as error:
+            except InputError as error:
                 said.add(str(error))
-        database.mend()
-        database.check()
+        database.prepare()
+        database.records()
     assert len(said) > 5
-    assert any("utf-8" in each or "UTF-8" in each for each in said)
     assert all(each.isprintable() for each in said)
-
-
-@pytest.mark.parametrize("content", [b"not a database" * 100, b""])
-def test_nothing_can_be_read(study, whole, content):
-    (study / STORE).write_bytes(content)
-    assert repaired(study, whole)[0] == 0
-
-
-def test_a_result_is_not_read_from_a_damaged_store(study):
-    (study / STORE).write_bytes(b"not a database" * 100)
-    with pytest.raises(InputError, match=r"not a database; run 'fascicle fit' on the study again"):
-        Study.open(study).records()
 
 
 def test_what_killed_runs_left_is_removed(study):

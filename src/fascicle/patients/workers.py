@@ -32,7 +32,7 @@ from fascicle.study.lock import HeldError
 from fascicle.study.pool import Threads
 
 ATTEMPTS = 10  # of a patient whose workers were lost, or who is held by another process
-AGAIN_AFTER = 30.0  # s, in which a lost worker has ended; 10 times that is longer than `lock.LOST`
+AGAIN_AFTER = 30.0  # s, in which a lost worker has ended
 POLL = 1.0  # s between looks at which workers there are
 VISIBLE_WITHIN = 30.0  # s, until a network file system shows a new file everywhere
 

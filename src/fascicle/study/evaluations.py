@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import shutil
+import os
+import signal
 import sqlite3
+import threading
 import time
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError, one_line
-from fascicle.core.files import atomic_path
 from fascicle.inference.evaluation import Evaluation, Objective
-from fascicle.study.interruption import interrupted_afterwards
 
 # Points of a step (m, d), and the surrogates' hyper-parameters behind them, from a random generator
 # and the hyper-parameters of the step before.
@@ -44,68 +44,63 @@ class Record:
     seconds: float
 
 
-MENDED = "run 'fascicle fit' on the study again, which keeps what can be read"
-NOT_ITS_CONTENT = (  # errors of SQLite that are not about what is in the file
-    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR,
-    sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY,
-)  # fmt: skip
-# of a damaged file; the second of texts in it, also in what SQLite says of it
-UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)
-SMALLEST_ROW = 32  # bytes in the file, less than any row takes
-TABLES = {
-    "evaluations": "stage TEXT NOT NULL, point BLOB NOT NULL, loss REAL, "
-    "beat_errors BLOB NOT NULL, log_likelihoods BLOB NOT NULL, reason TEXT NOT NULL, "
-    "seconds REAL NOT NULL, checksum INTEGER NOT NULL",
-    "proposals": "stage TEXT NOT NULL, step INTEGER NOT NULL, hyperparameters TEXT, "
-    "points BLOB NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (stage, step)",
-}
-Row = tuple[Any, ...]  # of one of the tables, in the order of its columns
-
-
 class DamagedStoreError(InputError):
-    """A database cannot be read, or a row in it is not as it was written."""
+    """A database cannot be read."""
 
 
 class Database:
-    """The SQLite file: evaluations as they were made, and what was proposed at each step.
-
-    Every row has a checksum of its own, since SQLite does not notice a changed number.
-    """
+    """The SQLite file: evaluations as they were made, and what was proposed at each step."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def prepare(self) -> None:
-        """Make the tables where they are missing."""
-        with self._transaction() as connection:
-            for name, columns in TABLES.items():
-                connection.execute(f"CREATE TABLE IF NOT EXISTS {name} ({columns})")
+    def prepare(self) -> Path | None:
+        """Make the tables where they are missing.
 
-    def check(self) -> None:
-        """Read everything.
-
-        Raises
-        ------
-        DamagedStoreError
-            If something of it cannot be read.
+        Returns
+        -------
+        Path or None
+            Where a damaged file has been moved; a new one has taken its place.
         """
+        try:
+            self._make_tables()
+            self.records()
+        except DamagedStoreError:
+            aside = self.path.with_suffix(f".damaged{self.path.suffix}")
+            for ending in ("", "-wal", "-shm"):
+                if (part := Path(f"{self.path}{ending}")).exists():
+                    os.replace(part, f"{aside}{ending}")
+            self._make_tables()
+            return aside
+        return None
+
+    def _make_tables(self) -> None:
         with self._transaction() as connection:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute(
+                "CREATE TABLE IF NOT EXISTS evaluations (stage TEXT NOT NULL, point BLOB NOT NULL, "
+                "loss REAL, beat_errors BLOB NOT NULL, log_likelihoods BLOB NOT NULL, "
+                "reason TEXT NOT NULL, seconds REAL NOT NULL)"
+            )
+            connection.execute(
+                "CREATE TABLE IF NOT EXISTS proposals (stage TEXT NOT NULL, step INTEGER NOT NULL, "
+                "hyperparameters TEXT, points BLOB NOT NULL, PRIMARY KEY (stage, step))"
+            )
             (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
             if verdict != "ok":
-                raise DamagedStoreError(f"{self.path}: {one_line(verdict)}; {MENDED}")
-            for name in TABLES:
-                for row in connection.execute(f"SELECT * FROM {name}"):
-                    self._checked(row)
+                raise sqlite3.DatabaseError(verdict)
 
     def records(self) -> list[Record]:
         """All evaluations, in the order in which they were made."""
         with self._transaction() as connection:
             rows = connection.execute("SELECT * FROM evaluations ORDER BY rowid").fetchall()
-        return [_record(self._checked(row)) for row in rows]
+            return [_record(row) for row in rows]
 
     def append(self, records: Sequence[Record]) -> None:
         """Store evaluations, which are on the disk when this returns."""
-        self._insert("evaluations", [_evaluation_row(record) for record in records])
+        with self._transaction() as connection:
+            rows = [_row(record) for record in records]
+            connection.executemany("INSERT INTO evaluations VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
     def steps(self, stage: Stage) -> int:
         """Count the proposals of a stage."""
@@ -115,27 +110,16 @@ class Database:
 
     def proposal(self, stage: Stage, step: int) -> tuple[str | None, Floats] | None:
         """Hyper-parameters and flat points of a step; None if it has not been taken."""
-        query = "SELECT * FROM proposals WHERE stage = ? AND step = ?"
+        query = "SELECT hyperparameters, points FROM proposals WHERE stage = ? AND step = ?"
         with self._transaction() as connection:
             row = connection.execute(query, (stage, step)).fetchone()
-        if row is None:
-            return None
-        _, _, hyperparameters, points, _ = self._checked(row)
-        return hyperparameters, _floats(points)
+            return None if row is None else (row[0], _floats(row[1]))
 
     def propose(self, stage: Stage, step: int, hyperparameters: str | None, points: Floats) -> None:
-        """Store what a step proposes.
-
-        Parameters
-        ----------
-        stage, step
-            Which step, counted from 0 in its stage.
-        hyperparameters : str, optional
-            Of the surrogates behind it, as JSON.
-        points : (m, d) array
-            In the unit cube.
-        """
-        self._insert("proposals", [(str(stage), step, hyperparameters, _bytes(points))])
+        """Store what a step, counted from 0 in its stage, proposes: points (m, d)."""
+        row = str(stage), step, hyperparameters, _bytes(points)
+        with self._transaction() as connection:
+            connection.execute("INSERT INTO proposals VALUES (?, ?, ?, ?)", row)
 
     def forget_proposals(self, kept: Sequence[Stage]) -> None:
         """Drop what was proposed in other stages than these; evaluations stay."""
@@ -143,75 +127,36 @@ class Database:
         with self._transaction() as connection:
             connection.execute(f"DELETE FROM proposals WHERE stage NOT IN ({marks})", tuple(kept))
 
-    def mend(self) -> int:
-        """Keep the rows that can be read, and say how many evaluations are among them.
-
-        The damaged file stays beside the new one.
-        """
-        aside = self.path.with_suffix(f".damaged{self.path.suffix}")
-        # of a transaction cut short; SQLite finds it by its name
-        journal, journal_aside = (p.with_name(f"{p.name}-journal") for p in (self.path, aside))
-        journal_aside.unlink(missing_ok=True)
-        shutil.copyfile(self.path, aside)
-        if journal.exists():
-            shutil.copyfile(journal, journal_aside)
-        readable = {name: list(_readable(aside, name)) for name in TABLES}
-        with atomic_path(self.path) as temporary:
-            new = Database(temporary)
-            new.prepare()
-            for name, rows in readable.items():
-                new._insert(name, rows)
-            journal.unlink(missing_ok=True)  # it is not the new file's
-        return len(readable["evaluations"])
-
-    def _insert(self, table: str, rows: Sequence[Row]) -> None:
-        """Add rows (without their checksums) to a table, all or none."""
-        with self._transaction() as connection:
-            for row in rows:
-                whole = (*row, _checksum(row))
-                marks = ", ".join("?" for _ in whole)
-                connection.execute(f"INSERT INTO {table} VALUES ({marks})", whole)
-
-    def _checked(self, row: Row) -> Row:
-        """A row that was read, if it is as it was written."""
-        if not _sound(row):
-            raise DamagedStoreError(f"{self.path}: a row is not as it was written; {MENDED}")
-        return row
-
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         """Open a connection whose changes are on the disk when the block ends, all or none."""
+        place = self.path.absolute().as_uri()
+        if not (os.access(self.path.parent, os.W_OK) or Path(f"{self.path}-wal").exists()):
+            place += "?immutable=1"  # a folder that can only be read has no room for a log
         try:
-            with closing(sqlite3.connect(self.path)) as connection:
+            with closing(sqlite3.connect(place, uri=True)) as connection:
                 connection.execute("PRAGMA synchronous = FULL")
                 with connection:
                     yield connection
-        except UNREADABLE as error:
-            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)
-            if code & 0xFF not in NOT_ITS_CONTENT:  # the lowest byte is the primary code
-                raise DamagedStoreError(f"{self.path}: {one_line(error)}; {MENDED}") from error
+        except (sqlite3.DatabaseError, ValueError, TypeError) as error:
+            # the lowest byte of an error that is not about what is in the file
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+            if code not in (
+                sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL,
+                sqlite3.SQLITE_IOERR, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PERM,
+                sqlite3.SQLITE_READONLY,
+            ):  # fmt: skip
+                raise DamagedStoreError(
+                    f"{self.path}: damaged ({one_line(error)}); run 'fascicle fit' on the study "
+                    "again, which moves it aside and evaluates again"
+                ) from error
             raise InputError(
                 f"{self.path}: {error}; see that the disk has space, that the file can be written, "
                 "and that nothing else uses it; the same command then goes on"
             ) from error
 
 
-def _readable(path: Path, table: str) -> Iterator[Row]:
-    """Rows of a damaged file that are as they were written, without their checksums."""
-    most = path.stat().st_size // SMALLEST_ROW
-    with closing(sqlite3.connect(path)) as connection:
-        connection.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off, too
-        for number in range(most):
-            try:
-                query = f"SELECT * FROM {table} WHERE rowid = ?"
-                row = connection.execute(query, (number,)).fetchone()
-            except UNREADABLE:
-                continue
-            if row is not None and _sound(row):
-                yield row[:-1]
-
-
-def _evaluation_row(record: Record) -> Row:
+def _row(record: Record) -> tuple[Any, ...]:
     evaluation = record.evaluation
     return (
         str(record.stage),
@@ -224,22 +169,13 @@ def _evaluation_row(record: Record) -> Row:
     )
 
 
-def _record(row: Row) -> Record:
-    stage, point, loss, errors, log_likelihoods, reason, seconds, _ = row
+def _record(row: tuple[Any, ...]) -> Record:
+    stage, point, loss, errors, log_likelihoods, reason, seconds = row
     if loss is None:
         return Record(Stage(stage), Evaluation.infeasible(_floats(point), reason), seconds)
     likelihoods = _floats(log_likelihoods)
     found = Evaluation(_floats(point), loss, _floats(errors), log_likelihoods=likelihoods)
     return Record(Stage(stage), found, seconds)
-
-
-def _checksum(row: Row) -> int:
-    """Of what a row holds; numbers and blobs come back from SQLite with the same bits."""
-    return zlib.crc32(repr(row).encode())
-
-
-def _sound(row: Row) -> bool:
-    return bool(_checksum(row[:-1]) == row[-1])
 
 
 @dataclass
@@ -293,15 +229,7 @@ class Journal:
         return np.random.default_rng([self.seed, list(Stage).index(stage), step])
 
     def propose(self, stage: Stage, step: int, compute: Compute) -> Floats:
-        """Give the points of a step, shape (m, d).
-
-        Parameters
-        ----------
-        stage, step
-            Which step, counted from 0 in its stage.
-        compute : callable
-            Makes the points where none are stored.
-        """
+        """Give the points of a step, counted from 0 in its stage, made where none are stored."""
         stored = self.database.proposal(stage, step)
         if stored is None:
             before = self.database.proposal(stage, step - 1)
@@ -319,18 +247,8 @@ class Journal:
         """Give the outcomes at `points`, each of shape (d,).
 
         Those that are not known are evaluated, and stored as soon as the next `batch` of them, or
-        else `workers`, is there. Ctrl-C waits for that.
-
-        Parameters
-        ----------
-        stage : Stage
-            That asks for them.
-        points : sequence of (d,) arrays
-            In the unit cube.
-        batch : int, optional
-            How many are stored at a time.
-        progress : callable
-            Told how many of the points are known whenever some were stored, and at the end.
+        else `workers`, is there. Ctrl-C waits for that. `progress` is called with how many are
+        known whenever some were stored, and at the end.
         """
         keys = [_bytes(point) for point in points]
         missing = {k: p for k, p in zip(keys, points, strict=True) if k not in self.known}
@@ -356,9 +274,9 @@ class Journal:
         begin = time.perf_counter()
         evaluations = [replace(next(outcomes), point=point) for point in points]
         seconds = (time.perf_counter() - begin) / len(points)
+        for evaluation in evaluations:
+            _check(evaluation)
         new = [Record(stage, evaluation, seconds) for evaluation in evaluations]
-        for record in new:
-            _check(record.evaluation)
         self.database.append(new)
         self.known |= {_bytes(record.evaluation.point): record for record in new}
 
@@ -383,3 +301,31 @@ def _bytes(array: Floats) -> bytes:
 
 def _floats(blob: bytes) -> Floats:
     return np.frombuffer(blob, dtype="<f8").astype(np.float64)
+
+
+@contextmanager
+def interrupted_afterwards() -> Iterator[None]:
+    """Let Ctrl-C end the block only when it is done; a second one does not wait.
+
+    Nothing is changed where Ctrl-C is ignored, nor in any thread but the main one, which alone
+    hears of it.
+    """
+    here = threading.current_thread() is threading.main_thread()
+    if not here or not callable(signal.getsignal(signal.SIGINT)):
+        yield
+        return
+    pressed = False
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed:
+        signal.raise_signal(signal.SIGINT)  # as whoever listened before wants it

@@ -16,19 +16,18 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress, stage_progress
-from fascicle.inference.abc.informed_prior import InformedPrior, draw_candidates
-from fascicle.inference.abc.rejection import Sampling, sample
+from fascicle.inference.abc import Accepted, InformedPrior, draw_candidates, sample
 from fascicle.inference.evaluation import Evaluation, best_of
-from fascicle.inference.optimisation.step import Surrogates, iterations, latin_hypercube, step
-from fascicle.inference.surrogate.exponential import Hyperparameters
-from fascicle.inference.surrogate.surrogates import LossGP, Observations
+from fascicle.inference.gaussian_process import Hyperparameters
+from fascicle.inference.optimisation import Surrogates, iterations, latin_hypercube, step
+from fascicle.inference.surrogates import LossGP, Observations
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import PaperPopulation
 from fascicle.study.settings import FitSettings
 
 
 @dataclass(frozen=True)
-class Run:
+class PaperFit:
     """One pass through the stages.
 
     Attributes
@@ -48,7 +47,7 @@ class Run:
     journal: Journal
     progress: Progress | None = None
 
-    def population(self) -> PaperPopulation:
+    def run(self) -> PaperPopulation:
         """Do all that is left, and give the result."""
         self.explore()
         self.optimise()
@@ -90,22 +89,20 @@ class Run:
             self.journal.evaluate(Stage.OPTIMISATION, list(points))
             self.report(Stage.OPTIMISATION, number + 1, self.settings.steps)
 
-    def sample(self, best: Evaluation) -> Sampling:
-        """Try candidates until enough are accepted, or the rounds are over.
-
-        Parameters
-        ----------
-        best : Evaluation
-            θ_min.
-        """
+    def sample(self, best: Evaluation) -> Accepted:
+        """Try candidates until enough are accepted, or the rounds are over; `best` is θ_min."""
         return sample(
             best,
             lambda number: self.journal.propose(
                 Stage.REJECTION, number, partial(self._candidates, number=number, best=best)
             ),
             lambda points: self.journal.evaluate(Stage.REJECTION, points),
-            self.settings,
-            self._report_round,
+            samples=self.settings.samples,
+            tolerance=self.settings.tolerance,
+            refit_after=self.settings.refit_after,
+            rounds=self.settings.rounds,
+            workers=self.settings.workers,
+            progress=self._report_round,
         )
 
     def known(self) -> Observations:

@@ -10,15 +10,13 @@ import numpy as np
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
-from fascicle.inference.abc.rejection import Sampling
+from fascicle.inference.abc import Accepted
 from fascicle.inference.evaluation import Evaluation
-from fascicle.inference.importance.agreement import Agreement
-from fascicle.inference.importance.sampling import State
+from fascicle.inference.importance_sampling import RunAgreement, State
 from fascicle.study.settings import Method
 
 # The file that holds the networks, called what it is
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
-PRIOR_DRAWS = 1000  # of each parameter, for comparison with the posterior
 
 
 @dataclass(frozen=True)
@@ -72,19 +70,11 @@ class PaperPopulation(Population):
     __repr__ = short_repr
 
     @classmethod
-    def of(cls, space: ParameterSpace, sampling: Sampling) -> PaperPopulation:
-        """Name the parameters of accepted evaluations.
-
-        Parameters
-        ----------
-        space : ParameterSpace
-            The d parameters.
-        sampling : Sampling
-            What was accepted.
-        """
-        best, losses = sampling.reference, np.array([e.loss for e in sampling.accepted])
-        values = _named(space, sampling.accepted)
-        return cls(values, losses, space.from_unit(best.point), best.loss, sampling.distances)
+    def of(cls, space: ParameterSpace, accepted: Accepted) -> PaperPopulation:
+        """Name the parameters of accepted evaluations."""
+        best, losses = accepted.reference, np.array([e.loss for e in accepted.evaluations])
+        values = _named(space, accepted.evaluations)
+        return cls(values, losses, space.from_unit(best.point), best.loss, accepted.distances)
 
 
 @dataclass(frozen=True)
@@ -127,7 +117,7 @@ class Posterior(Population):
         draws: Sequence[Evaluation],
         best: Evaluation,
         ends: Sequence[State],
-        agreed: Agreement,
+        agreed: RunAgreement,
     ) -> Posterior:
         """Name the parameters of draws.
 
@@ -141,7 +131,7 @@ class Posterior(Population):
             The one with the least mismatch of all.
         ends : sequence of State
             Of each run.
-        agreed : Agreement
+        agreed : RunAgreement
             Between them.
         """
         return cls(

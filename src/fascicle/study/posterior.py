@@ -12,20 +12,23 @@ from fascicle.core.arrays import Floats
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import best_of
-from fascicle.inference.importance.agreement import agreement
-from fascicle.inference.importance.sampling import Run as SamplingRun
-from fascicle.inference.importance.sampling import State, importance_sample, sampling
+from fascicle.inference.importance_sampling import (
+    SamplingRun,
+    State,
+    agreement,
+    importance_sample,
+    sampling,
+)
 from fascicle.study.evaluations import Journal, Stage
 from fascicle.study.population import Posterior
 from fascicle.study.prior_simulations import prior_points
 from fascicle.study.settings import FitSettings
 
 RUNS = 2
-BATCH = 100  # evaluations that are stored at a time
 
 
 @dataclass(frozen=True)
-class Run:
+class PosteriorFit:
     """One pass through the runs of the sampler.
 
     Attributes
@@ -49,7 +52,7 @@ class Run:
     recordings: int = 1
     progress: Progress | None = None
 
-    def population(self) -> Posterior:
+    def run(self) -> Posterior:
         """Do all that is left, and give the result."""
         runs = self._sample(1)
         posterior = self._posterior(runs, 1)
@@ -96,7 +99,7 @@ class Run:
                 else:
                     self._report(done[0] + count, str(said))
 
-            found = self.journal.evaluate(Stage.SAMPLING, list(points), BATCH, report)
+            found = self.journal.evaluate(Stage.SAMPLING, list(points), 100, report)
             done[0] += len(points)
             return np.array(
                 [e.log_likelihoods[:recordings].sum() if e.feasible else -np.inf for e in found]

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import shown
-from fascicle.inference.abc.settings import AbcSettings
 
 Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
 OF_THE_POSTERIOR = ("effective", "evaluations", "bank", "gain_sd")
 OF_THE_PAPER = (
-    *(name for name in AbcSettings.model_fields if name != "workers"),
+    "samples",
+    "tolerance",
+    "draws",
+    "refit_after",
+    "rounds",
     "initial",
     "steps",
     "refit_every",
@@ -24,9 +27,44 @@ OF_THE_PAPER = (
 )
 
 
-class FitSettings(AbcSettings):
+class FitSettings(BaseModel):
     """The settings of `fascicle.fit`, and the options of ``fascicle fit``."""
 
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    samples: int = Field(default=30, ge=1, le=100_000, description="Networks wanted.")
+    workers: int = Field(
+        default=2,  # not the number of cores, so that the same settings give the same result
+        ge=1,
+        le=1024,
+        description="Simulations at a time.",
+    )
+    tolerance: float = Field(
+        default=0.9,
+        gt=0,
+        le=1,
+        description="Largest difference of a network's errors, beat by beat, from the best "
+        "network's (total variation, 0 to 1).",
+    )
+    draws: int = Field(
+        default=5_000_000,
+        ge=1,
+        le=1_000_000_000,
+        description="Uniform draws for the informed prior in each round.",
+    )
+    refit_after: int = Field(
+        default=50,
+        ge=1,
+        le=1_000_000,
+        description="Rejections in a row after which the surrogate is fitted again.",
+    )
+    rounds: int = Field(
+        default=20,
+        ge=1,
+        le=1_000_000,
+        description="Rounds of candidates at most, each after a fit of the surrogate; the paper "
+        "has no such limit.",
+    )
     initial: int = Field(default=250, ge=2, le=100_000, description="Latin hypercube points.")
     steps: int = Field(default=300, ge=0, le=100_000, description="Bayesian-optimisation steps.")
     refit_every: int = Field(

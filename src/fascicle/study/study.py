@@ -14,8 +14,8 @@ forward model, which is seen by evaluating some of it again: those losses are it
 from __future__ import annotations
 
 import json
+import re
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Literal
 
@@ -27,35 +27,17 @@ from fascicle.core.files import write_text
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
-from fascicle.study.evaluations import DamagedStoreError, Database, Journal, Record, Stage
-from fascicle.study.lock import HOLDER, LOCK, study_lock
+from fascicle.study.evaluations import Database, Journal, Record, Stage
+from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
 from fascicle.study.settings import FitSettings, first_problem
 
 CONFIGURATION = "study.json"
 DATABASE = "evaluations.sqlite"
-FORMAT: Final = 6  # of the folder
+FORMAT: Final = 7  # of the folder
 MAY_CHANGE = ("workers", "steps", "samples", "effective", "evaluations")  # when a study is resumed
-LASTING = (Stage.INITIAL, Stage.OPTIMISATION)  # whose proposals do not depend on these numbers
 CHECKED = 4  # stored evaluations that are made again
 SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model differs by far more
-SAME_LOG = 1e-3  # of log-likelihoods
-HASHES = ("heart", "target")
-SHOWN = 12  # characters of them in a message
-NAMED = 3  # settings that differ, in a message
-LEFTOVERS = (
-    ".study.",
-    ".evaluations.",
-    ".posterior.",
-    ".population.",
-    ".summary.",
-    ".activation.",
-    ".target.",
-    ".target-",
-    ".scenario.",
-    ".scenario-",
-)
-LEFTOVER_FOLDERS = (".heart.", ".networks.")
 
 
 class StudyConfig(FitSettings):
@@ -94,7 +76,7 @@ class StudyConfig(FitSettings):
     fixed: dict[str, float] = Field(default_factory=dict)
     growth: dict[str, float]
     conduction: dict[str, float | None]
-    version: Literal[6] = FORMAT
+    version: Literal[7] = FORMAT
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -122,8 +104,6 @@ class Study:
     ) -> Study:
         """Open the study in `folder`, a new one if the folder is empty or missing.
 
-        Of a damaged database what can be read is kept.
-
         Parameters
         ----------
         folder : Path
@@ -131,7 +111,7 @@ class Study:
         config : StudyConfig
             What it is, or is to be.
         progress : Progress, optional
-            Called if the database was damaged.
+            Called if the database was damaged, and was moved aside.
 
         Raises
         ------
@@ -147,7 +127,9 @@ class Study:
                 write_text(folder / CONFIGURATION, config.model_dump_json(indent=2) + "\n")
             _remove_leftovers(folder)
             study = cls(folder, config)
-            study._mend(progress)
+            aside = study._database.prepare()
+        if aside is not None and progress is not None:
+            progress("repair", 1, 1, f"{DATABASE} was damaged, and is now {aside.name}")
         return study
 
     @classmethod
@@ -198,9 +180,9 @@ class Study:
             config, space = self.config, self.config.parameter_space
             journal = Journal(self._database, objective, len(space), config.seed, config.workers)
             if config.method == "paper":
-                return paper.Run(config, space, journal, progress).population()
+                return paper.PaperFit(config, space, journal, progress).run()
             recordings = len(config.scenarios)
-            return posterior.Run(config, space, journal, recordings, progress).population()
+            return posterior.PosteriorFit(config, space, journal, recordings, progress).run()
 
     def check_objective(self, objective: Objective) -> None:
         """Refuse another forward model than that of the stored evaluations.
@@ -233,18 +215,9 @@ class Study:
             return
         if there != self.config.model_copy(update={"workers": there.workers}):
             (self.folder / RESULT[self.config.method]).unlink(missing_ok=True)
-            self._database.forget_proposals(LASTING)
+            # proposals of these stages do not depend on the numbers that may change
+            self._database.forget_proposals((Stage.INITIAL, Stage.OPTIMISATION))
         write_text(self.folder / CONFIGURATION, self.config.model_dump_json(indent=2) + "\n")
-
-    def _mend(self, progress: Progress | None) -> None:
-        """Make the database usable: a new one, or what can be read of a damaged one."""
-        try:
-            self._database.prepare()
-            self._database.check()
-        except DamagedStoreError:
-            kept = self._database.mend()
-            if progress is not None:
-                progress("repair", kept, kept, f"{DATABASE} was damaged; this could be read")
 
 
 def check_study_folder(folder: Path) -> None:
@@ -288,10 +261,14 @@ def is_finished(folder: Path, config: StudyConfig) -> bool:
 
 def _remove_leftovers(folder: Path) -> None:
     """Remove temporary files and folders of runs that were killed."""
+    ours = r"\.(study|evaluations|posterior|population|summary|activation|heart|networks|"
+    ours += r"(target|scenario)(-\d+)?)\..*"
     for path in folder.glob(".*"):
-        if path.name.startswith(LEFTOVER_FOLDERS):
+        if path.name == LOCK or not re.fullmatch(ours, path.name):
+            continue
+        if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-        elif path.name.startswith(LEFTOVERS) and path.name not in (LOCK, HOLDER):
+        else:
             path.unlink(missing_ok=True)
 
 
@@ -304,7 +281,7 @@ def _same(then: Evaluation, now: Evaluation) -> bool:
     now_log, then_log = now.log_likelihoods, then.log_likelihoods
     if len(now_log) != len(then_log):  # a study is opened without its likelihoods
         return True
-    return bool(np.allclose(now_log, then_log, rtol=0, atol=SAME_LOG))
+    return bool(np.allclose(now_log, then_log, rtol=0, atol=1e-3))
 
 
 def _outcome(evaluation: Evaluation) -> str:
@@ -354,18 +331,18 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
     """
     before, after = _identity(there), _identity(now)
     different = [
-        f"{name}: there {_shown(before, name)}, now {_shown(after, name)}"
+        f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
         for name in before | after
         if before.get(name) != after.get(name)
     ]
     if not different and there.parameter_space.names != now.parameter_space.names:
         different = ["the order of the parameters"]
     if different:
-        more = len(different) - NAMED
-        listed = "; ".join(different[:NAMED]) + (f"; and {more} more" if more > 0 else "")
+        listed = "; ".join(different[:3])
+        more = f"; and {len(different) - 3} more" if len(different) > 3 else ""
         raise InputError(
-            f"{folder}: holds another study ({listed}); choose another folder (out), or give the "
-            "settings and inputs of that study"
+            f"{folder}: holds another study ({listed}{more}); choose another folder (out), or give "
+            "the settings and inputs of that study"
         )
 
 
@@ -374,31 +351,24 @@ def _identity(config: StudyConfig) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in StudyConfig.model_fields:
         value = getattr(config, name)
-        if name == "fixed":
-            found |= {key: f"fixed at {_number(number)}" for key, number in value.items()}
-        elif name == "space":
+        if name == "space":
             found |= {parameter.name: f"learnt ({_prior(parameter)})" for parameter in value}
-        elif isinstance(value, dict):  # growth, conduction
-            found |= {f"{name} {key}": _number(number) for key, number in value.items()}
+        elif isinstance(value, dict):  # fixed, growth, conduction
+            label = "" if name == "fixed" else f"{name} "
+            found |= {f"{label}{key}": _number(number) for key, number in value.items()}
         elif name in ("other_targets", "scenarios"):
-            found[name.replace("_", " ")] = ", ".join(each[:SHOWN] or "none" for each in value)
+            found[name.replace("_", " ")] = ", ".join(each[:12] or "none" for each in value)
+        elif name in ("heart", "target"):
+            found[name] = value[:12]  # of a hash
         elif name not in MAY_CHANGE:
             found[name] = f"{value}"
     return found
 
 
 def _prior(parameter: Parameter) -> str:
-    lower, upper, median, sd = (
-        _number(x) for x in (parameter.lower, parameter.upper, parameter.median, parameter.sd)
-    )
-    middle = f", median {median}, sd {sd}" if parameter.median is not None else ""
-    return f"{parameter.prior} {lower} to {upper}{middle}"
+    middle = f", median {parameter.median:.15g}, sd {parameter.sd:.15g}" if parameter.median else ""
+    return f"{parameter.prior} {parameter.lower:.15g} to {parameter.upper:.15g}{middle}"
 
 
 def _number(value: float | None) -> str:
     return "none" if value is None else f"{value:.15g}"
-
-
-def _shown(identity: Mapping[str, str], name: str) -> str:
-    text = identity.get(name, "none")
-    return text[:SHOWN] if name in HASHES else text

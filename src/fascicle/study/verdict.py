@@ -10,7 +10,7 @@ import numpy as np
 
 from fascicle.core.arrays import Floats
 from fascicle.core.parameters import Parameter, ParameterSpace
-from fascicle.inference.importance.agreement import EVIDENCE_APART, MEANS_APART
+from fascicle.inference.importance_sampling import EVIDENCE_APART, MEANS_APART
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
 

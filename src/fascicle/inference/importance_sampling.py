@@ -30,13 +30,9 @@ from scipy.special import logsumexp, ndtr, ndtri
 
 from fascicle.core.arrays import Floats
 from fascicle.core.threads import one_thread
-from fascicle.inference.importance.proposal import fitted, standard_normal
 
 BATCH = 500  # points that one proposal gives
-FEWEST = 2 * BATCH  # points beside the prior's, so that proposals are put to the test
-ADAPTED = 150.0  # effective sample that a proposal is fitted to; the posterior is flattened for it
 TRUSTED = 0.7  # shape of the largest weights up to which they are
-EDGE = 1e-9  # of the unit interval, beyond which normal scores are infinite
 
 # Log-likelihoods (m,) of points (m, d) of the unit cube; -inf where there is none.
 LogLikelihoods = Callable[[Floats], Floats]
@@ -64,7 +60,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Run:
+class SamplingRun:
     """The outcome of a run.
 
     Attributes
@@ -101,26 +97,17 @@ class Run:
         return np.asarray(rng.permutation(np.searchsorted(ends, positions)))
 
 
-Sampling = Generator[Floats, Floats, Run]  # asks for log-likelihoods of points
+Sampling = Generator[Floats, Floats, SamplingRun]  # asks for log-likelihoods of points
 
 
 @one_thread
-def importance_sample(log_likelihoods: LogLikelihoods, *runs: Sampling) -> list[Run]:
+def importance_sample(log_likelihoods: LogLikelihoods, *runs: Sampling) -> list[SamplingRun]:
     """Sample posteriors in runs that have nothing in common but are evaluated together.
 
-    Parameters
-    ----------
-    log_likelihoods : callable
-        Evaluates the points that all runs ask for at a time: workers wait for as few as can be.
-    *runs : generators
-        Made by `sampling`.
-
-    Returns
-    -------
-    list of Run
-        Each as if it had been alone.
+    The points that all runs (made by `sampling`) ask for at a time are evaluated in one call:
+    workers wait for as few as can be. Each run is as if it had been alone.
     """
-    ended: dict[int, Run] = {}
+    ended: dict[int, SamplingRun] = {}
     asked = {number: next(run) for number, run in enumerate(runs)}
     while asked:
         values = log_likelihoods(np.concatenate([*asked.values()]))
@@ -141,7 +128,7 @@ def sampling(
     *,
     effective: int,
     most: int,
-    begun: Run | None = None,
+    begun: SamplingRun | None = None,
     progress: Callable[[State], None] = lambda state: None,
 ) -> Sampling:
     """Sample the posterior under a uniform prior on the unit cube: a run for `importance_sample`.
@@ -156,7 +143,7 @@ def sampling(
         Effective sample size to reach.
     most : int
         Evaluations beside the prior's after which the run stops, complete or not.
-    begun : Run, optional
+    begun : SamplingRun, optional
         Of another posterior under the same prior, with the same draws of it: its points count
         here, too, and its evaluations are not among `most`.
     progress : callable
@@ -167,29 +154,29 @@ def sampling(
     (m, d) array
         Points, of which the (m,) log-likelihoods are to be sent: the prior's, and then `BATCH` at a
         time.
-
-    Returns
-    -------
-    Run
     """
     points = prior if begun is None else begun.points
     proposals = [standard_normal(prior.shape[1])] if begun is None else list(begun.proposals)
     counts = [len(prior)] if begun is None else list(begun.counts)
     most += sum(counts[1:])
-    scores = ndtri(np.clip(points, EDGE, 1 - EDGE))
+    edge = 1e-9  # of the unit interval, beyond which normal scores are infinite
+    scores = ndtri(np.clip(points, edge, 1 - edge))
     values = yield points
     while True:
         weights, state = _weigh(scores, values, proposals, counts)
         progress(state)
+        # with a few proposals beyond the prior, so that these are put to the test
         complete = (
-            state.effective >= effective and state.tail <= TRUSTED and state.evaluations >= FEWEST
+            state.effective >= effective
+            and state.tail <= TRUSTED
+            and state.evaluations >= 2 * BATCH
         )
         if complete or state.evaluations >= most:
-            return Run(points, weights, values, state, complete, proposals, counts)
+            return SamplingRun(points, weights, values, state, complete, proposals, counts)
         proposals.append(fitted(scores, _flattened(weights)))
         counts.append(min(BATCH, most - state.evaluations))
         new = proposals[-1].rvs(counts[-1], random_state=rng).reshape(counts[-1], -1)
-        inside = np.clip(ndtr(new), EDGE, 1 - EDGE)
+        inside = np.clip(ndtr(new), edge, 1 - edge)
         points, scores = np.concatenate([points, inside]), np.concatenate([scores, new])
         values = np.concatenate([values, (yield inside)])
 
@@ -216,7 +203,7 @@ def _weigh(
 
 
 def _flattened(weights: Floats) -> Floats:
-    """The weights to the highest power, at most 1, that leaves an effective sample `ADAPTED`."""
+    """The weights to the highest power, at most 1, that leaves an effective sample of 150."""
     logs = np.log(np.maximum(weights, np.finfo(float).tiny))
 
     def flat(power: float) -> Floats:
@@ -224,8 +211,78 @@ def _flattened(weights: Floats) -> Floats:
         return np.asarray(powers / powers.sum())
 
     def beyond(power: float) -> float:
-        return float(1 / (flat(power) ** 2).sum()) - ADAPTED
+        return float(1 / (flat(power) ** 2).sum()) - 150.0
 
     if beyond(1.0) >= 0 or beyond(0.0) <= 0:
         return flat(float(beyond(1.0) >= 0))
     return flat(float(brentq(beyond, 0.0, 1.0)))
+
+
+def standard_normal(dimension: int) -> Any:
+    """Make the standard normal distribution, as SciPy's frozen ones."""
+    from scipy.stats import multivariate_normal
+
+    return multivariate_normal(np.zeros(dimension))
+
+
+def fitted(points: Floats, weights: Floats) -> Any:
+    """Fit Student's t distribution to points (n, d) with weights (n,), as SciPy's frozen ones.
+
+    One is enough, and with few effective points better than a mixture: the posterior of a network
+    is broad in most parameters, and bent in none so far that a heavy tail would not cover it.
+    """
+    from scipy.stats import multivariate_t
+
+    freedom = 8  # tails that are heavier than the posterior's
+    mean = weights @ points
+    apart = points - mean
+    covariance = 1.15 * (weights * apart.T) @ apart + 0.01 * np.eye(len(mean))
+    return multivariate_t(mean, covariance * (freedom - 2) / freedom, df=freedom)
+
+
+EVIDENCE_APART = 1.0  # of the log-evidences; more, and one run has missed a mode
+MEANS_APART = 0.5  # standard deviations between the means of a parameter
+
+
+@dataclass(frozen=True)
+class RunAgreement:
+    """How far two runs are apart.
+
+    Attributes
+    ----------
+    log_evidence : float
+        Difference of the log-evidences.
+    means : (d,) array
+        Difference of the means of each parameter, in standard deviations of both together.
+    complete : bool
+        Whether both reached their effective sample.
+    """
+
+    log_evidence: float
+    means: Floats
+    complete: bool
+
+    @property
+    def converged(self) -> bool:
+        """Whether both runs are complete, and agree."""
+        return (
+            self.complete
+            and self.log_evidence <= EVIDENCE_APART
+            and bool((self.means <= MEANS_APART).all())
+        )
+
+
+def agreement(first: SamplingRun, second: SamplingRun) -> RunAgreement:
+    """Compare two runs of different seeds on the same likelihood."""
+    means = [run.weights @ run.points for run in (first, second)]
+    variances = [
+        run.weights @ (run.points - mean) ** 2
+        for run, mean in zip((first, second), means, strict=True)
+    ]
+    apart = np.abs(means[0] - means[1])
+    together = np.sqrt(np.mean(variances, axis=0) + apart**2 / 4)
+    return RunAgreement(
+        abs(first.state.log_evidence - second.state.log_evidence),
+        apart / together,
+        first.complete and second.complete,
+    )

@@ -11,9 +11,7 @@ from scipy.special import log_ndtr
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.inference.evaluation import Evaluation
-from fascicle.inference.surrogate.exponential import ExponentialGP, Hyperparameters, fit
-
-EQUAL = 1e-12  # losses whose standard deviation is this small a part of their mean are equal
+from fascicle.inference.gaussian_process import ExponentialGP, Hyperparameters, fit
 
 
 @dataclass(frozen=True)
@@ -73,16 +71,7 @@ class LossGP:
     def fit(
         cls, observations: Observations, start: Hyperparameters | None, iterations: int
     ) -> LossGP:
-        """Learn the hyper-parameters and condition on the losses.
-
-        Parameters
-        ----------
-        observations : Observations
-        start : Hyperparameters or None
-            Where to start; None starts at the modes of the priors.
-        iterations : int
-            At most so many L-BFGS-B iterations.
-        """
+        """Learn the hyper-parameters, as `fit` does, and condition on the losses."""
         points, z, _, _ = _standardised(observations)
         return cls.condition(observations, fit(points, z, start, iterations))
 
@@ -135,13 +124,7 @@ class FeasibilityGP:
     def fit(
         cls, observations: Observations, start: Hyperparameters | None, iterations: int
     ) -> FeasibilityGP:
-        """Learn the hyper-parameters and condition on the labels.
-
-        Parameters
-        ----------
-        observations, start, iterations
-            As for `LossGP.fit`.
-        """
+        """Learn the hyper-parameters, as `fit` does, and condition on the labels."""
         if observations.feasible.all():
             return cls(None, 1.0)
         centred, _ = _labels(observations)
@@ -193,10 +176,6 @@ class FeasibilityGP:
         gradient = by_mean - (z / (2 * s))[:, None] * by_variance
         return logarithm, (ratio / s)[:, None] * gradient
 
-    def probability(self, points: Floats) -> Floats:
-        """Probability that each of `points` (m, d) gives a tree, shape (m,)."""
-        return np.exp(self.log_probability(points))
-
 
 def _labels(observations: Observations) -> tuple[Floats, float]:
     """Labels less their mean, and that mean."""
@@ -210,5 +189,6 @@ def _standardised(observations: Observations) -> tuple[Floats, Floats, float, fl
     feasible = observations.feasible
     losses = observations.losses[feasible]
     offset, scale = float(losses.mean()), float(losses.std())
-    scale = scale if scale > EQUAL * abs(offset) else 1.0  # equal losses have none of their own
+    # losses that are equal but for rounding have no scale of their own
+    scale = scale if scale > 1e-12 * abs(offset) else 1.0
     return observations.points[feasible], (losses - offset) / scale, offset, scale

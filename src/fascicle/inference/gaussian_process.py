@@ -19,22 +19,6 @@ from scipy.spatial.distance import cdist
 from fascicle.core.arrays import Floats
 from fascicle.core.threads import in_chunks, one_thread
 
-# Normal priors on the logarithms, for inputs in the unit cube and outputs of variance one. Length
-# scales: the dimension-scaled prior of Hvarfner, Hellsten & Nardi (ICML 2024), BoTorch's default.
-LENGTH_SCALE_SPREAD = math.sqrt(3)
-VARIANCE_PRIOR = (0.0, 1.0)
-NOISE_PRIOR = (-5.0, 2.0)
-LENGTH_SCALE_BOUNDS = (0.02, 200.0)
-VARIANCE_BOUNDS = (1e-2, 1e3)
-# The lower end keeps the Cholesky factorisation alive with nearly coincident points.
-NOISE_BOUNDS = (1e-6, 1.0)
-
-FIRST_JITTER = 1e-10  # of the mean variance, added where rounding leaves no Cholesky factor
-VARIANCE_FLOOR = 1e-12  # of the prior variance; rounding takes posterior ones below zero
-
-# Rows of a kernel matrix held at once: so few stay in the cache; the product with L⁻¹ wants more.
-CHUNK, MEAN_CHUNK = 1000, 200
-
 
 @dataclass(frozen=True)
 class Hyperparameters:
@@ -55,8 +39,8 @@ class Hyperparameters:
     @classmethod
     def default(cls, dimension: int) -> Hyperparameters:
         """Take the modes of the priors."""
-        scale = math.exp(_length_scale_centre(dimension))
-        return cls((scale,) * dimension, math.exp(VARIANCE_PRIOR[0]), math.exp(NOISE_PRIOR[0]))
+        *length_scales, variance, noise = map(math.exp, _prior(dimension)[0])
+        return cls(tuple(length_scales), variance, noise)
 
     def to_json(self) -> str:
         """As text; every float comes back exactly."""
@@ -79,13 +63,22 @@ class Hyperparameters:
         return cls(tuple(length_scales), variance, noise)
 
 
-def _length_scale_centre(dimension: int) -> float:
-    return math.sqrt(2) + 0.5 * math.log(dimension)
+def _prior(dimension: int) -> tuple[Floats, Floats]:
+    """Centres and deviations (d + 2,) of the normal priors on the logarithms.
+
+    For inputs in the unit cube and outputs of variance one. Length scales have the dimension-scaled
+    prior of Hvarfner, Hellsten and Nardi (ICML 2024), BoTorch's default.
+    """
+    scale = math.sqrt(2) + 0.5 * math.log(dimension)
+    return (
+        np.array([*[scale] * dimension, 0.0, -5.0]),
+        np.array([*[math.sqrt(3)] * dimension, 1.0, 2.0]),
+    )
 
 
 def _cholesky(covariance: Floats) -> Floats:
     """Lower Cholesky factor; the diagonal is raised, tenfold each time, until there is one."""
-    jitter = FIRST_JITTER * covariance.diagonal().mean()
+    jitter = 1e-10 * covariance.diagonal().mean()
     raised = covariance
     while True:
         try:
@@ -104,7 +97,7 @@ def _bordered(whitener: Floats, covariance: Floats, variance: float) -> Floats:
     count = len(covariance)
     w = whitener @ covariance
     # rounding may leave nothing of the variance where points coincide
-    s = math.sqrt(max(variance - float(w @ w), FIRST_JITTER * variance))
+    s = math.sqrt(max(variance - float(w @ w), 1e-10 * variance))
     larger = np.zeros((count + 1, count + 1), order="F")
     larger[:count, :count] = whitener
     larger[count, :count] = -(w @ whitener) / s
@@ -123,23 +116,11 @@ def _inverse(factor: Floats) -> Floats:
 def log_marginal_likelihood(
     points: Floats, outputs: Floats, hyperparameters: Hyperparameters
 ) -> tuple[float, Floats]:
-    """Log marginal likelihood and its gradient.
+    """Log marginal likelihood, and its gradient (d + 2,) with respect to the logarithms.
 
     With A = K + σₙ²I, α = A⁻¹y and G = ααᵀ − A⁻¹ (Rasmussen & Williams 2006, eqs 5.8 and 5.9)::
 
         log p(y) = −½ yᵀα − ½ log|A| − ½ n log 2π,    ∂ log p / ∂β = ½ tr(G ∂K/∂β)
-
-    Parameters
-    ----------
-    points : (n, d) array
-    outputs : (n,) array
-    hyperparameters : Hyperparameters
-
-    Returns
-    -------
-    value : float
-    gradient : (d + 2,) array
-        With respect to `Hyperparameters.to_logarithms`.
     """
     scaled = points / np.array(hyperparameters.length_scales)
     r = cdist(scaled, scaled)
@@ -178,10 +159,10 @@ def fit(
         At most so many L-BFGS-B iterations.
     """
     dimension = points.shape[1]
-    centre = np.full(dimension + 2, _length_scale_centre(dimension))
-    spread = np.full(dimension + 2, LENGTH_SCALE_SPREAD)
-    centre[-2:], spread[-2:] = zip(VARIANCE_PRIOR, NOISE_PRIOR, strict=True)
-    bounds = np.log([*[LENGTH_SCALE_BOUNDS] * dimension, VARIANCE_BOUNDS, NOISE_BOUNDS])
+    centre, spread = _prior(dimension)
+    # of length scales, variance and noise: the least noise keeps the Cholesky factorisation alive
+    # with nearly coincident points
+    bounds = np.log([*[(0.02, 200.0)] * dimension, (1e-2, 1e3), (1e-6, 1.0)])
 
     def negative(vector: Floats) -> tuple[float, Floats]:
         value, gradient = log_marginal_likelihood(
@@ -226,15 +207,7 @@ class ExponentialGP:
     def condition(
         cls, points: Floats, outputs: Floats, hyperparameters: Hyperparameters
     ) -> ExponentialGP:
-        """Condition on data.
-
-        Parameters
-        ----------
-        points : (n, d) array
-        outputs : (n,) array
-            Of mean zero.
-        hyperparameters : Hyperparameters
-        """
+        """Condition on data: points (n, d) and outputs (n,) of mean zero."""
         centre = points.mean(0)
         scaled = (points - centre) / np.array(hyperparameters.length_scales)
         kernel = hyperparameters.variance * np.exp(-cdist(scaled, scaled))
@@ -245,14 +218,9 @@ class ExponentialGP:
 
     @one_thread
     def extended(self, points: Floats, outputs: Floats) -> ExponentialGP:
-        """Condition on more data: a row of L⁻¹ for each new point, instead of all rows again.
+        """Condition on more points (m, d): a row of L⁻¹ for each, instead of all rows again.
 
-        Parameters
-        ----------
-        points : (m, d) array
-            The new ones.
-        outputs : (n + m,) array
-            Of all points, the new ones last; those before may have changed.
+        The outputs (n + m,) are of all points, the new ones last; those before may have changed.
         """
         variance, noise = self.hyperparameters.variance, self.hyperparameters.noise
         scaled, whitener = np.vstack([self.scaled, self.scale(points)]), self.whitener
@@ -269,7 +237,7 @@ class ExponentialGP:
     @property
     def _least_variance(self) -> float:
         """What rounding cannot push a variance below."""
-        return VARIANCE_FLOOR * self.hyperparameters.variance
+        return 1e-12 * self.hyperparameters.variance
 
     def moments_and_gradients(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Posterior mean m, variance v, (k,) each, and ∇m and ∇v, (k, d), at a few `points` (k, d).
@@ -306,7 +274,7 @@ class ExponentialGP:
             white = blas.dtrmm(1.0, self.whitener, kernel.T, lower=True, overwrite_b=True)
             variance[part] = prior - np.einsum("ij,ij->j", white, white)
 
-        in_chunks(work, len(points), CHUNK)
+        in_chunks(work, len(points), 1000)
         return mean, np.maximum(variance, self._least_variance)
 
     def mean_many(self, points: Floats) -> tuple[Floats, Floats]:
@@ -314,16 +282,7 @@ class ExponentialGP:
 
         The squared distances come from one matrix product, |a|² − 2a·b + |b|², which is exact to
         rounding except within about 1e-7 length scales of a data point.
-
-        Parameters
-        ----------
-        points : (m, d) array
-
-        Returns
-        -------
-        mean : (m,) array
-        nearness : (m,) array
-            exp(−distance to the nearest data point), in (0, 1].
+        Nearness is exp(−distance to the nearest data point), in (0, 1]. Shapes are (m,).
         """
         z = self.scaled
         right = np.vstack([-2 * z.T, (z * z).sum(1), np.ones(len(z))])
@@ -340,7 +299,7 @@ class ExponentialGP:
             mean[part] = kernel @ self.alpha
             nearness[part] = kernel.max(1)
 
-        in_chunks(work, len(points), MEAN_CHUNK)
+        in_chunks(work, len(points), 200)  # so few stay in the cache
         return self.hyperparameters.variance * mean, nearness
 
     def variance_limit(self, nearness: Floats) -> Floats:

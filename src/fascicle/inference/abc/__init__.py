@@ -1,1 +1,0 @@
-"""Approximate Bayesian computation: prior, distance, rejection."""

@@ -1,1 +1,0 @@
-"""Sampling a posterior from its likelihood, by adaptive importance sampling."""

@@ -1,1 +1,0 @@
-"""Gaussian processes for the loss and for feasibility."""
