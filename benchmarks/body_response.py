@@ -35,7 +35,7 @@ from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure, save
 from fascicle.torso.lead_fields import assemble_stiffness
 from fascicle.torso.variation.conductor import BodyState, Conductor, InvalidBody, build_conductor
-from fascicle.torso.variation.electrode_paths import electrode_places
+from fascicle.torso.variation.response import electrode_places
 from fascicle.torso.variation.training import currents, solve_body
 
 Values = Mapping[str, float]

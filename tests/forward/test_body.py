@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import BODY, QUANTITIES
 from fascicle.forward.body import read_response, torso_made_again, write_response
 from fascicle.torso.lead_fields import is_up_to_date, lead_fields
-from fascicle.torso.variation import training
 from fascicle.torso.variation.conductor import InvalidBody
+from fascicle.torso.variation.training import Effort, build_response
 
 TISSUES = ("lung", "blood", "myocardium", "body")
 
@@ -27,12 +28,11 @@ def with_body(**values):
 @pytest.fixture(scope="module")
 def model(default_heart):
     """Of the default heart, with few bodies solved."""
-    sizes = {"MODE_BODIES": 4, "MODES": 20, "OUTER_BODIES": 14}
+    quick = partial(build_response, effort=Effort(mode_bodies=4, modes=20, outer_bodies=14))
     # kept nowhere: other tests would take the crude response for the heart's
     model = fascicle.ForwardModel(replace(default_heart, folder=None))
     with pytest.MonkeyPatch.context() as patch:
-        for name, size in sizes.items():
-            patch.setattr(training, name, size)
+        patch.setattr("fascicle.forward.body.build_response", quick)
         model.body(["heart_up"])
     return model
 

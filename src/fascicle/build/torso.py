@@ -18,20 +18,18 @@ from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_electrodes
-from fascicle.torso.body_size import SHAPE, BodySize
 from fascicle.torso.electrode_sites import (
     check_not_exchanged,
     check_not_mirrored,
     check_on_skin,
     distances_to_skin,
 )
-from fascicle.torso.fit import FittedTrunk
 from fascicle.torso.heart_pose import Pose, apex_direction
-from fascicle.torso.idealised import fitted_torso, idealised_torso
+from fascicle.torso.idealised import FittedTrunk, fitted_torso, idealised_torso
 from fascicle.torso.lead_fields import resolve_lead_fields
 from fascicle.torso.mesh import mesh_torso
-from fascicle.torso.surface_files import read_torso_surfaces
-from fascicle.torso.surfaces import Surface, TorsoSurfaces
+from fascicle.torso.surfaces import Surface, TorsoSurfaces, read_torso_surfaces
+from fascicle.torso.trunk import SHAPE, BodySize
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
 from fascicle.reporting.labels import COLOURS, ENDOCARDIA
 from fascicle.reporting.rendering import View, frame_panel, frame_size, heart_views, paint
-from fascicle.torso.variation.body_axes import body_axes
+from fascicle.torso.variation.conductor import body_axes
 
 WIDTH, BELOW = 12.0, 3.8  # inch; of the lower half
 HEARTS, HEART_ROOM = 3, 0.75  # pictures in the upper half; inch for their titles and scale bar

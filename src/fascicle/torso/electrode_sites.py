@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from enum import IntEnum
+
 import igl
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,92 +14,68 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import unit
-from fascicle.torso.body_size import MM_PER_M, BodySize
 from fascicle.torso.heart_pose import surface_middle
 from fascicle.torso.surfaces import Surface
-
-RA, LA, LL, V1, V2, V3, V4, V5, V6 = range(len(ELECTRODES))
-
-# Sites: Kligfield et al. 2007, Circulation 115:1306-1324. Limb electrodes on the trunk, where the
-# limbs join it: Mason and Likar 1966, Am Heart J 71:196-205. Across the body in parts of the half
-# width of the chest, along it in parts of the height, from V1's level.
-STERNAL = 0.15  # the sternum is some 5 cm wide at the fourth intercostal space
-MIDCLAVICULAR = 0.55  # halfway between the middle of the neck and the tip of the shoulder
-AXILLARY = np.radians(64)  # of the anterior axillary line from straight ahead; V6's is at 90
-SHOULDER, SHOULDER_LEVEL = 0.88, 0.080
-HIP, HIP_LEVEL = 0.65, -0.178  # in front of the iliac crest
-INTERCOSTAL = 0.021  # the fifth intercostal space below the fourth
-
-# In a healthy chest the RV lies to the right and in front of the LV, each by two thirds of their
-# distance; these leave room for any rotation of the heart about its long axis that is seen.
-FURTHEST_LEFT, FURTHEST_BACK = 0.25, 0.5  # of the distance from the LV to the RV
-NEAREST, FURTHEST_CHEST = 10.0, 350.0  # mm from the heart; ribs lie between, a chest is not wider
+from fascicle.torso.trunk import BodySize
 
 FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso do not belong together
 
 
+class Electrode(IntEnum):
+    """Rows of electrodes in arrays, in the order of `fascicle.core.leads.ELECTRODES`."""
+
+    RA = 0
+    LA = 1
+    LL = 2
+    V1 = 3
+    V2 = 4
+    V3 = 5
+    V4 = 6
+    V5 = 7
+    V6 = 8
+
+
 def standard_electrodes(body: BodySize, skin: Surface) -> Floats:
-    """Put the nine electrodes onto the skin of an idealised torso.
+    """Put the nine electrodes (9, 3) onto the skin of an idealised torso, in the body frame (mm).
 
     V1 and V2 lie in the fourth intercostal space at the borders of the sternum, V4 in the fifth at
     the midclavicular line, V3 between V2 and V4, V5 and V6 at V4's level on the anterior and the
-    middle axillary line.
-
-    Parameters
-    ----------
-    body : BodySize
-        What the torso is scaled by.
-    skin : Surface
-        Its skin in the body frame (mm).
-
-    Returns
-    -------
-    (9, 3) array
-        In the order of `fascicle.core.leads.ELECTRODES` (mm).
+    middle axillary line: Kligfield et al. 2007, Circulation 115:1306-1324. Limb electrodes lie on
+    the trunk, where the limbs join it: Mason and Likar 1966, Am Heart J 71:196-205.
     """
-    starts, directions = site_rays(body)
-    return np.array([_on_skin(skin, *ray) for ray in zip(starts, directions, strict=True)])
+    electrodes = []
+    for start, direction in zip(*site_rays(body), strict=True):
+        hits = igl.ray_mesh_intersect(start, direction, *skin)
+        electrodes.append(start + max(distance for _, distance, *_ in hits) * direction)
+    return np.array(electrodes)
 
 
 def site_rays(body: BodySize) -> tuple[Floats, Floats]:
     """Where electrodes belong: on the skin that rays from within the trunk leave through.
 
-    Parameters
-    ----------
-    body : BodySize
-        What the torso is scaled by.
-
-    Returns
-    -------
-    starts, directions : (9, 3) and (9, 3) arrays
-        In the body frame (mm), in the order of `fascicle.core.leads.ELECTRODES`.
+    Starts (9, 3) and directions (9, 3) in the body frame (mm).
     """
-    width, height = body.half_width, MM_PER_M * body.height
-    low = -INTERCOSTAL * height
-    axillary = np.array([np.sin(AXILLARY), -np.cos(AXILLARY)])
-    front = np.array([0.0, -1.0])
-    # a place within the trunk, (x, z), and the direction from there to the skin, (x, y)
-    rays = {
-        RA: (-SHOULDER * body.shoulders * width, SHOULDER_LEVEL * height, front),
-        LA: (SHOULDER * body.shoulders * width, SHOULDER_LEVEL * height, front),
-        LL: (HIP * body.hips * width, HIP_LEVEL * height, front),
-        V1: (-STERNAL * width, 0.0, front),
-        V2: (STERNAL * width, 0.0, front),
-        V3: ((STERNAL + MIDCLAVICULAR) / 2 * width, low / 2, front),
-        V4: (MIDCLAVICULAR * width, low, front),
-        V5: (0.0, low, axillary),
-        V6: (0.0, low, np.array([1.0, 0.0])),
-    }
-    places = [rays[k] for k in range(len(ELECTRODES))]
-    starts = np.array([(x, 0.0, z) for x, z, _ in places])
-    directions = np.array([(*direction, 0.0) for _, _, direction in places])
-    return starts, directions
-
-
-def _on_skin(skin: Surface, start: Floats, direction: Floats) -> Floats:
-    """Where a ray from within leaves the skin."""
-    hits = igl.ray_mesh_intersect(start, direction, *skin)
-    return np.asarray(start + max(distance for _, distance, *_ in hits) * direction)
+    width, height = body.half_width, 1000 * body.height  # mm
+    sternal = 0.15  # of the half-width: the sternum is some 5 cm wide at the fourth space
+    clavicular = 0.55  # halfway between the middle of the neck and the tip of the shoulder
+    shoulder, hip = 0.88 * body.shoulders * width, 0.65 * body.hips * width
+    fifth = -0.021 * height  # the fifth intercostal space below the fourth
+    axillary = np.radians(64)  # of the anterior axillary line from straight ahead; V6's is at 90
+    front = (0.0, -1.0)
+    # by electrode: a place within the trunk, (x, z), and the direction to the skin, (x, y)
+    rays = [
+        ((-shoulder, 0.080 * height), front),
+        ((shoulder, 0.080 * height), front),
+        ((hip, -0.178 * height), front),  # in front of the iliac crest
+        ((-sternal * width, 0.0), front),
+        ((sternal * width, 0.0), front),
+        (((sternal + clavicular) / 2 * width, fifth / 2), front),
+        ((clavicular * width, fifth), front),
+        ((0.0, fifth), (np.sin(axillary), -np.cos(axillary))),
+        ((0.0, fifth), (1.0, 0.0)),
+    ]
+    starts = np.array([(x, 0.0, z) for (x, z), _ in rays])
+    return starts, np.array([(x, y, 0.0) for _, (x, y) in rays])
 
 
 def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
@@ -108,19 +87,12 @@ def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
 
 
 def check_on_skin(name: str, distances: Floats) -> None:
-    """Refuse electrodes that are not on the skin.
-
-    Parameters
-    ----------
-    name : str
-        What they come from, for the message.
-    distances : (9,) array
-        Their distances from it (mm), in the order of `fascicle.core.leads.ELECTRODES`.
+    """Refuse electrodes from a file `name` of which one is more than `FARTHEST` from the skin.
 
     Raises
     ------
     InputError
-        If one is more than `FARTHEST` away.
+        If one of the distances (9,) (mm) is.
     """
     worst = int(np.argmax(distances))
     if distances[worst] > FARTHEST:
@@ -135,140 +107,108 @@ def check_on_skin(name: str, distances: Floats) -> None:
 def check_not_mirrored(name: str, heart: Heart) -> None:
     """Refuse a heart whose RV lies to the left of or behind the LV, as its electrodes see it.
 
+    In a healthy chest the RV lies to the right and in front of the LV, each by two thirds of their
+    distance; the limits leave room for any rotation of the heart about its long axis that is seen.
     Where limb and chest electrodes contradict each other on what is left, it is they that are
     wrong; `electrode_warnings` says so, and nothing is refused.
-
-    Parameters
-    ----------
-    name : str
-        What to call the heart in the error.
-    heart : Heart
-        With its electrodes (mm).
 
     Raises
     ------
     InputError
-        If it is mirrored.
+        If the heart, called `name`, is mirrored.
     """
     limbs, chest = _leftwards(heart.electrodes)
     if limbs @ chest <= 0:
         return
     left = unit(limbs + chest)
     across = unit(_lv_to_rv(heart))
-    front = _frontwards(heart, left)
-    for component, most, where in (
-        (across @ left, FURTHEST_LEFT, "to the left of"),
-        (-across @ front, FURTHEST_BACK, "behind"),
-    ):
-        if component > most:
-            raise InputError(
-                f"{name}: the RV lies {where} the LV as the electrodes see it, so the heart or the "
-                "electrodes are mirrored; check the axes of both (RAS or LPS), and which is the LV"
-            )
+    where = "to the left of" if across @ left > 0.25 else ""
+    if not where and -across @ _frontwards(heart, left) > 0.5:
+        where = "behind"
+    if where:
+        raise InputError(
+            f"{name}: the RV lies {where} the LV as the electrodes see it, so the heart or the "
+            "electrodes are mirrored; check the axes of both (RAS or LPS), and which is the LV"
+        )
 
 
 def check_not_exchanged(name: str, heart: Heart) -> None:
     """Refuse electrodes of which two have each other's name, where a torso is to be fitted to them.
-
-    Parameters
-    ----------
-    name : str
-        What to call them in the error.
-    heart : Heart
-        With its electrodes (mm).
 
     Raises
     ------
     InputError
         As `electrode_warnings` words it.
     """
-    for warning in [*_reversals(heart), *_heights(heart)]:
+    for warning in _order_warnings(heart):
         raise InputError(f"{name}: {warning}")
 
 
 def electrode_warnings(heart: Heart) -> list[str]:
-    """What is odd about a heart's electrodes: one line each, with what to do.
-
-    Parameters
-    ----------
-    heart : Heart
-        With its electrodes (mm).
-
-    Returns
-    -------
-    list of str
-        Empty if they are where electrodes are.
-    """
-    return [*_reversals(heart), *_heights(heart), *_distances(heart)]
+    """What is odd about a heart's electrodes: one line each, with what to do."""
+    return [*_order_warnings(heart), *_distance_warnings(heart)]
 
 
-def _reversals(heart: Heart) -> list[str]:
-    """Left and right swapped, or the chest electrodes out of order."""
+def _order_warnings(heart: Heart) -> Iterator[str]:
+    """Electrodes that are exchanged: left and right, above and below, or around the chest."""
     electrodes = heart.electrodes
     limbs, chest = _leftwards(electrodes)
-    leftwards = -_lv_to_rv(heart)
+    leftwards, up = -_lv_to_rv(heart), _upwards(electrodes)
     if limbs @ leftwards < 0 < chest @ leftwards:
-        return [
-            "electrodes RA and LA: LA lies to the right of RA, so lead I is reversed; swap them"
-        ]
-    if chest @ leftwards < 0 < limbs @ leftwards:
-        return ["electrodes V1 to V6 run from the left to the right; reverse their order"]
-    upwards = _upwards(electrodes)
-    front = _frontwards(heart, limbs)
-    around = electrodes[V1:] - electrodes[[RA, LA]].mean(axis=0)
-    around -= np.outer(around @ upwards, upwards)
-    left = unit(limbs - (limbs @ upwards) * upwards)
-    angle = np.arctan2(around @ left, around @ front)
-    return [
-        f"electrodes {ELECTRODES[V1 + k]} and {ELECTRODES[V1 + k + 1]}: the second lies to the "
-        "right of the first around the chest; check their order"
-        for k in np.flatnonzero(np.diff(angle) < 0)
-    ]
-
-
-def _heights(heart: Heart) -> list[str]:
-    """The legs' electrode above the arms', or chest electrodes not between them."""
-    electrodes = heart.electrodes
-    limbs, chest = _leftwards(electrodes)
-    left = unit(limbs + chest) if limbs @ chest > 0 else unit(-_lv_to_rv(heart))
-    if _upwards(electrodes) @ np.cross(_frontwards(heart, left), left) < 0:
-        return [
+        yield "electrodes RA and LA: LA lies to the right of RA, so lead I is reversed; swap them"
+    elif chest @ leftwards < 0 < limbs @ leftwards:
+        yield "electrodes V1 to V6 run from the left to the right; reverse their order"
+    else:
+        around = electrodes[Electrode.V1 :] - electrodes[:2].mean(axis=0)
+        around -= np.outer(around @ up, up)
+        left = unit(limbs - (limbs @ up) * up)
+        angle = np.arctan2(around @ left, around @ _frontwards(heart, limbs))
+        for k in Electrode.V1 + np.flatnonzero(np.diff(angle) < 0):
+            yield (
+                f"electrodes {ELECTRODES[k]} and {ELECTRODES[k + 1]}: the second lies to the right "
+                "of the first around the chest; check their order"
+            )
+    left = unit(limbs + chest) if limbs @ chest > 0 else unit(leftwards)
+    if up @ np.cross(_frontwards(heart, left), left) < 0:
+        yield (
             "electrode LL lies above RA and LA as the chest electrodes see it, so leads II, III "
             "and aVF are reversed; check the names, and that no axis is mirrored"
-        ]
-    height = electrodes @ _upwards(electrodes)
-    low, high = height[LL], height[[RA, LA]].max()
-    return [
-        f"electrode {name} lies {'above RA and LA' if level > high else 'below LL'}; "
-        "check its position"
-        for name, level in zip(ELECTRODES[V1:], height[V1:], strict=True)
-        if not low < level < high
-    ]
+        )
+        return
+    height = electrodes @ up
+    low, high = height[Electrode.LL], height[:2].max()
+    for name, level in zip(ELECTRODES[Electrode.V1 :], height[Electrode.V1 :], strict=True):
+        if not low < level < high:
+            where = "above RA and LA" if level > high else "below LL"
+            yield f"electrode {name} lies {where}; check its position"
 
 
-def _distances(heart: Heart) -> list[str]:
+def _distance_warnings(heart: Heart) -> Iterator[str]:
     """Electrodes nearer to the heart, or further away, than the skin of the chest can be."""
     distance, _ = cKDTree(heart.vertices).query(heart.electrodes)
-    near = [
-        f"electrode {ELECTRODES[k]} is {distance[k]:.0f} mm from the heart, nearer than "
-        "skin can be; check its position"
-        for k in np.flatnonzero(distance < NEAREST)
-    ]
-    far = [
-        f"electrode {ELECTRODES[k]} is {distance[k]:.0f} mm from the heart, further than any chest "
-        "is wide; check its position and the units (mm)"
-        for k in V1 + np.flatnonzero(distance[V1:] > FURTHEST_CHEST)
-    ]
-    return near + far
+    for name, d in zip(ELECTRODES, distance, strict=True):
+        if d < 10:  # mm: ribs lie between
+            yield (
+                f"electrode {name} is {d:.0f} mm from the heart, nearer than skin can be; check "
+                "its position"
+            )
+        if d > 350 and name.startswith("V"):
+            yield (
+                f"electrode {name} is {d:.0f} mm from the heart, further than any chest is wide; "
+                "check its position and the units (mm)"
+            )
 
 
 def _leftwards(electrodes: Floats) -> tuple[Floats, Floats]:
     """Unit vectors to the patient's left, by the limb and by the chest electrodes."""
-    return unit(electrodes[LA] - electrodes[RA]), unit(electrodes[V5] - electrodes[V1])
+    return (
+        unit(electrodes[Electrode.LA] - electrodes[Electrode.RA]),
+        unit(electrodes[Electrode.V5] - electrodes[Electrode.V1]),
+    )
 
 
 def _upwards(electrodes: Floats) -> Floats:
-    return unit(electrodes[[RA, LA]].mean(axis=0) - electrodes[LL])
+    return unit(electrodes[:2].mean(axis=0) - electrodes[Electrode.LL])
 
 
 def _frontwards(heart: Heart, left: Floats) -> Floats:
@@ -276,7 +216,7 @@ def _frontwards(heart: Heart, left: Floats) -> Floats:
     electrodes = heart.electrodes
     up = _upwards(electrodes)
     left = unit(left - (left @ up) * up)
-    front = electrodes[V1 : V4 + 1].mean(axis=0) - heart.vertices.mean(axis=0)
+    front = electrodes[Electrode.V1 : Electrode.V5].mean(axis=0) - heart.vertices.mean(axis=0)
     front -= (front @ up) * up + (front @ left) * left
     return unit(front)
 

@@ -8,17 +8,18 @@ but for the origin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.mesh.measures import triangle_areas, unit
+from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.mesh.measures import solid_centroid, triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
-from fascicle.torso.body_size import BodySize
 from fascicle.torso.surfaces import Surface
+from fascicle.torso.trunk import BodySize
 
 Pose = Literal["standard", "ras", "lps"]
 
@@ -27,14 +28,6 @@ Pose = Literal["standard", "ras", "lps"]
 # and the RV lie side by side: the axis from one to the other is horizontal.
 AZIMUTH = np.radians(48)  # of the long axis: from straight ahead towards the patient's left
 ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
-
-# Body axes in the patient axes of images: columns are x, y and z. NIfTI's RAS+ counts to the right,
-# to the front and up, DICOM's LPS+ to the left, to the back and up.
-_PATIENT_AXES: dict[Pose, Floats] = {"ras": np.diag([-1.0, -1.0, 1.0]), "lps": np.eye(3)}
-
-
-# Usual centroid of the myocardium: to the left (mm), in front (of the half-depth), below V1 (mm)
-HEART_LEFT, HEART_FRONT, HEART_BELOW = 33.0, 0.335, 5.0
 
 
 @dataclass(frozen=True)
@@ -61,25 +54,20 @@ class BodyFrame:
         return np.asarray(points @ self.rotation.T + self.origin)
 
 
-def heart_axes(lv: Surface, rv: Surface) -> tuple[Floats, Floats]:
-    """Anatomical axes of a heart, from the shape of its endocardia.
+def endocardial_surfaces(mesh: LabelledMesh) -> tuple[Surface, Surface]:
+    """Left and right."""
+    return (
+        Surface(mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)),
+        Surface(mesh.vertices, mesh.having(Label.RV_ENDOCARDIUM)),
+    )
 
-    The long axis runs from the LV apex, the point furthest from the opening, to the middle of the
-    opening; the second axis from the middle of the LV to that of the RV, as far as it is at right
-    angles to the first.
 
-    Parameters
-    ----------
-    lv, rv : Surface
-        Endocardia, open at the base (mm).
+def heart_axes(lv: Surface, rv: Surface) -> Floats:
+    """Anatomical axes of a heart, from the shape of its endocardia, open at the base.
 
-    Returns
-    -------
-    origin : (3,) array
-        Middle of the LV opening (mm).
-    rotation : (3, 3) array
-        Columns: from the LV to the RV; to the anterior-superior side of the septum; from the apex
-        to the base. Right-handed, whether the heart is mirrored or not.
+    Columns (3, 3): from the LV to the RV; to the anterior-superior side of the septum; from the LV
+    apex, the point furthest from the opening, to the middle of the opening. Right-handed, whether
+    the heart is mirrored or not; the first as far as it is at right angles to the last.
     """
     base = opening(lv)
     used = lv.vertices[np.unique(lv.triangles)]
@@ -87,7 +75,7 @@ def heart_axes(lv: Surface, rv: Surface) -> tuple[Floats, Floats]:
     long_axis = unit(base - apex)
     across = surface_middle(rv) - surface_middle(lv)
     across = unit(across - (across @ long_axis) * long_axis)
-    return base, np.stack([across, np.cross(long_axis, across), long_axis], axis=1)
+    return np.stack([across, np.cross(long_axis, across), long_axis], axis=1)
 
 
 def opening(surface: Surface) -> Floats:
@@ -114,26 +102,28 @@ def standard_axes() -> Floats:
 
 
 def default_position(body: BodySize) -> Floats:
-    """Where the centroid of the myocardium usually lies in the body frame (mm); (3,)."""
-    return np.array([HEART_LEFT, -HEART_FRONT * body.half_depth, -HEART_BELOW])
+    """Where the centroid of the myocardium usually lies in the body frame (mm); (3,).
+
+    The valves' surface projections put the middle of the LV base half an intercostal space above
+    the fourth, and the apex into the fifth, at the midclavicular line; skin to heart: Rahko 2008,
+    J Am Soc Echocardiogr 21:761-764 (parasternal 32 mm, apical 31 mm).
+    """
+    return np.array([33.0, -0.335 * body.half_depth, -5.0])
 
 
-def body_frame(
-    lv: Surface, rv: Surface, centroid: Floats, place: Floats, pose: Pose = "standard"
-) -> BodyFrame:
-    """Lay the body's axes around a heart, which itself stays where it is.
+def body_frame(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") -> BodyFrame:
+    """Lay the axes of an idealised body around a heart, which itself stays where it is.
 
     Parameters
     ----------
-    lv, rv : Surface
-        Endocardia in the heart's coordinates (mm).
-    centroid : (3,) array
-        Centroid of the myocardium in the heart's coordinates (mm).
-    place : (3,) array
-        Where that lies in the body frame (mm).
+    mesh : LabelledMesh
+        The heart (mm).
+    body : BodySize
+        What the body is scaled by.
     pose : {"standard", "ras", "lps"}
         Whether the body's axes follow from the heart's, which are given the standard angles, or
-        are those of the image that the heart comes from.
+        are those of the image that the heart comes from: NIfTI's RAS+ counts to the right, to the
+        front and up, DICOM's LPS+ to the left, to the back and up.
 
     Raises
     ------
@@ -141,32 +131,22 @@ def body_frame(
         If the pose is unknown, or is that of an image and the heart's apex then points two of
         three wrong ways: up, to the right, to the back.
     """
-    if pose not in get_args(Pose):
-        raise InputError(f"pose: '{pose}' is unknown; use one of {', '.join(get_args(Pose))}")
-    _, axes = heart_axes(lv, rv)
     if pose == "standard":
-        rotation = axes @ standard_axes().T
+        rotation = heart_axes(*endocardial_surfaces(mesh)) @ standard_axes().T
+    elif pose in ("ras", "lps"):
+        rotation = np.diag([-1.0, -1.0, 1.0]) if pose == "ras" else np.eye(3)
+        check_apex(f"pose '{pose}'", rotation, *endocardial_surfaces(mesh))
     else:
-        rotation = _PATIENT_AXES[pose]
-        check_apex(f"pose '{pose}'", rotation, lv, rv)
-    return BodyFrame(rotation, centroid - rotation @ place)
+        raise InputError(f"pose: '{pose}' is unknown; use one of standard, ras, lps")
+    centroid = solid_centroid(mesh.vertices, mesh.tetrahedra)
+    return BodyFrame(rotation, centroid - rotation @ default_position(body))
 
 
 def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
     """Body axes as electrodes tell them: those that put the standard sites nearest to them.
 
-    Parameters
-    ----------
-    electrodes : (9, 3) array
-        In the heart's coordinates (mm).
-    sites : (9, 3) array
-        Standard sites in the body frame (mm).
-
-    Returns
-    -------
-    (3, 3) array
-        Its columns are the body's axes in the heart's coordinates. The rotation of least squares
-        (Kabsch 1976, Acta Cryst A32:922-923).
+    The columns (3, 3) in the heart's coordinates, for electrodes (9, 3) there and sites (9, 3) in
+    the body frame: the rotation of least squares (Kabsch 1976, Acta Cryst A32:922-923).
     """
     rotation, _ = Rotation.align_vectors(
         electrodes - electrodes.mean(axis=0), sites - sites.mean(0)
@@ -175,16 +155,8 @@ def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
 
 
 def apex_direction(rotation: Floats, lv: Surface, rv: Surface) -> tuple[float, float]:
-    """Where the apex points: to the left of straight ahead, and down (degrees).
-
-    Parameters
-    ----------
-    rotation : (3, 3) array
-        Its columns are the body's axes in the heart's coordinates.
-    lv, rv : Surface
-        Endocardia in the heart's coordinates (mm).
-    """
-    left, back, up = -rotation.T @ heart_axes(lv, rv)[1][:, 2]
+    """Where the apex points in such axes: to the left of straight ahead, and down (degrees)."""
+    left, back, up = -rotation.T @ heart_axes(lv, rv)[:, 2]
     return float(np.degrees(np.arctan2(left, -back))), float(np.degrees(np.arcsin(-up)))
 
 
@@ -193,24 +165,10 @@ def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
 
     Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
     one hardly down.
-
-    Parameters
-    ----------
-    source : str
-        What the axes come from, for the message.
-    rotation : (3, 3) array
-        Its columns are the body's axes in the heart's coordinates.
-    lv, rv : Surface
-        Endocardia in the heart's coordinates (mm).
     """
-    towards_apex = -rotation.T @ heart_axes(lv, rv)[1][:, 2]
-    wrong = [
-        name
-        for name, component in zip(
-            ("right", "back", "head"), towards_apex * np.array([-1, 1, 1]), strict=True
-        )
-        if component > 0
-    ]
+    left, back, up = -rotation.T @ heart_axes(lv, rv)[:, 2]
+    directions = {"right": -left, "back": back, "head": up}
+    wrong = [name for name, component in directions.items() if component > 0]
     if len(wrong) > 1:
         raise InputError(
             f"{source}: the apex then points to the {' and the '.join(wrong)}, where none does; "

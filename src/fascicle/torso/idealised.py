@@ -1,33 +1,38 @@
-"""An adult trunk with lungs and electrodes, from height, weight and girth, around a given heart.
+"""An adult torso around a given heart: of standard shape, or fitted to electrodes on its skin.
 
-Skin (`fascicle.torso.trunk`) and lungs (`fascicle.torso.lungs`) are level sets of smooth functions
-in the body frame of `fascicle.torso.heart_pose`.
+Where electrodes are given, first the measures of the trunk, and where it lies around heart and
+electrodes, have their most probable values: electrodes lie on the skin and near their standard
+sites, the heart has its default position, measures are those of adults. What is left between skin
+and electrodes a smooth deformation takes up, the smallest that does, of skin, ribs and lungs
+together.
 
 Sources
 -------
-Standard adult : mean of the reference man (1.76 m, 73 kg) and the reference woman (1.63 m, 60 kg)
-    of ICRP Publication 89 (Valentin 2002, Ann ICRP 32(3-4)).
-Girth : Heinz et al. 2003, J Stat Educ 11(2): 247 men and 260 women of 1.71 m, 69.1 kg and 93.3 cm
-    on average. A cylinder's girth goes with the square root of weight by height, and so do these.
-Skin to heart : Rahko 2008, J Am Soc Echocardiogr 21:761-764 (parasternal 32 mm, apical 31 mm).
-Heart : the valves' surface projections put the middle of the LV base half an intercostal space
-    above the fourth, and the apex into the fifth, at the midclavicular line.
+Spread of measures : a half more than among the young and active adults of Heinz et al. 2003, J Stat
+    Educ 11(2) (height 0.055 and girth 0.11 of their means); of the others, a tenth, our choice.
+Electrodes : 20 to 30 mm from their sites in practice (Wenger and Kligfield 1996, J Electrocardiol
+    29:179-184; Rajaganeshan et al. 2008, Int J Clin Pract 62:65-70).
+Skin to heart : Rahko 2008, J Am Soc Echocardiogr 21:761-764 (32 mm, standard deviation 8).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.optimize import least_squares
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.measures import solid_centroid
-from fascicle.torso.body_size import BodySize
-from fascicle.torso.electrode_sites import standard_electrodes
-from fascicle.torso.enclosure import check_within
-from fascicle.torso.fit import FARTHEST, FittedTrunk, fit_trunk
+from fascicle.torso.electrode_sites import Electrode, site_rays, standard_electrodes
 from fascicle.torso.heart_pose import (
     BodyFrame,
     Pose,
@@ -35,13 +40,19 @@ from fascicle.torso.heart_pose import (
     body_frame,
     check_apex,
     default_position,
+    endocardial_surfaces,
     opening,
 )
-from fascicle.torso.lungs import convex_hull, exclusion_hull, lungs_of
-from fascicle.torso.surfaces import Surface, TorsoSurfaces, signed_distance
+from fascicle.torso.surfaces import Surface, TorsoSurfaces, check_within, signed_distance
 from fascicle.torso.trunk import (
+    WIDEST,
+    BodySize,
     Deformation,
+    Outside,
+    convex_hull,
+    exclusion_hull,
     identity,
+    lungs_of,
     outside_trunk,
     skin_of,
     smooth_max,
@@ -50,7 +61,12 @@ from fascicle.torso.trunk import (
 )
 
 SKIN_MARGIN = 5.0  # mm that must remain between heart and skin
-NEAR_HEART = 4 * SKIN_MARGIN  # within which a fitted skin keeps clear of the heart
+FARTHEST = 60.0  # mm, of an electrode from the fitted skin, which the deformation can take up
+# One standard deviation of what is fitted: tilt (rad), position of the heart to the left, back and
+# up (mm), and the logarithms of the measures
+TILT = np.radians(10)
+POSITION = np.array([12.0, 12.0, 20.0])
+MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips": 0.1}
 
 
 def idealised_torso(
@@ -73,10 +89,10 @@ def idealised_torso(
         If the heart does not fit into that torso, leaves no room for the lungs, or is not closed.
     """
     body = body if body is not None else BodySize()
-    frame = frame_around(mesh, body, pose)
+    frame = body_frame(mesh, body, pose)
     skin = trunk(body)
     electrodes = frame.to_heart(standard_electrodes(body, skin))
-    return _around(mesh, body, frame, skin, electrodes)
+    return _with_lungs(mesh, body, frame, skin, electrodes)
 
 
 def fitted_torso(
@@ -109,34 +125,33 @@ def fitted_torso(
         from the skin of any adult.
     """
     standard = BodySize()
-    lv, rv = _endocardia(mesh)
     if pose == "standard":
         rotation = axes_of_electrodes(electrodes, standard_electrodes(standard, trunk(standard)))
-        check_apex(f"{name}: by the electrodes' places", rotation, lv, rv)
+        check_apex(f"{name}: by the electrodes' places", rotation, *endocardial_surfaces(mesh))
     else:
-        rotation = frame_around(mesh, standard, pose).rotation
+        rotation = body_frame(mesh, standard, pose).rotation
     heart = mesh.vertices[np.unique(mesh.triangles)]
     fitted = fit_trunk(
         name, electrodes, heart, solid_centroid(mesh.vertices, mesh.tetrahedra), rotation, known
     )
     placed = fitted.frame.to_body(heart)
     hull = convex_hull(placed)
-    trunk_as_it_was = outside_trunk(fitted.body)
-    low, high = placed.min(axis=0) - NEAR_HEART, placed.max(axis=0) + NEAR_HEART
+    undeformed_trunk = outside_trunk(fitted.body)
+    reach = 4 * SKIN_MARGIN  # elsewhere the heart makes no difference
+    low, high = placed.min(axis=0) - reach, placed.max(axis=0) + reach
 
     def outside(points: Floats) -> Floats:
-        of_trunk = trunk_as_it_was(fitted.undeformed(points))
-        # elsewhere the heart makes no difference
-        near = ((points > low) & (points < high)).all(axis=1) & (of_trunk > -NEAR_HEART)
+        of_trunk = undeformed_trunk(fitted.undeformed(points))
+        near = ((points > low) & (points < high)).all(axis=1) & (of_trunk > -reach)
         of_heart = signed_distance(points[near], hull) - 2 * SKIN_MARGIN
         of_trunk[near] = -smooth_max(-of_trunk[near], -of_heart, SKIN_MARGIN)
         return of_trunk
 
     skin = skin_of(outside, trunk_box(fitted.body, FARTHEST))
-    return _around(mesh, fitted.body, fitted.frame, skin, electrodes, fitted.undeformed), fitted
+    return _with_lungs(mesh, fitted.body, fitted.frame, skin, electrodes, fitted.undeformed), fitted
 
 
-def _around(
+def _with_lungs(
     mesh: LabelledMesh,
     body: BodySize,
     frame: BodyFrame,
@@ -146,8 +161,16 @@ def _around(
 ) -> TorsoSurfaces:
     """Add lungs to a skin in the body frame; electrodes are in the heart's coordinates."""
     heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
-    _check_fits(mesh.name, heart, skin)
-    base = frame.to_body(np.stack([opening(side) for side in _endocardia(mesh)]))
+    beyond = signed_distance(heart, skin) + SKIN_MARGIN
+    if beyond.max() > 0:
+        x, y, z = heart[np.argmax(beyond)]
+        raise InputError(
+            f"{mesh.name}: does not fit into the idealised torso, {beyond.max():.0f} mm too far "
+            f"out ({'left' if x > 0 else 'right'} {'front' if y < 0 else 'back'} "
+            f"{'above' if z > 0 else 'below'} V1); check pose and units, or give a larger height, "
+            "weight or chest girth"
+        )
+    base = frame.to_body(np.stack([opening(side) for side in endocardial_surfaces(mesh)]))
     lungs = lungs_of(mesh.name, body, exclusion_hull(heart, base), undeformed)
     surfaces = TorsoSurfaces(
         Surface(frame.to_heart(skin.vertices), skin.triangles),
@@ -158,43 +181,164 @@ def _around(
     return surfaces
 
 
-def frame_around(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") -> BodyFrame:
-    """Where the axes of an idealised body lie around a heart.
+@dataclass(frozen=True)
+class FittedTrunk:
+    """An idealised trunk fitted to electrodes.
+
+    Attributes
+    ----------
+    body : BodySize
+        Its measures.
+    frame : BodyFrame
+        Where it lies around the heart.
+    electrodes : (9, 3) array
+        As given, in the body frame (mm).
+    sites : (9, 3) array
+        The standard sites on this trunk, before it was deformed, likewise.
+    on_skin : (9, 3) array
+        Points of the skin, before it was deformed, that the deformation puts at the electrodes.
+    """
+
+    body: BodySize
+    frame: BodyFrame
+    electrodes: Floats
+    sites: Floats
+    on_skin: Floats
+
+    @property
+    def moved(self) -> Floats:
+        """How far the deformation moves the skin at each electrode (mm); (9,)."""
+        return np.asarray(np.linalg.norm(self.on_skin - self.electrodes, axis=1))
+
+    @cached_property
+    def _displacement(self) -> RBFInterpolator:
+        """Of least norm; inverse multiquadrics fall off over 80 mm, so far away nothing moves."""
+        return RBFInterpolator(
+            self.electrodes,
+            self.on_skin - self.electrodes,
+            kernel="inverse_multiquadric",
+            epsilon=1 / 80.0,
+            degree=-1,
+        )
+
+    def undeformed(self, points: Floats) -> Floats:
+        """Where points (n, 3) of the body frame lie in the trunk before it was deformed (mm)."""
+        return np.asarray(points + self._displacement(points))
+
+
+def fit_trunk(
+    name: str,
+    electrodes: Floats,
+    heart: Floats,
+    centroid: Floats,
+    rotation: Floats,
+    known: Mapping[str, float],
+) -> FittedTrunk:
+    """Find the most probable trunk for electrodes and heart.
+
+    Nonlinear least squares for tilt (3,), position (3,) and measures, all in standard deviations.
 
     Parameters
     ----------
-    mesh : LabelledMesh
-        The heart (mm).
-    body : BodySize
-        Height, weight and girth.
-    pose : {"standard", "ras", "lps"}
-        Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
+    name : str
+        What to call the electrodes in an error.
+    electrodes : (9, 3) array
+        In the heart's coordinates (mm), in the order of `fascicle.core.leads.ELECTRODES`.
+    heart : (n, 3) array
+        Points of the heart's surface (mm).
+    centroid : (3,) array
+        Of the myocardium, in the heart's coordinates (mm).
+    rotation : (3, 3) array
+        Its columns are the body's axes in the heart's coordinates; they are tilted a little.
+    known : mapping of name to float
+        Measures of the person, arguments of `BodySize`, which are kept.
+
+    Raises
+    ------
+    InputError
+        If the heart is nowhere near its place among the electrodes, or an electrode is far from any
+        adult's skin.
     """
-    return body_frame(
-        *_endocardia(mesh),
-        solid_centroid(mesh.vertices, mesh.tetrahedra),
-        default_position(body),
-        pose,
+    hull = heart[ConvexHull(heart).vertices]
+    given = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())
+    unknown = [measure for measure in MEASURES if measure not in given]
+
+    def trunk_of(x: Floats) -> tuple[BodySize, BodyFrame]:
+        """Measures, and where that trunk lies: tilted about its axes, then the heart moved."""
+        factors = {
+            measure: float(np.exp(MEASURES[measure] * step))
+            for measure, step in zip(unknown, x[6:], strict=True)
+        }
+        girth = factors.pop("girth", None)
+        values = {"height": BodySize.height, **known}
+        values |= {measure: values.get(measure, 1.0) * f for measure, f in factors.items()}
+        if girth is not None:
+            values["chest"] = girth * BodySize().girth
+        body = BodySize(**values)
+        tilted = rotation @ Rotation.from_rotvec(TILT * x[:3]).as_matrix()
+        position = default_position(body) + POSITION * x[3:6]
+        return body, BodyFrame(tilted, centroid - tilted @ position)
+
+    def residuals(x: Floats) -> Floats:
+        """Electrodes off the skin and off their sites; heart near the skin; measures and pose."""
+        body, frame = trunk_of(x)
+        outside, placed = outside_trunk(body), frame.to_body(electrodes)
+        # across the skin, 5 mm, which the deformation may take up; along it, 25 mm on the chest,
+        # and 50 where limbs join the trunk, as those electrodes are anywhere down to the wrist
+        off_site = placed - leaving(outside, body)
+        off_site[: Electrode.V1] /= 50.0
+        off_site[Electrode.V1 :] /= 25.0
+        gap = -outside(frame.to_body(hull)).max()
+        near = min(gap - 32.0, 0.0) / 8.0  # mm, of skin to heart; only less is penalised
+        return np.concatenate([outside(placed) / 5.0, off_site.ravel(), [near], x])
+
+    most = np.array([3.0] * 3 + [np.inf] * 3 + [3.0] * len(unknown))
+    # an electrode at an odd place, beyond three standard deviations, counts less and less, so that
+    # the others tell how odd it is
+    found = least_squares(
+        residuals, np.zeros(len(most)), bounds=(-most, most), loss="cauchy", f_scale=3.0
     )
-
-
-def _endocardia(mesh: LabelledMesh) -> tuple[Surface, Surface]:
-    """Left and right."""
-    return (
-        Surface(mesh.vertices, mesh.having(Label.LV_ENDOCARDIUM)),
-        Surface(mesh.vertices, mesh.having(Label.RV_ENDOCARDIUM)),
-    )
-
-
-def _check_fits(name: str, heart: Floats, skin: Surface) -> None:
-    beyond = signed_distance(heart, skin) + SKIN_MARGIN
-    if beyond.max() > 0:
-        x, y, z = heart[np.argmax(beyond)]
-        where = (
-            f"{'left' if x > 0 else 'right'} {'front' if y < 0 else 'back'} "
-            f"{'above' if z > 0 else 'below'} V1"
-        )
+    shift = POSITION * found.x[3:6]
+    axis = int(np.argmax(np.abs(shift)))
+    if abs(shift[axis]) > 80:  # mm
+        way = (("right", "left"), ("front", "back"), ("feet", "head"))[axis][int(shift[axis] > 0)]
         raise InputError(
-            f"{name}: does not fit into the idealised torso, {beyond.max():.0f} mm too far out "
-            f"({where}); check pose and units, or give a larger height, weight or chest girth"
+            f"{name}: the heart lies {abs(shift[axis]):.0f} mm too far to the {way} for these "
+            "electrodes, so they are not in the heart's frame; give both in one frame, in mm"
         )
+    body, frame = trunk_of(found.x)
+    placed, outside = frame.to_body(electrodes), outside_trunk(body)
+    fitted = FittedTrunk(body, frame, placed, leaving(outside, body), _nearest(outside, placed))
+    worst = int(np.argmax(fitted.moved))
+    if fitted.moved[worst] > FARTHEST:
+        raise InputError(
+            f"{name}: electrode {ELECTRODES[worst]} is {fitted.moved[worst]:.0f} mm from the skin "
+            "of any adult's trunk that fits the others; check its position (limb electrodes: where "
+            "the limbs join the trunk), or give the person's own skin (--torso FILE)"
+        )
+    return fitted
+
+
+def leaving(outside: Outside, body: BodySize) -> Floats:
+    """Standard sites (9, 3) on a trunk's level set (mm), by bisection along their rays."""
+    starts, directions = site_rays(body)
+    low = np.zeros(len(starts))
+    high = np.full(len(starts), 2 * WIDEST * body.half_width)
+    for _ in range(30):
+        middle = (low + high) / 2
+        inside = outside(starts + middle[:, None] * directions) < 0
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return np.asarray(starts + low[:, None] * directions)
+
+
+def _nearest(outside: Outside, points: Floats) -> Floats:
+    """Points of a level set near given ones (n, 3), by Newton's steps down its slope."""
+    points = points.copy()
+    step = 0.5  # mm, for the slope
+    steps = step * np.concatenate([np.eye(3), -np.eye(3)])
+    for _ in range(10):
+        around = np.stack([outside(points + away) for away in steps], axis=1)
+        slope = (around[:, :3] - around[:, 3:]) / (2 * step)
+        square = np.maximum((slope**2).sum(axis=1), 1e-3)
+        points -= (outside(points) / square)[:, None] * slope
+    return points

@@ -32,13 +32,6 @@ from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
 
 MM_PER_CM = 10.0
-# Residual relative to the current; ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
-TOLERANCE = 1e-9
-MOST_ITERATIONS = 500  # good meshes of 300,000 vertices take 30
-CONDUCTIVITIES = (
-    "intracellular_l", "intracellular_t", "extracellular_l", "extracellular_t",
-    "body", "lung", "blood",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,19 +64,8 @@ def resolve_lead_fields(
 ) -> LeadFields | None:
     """Lead fields of a heart: its own where they are up to date, else those of its torso.
 
-    Parameters
-    ----------
-    heart : Heart
-        The heart.
-    conduction : Conduction
-        Conductivities of all tissues.
-    progress : callable, optional
-        Called with how many of how many electrodes are done.
-
-    Returns
-    -------
-    LeadFields or None
-        None where the volume conductor is unbounded.
+    None where the volume conductor is unbounded. `progress` is called with how many of how many
+    electrodes are done.
 
     Raises
     ------
@@ -122,12 +104,13 @@ def key_of(heart: Heart, conduction: Conduction) -> str:
 
     The torso itself is left out, so that a heart can carry its lead fields without it.
     """
+    c = conduction
+    conductivities = [
+        c.intracellular_l, c.intracellular_t, c.extracellular_l, c.extracellular_t,
+        c.body, c.lung, c.blood,
+    ]  # fmt: skip
     return digest_of(
-        heart.vertices,
-        heart.tetrahedra,
-        heart.fibres,
-        heart.electrodes,
-        np.array([getattr(conduction, name) for name in CONDUCTIVITIES]),
+        heart.vertices, heart.tetrahedra, heart.fibres, heart.electrodes, np.array(conductivities)
     )
 
 
@@ -171,28 +154,12 @@ def lead_fields(
 
 
 def place_electrodes(vertices: Floats, tetrahedra: Integers, electrodes: Floats) -> Contacts:
-    """The points of the skin nearest to the electrodes.
-
-    Parameters
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The whole conductor (mm).
-    electrodes : (e, 3) array
-        Positions (mm).
-    """
+    """The points of the whole conductor's skin nearest to electrodes (e, 3) (mm)."""
     return contacts_on(vertices, outer_boundary(vertices, tetrahedra), electrodes)
 
 
 def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
-    """The points of a skin nearest to given ones.
-
-    Parameters
-    ----------
-    vertices, skin : (n, 3) and (t, 3) arrays
-        Positions (mm) and triangles.
-    points : (e, 3) array
-        Positions (mm).
-    """
+    """The points of a skin (t, 3) nearest to given ones (e, 3) (mm)."""
     squared, nearest, points = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points, dtype=float), vertices, skin
     )
@@ -203,24 +170,11 @@ def contacts_on(vertices: Floats, skin: Integers, points: Floats) -> Contacts:
 
 
 def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Floats:
-    """σ of the heart's tetrahedra, Gᵢ + Gₑ, then of the torso's, which is isotropic.
-
-    Parameters
-    ----------
-    heart, torso : Heart, Torso
-        The myocardium and what is around it.
-    conduction : Conduction
-        Conductivities of all of them.
-
-    Returns
-    -------
-    (m, 3, 3) array
-        In mS/cm.
-    """
+    """σ (m, 3, 3) of the heart's tetrahedra, Gᵢ + Gₑ, then of the torso's, isotropic (mS/cm)."""
     of_tissue = np.zeros(max(TorsoTissue) + 1)
-    of_tissue[[TorsoTissue.BODY, TorsoTissue.LUNG, TorsoTissue.BLOOD]] = (
-        conduction.body, conduction.lung, conduction.blood,
-    )  # fmt: skip
+    of_tissue[TorsoTissue.BODY] = conduction.body
+    of_tissue[TorsoTissue.LUNG] = conduction.lung
+    of_tissue[TorsoTissue.BLOOD] = conduction.blood
     around = of_tissue[torso.tissues][:, None, None] * np.eye(3)
     return np.concatenate([conduction.bulk(heart.fibres), around])
 
@@ -228,17 +182,7 @@ def total_conductivity(heart: Heart, torso: Torso, conduction: Conduction) -> Fl
 def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Floats) -> csr_matrix:
     """Kᵢⱼ = ∫ ∇λᵢ·σ∇λⱼ dx for the hat functions λ of linear elements.
 
-    Parameters
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        The mesh (mm).
-    conductivity : (m, 3, 3) array
-        σ of each tetrahedron (mS/cm).
-
-    Returns
-    -------
-    (n, n) sparse matrix
-        Conductances (mS, that is 1/kΩ).
+    Conductances (n, n) (mS, that is 1/kΩ) for σ (m, 3, 3) (mS/cm) on a mesh in mm.
 
     Raises
     ------
@@ -270,13 +214,16 @@ def assemble_stiffness(vertices: Floats, tetrahedra: Integers, conductivity: Flo
 
 
 def solve_neumann(
-    stiffness: csr_matrix, currents: Floats, progress: StageProgress = no_progress
+    stiffness: csr_matrix,
+    currents: Floats,
+    progress: StageProgress = no_progress,
+    most_iterations: int = 500,
 ) -> Floats:
     """Potentials for currents into the vertices of an insulated conductor.
 
     Conjugate gradients, preconditioned by smoothed aggregation (Vaněk, Mandel and Brezina,
     Computing 56, 1996, 179-196). The conductor is grounded at one vertex: the system is then
-    regular, and as the currents are balanced none flows to earth, so the potentials change by
+    regular, and as the currents are balanced none flows to ground, so the potentials change by
     constants only.
 
     Parameters
@@ -287,6 +234,8 @@ def solve_neumann(
         Current into each vertex (µA); each row sums to zero.
     progress : callable, optional
         Called with how many of how many rows are done.
+    most_iterations : int
+        Good meshes of 300,000 vertices take 30.
 
     Returns
     -------
@@ -308,12 +257,13 @@ def solve_neumann(
     preconditioner = multigrid_levels(conductor).aspreconditioner(cycle="V")
 
     def solve(current: Floats) -> Floats:
+        # ∇Z in the heart is then right to 1e-7, for reciprocity to 1e-6
         potential, failed = cg(
-            conductor, current, rtol=TOLERANCE, maxiter=MOST_ITERATIONS, M=preconditioner
+            conductor, current, rtol=1e-9, maxiter=most_iterations, M=preconditioner
         )
         if failed:
             raise InputError(
-                f"no lead field in {MOST_ITERATIONS} iterations; the mesh of heart and torso has "
+                f"no lead field in {most_iterations} iterations; the mesh of heart and torso has "
                 "flat elements, remesh it"
             )
         return np.asarray(potential - potential.mean())
@@ -329,8 +279,8 @@ def solve_neumann(
 
 def grounded(stiffness: csr_matrix) -> csr_matrix:
     """A stiffness matrix (n, n) with its first vertex grounded, which makes it regular."""
-    earth = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
-    return csr_matrix(stiffness + earth)
+    to_ground = csr_matrix(([stiffness[0, 0]], ([0], [0])), shape=stiffness.shape)
+    return csr_matrix(stiffness + to_ground)
 
 
 def multigrid_levels(stiffness: csr_matrix):  # type: ignore[no-untyped-def]

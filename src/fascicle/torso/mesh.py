@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import igl
 import numpy as np
 
-from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.heart import Torso, TorsoTissue
@@ -16,18 +15,6 @@ from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices
 from fascicle.torso.surfaces import Surface
-
-BODY, FIRST_LUNG = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
-
-COARSEST = 15.0  # mm, edges far from all surfaces
-GRADING = 0.5  # Netgen's: how fast edges grow away from a surface
-OPTIMISATION_STEPS = 1  # leaves no dihedral angle below 5 degrees around a good heart mesh
-REMEDY = (
-    "a surface crosses itself or another or is too rough; remesh the heart, the torso or the lungs "
-    "more evenly"
-)
-STEPS = 2  # of the progress: filled, and blood found
-ENCLOSED = 0.5  # winding number from which a point counts as enclosed
 
 
 def mesh_torso(
@@ -52,7 +39,7 @@ def mesh_torso(
     skin : Surface
         Closed surface around it (mm).
     lungs : sequence of Surface
-        Closed surfaces between the two (mm); see `fascicle.torso.enclosure.check_within`.
+        Closed surfaces between the two (mm); see `fascicle.torso.surfaces.check_within`.
     progress : callable, optional
         Called with how many of how many steps are done.
 
@@ -66,20 +53,43 @@ def mesh_torso(
     InputError
         If the surfaces leave a space that cannot be meshed.
     """
-    progress(0, STEPS)
-    used = np.unique(mesh.triangles)
-    vertices, tetrahedra, domains = _fill(mesh, used, skin, lungs)
-    progress(1, STEPS)
-    tissues = np.where(domains == BODY, int(TorsoTissue.BODY), int(TorsoTissue.LUNG))
+    progress(0, 2)
+    body, first_lung = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
+    heart, triangles = without_unused_vertices(mesh.vertices, mesh.triangles)
+    remedy = (
+        "a surface crosses itself or another or is too rough; remesh the heart, the torso or the "
+        "lungs more evenly"
+    )
+    # optimised once, no dihedral angle is below 5 degrees around a good heart mesh
+    vertices, tetrahedra, domains = tetrahedralise(
+        [
+            Interface(heart, triangles, NOTHING, body),
+            Interface(*skin, body, NOTHING),
+            *(Interface(*lung, number, body) for number, lung in enumerate(lungs, first_lung)),
+        ],
+        f"{mesh.name}: the torso around it",
+        remedy,
+        maxh=15.0,
+        grading=0.5,
+        optsteps3d=1,
+    )
+    flat = np.count_nonzero(signed_volumes(vertices, tetrahedra) <= 0)
+    if flat:
+        raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {remedy}")
+    progress(1, 2)
+    tissues = np.where(domains == body, int(TorsoTissue.BODY), int(TorsoTissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
         cavity = closed_cavity(mesh, label)
-        near = (domains == BODY) & _in_box(centres, cavity.vertices)
+        low, high = cavity.vertices.min(axis=0), cavity.vertices.max(axis=0)
+        in_box = ((centres >= low) & (centres <= high)).all(axis=1)
+        near = np.flatnonzero((domains == body) & in_box)
         winding = igl.fast_winding_number(*cavity, np.ascontiguousarray(centres[near]))
-        tissues[np.flatnonzero(near)[winding > ENCLOSED]] = TorsoTissue.BLOOD
+        tissues[near[winding > 0.5]] = TorsoTissue.BLOOD
+    used = np.unique(mesh.triangles)
     added = vertices[len(used) :]
     number = np.concatenate([used, len(mesh.vertices) + np.arange(len(added))])
-    progress(STEPS, STEPS)
+    progress(2, 2)
     return Torso(np.concatenate([mesh.vertices, added]), number[tetrahedra], tissues)
 
 
@@ -92,35 +102,3 @@ def closed_cavity(mesh: LabelledMesh, label: Label) -> Surface:
         triangles.append(fan(loop, number))
     kept, inwards = without_unused_vertices(np.concatenate(vertices), np.concatenate(triangles))
     return Surface(kept, np.ascontiguousarray(inwards[:, ::-1]))
-
-
-def _in_box(points: Floats, corners: Floats) -> Booleans:
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
-
-
-def _fill(
-    mesh: LabelledMesh, used: Integers, skin: Surface, lungs: Sequence[Surface]
-) -> tuple[Floats, Integers, Integers]:
-    """Fill the domains; the vertices begin with those of the heart's surface, the `used` ones."""
-    compact = np.empty(len(mesh.vertices), dtype=np.int64)
-    compact[used] = np.arange(len(used))
-    vertices, tetrahedra, domains = tetrahedralise(
-        [
-            Interface(mesh.vertices[used], compact[mesh.triangles], NOTHING, BODY),
-            Interface(*skin, BODY, NOTHING),
-            *(
-                Interface(*lung, number, BODY)
-                for number, lung in enumerate(lungs, start=FIRST_LUNG)
-            ),
-        ],
-        f"{mesh.name}: the torso around it",
-        REMEDY,
-        maxh=COARSEST,
-        grading=GRADING,
-        optsteps3d=OPTIMISATION_STEPS,
-    )
-    flat = np.count_nonzero(signed_volumes(vertices, tetrahedra) <= 0)
-    if flat:
-        raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {REMEDY}")
-    return vertices, tetrahedra, domains

@@ -1,19 +1,33 @@
-"""Closed triangle surfaces of the body: their measures, and what must not be wrong with them."""
+"""Closed triangle surfaces of the torso: what must not be wrong with them, and their files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import igl
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.mesh.measures import closed_volume
+from fascicle.core.errors import InputError
+from fascicle.heart.labelled_surface import LabelledMesh
+from fascicle.heart.validate import check_units
+from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
+from fascicle.mesh.formats.read import read_mesh
+from fascicle.mesh.measures import closed_volume, turned_outwards
 from fascicle.mesh.meshing import remeshed_triangles
+from fascicle.mesh.quality import intersections, self_intersections
+from fascicle.mesh.topology import (
+    boundary_triangles,
+    directed_edges,
+    unique_edges,
+    without_unused_vertices,
+)
 
-MM3_PER_LITRE = 1e6
-REMESHING_ERROR = 0.25  # largest distance between old and new surface, of the new edge length
+SKIN_EDGE, LUNG_EDGE = 11.0, 9.0  # mm, of the triangles
+LEAST_GAP = 0.5  # mm, between one surface and another
 
 
 class Surface(NamedTuple):
@@ -36,27 +50,12 @@ class Surface(NamedTuple):
     @property
     def litres(self) -> float:
         """Enclosed volume of a closed surface."""
-        return closed_volume(*self) / MM3_PER_LITRE
-
-
-def signed_distance(points: Floats, surface: Surface) -> Floats:
-    """Distance to a closed surface (mm), negative inside, shape (n,)."""
-    distance = igl.signed_distance(np.ascontiguousarray(points), *surface)[0]
-    return np.asarray(distance, dtype=float)
-
-
-def remeshed(surface: Surface, edge: float) -> Surface:
-    """Triangulate a closed surface again, with edges of about this length (mm)."""
-    alike = np.zeros(len(surface.triangles), dtype=np.int64)
-    vertices, triangles, _ = remeshed_triangles(
-        *surface, alike, hsiz=edge, hausd=REMESHING_ERROR * edge, angle=0
-    )
-    return Surface(vertices, triangles)
+        return closed_volume(*self) / 1e6
 
 
 @dataclass(frozen=True)
 class TorsoSurfaces:
-    """The body around a heart, in the heart's coordinates.
+    """The surfaces around a heart, in the heart's coordinates.
 
     Attributes
     ----------
@@ -72,3 +71,181 @@ class TorsoSurfaces:
     skin: Surface
     lungs: tuple[Surface, ...]
     electrodes: Floats | None = None
+
+
+def signed_distance(points: Floats, surface: Surface) -> Floats:
+    """Distance to a closed surface (mm), negative inside, shape (n,)."""
+    distance = igl.signed_distance(np.ascontiguousarray(points), *surface)[0]
+    return np.asarray(distance, dtype=float)
+
+
+def remeshed(surface: Surface, edge: float) -> Surface:
+    """Triangulate a closed surface again, with edges of about this length (mm)."""
+    alike = np.zeros(len(surface.triangles), dtype=np.int64)
+    vertices, triangles, _ = remeshed_triangles(
+        *surface, alike, hsiz=edge, hausd=0.25 * edge, angle=0
+    )
+    return Surface(vertices, triangles)
+
+
+def read_torso_surfaces(
+    skin: Path | str, lungs: Sequence[Path | str], mesh: LabelledMesh
+) -> TorsoSurfaces:
+    """Read the user's own torso.
+
+    Surfaces are welded (STL repeats every point), turned outwards, and remeshed if they are far
+    finer than a torso needs. Of a mesh of tetrahedra only the outer surface is used: labels of its
+    organs are not, give the lungs as files of their own.
+
+    Parameters
+    ----------
+    skin : path
+        Surface of the torso, closed, in the heart's coordinates (mm); any format of `read_mesh`.
+    lungs : sequence of path
+        Surfaces of the lungs, likewise.
+    mesh : LabelledMesh
+        The heart that they must enclose.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, holds no surface, or one that is open, in several pieces, not in
+        mm or not where a torso's or a lung's is.
+    """
+    read = TorsoSurfaces(
+        _read_surface(Path(skin), "torso", SKIN_EDGE),
+        tuple(_read_surface(Path(lung), "lung", LUNG_EDGE) for lung in lungs),
+    )
+    check_within(mesh, read.skin, read.lungs, [str(skin), *map(str, lungs)])
+    return read
+
+
+def _read_surface(path: Path, purpose: str, edge: float, most: int = 20_000) -> Surface:
+    """The triangles of a file, or the boundary of its tetrahedra; a finer surface is remeshed."""
+    mesh = read_mesh(path, purpose)
+    if len(mesh.cells.get(TETRAHEDRON, ())):
+        triangles, _ = boundary_triangles(mesh.require(TETRAHEDRON, "tetrahedra"))
+    else:
+        triangles = mesh.require(TRIANGLE, "triangles")
+    points, number = np.unique(mesh.points, axis=0, return_inverse=True)
+    triangles = number.reshape(-1)[triangles]
+    triangles = triangles[(np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)]
+    vertices, triangles = without_unused_vertices(points, triangles)
+    oriented, pieces = igl.bfs_orient(triangles)
+    if pieces.max() > 0:
+        raise InputError(
+            f"{path}: the surface falls into {pieces.max() + 1} pieces; keep the outer one"
+        )
+    surface = Surface(vertices, turned_outwards(vertices, oriented))
+    if len(triangles) > most:
+        check_closed(str(path), surface, purpose)
+        surface = remeshed(surface, edge)
+    return surface
+
+
+def check_within(
+    mesh: LabelledMesh, skin: Surface, lungs: Sequence[Surface] = (), names: Sequence[str] = ()
+) -> None:
+    """Refuse surfaces between which no tetrahedra fit.
+
+    Parameters
+    ----------
+    mesh : LabelledMesh
+        The heart (mm).
+    skin, lungs : Surface and sequence of Surface
+        The torso's (mm).
+    names : sequence of str
+        What to call skin and lungs in an error, where they come from files.
+
+    Raises
+    ------
+    InputError
+        If the torso is not in mm, a surface is open, crosses itself or has triangles turned the
+        wrong way, heart or lungs reach out of the torso, or heart and lungs or two lungs overlap.
+    """
+    names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
+    for name, surface in zip(names, (skin, *lungs), strict=True):
+        check_closed(name, surface, "torso" if surface is skin else "lung")
+        where = crossing(surface, surface)
+        if where is not None:
+            raise InputError(
+                f"{name}: the surface crosses itself at {_place(where)}; repair it or smooth it "
+                "there"
+            )
+    heart = Surface(mesh.vertices, mesh.triangles)
+    check_closed(mesh.name, heart)
+    _check_inside(mesh.name, mesh.vertices[np.unique(mesh.triangles)], skin)
+    placed = {mesh.name: heart}
+    for name, lung in zip(names[1:], lungs, strict=True):
+        _check_inside(name, lung.vertices, skin)
+        for other in placed.items():
+            _check_apart(name, lung, *other)
+        placed[name] = lung
+
+
+def check_closed(name: str, surface: Surface, organ: str = "heart") -> None:
+    """Refuse a surface that is not in mm, open, of several sheets on an edge, or inside out."""
+    # largest extents (mm): a child's is above the first, no adult's above the second
+    extents = {"torso": (200.0, 2500.0), "lung": (70.0, 450.0), "heart": (35.0, 400.0)}
+    check_units(name, surface.vertices, extents[organ])
+    edges, count = unique_edges(surface.triangles)
+    directed, times = np.unique(directed_edges(surface.triangles), axis=0, return_counts=True)
+    for bad, fault in (
+        (edges[count == 1], "the surface has an open edge at {}; close the hole"),
+        (
+            edges[count > 2],
+            "the surface has an edge of more than two triangles at {}; make it one closed surface",
+        ),
+        (
+            directed[times > 1],
+            "neighbouring triangles at {} are wound against each other; turn one",
+        ),
+    ):
+        if len(bad):
+            where = _place(surface.vertices[bad[0]].mean(axis=0))
+            raise InputError(f"{name}: {fault.format(where)}")
+    if surface.litres < 0:
+        raise InputError(f"{name}: the surface is inside out; reverse its triangles")
+
+
+def _check_inside(name: str, points: Floats, skin: Surface) -> None:
+    beyond = signed_distance(points, skin)
+    worst = int(np.argmax(beyond))
+    if beyond.min() > 0:
+        raise InputError(
+            f"{name}: lies outside the torso, {beyond.min():.0f} mm from its skin; give both in "
+            "the same frame and in mm"
+        )
+    if beyond[worst] > -LEAST_GAP:
+        how = f"pokes {beyond[worst]:.1f} mm through" if beyond[worst] > 0 else "touches"
+        raise InputError(
+            f"{name}: {how} the torso's skin at {_place(points[worst])}; give both in the same "
+            f"frame, or a torso that holds it and {LEAST_GAP:g} mm around it"
+        )
+
+
+def _check_apart(name: str, one: Surface, other_name: str, other: Surface) -> None:
+    """Refuse surfaces that overlap, one within the other included, or touch."""
+    points = np.concatenate([one.vertices, other.vertices])
+    gap = np.concatenate(
+        [signed_distance(one.vertices, other), signed_distance(other.vertices, one)]
+    )
+    crossed = crossing(one, other)
+    if gap.min() < LEAST_GAP or crossed is not None:
+        overlaps = gap.min() < 0 or crossed is not None
+        where = crossed if crossed is not None and gap.min() >= 0 else points[np.argmin(gap)]
+        how = f"overlaps {other_name} by {max(-gap.min(), 0):.1f} mm"
+        raise InputError(
+            f"{name}: {how if overlaps else f'touches {other_name}'} at {_place(where)}; cut it "
+            f"back there, with {LEAST_GAP:g} mm between"
+        )
+
+
+def _place(point: Floats) -> str:
+    return "({:.1f}, {:.1f}, {:.1f})".format(*point)
+
+
+def crossing(one: Surface, other: Surface) -> Floats | None:
+    """A place (3,) where two surfaces, or one given twice, pass through each other, if any."""
+    pairs = self_intersections(*one) if one is other else intersections(one, other)
+    return np.asarray(one.corners[pairs[0, 0]].mean(axis=0)) if len(pairs) else None

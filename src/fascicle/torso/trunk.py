@@ -1,38 +1,52 @@
-"""Skin of an adult trunk, as the level set of a smooth function in the body frame.
+"""An adult's trunk and lungs, as level sets of smooth functions in the body frame.
 
 Lengths along the body are fractions of its height; those across follow the girth of the chest. The
 body frame is that of `fascicle.torso.heart_pose`.
 
 Sources
 -------
+Standard adult : mean of the reference man (1.76 m, 73 kg) and the reference woman (1.63 m, 60 kg)
+    of ICRP Publication 89 (Valentin 2002, Ann ICRP 32(3-4)).
+Girth : Heinz et al. 2003, J Stat Educ 11(2): 247 men and 260 women of 1.71 m, 69.1 kg and 93.3 cm
+    on average. A cylinder's girth goes with the square root of weight by height, and so do these.
 Levels : Drillis and Contini 1966 (in Winter, Biomechanics and Motor Control of Human Movement):
     hip 0.530 and shoulder 0.818 of the height. The nipple, 0.72 to 0.73, lies in or a little below
     the fourth intercostal space, whose sternal end sets the origin here.
-Outline : depth to width as in Heinz et al. 2003, J Stat Educ 11(2) (17.7 and 20.8 cm across 26.1
-    and 30.0 cm of bony chest, 0.69); the widths at other levels are those of drawings of the
-    standing adult.
+Outline : depth to width as in Heinz et al. 2003 (17.7 and 20.8 cm across 26.1 and 30.0 cm of bony
+    chest, 0.69); the widths at other levels are those of drawings of the standing adult.
+Lung volume : Hall et al. 2021, Eur Respir J 57:2000289 (2.5 l of gas in the reference woman and
+    3.2 l in the reference man at the end of expiration); tissue and blood of the lungs add 0.95 and
+    1.2 kg (ICRP 89).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from math import sqrt
 
 import igl
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial import ConvexHull
 
 from fascicle.core.arrays import Floats
-from fascicle.mesh.measures import turned_outwards
-from fascicle.torso.body_size import SQUARENESS, BodySize
-from fascicle.torso.surfaces import Surface, remeshed
+from fascicle.core.errors import InputError
+from fascicle.mesh.measures import triangle_normals, turned_outwards
+from fascicle.mesh.topology import without_unused_vertices
+from fascicle.torso.surfaces import LUNG_EDGE, SKIN_EDGE, Surface, remeshed, signed_distance
 
 # About the distance (mm) of points (n, 3) to a surface, negative inside
 Outside = Callable[[Floats], Floats]
 # Where points (n, 3) of a deformed body lie in the body as it was before
 Deformation = Callable[[Floats], Floats]
 
-# Level (of the height), half-width and half-depth of the outline (of those at V1's level), and how
-# much of the shoulders' and of the hips' width counts there
+SHAPE = ("depth", "shoulders", "hips")
+SQUARENESS = 2.4  # exponent of the superellipse that is the outline; 2 is an ellipse
+WIDEST = 1.2  # half-widths of the chest beyond which no section of the trunk reaches
+# Sections of the trunk: level (of the height), half-width and half-depth of the outline (of those
+# at V1's level), and how much of the shoulders' and of the hips' width counts there
 SECTIONS = np.array(
     [
         (0.480, 0.88, 0.86, 0.0, 1.0),
@@ -47,15 +61,88 @@ SECTIONS = np.array(
         (0.870, 0.36, 0.44, 0.0, 0.0),
     ]
 )
-BOTTOM, TOP = 0.495, 0.850  # where the trunk is cut off
-ROUNDING = 30.0  # mm, of the edges there
-WIDEST = 1.2  # beyond every section above (of the half-width)
-LEAST_RATIO = 1e-9  # of the distance from the trunk's axis to that of the outline
+# Likewise of ribs and all within: level, half-width and half-depth
+CAGE = np.array(
+    [
+        (0.600, 0.84, 0.80),
+        (0.735, 0.82, 0.78),
+        (0.765, 0.76, 0.74),
+        (0.790, 0.62, 0.60),
+        (0.810, 0.44, 0.44),
+        (0.830, 0.16, 0.20),
+    ]
+)
 
-SKIN_GRID = 12.0  # mm, of the level set
-GRID_MARGIN = 3  # steps of the grid around the box
-LEAST_LEVEL = 0.05  # of that spacing
-SKIN_EDGE = 11.0  # mm, of the triangles
+
+@dataclass(frozen=True)
+class BodySize:
+    """What an adult trunk is scaled by.
+
+    Attributes
+    ----------
+    height : float
+        Standing height (m).
+    weight : float
+        Body weight (kg).
+    chest : float, optional
+        Girth of the chest at the level of the nipples (cm); from height and weight if not given.
+    depth, shoulders, hips : float
+        Factors on the standard adult's depth by width of the chest, and on the width of shoulders
+        and hips.
+
+    Raises
+    ------
+    InputError
+        If a value is not one of an adult.
+    """
+
+    height: float = 1.70
+    weight: float = 66.5
+    chest: float | None = None
+    depth: float = 1.0
+    shoulders: float = 1.0
+    hips: float = 1.0
+
+    def __post_init__(self) -> None:
+        # the girth comes last, as it is a number for a possible height and weight only
+        limits = {"height": (1.2, 2.3, "m"), "weight": (25.0, 250.0, "kg")}
+        limits |= dict.fromkeys(SHAPE, (0.5, 2.0, "times"))
+        for name, (low, high, unit) in (limits | {"girth": (50.0, 180.0, "cm")}).items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(
+                    f"torso: {'chest ' if name == 'girth' else ''}{name} {value:.4g} {unit} is not "
+                    f"that of an adult; give {low:g} to {high:g} {unit}"
+                )
+
+    @property
+    def girth(self) -> float:
+        """Girth of the chest (cm)."""
+        return self.chest if self.chest is not None else 14.7 * sqrt(self.weight / self.height)
+
+    @property
+    def flatness(self) -> float:
+        """Depth by width of the chest."""
+        return self.depth * 0.70
+
+    @cached_property
+    def half_width(self) -> float:
+        """Of the chest's outline at the level of V1 (mm)."""
+        angle = np.linspace(0, 2 * np.pi, 721)
+        outline = np.stack([np.cos(angle), np.sin(angle)])
+        outline = np.sign(outline) * np.abs(outline) ** (2 / SQUARENESS)
+        outline[1] *= self.flatness
+        perimeter = np.linalg.norm(np.diff(outline), axis=0).sum()
+        return float(10 * self.girth / perimeter)
+
+    @property
+    def half_depth(self) -> float:
+        """Of the chest's outline at the level of V1 (mm)."""
+        return self.flatness * self.half_width
+
+    def level(self, fraction: float) -> float:
+        """Height z in the body frame (mm) of a fraction of the standing height; V1's is 0."""
+        return 1000 * self.height * (fraction - 0.735)
 
 
 def identity(points: Floats) -> Floats:
@@ -70,41 +157,38 @@ def trunk(body: BodySize) -> Surface:
 
 def skin_of(outside: Outside, box: Floats) -> Surface:
     """Mesh the surface on which a function vanishes, within a box (2, 3), as a skin."""
-    return remeshed(level_set(outside, box, SKIN_GRID), SKIN_EDGE)
+    return remeshed(level_set(outside, box, 12.0), SKIN_EDGE)
 
 
 def trunk_box(body: BodySize, margin: float = 0.0) -> Floats:
     """Two opposite corners (2, 3) of a box around the trunk, in the body frame (mm)."""
     across = WIDEST * max(1.0, body.shoulders, body.hips, body.depth) * body.half_width
-    corner = np.array([across, across, body.level(TOP)])
-    other = np.array([-across, -across, body.level(BOTTOM)])
-    return np.array([other - margin, corner + margin])
+    lower, upper = _ends(body)
+    corners = np.array([[-across, -across, lower], [across, across, upper]])
+    return corners + np.array([[-margin], [margin]])
+
+
+def _ends(body: BodySize) -> tuple[float, float]:
+    """Where the trunk is cut off below and above (mm)."""
+    return body.level(0.495), body.level(0.850)
 
 
 def outside_trunk(body: BodySize) -> Outside:
     """About how far points of the body frame are from the skin (mm), negative inside."""
-    lower, upper = body.level(BOTTOM), body.level(TOP)
+    lower, upper = _ends(body)
     sections = SECTIONS[:, :3].copy()
     sections[:, 1] *= body.shoulders ** SECTIONS[:, 3] * body.hips ** SECTIONS[:, 4]
-    beside = beyond_sections(body, sections)
+    beyond = beyond_sections(body, sections)
 
     def outside(points: Floats) -> Floats:
         ends = np.maximum(lower - points[:, 2], points[:, 2] - upper)
-        return smooth_max(beside(points), ends, ROUNDING)
+        return smooth_max(beyond(points), ends, 30.0)
 
     return outside
 
 
 def beyond_sections(body: BodySize, sections: Floats) -> Outside:
-    """About the distance (mm) of points to a stack of superellipses, negative inside.
-
-    Parameters
-    ----------
-    body : BodySize
-        What they are scaled by.
-    sections : (k, 3) array
-        Level (of the height), half-width and half-depth (of those of the chest at V1's level).
-    """
+    """About the distance (mm) of points to a stack of superellipses, as those of `CAGE` (k, 3)."""
     level = np.array([body.level(fraction) for fraction in sections[:, 0]])
     halves = PchipInterpolator(level, sections[:, 1:] * (body.half_width, body.half_depth))
 
@@ -112,7 +196,7 @@ def beyond_sections(body: BodySize, sections: Floats) -> Outside:
         half = halves(np.clip(points[:, 2], level[0], level[-1]))
         relative = (np.abs(points[:, :2] / half) ** SQUARENESS).sum(axis=1) ** (1 / SQUARENESS)
         # exact along x and along y, where the outline is that far away
-        reach = np.linalg.norm(points[:, :2], axis=1) / np.maximum(relative, LEAST_RATIO)
+        reach = np.linalg.norm(points[:, :2], axis=1) / np.maximum(relative, 1e-9)
         return np.asarray((relative - 1) * np.clip(reach, half.min(axis=1), half.max(axis=1)))
 
     return outside
@@ -129,15 +213,101 @@ def level_set(outside: Outside, box: Floats, spacing: float) -> Surface:
 
     The box (2, 3), two opposite corners, holds the surface; the grid has this spacing (mm).
     """
-    axes = [
-        np.arange(low - GRID_MARGIN * spacing, high + (GRID_MARGIN + 1) * spacing, spacing)
-        for low, high in box.T
-    ]
+    axes = [np.arange(low - 3 * spacing, high + 4 * spacing, spacing) for low, high in box.T]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
     values = outside(points)
     # a surface through a grid point, or nearly so, would have triangles of no area
-    least = LEAST_LEVEL * spacing
+    least = 0.05 * spacing
     values = np.where(np.abs(values) < least, np.copysign(least, values), values)
     vertices, triangles, _ = igl.marching_cubes(values, points, *(len(axis) for axis in axes), 0.0)
     return Surface(vertices, turned_outwards(vertices, triangles))
+
+
+def convex_hull(points: Floats) -> Surface:
+    """Convex hull of points (n, 3), counter-clockwise seen from outside."""
+    hull = ConvexHull(points)
+    vertices, triangles = without_unused_vertices(points, hull.simplices)
+    outward = hull.equations[:, :3]
+    inverted = np.einsum("ij,ij->i", triangle_normals(vertices, triangles), outward) < 0
+    triangles[inverted] = triangles[inverted, ::-1]
+    return Surface(vertices, triangles)
+
+
+def exclusion_hull(heart: Floats, base: Floats) -> Surface:
+    """Convex hull of the ventricles' points and of room for the atria, 45 mm behind the base."""
+    towards_atria = base.mean(axis=0) - heart.mean(axis=0)
+    towards_atria *= 45.0 / np.linalg.norm(towards_atria)
+    # the atria continue what lies within 15 mm from the base
+    near_base = heart[(heart - base.mean(axis=0)) @ towards_atria > -45.0 * 15.0]
+    return convex_hull(np.concatenate([heart, near_base + towards_atria]))
+
+
+def lungs_of(
+    name: str,
+    body: BodySize,
+    excluded: Surface,
+    undeformed: Deformation = identity,
+    smallest: float = 0.3,
+) -> tuple[Surface, Surface]:
+    """Left and right lung in the body frame (mm).
+
+    Parameters
+    ----------
+    name : str
+        What to call the heart in an error.
+    body : BodySize
+        What the trunk is scaled by.
+    excluded : Surface
+        The `exclusion_hull`, in the body frame (mm).
+    undeformed : callable
+        Where points of the body frame lie in the trunk as it was before it was deformed.
+    smallest : float
+        Volume (litres) below which a lung is none.
+
+    Raises
+    ------
+    InputError
+        If the heart leaves no room for one.
+    """
+    lungs = []
+    for side, dome_level in (("left", 0.710), ("right", 0.717)):  # of the diaphragm's top
+        sign = 1 if side == "left" else -1
+        lung = _lung(body, excluded, sign, dome_level, undeformed)
+        if lung is None or lung.litres < smallest:
+            raise InputError(
+                f"{name}: leaves no room for the {side} lung in the idealised torso; check pose "
+                "and units, or give a larger height, weight or chest girth"
+            )
+        lungs.append(lung)
+    return lungs[0], lungs[1]
+
+
+def _lung(
+    body: BodySize, excluded: Surface, sign: int, dome_level: float, undeformed: Deformation
+) -> Surface | None:
+    """One lung: within the ribs, lateral to the mediastinum and the heart, above the diaphragm."""
+    half_width, half_depth = body.half_width, body.half_depth
+    height, top, blend, spacing = 1000 * body.height, body.level(0.822), 20.0, 8.0  # mm
+    outside_ribs = beyond_sections(body, CAGE)
+
+    def outside(points: Floats) -> Floats:
+        in_trunk = undeformed(points)
+        x, y, z = sign * in_trunk[:, 0], in_trunk[:, 1] / half_depth, in_trunk[:, 2]
+        # the mediastinum is 0.13 half-widths wide in front and 0.26 at the spine
+        middle = half_width * (0.13 + (0.26 - 0.13) / (1 + np.exp(-6.0 * (y - 0.1))))
+        # the dome's top is 0.4 half-widths from the midplane; it falls towards ribs and back
+        radius = np.hypot((x / half_width - 0.4) / 0.6, y / 0.9)
+        dome = body.level(dome_level) - height * (0.055 * radius**2 + 0.012 * y)
+        beyond = outside_ribs(in_trunk)
+        for other in (middle - x, dome - z, z - top):
+            beyond = smooth_max(beyond, other, blend)
+        near = beyond < 2 * spacing  # elsewhere the heart makes no difference
+        heart = 6.0 - signed_distance(points[near], excluded)  # mm between heart and lungs
+        beyond[near] = smooth_max(beyond[near], heart, blend)
+        return beyond
+
+    reach = np.array([half_width, half_depth])
+    box = np.stack([np.append(-reach, body.level(CAGE[0, 0])), np.append(reach, top)])
+    surface = level_set(outside, box, spacing)
+    return remeshed(surface, LUNG_EDGE) if len(surface.triangles) else None

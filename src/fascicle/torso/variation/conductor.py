@@ -1,4 +1,11 @@
-"""Heart, torso and electrodes as a conductor that depends on what is not known of the body."""
+"""Heart, torso and electrodes as a conductor that depends on what is not known of the torso.
+
+A point x of the torso moves by a share w(x) of what the skin moves by, w = d/(d + D) for its
+distances d to the convex hull of heart and blood and D to the skin. The potentials on the moved
+torso are those on the unmoved mesh with the conductivity σT, T = |J| J⁻¹J⁻ᵀ with the Jacobian J of
+that map, taken at each tetrahedron's centre: nothing is meshed again, and flat tetrahedra, which
+moving their corners would turn over, do no harm.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +13,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+import igl
 import numpy as np
 from scipy.sparse import csr_matrix
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, Torso, TorsoTissue
-from fascicle.mesh.measures import solid_centroid
+from fascicle.mesh.measures import solid_centroid, unit
+from fascicle.torso.electrode_sites import Electrode
 from fascicle.torso.lead_fields import assemble_stiffness, outer_boundary, total_conductivity
-from fascicle.torso.variation.body_axes import Motion, body_axes
-from fascicle.torso.variation.morph import Morph, build_morph, symmetric
 
-TISSUES = (TorsoTissue.BODY, TorsoTissue.LUNG, TorsoTissue.BLOOD)
-LEAST_COMPRESSION = 0.1  # of the map's volumes: the heart keeps a tenth of its distance to the skin
-CHEST = ELECTRODES[3:]
+# What becomes of volumes at least, where the skin comes nearest to the heart: a tenth
+LEAST_COMPRESSION = 0.1
 
 
 @dataclass(frozen=True)
@@ -58,18 +65,157 @@ class BodyState:
     @classmethod
     def of(cls, values: Mapping[str, float]) -> BodyState:
         """From quantities of `fascicle.core.quantities`; those that are missing are neutral."""
+        pose = [
+            values.get(f"heart_{turn}{axis}", 0.0)
+            for turn in ("", "turn_")
+            for axis in ("left", "back", "up")
+        ]
+        conductivities = [
+            values.get(f"{tissue.name.lower()}_conductivity", 1.0) for tissue in TorsoTissue
+        ]
+        muscle = values.get("myocardium_conductivity", 1.0)
+        together = values.get("chest_electrodes_up", 0.0)
+        chest = [
+            (values.get(f"v{k}_left", 0.0), values.get(f"v{k}_up", 0.0) + together)
+            for k in range(1, 7)
+        ]
+        return cls(
+            np.array([*pose, values.get("chest_size", 1.0)]),
+            np.array([factor / muscle for factor in conductivities]),
+            np.array(chest),
+        )
 
-        def value(name: str, neutral: float = 0.0) -> float:
-            return values.get(name, neutral)
 
-        pose = [value(f"heart_{way}") for way in ("left", "back", "up")]
-        turns = [value(f"heart_turn_{way}") for way in ("left", "back", "up")]
-        muscle = value("myocardium_conductivity", 1.0)
-        ratios = [value(f"{t.name.lower()}_conductivity", 1.0) / muscle for t in TISSUES]
-        together = value("chest_electrodes_up")
-        chest = [(value(f"{n.lower()}_left"), value(f"{n.lower()}_up") + together) for n in CHEST]
-        geometry = np.array([*pose, *turns, value("chest_size", 1.0)])
-        return cls(geometry, np.array(ratios), np.array(chest))
+def body_axes(electrodes: Floats) -> Floats:
+    """Directions of the body in the heart's coordinates, from the limb electrodes.
+
+    RA and LA lie level, LL below them in the plane of the front: LL may lie to one side. Rows
+    (3, 3): to the patient's left, to the back, up; orthonormal and right-handed.
+    """
+    left = unit(electrodes[Electrode.LA] - electrodes[Electrode.RA])
+    upwards = electrodes[:2].mean(axis=0) - electrodes[Electrode.LL]
+    back = unit(np.cross(upwards, left))
+    return np.stack([left, back, np.cross(left, back)])
+
+
+@dataclass(frozen=True)
+class SkinMotion:
+    """How the skin moves around a heart that stays: x → c + Rᵀ(s(x − c) − t).
+
+    Attributes
+    ----------
+    centroid : (3,) array
+        c, of the heart (mm).
+    rotation : (3, 3) array
+        R, of the heart about c.
+    shift : (3,) array
+        t: the heart's displacement in the chest (mm).
+    size : float
+        s: factor on the trunk about c.
+    """
+
+    centroid: Floats
+    rotation: Floats
+    shift: Floats
+    size: float
+
+    @classmethod
+    def of(cls, centroid: Floats, axes: Floats, geometry: Floats) -> SkinMotion:
+        """Of `BodyState.geometry` along the body's axes."""
+        rotation = Rotation.from_rotvec(geometry[3:6] @ axes).as_matrix()
+        return cls(centroid, rotation, geometry[:3] @ axes, float(geometry[6]))
+
+    def __call__(self, points: Floats) -> Floats:
+        """Where points (..., 3) that move with the skin are then (mm)."""
+        moved = self.size * (points - self.centroid) - self.shift
+        return np.asarray(self.centroid + moved @ self.rotation)
+
+    @property
+    def strain(self) -> Floats:
+        """Its derivative by x, less the identity: (3, 3)."""
+        return np.asarray(self.size * self.rotation.T - np.eye(3))
+
+
+@dataclass(frozen=True)
+class Morph:
+    """The map at some points: the centres of the torso's tetrahedra.
+
+    Attributes
+    ----------
+    centres : (m, 3) array
+        Where (mm).
+    share : (m,) array
+        w: 0 in the heart's convex hull, 1 on the skin.
+    slope : (m, 3) array
+        ∇w (1/mm).
+    """
+
+    centres: Floats
+    share: Floats
+    slope: Floats
+
+    def jacobians(self, motion: SkinMotion) -> Floats:
+        """J = I + (y(x) − x)⊗∇w + w(∇y − I) for the skin's motion y, shape (m, 3, 3)."""
+        away = motion(self.centres) - self.centres
+        return np.asarray(
+            np.eye(3)
+            + away[:, :, None] * self.slope[:, None, :]
+            + self.share[:, None, None] * motion.strain
+        )
+
+    def determinants(self, motion: SkinMotion) -> Floats:
+        """|J| (m,): what becomes of volumes, at or below 0 where heart and skin touch.
+
+        For J = M + a⊗∇w with M = I + wL it is |M| + ∇w·adj(M)a, a polynomial in w.
+        """
+        away, linear = motion(self.centres) - self.centres, motion.strain
+        trace, square = np.trace(linear), linear @ linear
+        minors = (trace**2 - np.trace(square)) / 2
+        adjugate = square - trace * linear + minors * np.eye(3)
+        w = self.share
+        constant = 1 + w * (trace + w * (minors + w * np.linalg.det(linear)))
+        first = away @ (trace * np.eye(3) - linear).T
+        moved = away + w[:, None] * (first + w[:, None] * (away @ adjugate.T))
+        return np.asarray(constant + np.einsum("mi,mi->m", self.slope, moved))
+
+    def of(self, chosen: Integers | Booleans | slice) -> Morph:
+        """The same for some of the points."""
+        return Morph(self.centres[chosen], self.share[chosen], self.slope[chosen])
+
+
+def pulled_back(jacobians: Floats) -> Floats:
+    """|J| J⁻¹J⁻ᵀ = C Cᵀ/|J| for the cofactors C of J, transposed; (m, 3, 3)."""
+    columns = [jacobians[:, :, k] for k in range(3)]  # their products are rows of C
+    cofactor = [np.cross(columns[(k + 1) % 3], columns[(k + 2) % 3]) for k in range(3)]
+    determinant = np.einsum("mi,mi->m", columns[0], cofactor[0])
+    tensors = np.empty_like(jacobians)
+    for i in range(3):
+        for j in range(i, 3):
+            product = np.einsum("mi,mi->m", cofactor[i], cofactor[j])
+            tensors[:, i, j] = tensors[:, j, i] = product / determinant
+    return tensors
+
+
+def build_morph(heart: Heart, torso: Torso, skin: Integers) -> Morph:
+    """The map at the centres of a torso's tetrahedra, for the triangles (t, 3) of its skin."""
+    blood = torso.tetrahedra[torso.tissues == TorsoTissue.BLOOD]
+    inner = torso.vertices[np.union1d(heart.tetrahedra, blood)]
+    hull = ConvexHull(inner)
+    centres = torso.vertices[torso.tetrahedra].mean(axis=1)
+    to_hull, from_hull = _away(centres, inner, hull.simplices.astype(np.int64))
+    to_skin, from_skin = _away(centres, torso.vertices, skin)
+    inside = (centres @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) <= 0
+    whole = to_hull + to_skin
+    slope = (to_skin[:, None] * from_hull - to_hull[:, None] * from_skin) / whole[:, None] ** 2
+    slope[inside], share = 0.0, np.where(inside, 0.0, to_hull / whole)
+    return Morph(centres, share, slope)
+
+
+def _away(points: Floats, vertices: Floats, triangles: Integers) -> tuple[Floats, Floats]:
+    """Distances (m,) to a surface (mm), and the unit vectors (m, 3) along which they grow."""
+    squared, _, nearest = igl.point_mesh_squared_distance(points, vertices, triangles)
+    distance = np.sqrt(np.maximum(squared, 1e-12))
+    return distance, (points - nearest) / distance[:, None]
 
 
 @dataclass(frozen=True)
@@ -99,12 +245,12 @@ class Conductor:
         """The heart's, then the torso's (m, 4)."""
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra])
 
-    @cached_property
+    @property
     def of_heart(self) -> Floats:
         """σ of the heart's tetrahedra (h, 3, 3)."""
         return self.conductivity[: len(self.heart.tetrahedra)]
 
-    @cached_property
+    @property
     def around(self) -> Floats:
         """σ of the torso's tetrahedra (t, 3, 3)."""
         return self.conductivity[len(self.heart.tetrahedra) :]
@@ -120,6 +266,11 @@ class Conductor:
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra[self.inside]])
 
     @cached_property
+    def hull_surface(self) -> Integers:
+        """Vertices (s,) between that hull and what is outside."""
+        return np.intersect1d(self.in_hull, self.torso.tetrahedra[~self.inside])
+
+    @cached_property
     def axes(self) -> Floats:
         """Rows: to the left, back and up (3, 3)."""
         return body_axes(self.heart.electrodes)
@@ -129,13 +280,13 @@ class Conductor:
         """Of the myocardium (3,), mm."""
         return solid_centroid(self.heart.vertices, self.heart.tetrahedra)
 
-    def motion(self, state: BodyState) -> Motion:
+    def motion(self, state: BodyState) -> SkinMotion:
         """The skin's motion around the heart."""
-        return Motion.of(self.centroid, self.axes, state.geometry)
+        return SkinMotion.of(self.centroid, self.axes, state.geometry)
 
     def is_possible(self, state: BodyState) -> bool:
         """Whether the heart keeps clear of the skin."""
-        return self.morph.compression(self.motion(state)) > LEAST_COMPRESSION
+        return float(self.morph.determinants(self.motion(state)).min()) > LEAST_COMPRESSION
 
     def stiffness(self, state: BodyState) -> csr_matrix:
         """Conductances (n, n) over the factor on the myocardium's conductivity (1/kΩ)."""
@@ -145,13 +296,12 @@ class Conductor:
     def moved(self, state: BodyState, chosen: Booleans | slice = slice(None)) -> Floats:
         """σT of the torso's tetrahedra, or of those chosen (c, 3, 3), as the body moves (mS/cm)."""
         sigma = self.around[chosen] * self.factors(state)[chosen, None, None]
-        return np.asarray(sigma @ symmetric(self.morph.of(chosen).tensors(self.motion(state))))
+        jacobians = self.morph.of(chosen).jacobians(self.motion(state))
+        return np.asarray(sigma @ pulled_back(jacobians))
 
     def factors(self, state: BodyState) -> Floats:
         """Factor on the conductivity of each of the torso's tetrahedra (m,)."""
-        of_tissue = np.zeros(max(TISSUES) + 1)
-        of_tissue[list(TISSUES)] = state.ratios
-        return np.asarray(of_tissue[self.torso.tissues])
+        return np.asarray(state.ratios[self.torso.tissues - min(TorsoTissue)])
 
 
 def build_conductor(heart: Heart, torso: Torso, conduction: Conduction) -> Conductor:

@@ -14,7 +14,7 @@ an electrode near the hull in plain tissue without end, which is what varies ste
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -25,22 +25,33 @@ from scipy.interpolate import RBFInterpolator
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.quantities import body_values
 from fascicle.core.threads import one_thread
-from fascicle.torso.electrode_sites import V1
-from fascicle.torso.variation.body_axes import Motion
-from fascicle.torso.variation.conductor import LEAST_COMPRESSION, BodyState, InvalidBody
-from fascicle.torso.variation.electrode_paths import LEFT, SPACING, UP
+from fascicle.mesh.measures import triangle_normals, unit
+from fascicle.torso.electrode_sites import Electrode
+from fascicle.torso.lead_fields import Contacts, contacts_on
+from fascicle.torso.variation.conductor import (
+    LEAST_COMPRESSION,
+    BodyState,
+    InvalidBody,
+    Morph,
+    SkinMotion,
+)
 from fascicle.torso.variation.exterior import NearField
-from fascicle.torso.variation.morph import Morph
 
-REMEMBERED = 8  # bodies whose coefficients are kept, the neutral one among them
-# What is interpolated over: ends of displacement (mm), rotation (rad), size, log of conductivities
-SHIFT, TURN, SIZE, LOG_FACTOR = 20.0, np.radians(20.0), 0.15, np.log(2.0)
+# Places (mm) of chest electrodes along the skin, whose triangles have edges of some 11 mm: beyond
+# the 25 mm of one electrode over a chest of 0.85, and upwards also the 40 mm of all together
+SPACING = 6.0
+LEFT: Floats = SPACING * np.arange(-5.0, 6.0)
+UP: Floats = SPACING * np.arange(-13.0, 14.0)
+# Ends of what is interpolated over: displacements (mm), rotations (rad), size, and the logarithm of
+# conductivities
+REACH = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
+LOG_FACTOR = np.log(2.0)
 
 
 def exterior_inputs(state: BodyState) -> Floats:
     """The eight numbers that the outside depends on, about 1 at the ends of their ranges."""
     body, lung, _ = state.ratios
-    geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / ([SHIFT] * 3 + [TURN] * 3 + [SIZE])
+    geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / REACH
     return np.append(geometry, np.log(lung / body) / (2 * LOG_FACTOR))
 
 
@@ -90,26 +101,24 @@ class BodyResponse:
 
     @one_thread
     def __call__(self, state: BodyState) -> Floats | InvalidBody:
-        """Coefficients of the modes for every electrode.
+        """Coefficients (9, k) of the modes for every electrode.
 
-        Parameters
-        ----------
-        state : BodyState
-            The body.
-
-        Returns
-        -------
-        (9, k) array or InvalidBody
-            Over the factor on the myocardium's conductivity; the nine sum to zero.
+        Over the factor on the myocardium's conductivity; the nine sum to zero.
         """
-        motion = Motion.of(self.centroid, self.axes, state.geometry)
+        motion = SkinMotion.of(self.centroid, self.axes, state.geometry)
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
-        if critical.compression(motion) < LEAST_COMPRESSION:
+        if critical.determinants(motion).min() < LEAST_COMPRESSION:
             return InvalidBody("the heart would touch the skin")
         weights = self._weights(exterior_inputs(state)[None])[0].astype(self.outer.dtype)
         outer = np.empty(self.filled.shape)
-        outer[self._upper] = outer.T[self._upper] = weights @ self.outer
-        driven = self.driven(state, motion, weights, outer)
+        upper = np.triu_indices(len(outer))
+        outer[upper] = outer.T[upper] = weights @ self.outer
+        # on a larger trunk the same distance is a smaller part of the skin
+        moved = state.chest / state.geometry[6]
+        near = NearField(self.hull, self.projection, self.filled)
+        remainders = np.tensordot(weights, self.remainders, axes=1)
+        driven = near(motion(at_electrodes(self.places, moved)), outer)
+        driven = driven + at_electrodes(self.patterns, moved) @ remainders
         energy = np.tensordot(np.append(1.0, state.ratios), self.inner, axes=1)
         energy += state.ratios[0] * outer
         try:
@@ -124,40 +133,27 @@ class BodyResponse:
 
     @cached_property
     def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidBody]:
-        return lru_cache(REMEMBERED)(lambda values: self(BodyState.of(dict(values))))
+        return lru_cache(8)(lambda values: self(BodyState.of(dict(values))))
 
     @cached_property
     def _weights(self) -> RBFInterpolator:
         """How much each of the bodies solved counts at a place (1, b)."""
         return RBFInterpolator(self.bodies, np.eye(len(self.bodies)), kernel="cubic", degree=1)
 
-    @cached_property
-    def _upper(self) -> tuple[Integers, Integers]:
-        return np.triu_indices(len(self.modes))
-
-    def driven(self, state: BodyState, motion: Motion, weights: Floats, outer: Floats) -> Floats:
-        """The current f of every electrode into the modes (9, k)."""
-        # on a larger trunk the same distance is a smaller part of the skin
-        moved = state.chest / state.geometry[6]
-        near = NearField(self.hull, self.projection, self.filled)
-        remainders = np.tensordot(weights, self.remainders, axes=1)
-        at = at_electrodes(self.places, moved)
-        return near(motion.of_skin(at), outer) + at_electrodes(self.patterns, moved) @ remainders
-
     def arrays(self) -> dict[str, Any]:
         """Every array, by its name, for files."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
 def at_electrodes(values: Floats, moved: Floats) -> Floats:
     """Values (9, c) at the electrodes, of those at all places, where V1 to V6 are moved (6, 2)."""
     (i, a), (j, b) = _between(moved[:, 0], LEFT), _between(moved[:, 1], UP)
-    corner = V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UP) + j
+    corner = Electrode.V1 + (np.arange(len(moved)) * len(LEFT) + i) * len(UP) + j
     a, b = a[:, None], b[:, None]
     chest = (1 - a) * ((1 - b) * values[corner] + b * values[corner + 1])
     corner += len(UP)
     chest += a * ((1 - b) * values[corner] + b * values[corner + 1])
-    return np.concatenate([values[:V1], chest])
+    return np.concatenate([values[: Electrode.V1], chest])
 
 
 def _between(values: Floats, places: Floats) -> tuple[Integers, Floats]:
@@ -165,3 +161,58 @@ def _between(values: Floats, places: Floats) -> tuple[Integers, Floats]:
     position = np.clip((values - places[0]) / SPACING, 0, len(places) - 1)
     index = np.minimum(position.astype(np.int64), len(places) - 2)
     return index, position - index
+
+
+def electrode_places(
+    vertices: Floats, skin: Integers, electrodes: Floats, axes: Floats
+) -> Contacts:
+    """Contacts of the limb electrodes, then of V1 to V6 at every place of a grid along the skin.
+
+    From where an electrode is, it goes up or down along the skin first, then horizontally.
+
+    Parameters
+    ----------
+    vertices : (n, 3) array
+        The mesh (mm).
+    skin : (t, 3) array
+        Triangles of the skin.
+    electrodes : (9, 3) array
+        Positions (mm).
+    axes : (3, 3) array
+        Directions to the left, back and up.
+
+    Returns
+    -------
+    Contacts
+        3 + 6 · len(LEFT) · len(UP) of them: by electrode, then to the left, then up.
+    """
+    vertex_normals = np.zeros_like(vertices)  # weighted by areas
+    for corner in skin.T:
+        np.add.at(vertex_normals, corner, triangle_normals(vertices, skin))
+
+    def on_skin(points: Floats) -> tuple[Floats, Floats]:
+        """Nearest points of the skin, and its normals there."""
+        found = contacts_on(vertices, skin, points)
+        weights = found.weights[:, :, None]
+        place = (weights * vertices[found.triangles]).sum(axis=1)
+        return place, unit((weights * vertex_normals[found.triangles]).sum(axis=1))
+
+    def line(start: Floats, direction: Floats, places: Floats) -> Floats:
+        """Points (places, n, 3) at such distances (mm) along the skin from the start (n, 3)."""
+        origin = int(np.argmin(np.abs(places)))
+        reached = {origin: on_skin(start)[0]}
+        for sign, last in ((1, len(places)), (-1, -1)):
+            for k in range(origin + sign, last, sign):
+                point = reached[k - sign]
+                for _ in range(3):  # steps between two places; each is put back onto the skin
+                    place, normal = on_skin(point)
+                    along = sign * direction - (normal @ (sign * direction))[:, None] * normal
+                    point = on_skin(place + SPACING / 3 * unit(along))[0]
+                reached[k] = point
+        return np.array([reached[k] for k in range(len(places))])
+
+    limbs, chest = np.split(np.ascontiguousarray(electrodes, dtype=float), [Electrode.V1])
+    rows = line(chest, axes[2], UP)  # (up, 6, 3)
+    grid = line(rows.reshape(-1, 3), axes[0], LEFT).reshape(len(LEFT), len(UP), len(chest), 3)
+    places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3)])
+    return contacts_on(vertices, skin, places)
