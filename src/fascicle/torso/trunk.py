@@ -165,7 +165,7 @@ def trunk_box(body: BodySize, margin: float = 0.0) -> Floats:
     across = WIDEST * max(1.0, body.shoulders, body.hips, body.depth) * body.half_width
     lower, upper = _ends(body)
     corners = np.array([[-across, -across, lower], [across, across, upper]])
-    return corners + np.array([[-margin], [margin]])
+    return np.asarray(corners + np.array([[-margin], [margin]]))
 
 
 def _ends(body: BodySize) -> tuple[float, float]:
