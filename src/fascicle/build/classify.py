@@ -53,12 +53,6 @@ def classify_surface(
         The same triangles, turned to face out of the tissue, with `Label.BASE`,
         `Label.EPICARDIUM`, `Label.LV_ENDOCARDIUM` and `Label.RV_ENDOCARDIUM`; each of these is one
         piece and each endocardium has one opening. Vertices that no triangle uses are dropped.
-
-    Raises
-    ------
-    InputError
-        If the surface is not closed or not one piece, is not in mm, or does not have two cavities
-        with one opening each.
     """
     vertices, triangles = without_unused_vertices(vertices, triangles)
     check_units(name, vertices)

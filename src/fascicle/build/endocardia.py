@@ -51,11 +51,6 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
     Small components, spurs and non-manifold vertices of the labels are cleaned first. Where an
     endocardium has several openings, as the mitral and the aortic one with tissue between them, all
     but the longest are closed by triangles between their vertices.
-
-    Raises
-    ------
-    InputError
-        If a label is missing, or an endocardium is not in one piece, or has a handle.
     """
     labels = cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels)
     return (

@@ -49,11 +49,6 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
         Trees to write beside the heart; openCARP only.
-
-    Raises
-    ------
-    InputError
-        If the kind is unknown, the suffix is not its own, or `out` cannot be written.
     """
     suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
     if kind not in suffixes:

@@ -94,18 +94,6 @@ def join_surfaces(
         What to call the whole in messages.
     progress : StageProgress
         Called with the steps done and in all.
-
-    Returns
-    -------
-    LabelledSurface
-        Closed, manifold, facing out of the tissue.
-
-    Raises
-    ------
-    InputError
-        If a part has several pieces or the wrong number of boundary loops, the parts do not lie
-        within one another as those of a heart do, loops are too far apart, or the coordinates are
-        not in mm.
     """
     names = ("epicardium", "LV endocardium", "RV endocardium")
     parts = [

@@ -55,13 +55,7 @@ class LabelArray(NamedTuple):
 
 
 def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
-    """Find the array called so, or else one of `LABEL_NAMES`; triangles come before points.
-
-    Raises
-    ------
-    InputError
-        If there is none called so.
-    """
+    """Find the array called so, or else one of `LABEL_NAMES`; triangles come before points."""
     of_triangles = mesh.cell_data.get(TRIANGLE, {})
     for arrays in (of_triangles, mesh.point_data):
         names = {key.lower(): key for key in arrays} if array is None else {array: array}
@@ -98,30 +92,20 @@ def labelled_surface(
 ) -> LabelledSurface:
     """The surface of a file with the labels of its triangles.
 
+    Repeated points are merged, and labels of points brought to triangles.
+
     Parameters
     ----------
     mesh : MeshFile
         A file of triangles, in mm.
     array : str, optional
-        Name of the array of labels, one a triangle or one a point, if it is none of
-        `fascicle.heart.label_names.LABEL_NAMES`.
+        Name of the array of labels, one a triangle or one a point, if it is none of `LABEL_NAMES`.
     names : mapping of str to int, optional
         Which number in the file stands for which label, as ``{"lv": 3}``; names are what
-        `fascicle.heart.label_names.label_of` understands. Those not named have `Label`'s number.
+        `label_of` understands. Those not named have `Label`'s number.
     labels_file : Path, optional
         A text file with one whole number a triangle or point, in the order of the surface file,
         instead of an array in it; STL files hold none.
-
-    Returns
-    -------
-    LabelledSurface
-        With repeated points merged. Labels of points are brought to triangles by
-        `fascicle.build.endocardia.labels_from_points`.
-
-    Raises
-    ------
-    InputError
-        If it is not in mm, or has no labels, or unknown ones.
     """
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
@@ -190,21 +174,12 @@ def labelled_tetrahedra(
     array : str, optional
         Name of the array of labels, if it has another one.
     names : mapping of str to Label, optional
-        The file's own names or numbers (as text) of labels, where they are not understood;
-        `fascicle.heart.label_names.labels_by_number` makes them from ``{"lv": 3}``.
+        The file's own names or numbers (as text) of labels, where they are not understood.
 
     Returns
     -------
     Anatomy
         Vertices that no tetrahedron has are left out; labels are 0 if the file has none.
-
-    Raises
-    ------
-    InputError
-        If tetrahedra are flat, overlap or are inverted (unless all are: then they are turned, and
-        `Anatomy.notes` says so), or lie in several pieces; if labels are missing or unknown,
-        contradict one another, or lie on triangles that are not on the boundary; if regions are not
-        whole numbers or fibres have no length; if it is not in mm.
     """
     file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     name = str(mesh.path)
@@ -263,15 +238,7 @@ def label_boundary(
 ) -> Integers | None:
     """Label each triangle (b, 3) of the boundary by what the mesh's file, or files beside it, say.
 
-    Returns
-    -------
-    (b,) array or None
-        A `Label` each; None if nothing is labelled.
-
-    Raises
-    ------
-    InputError
-        If labels are missing, unknown or contradictory, or not on the boundary.
+    None if nothing is labelled.
     """
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
         found = _from_files_beside(mesh, boundary, names)

@@ -40,11 +40,6 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         Of the tetrahedra (mm); a mesh of the user's own stays as it is.
     progress : Progress, optional
         Progress callback.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used; the message says why.
     """
     if source.file is None:
         source.check_unused(

@@ -21,12 +21,6 @@ def refined(heart: Heart, progress: Progress | None = None) -> Heart:
     Fibres, sheets and regions are those of the tetrahedron that each lies in. Endocardia,
     electrodes, seeds and the patient's values stay. Lead fields are interpolated linearly, so that
     their gradients stay, too; the torso, whose mesh no longer fits, is left out.
-
-    Raises
-    ------
-    InputError
-        If the finer mesh would not fit in the memory, or the heart's lead fields are out of date
-        and there is no torso to compute new ones in.
     """
     _check_memory(heart)
     conduction = Conduction.of(heart)

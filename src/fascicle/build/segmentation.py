@@ -29,11 +29,6 @@ class Segmentation:
         What to call it in messages; usually the file.
     space : str
         ``"RAS"`` or ``"LPS"`` if these are the patient's axes, otherwise empty.
-
-    Raises
-    ------
-    InputError
-        If the voxels have no size, or their axes are not at right angles.
     """
 
     labels: NDArray[np.integer[Any]]
@@ -86,11 +81,6 @@ class SegmentationLabels:
         Muscle, without the scar.
     scar : int, tuple of int, or None
         Scar, a part of the tissue; `None` where none was segmented.
-
-    Raises
-    ------
-    InputError
-        If a number stands for two parts, or is 0.
     """
 
     lv: int | tuple[int, ...] = 1
@@ -174,12 +164,6 @@ def masks_of(segmentation: Segmentation, labels: SegmentationLabels, notes: list
     """Masks of the parts, each in one piece, with small components given to what surrounds them.
 
     A line is added to the notes for every part that had small components.
-
-    Raises
-    ------
-    InputError
-        If a label is not in the map, the heart has not the size of one, or a part falls into
-        several large pieces.
     """
     name = segmentation.name
     parts = np.zeros(segmentation.labels.shape, dtype=np.int8)

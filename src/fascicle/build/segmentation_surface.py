@@ -74,11 +74,6 @@ def surface_from_segmentation(
     LabelledSurface
         Closed, in the segmentation's frame (mm), edges near 1 mm. The base is an annulus with two
         holes, the endocardia are disks, and the epicardium is one.
-
-    Raises
-    ------
-    InputError
-        If a label is not in the map, a part falls into pieces, or no plane cuts both cavities open.
     """
     notes = notes if notes is not None else []
     steps = 6

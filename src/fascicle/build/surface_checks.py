@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import igl
 import numpy as np
@@ -56,17 +56,8 @@ def oriented_piece(name: str, vertices: Floats, triangles: Integers) -> Integers
     return np.ascontiguousarray(oriented, dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class WallThickness:
-    """The thickness of one wall.
-
-    Attributes
-    ----------
-    vertices : (k,) array
-        Vertices of the endocardium that the wall belongs to.
-    thickness : (k,) array
-        The distance from each to the other side of the wall (mm).
-    """
+class WallThickness(NamedTuple):
+    """Vertices (k,) of the endocardium of a wall, and its thickness (mm) at each."""
 
     vertices: Integers
     thickness: Floats
@@ -77,8 +68,7 @@ class WallThickness:
         return float(np.median(self.thickness)) if self.thickness.size else float("nan")
 
 
-@dataclass(frozen=True)
-class Walls:
+class Walls(NamedTuple):
     """The free wall of the left ventricle, the septum, and the free wall of the right one."""
 
     lv: WallThickness

@@ -26,11 +26,6 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
     alone. Mmg's mean length is not the size that it is given, so the size is corrected by what came
     out. Mmg stays far nearer to the surface than it may: on a heart the volume changes by 0.02 %,
     the walls by 0.06 mm at 2 mm; with less leave it follows the noise of borders.
-
-    Raises
-    ------
-    InputError
-        If the new surface cuts itself.
     """
     smooth = _remeshed(
         without_short_edges(surface, 0.3 * edge_length),
@@ -128,12 +123,9 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
     would cut one another. Then the finer surface is moved along its normals by the hundredths of a
     mm that give the volume back.
 
-    Parameters
-    ----------
-    surface : LabelledSurface
-        Coarse in the sense of `is_coarse`; small holes are closed first.
-    edge_length : float
-        The wanted mean edge length (mm).
+    Loop 1987, Smooth subdivision surfaces based on triangles (thesis, University of Utah). Cheng,
+    Fan, Lai et al. 2009, Loop subdivision surface based progressive interpolation, J Comput Sci
+    Technol 24:39-46.
 
     Returns
     -------
@@ -142,12 +134,6 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
         each triangle is that of the one it is part of.
     note : str
         What was done, for people.
-
-    References
-    ----------
-    Loop 1987, Smooth subdivision surfaces based on triangles (thesis, University of Utah). Cheng,
-    Fan, Lai et al. 2009, Loop subdivision surface based progressive interpolation, J Comput Sci
-    Technol 24:39-46.
     """
     given = closed_surface(surface)
     before = mean_edge_length(given.vertices, given.triangles)

@@ -41,12 +41,6 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     LabelledSurface
         Closed, in one piece, not cutting itself, and facing outwards; each endocardium in one
         piece.
-
-    Raises
-    ------
-    InputError
-        If it is not in mm, lacks a label, has several pieces, edges shared by more than two
-        triangles, or larger holes, cannot be repaired, or has LV and RV exchanged.
     """
     missing = missing_parts(surface.labels)
     if missing:
@@ -70,14 +64,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
 
 
 def closed_surface(surface: LabelledSurface) -> LabelledSurface:
-    """Merge repeated vertices, drop broken triangles, close small holes and face outwards.
-
-    Raises
-    ------
-    InputError
-        If it is not in mm, has several pieces, edges shared by more than two triangles, larger
-        holes or no inside, or touches itself.
-    """
+    """Merge repeated vertices, drop broken triangles, close small holes and face outwards."""
     check_units(surface.name, surface.vertices)
     extent = float(np.ptp(surface.vertices, axis=0).max())
     merged = merged_vertices(surface.vertices, MERGED * extent)[surface.triangles]
@@ -124,13 +111,7 @@ def _with_holes_filled(surface: LabelledSurface) -> LabelledSurface:
 
 
 def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
-    """Turn the triangles of a closed surface in one piece so that they face outwards.
-
-    Raises
-    ------
-    InputError
-        If it has no inside, several pieces, or touches itself.
-    """
+    """Turn the triangles of a closed surface in one piece so that they face outwards."""
     check_edges(surface.name, surface.vertices, surface.triangles)
     triangles = oriented_piece(surface.name, surface.vertices, surface.triangles)
     directed = directed_edges(triangles)

@@ -92,23 +92,8 @@ def in_torso(
 ) -> tuple[Heart, tuple[str, ...]]:
     """Put torso, electrodes and lead fields around a heart.
 
-    Parameters
-    ----------
-    heart : Heart
-        Its electrodes do not count.
-    mesh : LabelledMesh
-        Its tetrahedra, with their boundary labelled.
-    options : TorsoOptions
-        What surrounds it.
-    progress : Progress, optional
-        Progress callback.
-
-    Returns
-    -------
-    heart : Heart
-        With all of them.
-    notes : tuple of str
-        How the torso was fitted, for people.
+    Its own electrodes do not count; the mesh is its tetrahedra with their boundary labelled. The
+    notes say how the torso was fitted.
     """
     source = str(options.electrodes) if options.electrodes is not None else mesh.name
     notes: tuple[str, ...] = ()

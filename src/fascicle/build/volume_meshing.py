@@ -35,17 +35,11 @@ def mesh_surface(
     Parameters
     ----------
     surface : LabelledSurface
-        Closed and facing outwards, as `fascicle.build.surface_repair.prepared_surface` gives it.
+        As `fascicle.build.surface_repair.prepared_surface` gives it.
     edge_length : float
         Mean length of the tetrahedra's edges (mm), kept within 5 %.
     progress : StageProgress
         Called with the steps done and in all.
-
-    Raises
-    ------
-    InputError
-        If the edge length is too coarse for the walls or too fine for the memory, or the surface
-        cannot be filled.
     """
     check_edge_length(wall_thickness(surface), edge_length, surface.name)
     check_memory(surface, edge_length)

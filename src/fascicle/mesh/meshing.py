@@ -52,6 +52,9 @@ def tetrahedralise(
 ) -> tuple[Floats, Integers, Integers]:
     """Fill the domains between closed surfaces by Netgen, which changes none of these.
 
+    Schöberl 1997, Comput Vis Sci 1:41-52. A domain that Netgen cannot fill is reported on standard
+    error and left out. Netgen prints every crossing it finds, whatever its message level.
+
     Parameters
     ----------
     interfaces : sequence of Interface
@@ -63,20 +66,9 @@ def tetrahedralise(
 
     Returns
     -------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        Positions (mm), those of the interfaces first, and indices, positively oriented.
-    domains : (m,) array
-        The domain that each tetrahedron lies in.
-
-    Raises
-    ------
-    InputError
-        If the domains cannot be filled, or not all of them.
-
-    Notes
-    -----
-    Schöberl 1997, Comput Vis Sci 1:41-52. A domain that Netgen cannot fill is reported on standard
-    error and left out. Netgen prints every crossing it finds, whatever its message level.
+    vertices, tetrahedra, domains : (n, 3), (m, 4) and (m,) arrays
+        Positions (mm), those of the interfaces first, indices, positively oriented, and the domain
+        that each tetrahedron lies in.
     """
     from netgen import meshing as netgen
 
@@ -147,21 +139,9 @@ def remeshed_triangles(
 ) -> tuple[Floats, Integers, Integers]:
     """Triangulate a labelled surface again by Mmg, which keeps the borders between labels.
 
-    Parameters
-    ----------
-    vertices, triangles, labels : (n, 3), (m, 3) and (m,) arrays
-        The surface (mm), and a label for each triangle.
-    **options
-        Mmg's: ``hsiz``, ``hmin``, ``hmax`` and ``hausd`` (mm), ``angle`` (1: keep sharp edges).
-
-    Returns
-    -------
-    tuple
-        The new vertices, triangles and labels.
-
-    References
-    ----------
-    Dapogny, Dobrzynski and Frey 2014, J Comput Phys 262:358-378.
+    Positions (n, 3) are in mm; the options are Mmg's: ``hsiz``, ``hmin``, ``hmax`` and ``hausd``
+    (mm), ``angle`` (1: keep sharp edges). Dapogny, Dobrzynski and Frey 2014, J Comput Phys
+    262:358-378.
     """
     import mmgpy
 
@@ -181,21 +161,10 @@ def remeshed_triangles(
 def remeshed_tetrahedra(
     vertices: Floats, tetrahedra: Integers, triangles: Integers, labels: Integers, **options: float
 ) -> tuple[Floats, Integers, Integers, Integers]:
-    """Mesh the inside of a labelled boundary again by Mmg; the boundary stays.
+    """Mesh the inside of a labelled boundary (b, 3) again by Mmg; the boundary stays.
 
-    Parameters
-    ----------
-    vertices, tetrahedra : (n, 3) and (m, 4) arrays
-        Positions (mm), and vertex indices.
-    triangles, labels : (b, 3) and (b,) arrays
-        The boundary, and a label for each of its triangles.
-    **options
-        Mmg's: ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it.
-
-    Returns
-    -------
-    tuple
-        The new vertices and tetrahedra, and the boundary's triangles and labels, in Mmg's order.
+    The options are Mmg's: ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it. The new
+    triangles of the boundary are in Mmg's order.
     """
     import mmgpy
 
@@ -227,11 +196,9 @@ def constrained_delaunay(places: Floats, loops: Sequence[Integers]) -> tuple[Int
 
     Returns
     -------
-    triangles : (m, 3) array
-        Indices of the points.
-    missing : (s,) array
-        First points of the sides that are no edge of the boundary. Unless it is empty, lines cross
-        or touch, and the triangles are of no use.
+    triangles, missing : (m, 3) and (s,) arrays
+        Indices of the points, and the first points of the sides that are no edge of the boundary:
+        with any of these lines cross or touch, and the triangles are of no use.
     """
     import pyvista as pv
 

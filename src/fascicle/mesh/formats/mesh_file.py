@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -54,34 +53,13 @@ class MeshFile:
     has_polylines: bool = False
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
 
-    @property
-    def parts(self) -> dict[str, Any]:
-        """All but the path, as a child process can hand it over."""
-        return {name: value for name, value in vars(self).items() if name != "path"}
-
-    @classmethod
-    def of_parts(cls, path: Path, parts: dict[str, Any]) -> MeshFile:
-        """What was taken apart by `parts`, with texts as keys and lists where tuples were."""
-        numbered = {
-            name: {int(kind): value for kind, value in parts[name].items()}
-            for name in ("cells", "cell_data")
-        }
-        groups = {name: tuple(group) for name, group in parts["groups"].items()}
-        return cls(path, **(parts | numbered | {"groups": groups}))
-
     def cell_array(self, kind: int, name: str) -> Floats | None:
         """Values of an array on cells of one kind, if there is one of that name."""
         values = self.cell_data.get(kind, {}).get(name)
         return None if values is None else np.asarray(values, dtype=float)
 
     def require(self, kind: int, name: str) -> Integers:
-        """Cells of one kind.
-
-        Raises
-        ------
-        InputError
-            If the file holds none, or a part of the mesh in other cells, which would be missing.
-        """
+        """Cells of one kind."""
         cells = self.cells.get(kind)
         others = ", ".join(f"{count} {other}" for other, count in self.others.items())
         if cells is None or not len(cells):

@@ -96,11 +96,6 @@ def read_gmsh22(path: Path, content: bytes) -> MeshFile:
 
     Physical groups are in the cell array `GROUP` and in ``groups``. Element data are cell arrays
     of the kinds that have any, not a number where an element has none.
-
-    Raises
-    ------
-    InputError
-        If the file is truncated or damaged.
     """
     try:
         return _parsed(path, content)

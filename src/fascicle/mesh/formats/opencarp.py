@@ -57,13 +57,7 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     Returns
     -------
     MeshFile
-        Tetrahedra, triangles and lines, with the cell arrays ``region`` (the tags), ``fibre`` and
-        ``sheet`` where the files have them; points in mm.
-
-    Raises
-    ------
-    InputError
-        If a file is missing, truncated or damaged, or they contradict one another.
+        In mm, with the cell arrays ``region`` (the tags), ``fibre`` and ``sheet`` where there are.
     """
     file = opencarp_file(path, ".pts")
     points = _table(file, _counted_lines(file, purpose), (3,))
@@ -117,14 +111,7 @@ def _read_directions(path: Path, count: int) -> dict[str, Floats]:
 
 
 def read_surf(path: Path, points: int) -> Integers:
-    """Read the triangles (k, 3) of a `.surf` file beside a mesh of so many points.
-
-    Raises
-    ------
-    InputError
-        If the file is truncated or damaged, has other elements than triangles, or refers to points
-        that are not there.
-    """
+    """Read the triangles (k, 3) of a `.surf` file beside a mesh of so many points."""
     lines = _counted_lines(path, "surface")
     bad = next((row for row, line in enumerate(lines) if line.split()[:1] != ["Tr"]), None)
     if bad is not None:
@@ -137,14 +124,7 @@ def read_surf(path: Path, points: int) -> Integers:
 
 
 def read_vtx(path: Path | str, points: int | None = None) -> tuple[Integers, str]:
-    """Read the vertex numbers of a `.vtx` file, and its domain (``"intra"`` or ``"extra"``).
-
-    Raises
-    ------
-    InputError
-        If the file is missing, truncated or damaged, names no domain, or refers to points that the
-        mesh, of so many `points`, does not have.
-    """
+    """Read the vertex numbers of a `.vtx` file, and its domain (``"intra"`` or ``"extra"``)."""
     path = Path(path)
     header, *lines = _lines(path, "vertices")
     domain = lines[0].strip() if lines else ""
@@ -250,18 +230,9 @@ def write_surf(path: Path, triangles: Integers) -> None:
 def write_opencarp_mesh(
     stem: Path, points: Floats, code: str, cells: Integers, tags: Integers
 ) -> None:
-    """Write ``<stem>.pts`` and ``<stem>.elem``, each whole or not at all.
+    """Write ``<stem>.pts`` and ``<stem>.elem``: points (n, 3) in mm, and cells (m, k) with tags.
 
-    Parameters
-    ----------
-    stem : Path
-        Folder and name of the files, without a suffix.
-    points : (n, 3) array
-        Positions (mm).
-    code : str
-        openCARP's name of the cells, such as ``"Tt"`` for tetrahedra.
-    cells, tags : (m, k) and (m,) arrays
-        Point indices, and the region of each cell.
+    The code is openCARP's name of the cells, such as ``"Tt"`` for tetrahedra.
     """
     positions = _rows("%.6f %.6f %.6f", points * 1000)
     write_text(opencarp_file(stem, ".pts"), f"{len(points)}\n{positions}")

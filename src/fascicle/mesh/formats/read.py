@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,9 +33,9 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         return read_opencarp_mesh(path, purpose)
     _check_complete(path)
     if path.suffix.lower() == ".msh" and gmsh22_header(content := path.read_bytes()):
-        mesh = read_gmsh22(path, content)
+        mesh: MeshFile = read_gmsh22(path, content)
     else:
-        mesh = MeshFile.of_parts(path, read_isolated(read_by_library, path))
+        mesh = read_isolated(read_vtk if path.suffix.lower() in VTK_FORMATS else read_meshio, path)
     if not len(mesh.points):
         raise InputError(f"{path}: no points could be read; the file is empty or truncated")
     bad = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
@@ -49,12 +48,6 @@ def read_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
         if cells.size and (cells.min() < 0 or cells.max() >= len(mesh.points)):
             raise damaged(path, "cells refer to points that are not there")
     return mesh
-
-
-def read_by_library(path: Path) -> dict[str, Any]:
-    """Parts of a mesh file that a library reads, which may crash."""
-    read = read_vtk if path.suffix.lower() in VTK_FORMATS else read_meshio
-    return read(path).parts
 
 
 def _check_complete(path: Path) -> None:
