@@ -76,11 +76,6 @@ def test_names_of_physical_groups(tmp_path):
     assert (read_labelled_surface(path).labels == labels).all()
 
 
-def test_one_physical_group_tells_nothing(tmp_path):
-    path = write_groups(tmp_path / "a.msh", np.ones_like(ventricles().labels), {"heart": 1})
-    assert not has_labels(read_mesh(path))
-
-
 def test_own_numbers_are_translated(tmp_path):
     own = np.array([0, 10, 20, 30, 40])[ventricles().labels]
     path = written(tmp_path / "heart.vtp", label=own)
@@ -139,15 +134,6 @@ def test_arrays_that_are_no_labels(tmp_path):
         read_labelled_surface(path, array="height")
     with pytest.raises(InputError, match="no array 'class'"):
         read_labelled_surface(path, array="class")
-
-
-def test_metres_are_refused(tmp_path):
-    data = polydata(ventricles())
-    data.points = data.points / 1000
-    data.cell_data["class"] = ventricles().labels
-    data.save(tmp_path / "heart.vtp")
-    with pytest.raises(InputError, match="metres"):
-        read_labelled_surface(tmp_path / "heart.vtp")
 
 
 def test_labels_of_points_of_the_mean_heart(data_folder):

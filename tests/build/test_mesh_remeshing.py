@@ -8,10 +8,9 @@ import pytest
 from fascicle.build.anatomy import Anatomy, Source
 from fascicle.build.read_anatomy import read_anatomy
 from fascicle.build.volume_meshing import mean_axes, remeshed_anatomy
-from fascicle.core.errors import InputError
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.quality import quality
-from tests.anatomies import circular_fibres, halves, tissue, write_labelled
+from tests.anatomies import circular_fibres, halves, tissue
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +61,6 @@ def test_axes_have_no_sign():
     assert mean_axes(directions, np.array([[1.0, 1.0, 0.0]]))[0] == pytest.approx([1, 0, 0])
     between = mean_axes(directions[:, 1:], np.ones((1, 2)))[0]
     assert between == pytest.approx(np.array([-1.6, 0.8, 0]) / np.hypot(1.6, 0.8))
-
-
-def test_a_surface_needs_no_flag(tmp_path):
-    path = write_labelled(tmp_path / "h.vtp")
-    with pytest.raises(InputError, match="--remesh says nothing about a surface"):
-        read_anatomy(Source(path, remesh=True), 8.0)
 
 
 def test_dti004(data_folder):

@@ -74,10 +74,6 @@ def test_lead_fields_that_are_out_of_date_are_refused(block):
         refined(replace(block, electrodes=block.electrodes + 1.0))
 
 
-def test_a_heart_without_lead_fields_gets_none(block):
-    assert refined(replace(block, lead_fields=None)).lead_fields is None
-
-
 def test_a_mesh_too_large_for_the_memory_is_refused(block, monkeypatch):
     monkeypatch.setattr("fascicle.build.refinement.available_memory", lambda: 1e6)
     with pytest.raises(InputError, match=r"^block: with eight times its 384 tetrahedra .* GB"):

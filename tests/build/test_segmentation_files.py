@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-
 import nibabel
 import nrrd
 import numpy as np
@@ -55,14 +53,6 @@ def refused(path):
     return message
 
 
-def read_or_message(path):
-    """What is read, or the message with which it is refused."""
-    try:
-        return read_segmentation(path)
-    except InputError as error:
-        return str(error)
-
-
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"])
 def test_labels_and_positions_come_back_as_they_stand(tmp_path, labels, name):
     nifti = ".nii" in name
@@ -76,8 +66,7 @@ def test_labels_and_positions_come_back_as_they_stand(tmp_path, labels, name):
 
 
 @pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2", "ASCII"])
-@pytest.mark.parametrize("kind", [np.uint8, np.int16, ">i4", np.float32])
-@pytest.mark.parametrize("name", ["a.nrrd", "a.nhdr"])
+@pytest.mark.parametrize(("kind", "name"), [(">i4", "a.nrrd"), (np.float32, "a.nhdr")])
 def test_every_encoding_of_nrrd(tmp_path, labels, encoding, kind, name):
     found = read_segmentation(write_nrrd(tmp_path / name, labels.astype(kind), encoding=encoding))
     np.testing.assert_array_equal(found.labels, labels)
@@ -96,12 +85,6 @@ def test_nrrd_spaces_are_kept(tmp_path, labels, space, known_as):
 def test_a_left_handed_space_is_refused(tmp_path, labels):
     path = write_nrrd(tmp_path / "a.nrrd", labels, space="left-anterior-superior")
     assert "'left-anterior-superior' is unknown or left-handed" in refused(path)
-
-
-def test_nrrd_with_spacings_alone_keeps_its_axes(tmp_path, labels):
-    nrrd.write(str(tmp_path / "a.nrrd"), labels, {"spacings": [1.5, 2.0, 6.0]})
-    found = read_segmentation(tmp_path / "a.nrrd")
-    np.testing.assert_allclose(found.affine, np.diag([1.5, 2.0, 6.0, 1.0]))
 
 
 @pytest.mark.parametrize(("units", "factor"), [("meter", 1e-3), ("micron", 1e3), ("mm", 1)])
@@ -126,8 +109,6 @@ def test_labels_stored_as_whole_floats_are_read_and_others_refused(tmp_path, lab
 def test_other_dimensions_are_refused(tmp_path, labels):
     cine = np.stack([labels, labels], axis=-1)
     assert "4 dimensions (9 × 7 × 5 × 2)" in refused(write_nifti(tmp_path / "a.nii", cine))
-    nrrd.write(str(tmp_path / "a.nrrd"), cine)
-    assert "4 dimensions" in refused(tmp_path / "a.nrrd")
     assert "2 dimensions" in refused(write_nifti(tmp_path / "b.nii", labels[:, :, 0]))
 
 
@@ -165,10 +146,6 @@ def test_other_formats_are_refused(tmp_path, name, problem):
     assert problem in refused(tmp_path / name)
 
 
-def test_missing_file_is_refused(tmp_path):
-    assert "no such file" in refused(tmp_path / "none.nii.gz")
-
-
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
 def test_truncated_files_are_refused(tmp_path, labels, name):
     write = write_nifti if ".nii" in name else write_nrrd
@@ -176,31 +153,6 @@ def test_truncated_files_are_refused(tmp_path, labels, name):
     for share in (0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.8, 0.95):
         (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
         refused(tmp_path / name)
-
-
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
-def test_scrambled_headers_are_read_or_refused_in_one_line(tmp_path, labels, name):
-    """Never another error: 300 headers, each with three random bytes changed."""
-    write = write_nifti if ".nii" in name else write_nrrd
-    whole = write(tmp_path / name, labels).read_bytes()
-    packed = name.endswith(".gz")
-    plain = bytearray(gzip.decompress(whole) if packed else whole)
-    rng = np.random.default_rng(1)
-    n_refused = 0
-    for _ in range(300):
-        changed = plain.copy()
-        for place in rng.integers(0, 348, 3):
-            changed[place] = rng.integers(0, 256)
-        (tmp_path / name).write_bytes(gzip.compress(changed, 1) if packed else changed)
-        found = read_or_message(tmp_path / name)
-        if isinstance(found, str):
-            n_refused += 1
-            assert found.startswith(f"{tmp_path / name}: ")
-            assert "\n" not in found
-        else:
-            assert found.labels.ndim == 3
-            assert np.isfinite(found.affine).all()
-    assert n_refused > 30
 
 
 def test_rubbish_is_refused(tmp_path):

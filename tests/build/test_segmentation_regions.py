@@ -14,7 +14,7 @@ from phantoms import (
     segmentation_volumes,
 )
 
-from fascicle.build.segmentation import Segmentation, SegmentationLabels, regions_at
+from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.core.errors import InputError
 
 
@@ -48,14 +48,3 @@ def test_outside_the_map_and_without_scar_there_is_none():
 def test_labels_that_mean_two_things_are_refused(labels):
     with pytest.raises(InputError, match="give each part its own numbers"):
         SegmentationLabels(*labels)
-
-
-@pytest.mark.parametrize(
-    ("column", "problem"),
-    [([0, 0, 0], "have no size"), ([np.nan, 0, 0], "have no size"), ([2, 0.3, 0], "right angles")],
-)
-def test_affines_that_place_no_voxels_are_refused(column, problem):
-    affine = np.diag([2.0, 2.0, 2.0, 1.0])
-    affine[:3, 0] = column
-    with pytest.raises(InputError, match=problem):
-        Segmentation(np.ones((3, 3, 3), dtype=np.int64), affine, "map")

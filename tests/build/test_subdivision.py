@@ -6,7 +6,7 @@ import pytest
 
 from fascicle.build.anatomy import Source
 from fascicle.build.read_anatomy import read_anatomy
-from fascicle.build.surface_meshing import is_coarse, subdivided
+from fascicle.build.surface_meshing import subdivided
 from fascicle.heart.labelled_surface import NEEDED, LabelledSurface
 from fascicle.mesh.measures import mean_edge_length, signed_volumes, triangle_areas
 from fascicle.mesh.quality import quality, self_intersections
@@ -42,12 +42,6 @@ def distances(fine, surface):
     return np.sqrt(igl.point_mesh_squared_distance(deep, surface.vertices, surface.triangles)[0])
 
 
-def test_only_coarse_surfaces_are_subdivided(fine, coarse):
-    assert is_coarse(coarse, EDGE)
-    assert not is_coarse(coarse, 8.0)
-    assert not is_coarse(fine, 1.5)
-
-
 def test_smooth_and_of_the_same_volume(fine, coarse):
     finer, note = subdivided(coarse, EDGE)
     assert mean_edge_length(finer.vertices, finer.triangles) <= 1.1 * 2 * EDGE
@@ -60,16 +54,6 @@ def test_smooth_and_of_the_same_volume(fine, coarse):
     assert volume_of(plain) < 0.98 * volume_of(coarse)
     assert distances(fine, finer).mean() < 0.7 * distances(fine, plain).mean()
     assert distances(fine, finer).mean() < distances(fine, coarse).mean()
-
-
-def test_creases_between_triangles_go(coarse):
-    finer, _ = subdivided(coarse, EDGE)
-
-    def bend(surface):
-        curvature = igl.gaussian_curvature(surface.vertices, surface.triangles)
-        return np.percentile(np.abs(curvature), 95)
-
-    assert bend(finer) < 0.25 * bend(coarse)
 
 
 def test_each_part_keeps_its_label_and_nearly_its_area(coarse):

@@ -13,8 +13,6 @@ from fascicle.mesh.measures import (
     mean_edge_length,
     signed_volumes,
     triangle_areas,
-    turned_outwards,
-    unit,
 )
 from fascicle.mesh.quality import intersections, self_intersections
 from fascicle.mesh.topology import (
@@ -23,17 +21,11 @@ from fascicle.mesh.topology import (
     directed_edges,
     fan,
     unique_edges,
-    without_unused_vertices,
 )
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # of a cube
 AWAY = CORNER + np.array([7.0, -3, 2])
 FACES = TETRAHEDRON_FACES
-
-
-def test_a_zero_vector_has_no_direction():
-    assert unit(np.array([[3.0, 0, 4], [0, 0, 0]])).tolist() == [[0.6, 0, 0.8], [0, 0, 0]]
-    assert unit(np.array([0.0, -2])).tolist() == [0, -1]
 
 
 def test_every_edge_of_a_tetrahedron_has_two_triangles():
@@ -57,12 +49,6 @@ def test_volumes_of_the_corner_of_a_cube():
     assert mean_edge_length(AWAY, FACES) == pytest.approx((1 + np.sqrt(2)) / 2)
 
 
-def test_surfaces_are_turned_outwards():
-    for triangles in (FACES, FACES[:, ::-1]):
-        assert closed_volume(AWAY, turned_outwards(AWAY, triangles)) > 0
-    assert turned_outwards(AWAY, FACES).tolist() == FACES.tolist()
-
-
 def test_a_fan_closes_an_opening():
     opened = FACES[1:]
     (loop,) = boundary_loops(opened)
@@ -71,12 +57,6 @@ def test_a_fan_closes_an_opening():
     assert unique_edges(closed)[1].tolist() == [2] * 9
     assert closed_volume(vertices, closed) == pytest.approx(1 / 6)
     assert len({tuple(edge) for edge in directed_edges(closed).tolist()}) == 18
-
-
-def test_unused_vertices_are_left_out():
-    vertices, cells = without_unused_vertices(np.arange(15.0).reshape(5, 3), np.array([[4, 0, 2]]))
-    assert vertices[:, 0].tolist() == [0, 6, 12]
-    assert cells.tolist() == [[2, 0, 1]]
 
 
 def test_barycentric_coordinates_are_one_at_their_corner():

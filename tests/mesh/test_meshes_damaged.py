@@ -123,24 +123,6 @@ def test_second_half_never_copied(files, tmp_path, capfd, name):
             mesh.require(TRIANGLE, "cells")
 
 
-@pytest.mark.parametrize("name", TISSUE + SURFACES)
-def test_flipped_bytes(files, tmp_path, capfd, name):
-    rng = np.random.default_rng(2)
-    for _ in range(8):
-        content = bytearray(files[name])
-        for at in rng.integers(len(content), size=5):
-            content[at] = rng.integers(256)
-        refused(tmp_path / name, bytes(content), capfd)  # or read, but without a sound or a crash
-
-
-def test_array_that_is_not_finite_elsewhere_does_no_harm(tmp_path, capfd):
-    mesh = pv.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid().triangulate()
-    mesh.point_data["distance"] = np.full(mesh.n_points, np.inf)
-    mesh.save(tmp_path / "inf.vtu")
-    assert len(read_mesh(tmp_path / "inf.vtu").points) == 27
-    assert capfd.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_ply_with_the_other_name_of_indices(tmp_path, newline):
     lines = ["ply", "format ascii 1.0", "element vertex 3", "property float x", "property float y",

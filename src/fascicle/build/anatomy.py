@@ -21,9 +21,9 @@ class Source:
         A closed surface, a segmentation or a tetrahedral mesh; None if there are parts.
     parts : mapping of str to Path
         Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
-    numbers : mapping of str to int, optional
+    labels : mapping of str to int, optional
         Which number in the file stands for what.
-    array : str, optional
+    label_array : str, optional
         The array of labels.
     labels_file : Path, optional
         Labels of a surface whose file holds none.
@@ -33,8 +33,8 @@ class Source:
 
     file: Path | None
     parts: Mapping[str, Path] = field(default_factory=dict)
-    numbers: Mapping[str, int] | None = None
-    array: str | None = None
+    labels: Mapping[str, int] | None = None
+    label_array: str | None = None
     labels_file: Path | None = None
     remesh: bool | None = None
 
@@ -51,10 +51,11 @@ class Source:
                 "--lv-endocardium, --rv-endocardium and --epicardium"
             )
 
-    def check_unused(self, what: str, **options: str) -> None:
-        """Refuse attributes, given with their option, that would do nothing for such an anatomy."""
-        for name, option in options.items():
+    def check_unused(self, what: str, *names: str) -> None:
+        """Refuse options, by the names of attributes, that would do nothing for an anatomy."""
+        for name in names:
             if getattr(self, name) is not None:
+                option = "--" + name.replace("_", "-")
                 raise InputError(f"{option} says nothing about {what}; leave it out")
 
     @property

@@ -42,13 +42,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
         Progress callback.
     """
     if source.file is None:
-        source.check_unused(
-            "separate surfaces",
-            numbers="--labels",
-            array="--label-array",
-            labels_file="--labels-file",
-            remesh="--remesh",
-        )
+        source.check_unused("separate surfaces", "labels", "label_array", "labels_file", "remesh")
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
         parts = {
             part: (mesh.points, mesh.require(TRIANGLE, "triangles"))
@@ -95,9 +89,9 @@ def _fine_enough(
 def _from_surface(
     source: Source, mesh: MeshFile, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused("a surface, which is meshed again anyway", remesh="--remesh")
-    if has_labels(mesh, source.array, source.labels_file) or source.numbers is not None:
-        labelled = labelled_surface(mesh, source.array, source.numbers, source.labels_file)
+    source.check_unused("a surface, which is meshed again anyway", "remesh")
+    if has_labels(mesh, source.label_array, source.labels_file) or source.labels is not None:
+        labelled = labelled_surface(mesh, source.label_array, source.labels, source.labels_file)
         return _meshed(*_fine_enough(labelled, edge_length), edge_length, progress)
     triangles = mesh.require(TRIANGLE, "triangles")
     unlabelled = np.zeros(len(triangles), dtype=np.int64)
@@ -113,22 +107,20 @@ def _from_surface(
 def _from_segmentation(
     source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
-    source.check_unused(
-        "a segmentation", array="--label-array", labels_file="--labels-file", remesh="--remesh"
-    )
+    source.check_unused("a segmentation", "label_array", "labels_file", "remesh")
     notes: list[str] = []
     segmentation = read_segmentation(file)
-    if source.numbers is None:
+    if source.labels is None:
         there = ", ".join(map(str, np.unique(segmentation.labels)))
         raise InputError(
             f"{segmentation.name}: which of its labels ({there}) is what differs from one program "
             "to another; say so, as --labels lv=1,rv=2,myocardium=3,scar=4"
         )
     known = [part.name for part in fields(SegmentationLabels)]
-    unknown = [name for name in source.numbers if name not in known]
+    unknown = [name for name in source.labels if name not in known]
     if unknown:
         raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
-    labels = SegmentationLabels(**source.numbers)
+    labels = SegmentationLabels(**source.labels)
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
@@ -149,12 +141,12 @@ def _from_segmentation(
 
 
 def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) -> Anatomy:
-    source.check_unused("tetrahedra", labels_file="--labels-file")
-    names = labels_by_number(source.numbers if source.numbers is not None else {})
-    read = repaired_edges(labelled_tetrahedra(mesh, source.array, names))
+    source.check_unused("tetrahedra", "labels_file")
+    names = labels_by_number(source.labels if source.labels is not None else {})
+    read = repaired_edges(labelled_tetrahedra(mesh, source.label_array, names))
     if not read.mesh.labels.any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
-        source.check_unused(unlabelled, numbers="--labels")
+        source.check_unused(unlabelled, "labels")
         found = classify_surface(
             read.mesh.vertices,
             read.mesh.triangles,

@@ -75,8 +75,8 @@ def heart_build(
     source = Source(
         file=anatomy,
         parts={part: path for part, path in parts.items() if path is not None},
-        numbers=options.label_numbers(labels),
-        array=label_array,
+        labels=options.label_numbers(labels),
+        label_array=label_array,
         labels_file=labels_file,
         remesh=remesh or None,
     )
