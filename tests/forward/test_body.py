@@ -92,8 +92,13 @@ class TestModel:
             np.testing.assert_allclose(one.leads, model.simulate(network).leads, atol=1e-9)
 
     def test_a_heart_at_the_skin_is_an_outcome(self, model):
-        corner = {"heart_back": -20.0, "heart_left": 20.0, "chest_size": 0.85, "heart_up": -20.0}
-        corner |= {"heart_turn_up": 0.349, "heart_turn_left": -0.349}
+        corner = {
+            "heart_posterior": -20.0,
+            "heart_left": 20.0,
+            "chest_size": 0.85,
+            "heart_up": -20.0,
+        }
+        corner |= {"heart_rotation_up": 0.349, "heart_rotation_left": -0.349}
         found = model.simulate(with_body(**corner))
         assert isinstance(found, InvalidBody)
         assert "skin" in found.reason

@@ -116,7 +116,8 @@ def test_groups_are_written_out(default_heart):
     space, fixed = study_space("paper", {"pose": "free", "heart_up": 3.0}, default_heart)
     learnt = {p.name: p for p in space.parameters if p.name.startswith("heart_")}
     assert list(learnt) == [
-        "heart_left", "heart_back", "heart_turn_left", "heart_turn_back", "heart_turn_up",
+        "heart_left", "heart_posterior",
+        "heart_rotation_left", "heart_rotation_posterior", "heart_rotation_up",
     ]  # fmt: skip
     assert fixed == {"heart_up": 3.0}
     assert (learnt["heart_left"].prior, learnt["heart_left"].sd) == ("normal", 8.0)

@@ -137,7 +137,10 @@ class TestMovedConductor:
 
     @pytest.mark.parametrize(
         "values",
-        [{"heart_back": -15.0, "heart_turn_up": 0.2}, {"chest_size": 0.9, "heart_up": 8.0}],
+        [
+            {"heart_posterior": -15.0, "heart_rotation_up": 0.2},
+            {"chest_size": 0.9, "heart_up": 8.0},
+        ],
     )
     def test_against_the_moved_mesh(self, conductor, places, values):
         """Corners moved by the same map, and tissues as they are."""
@@ -158,7 +161,8 @@ class TestMovedConductor:
     def test_the_hull_feels_the_outside_as_the_skin_does(self, conductor, places):
         """With a body's own fields as modes, hull and outside give them back."""
         body = state({
-            "heart_left": 12.0, "heart_turn_up": 0.2, "chest_size": 1.1, "lung_conductivity": 1.7,
+            "heart_left": 12.0, "heart_rotation_up": 0.2,
+            "chest_size": 1.1, "lung_conductivity": 1.7,
         })  # fmt: skip
         fields = solve(conductor, places, body)
         # nine fields less their mean: eight modes
@@ -183,7 +187,7 @@ class TestMovedConductor:
 
     def test_what_becomes_of_volumes(self, conductor):
         """As a polynomial, against the determinants themselves."""
-        moved = {"heart_back": -18.0, "heart_turn_left": 0.3, "chest_size": 0.9}
+        moved = {"heart_posterior": -18.0, "heart_rotation_left": 0.3, "chest_size": 0.9}
         motion = conductor.motion(state(moved))
         expected = np.linalg.det(conductor.morph.jacobians(motion))
         np.testing.assert_allclose(conductor.morph.determinants(motion), expected, atol=1e-12)

@@ -159,11 +159,12 @@ def _of_body() -> Iterator[Quantity]:
         ends = (-reach, reach)
         return Quantity(name, unit, 0.0, ends, ends, meaning, body, default_prior=("normal", sd))
 
-    for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "up")):
-        yield moved(f"heart_{way}", 20.0, 8.0, f"the heart's displacement {where}")
-    for way, where in (("left", "to the left"), ("back", "to the back"), ("up", "upwards")):
+    directions = (("left", "to the left"), ("posterior", "posteriorly"), ("up", "upwards"))
+    for direction, where in directions:
+        yield moved(f"heart_{direction}", 20.0, 8.0, f"the heart's shift {where}")
+    for direction, where in directions:
         meaning = f"the heart's rotation about the axis {where}, right-handed"
-        yield moved(f"heart_turn_{way}", angle, math.radians(8.0), meaning, "rad")
+        yield moved(f"heart_rotation_{direction}", angle, math.radians(8.0), meaning, "rad")
     for k in range(1, 7):
         yield moved(f"v{k}_left", 25.0, 10.0, f"V{k} moved along the skin to the left")
         yield moved(f"v{k}_up", 25.0, 10.0, f"V{k} moved along the skin upwards")

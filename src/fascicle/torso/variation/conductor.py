@@ -67,8 +67,8 @@ class BodyState:
         """From quantities of `fascicle.core.quantities`; those that are missing are neutral."""
         pose = [
             values.get(f"heart_{turn}{axis}", 0.0)
-            for turn in ("", "turn_")
-            for axis in ("left", "back", "up")
+            for turn in ("", "rotation_")
+            for axis in ("left", "posterior", "up")
         ]
         conductivities = [
             values.get(f"{tissue.name.lower()}_conductivity", 1.0) for tissue in TorsoTissue
