@@ -67,7 +67,7 @@ from fascicle.forward.likelihood import SHARES, discrepancy_in_time
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
-from fascicle.recording.synthetic import smooth_noise
+from fascicle.recording.residuals import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.figures import new_figure, save

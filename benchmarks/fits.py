@@ -42,7 +42,7 @@ from fascicle.cli.demo import demo_recording
 from fascicle.cli.output import TerminalProgress
 from fascicle.heart.folder import write_heart
 from fascicle.heart.heart import Heart
-from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
+from fascicle.recording.corrections import share_gain
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target import Target
@@ -93,7 +93,7 @@ def ptb_target(data: Path) -> Target:
 
 def ludb_target(data: Path, record: int) -> Target:
     recording = read_recording(data / "ecg" / "ludb" / f"{record}.hea")
-    return analyse(share_gain(recording, DIGITS_PER_MILLIVOLT)).target
+    return analyse(share_gain(recording)).target
 
 
 def dti004_target(data: Path) -> Target:

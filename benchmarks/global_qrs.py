@@ -11,7 +11,7 @@ marks from the found R peak, and of the leads the earliest onset and the latest 
 Printed are, for records of odd and of even number apart, mean and standard deviation (over the
 records) of found less marked onset, offset and duration (ms): of the window that all leads together
 decide (`fascicle.recording.window`, which losses and likelihoods see), and of the global QRS
-(`fascicle.recording.global_window`), that of the outermost leads. Then the records in which not as
+(same module), that of the outermost leads. Then the records in which not as
 many beats were found as are marked, counted from the first marked wave to the last, and those that
 were refused.
 
@@ -35,13 +35,12 @@ from benchmarks.qrs_window import simulated, simulations
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis
-from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT, share_gain
+from fascicle.recording.corrections import share_gain
 from fascicle.recording.detection import r_peaks
-from fascicle.recording.global_window import global_qrs_window
+from fascicle.recording.filters import resample
 from fascicle.recording.recording import Recording
-from fascicle.recording.resampling import resample
 from fascicle.recording.target import Target
-from fascicle.recording.window import qrs_window
+from fascicle.recording.window import qrs_windows
 
 Array = NDArray[np.float64]
 
@@ -134,7 +133,7 @@ def read_record(header: Path) -> Recording:
     gains = recording.digits_per_millivolt
     if gains is None or np.ptp(gains) == 0:
         return recording
-    return share_gain(recording, DIGITS_PER_MILLIVOLT)
+    return share_gain(recording)
 
 
 def records(folder: Path) -> Iterator[Path]:
@@ -157,7 +156,7 @@ def errors(analysis: Analysis, marks: Marks) -> Array | None:
 
 def errors_of_both(beat: Array, ends: tuple[float, float]) -> Array:
     """Found less true onset, offset and duration (ms) of a beat (12, n), as `errors` gives them."""
-    found = np.array([qrs_window(beat, 1.0), global_qrs_window(beat, 1.0)]) - ends
+    found = np.array(qrs_windows(beat, 1.0)) - ends
     return np.column_stack([found, found[:, 1] - found[:, 0]])
 
 

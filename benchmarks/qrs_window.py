@@ -32,7 +32,7 @@ import fascicle
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.forward.simulation import Simulation
-from fascicle.recording.resampling import resample
+from fascicle.recording.filters import resample
 from fascicle.recording.window import qrs_window, spatial_velocity, window_uncertainty
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 import fascicle
 from fascicle.core.parameters import read_parameters
-from fascicle.recording.resampling import SAMPLING_STEP
-from fascicle.recording.synthetic import smooth_noise
+from fascicle.recording.filters import SAMPLING_STEP
+from fascicle.recording.residuals import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.recording.window import qrs_window
 from fascicle.reporting.figures import save

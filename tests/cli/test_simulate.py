@@ -14,8 +14,7 @@ import pyvista as pv
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.heart.folder import load_heart
-from fascicle.recording.global_window import global_qrs_window
-from fascicle.recording.window import qrs_window
+from fascicle.recording.window import qrs_window, qrs_windows
 
 FILES = [
     "activation.png",
@@ -94,7 +93,7 @@ class TestOutputs:
         leads = read_ecg(simulated)[1][:, 1:].T
         for name, found in (
             ("qrs_duration_ms", qrs_window(leads, 1.0)),
-            ("global_qrs_duration_ms", global_qrs_window(leads, 1.0)),
+            ("global_qrs_duration_ms", qrs_windows(leads, 1.0).global_window),
         ):
             assert summary[name] == pytest.approx(found[1] - found[0], abs=1)
         assert summary["inputs"]["parameters"]["root_time"] == -12.5

@@ -33,21 +33,35 @@ def on_paper(recording, rhythm_strip=None):
 
 
 def whole(seed, **more):
-    return synthetic_recording(
-        np.random.default_rng(seed),
-        Synthesis(heart_rate=80.0, respiration=0.02, noise_db=30.0, **more),
-    )[0]
+    options = {"heart_rate": 80.0, "respiration": 0.02, "noise_db": 30.0} | more
+    return synthetic_recording(np.random.default_rng(seed), Synthesis(**options))[0]
+
+
+def parts_of(recording):
+    """Start (s), leads and length (s) of each group."""
+    groups = lead_groups(recording, np.empty((0, 2), dtype=np.int64), TargetOptions())
+    return [(part.start, part.leads, part.signal.shape[1] / 1000) for part in groups]
 
 
 @pytest.mark.parametrize("strip", [None, "II"])
 def test_stretches_are_found(strip):
-    paper = on_paper(whole(0), strip)
-    parts = lead_groups(paper, TargetOptions())
-    assert [part.start for part in parts] == [0, 1250, 2500, 3750]
-    for part, group in zip(parts, GROUPS, strict=True):
-        there = {lead for lead, r in zip(LEADS, part.recording.recorded, strict=True) if r}
-        assert there == set(group) | ({strip} - {None})
-        assert part.recording.signal.shape == (12, 1250)
+    leads = [
+        ", ".join(lead for lead in LEADS if lead in group or lead == strip) for group in GROUPS
+    ]
+    expected = [(2.5 * k, names, 2.5) for k, names in enumerate(leads)]
+    assert parts_of(on_paper(whole(0), strip)) == expected
+
+
+def test_groups_digitised_with_ragged_edges_stay_groups():
+    paper = on_paper(whole(3))
+    signal = paper.signal.copy()
+    rng = np.random.default_rng(0)
+    for row in range(12):
+        first, stop = paper.spans[row]
+        signal[row, first : first + rng.integers(0, 9)] = np.nan
+        signal[row, stop - rng.integers(1, 9) : stop] = np.nan
+    found = parts_of(replace(paper, signal=signal))
+    assert [names for _, names, _ in found] == [", ".join(group) for group in GROUPS]
 
 
 @pytest.mark.parametrize(("strip", "tolerance"), [(None, 15), ("II", 4)])
@@ -72,7 +86,7 @@ def test_the_mean_is_that_of_all_leads_at_once(strip, tolerance):
         assert "one group after another" in paper.provenance["warnings"]
 
 
-def test_beats_are_numbered_through():
+def test_beats_are_numbered_through_and_surplus_ones_not_used():
     analysis = analyse(on_paper(whole(1)))
     assert [beat.number for beat in analysis.beats] == list(range(1, len(analysis.beats) + 1))
     times = [beat.time for beat in analysis.beats]
@@ -80,6 +94,16 @@ def test_beats_are_numbered_through():
     assert times[-1] > 7.5
     assert analysis.signal.shape == (12, 10000)
     assert np.isfinite(analysis.signal[LEADS.index("V4")]).sum() == 2500
+    assert sum(beat.used for beat in analysis.beats) == 4 * len(analysis.target.beats)
+    assert analysis.target.onset_sd > 10  # the standard deviation of the alignment is in it
+
+
+def test_pacing_spikes_at_the_end_of_a_group_leave_it_whole():
+    """A line across a spike cannot end where a lead is not recorded."""
+    paper = on_paper(whole(4, rhythm="paced", spike_size=10.0, noise_db=None))
+    analysis = analyse(paper)
+    assert len(analysis.spikes) > 5
+    assert (np.isfinite(analysis.signal).sum(axis=1) == 2500).all()
 
 
 def test_a_gap_in_one_lead_makes_no_group():
@@ -89,46 +113,9 @@ def test_a_gap_in_one_lead_makes_no_group():
         Recording(signal, 500.0, "file")
 
 
-def test_groups_digitised_with_ragged_edges_stay_groups():
-    paper = on_paper(whole(3))
-    signal = paper.signal.copy()
-    rng = np.random.default_rng(0)
-    for row in range(12):
-        first, stop = paper.spans[row]
-        signal[row, first : first + rng.integers(0, 9)] = np.nan
-        signal[row, stop - rng.integers(1, 9) : stop] = np.nan
-    parts = lead_groups(replace(paper, signal=signal), TargetOptions())
-    assert len(parts) == 4
-    assert [int(part.recording.recorded.sum()) for part in parts] == [3, 3, 3, 3]
-
-
 def test_beats_of_several_shapes_are_not_matched_by_chance():
-    recording, _ = synthetic_recording(
-        np.random.default_rng(5),
-        Synthesis(rhythm="bigeminy", heart_rate=70.0, seconds=16.0, noise_db=30.0),
-    )
+    recording = whole(5, rhythm="bigeminy", heart_rate=70.0, seconds=16.0)
     with pytest.raises(
         InputError, match="one group after another and the beats are of several shapes"
     ):
         make_target(on_paper(recording))
-
-
-def test_surplus_beats_of_a_group_are_not_used():
-    analysis = analyse(on_paper(whole(1)))
-    used = sum(beat.used for beat in analysis.beats)
-    assert used == 4 * len(analysis.target.beats)
-    assert analysis.target.onset_sd > 10  # the standard deviation of the alignment is in it
-
-
-@pytest.mark.parametrize("rhythm", ["fibrillation", "pauses"])
-def test_no_beat_is_there_twice(rhythm):
-    """A high T wave has the R peak of the QRS beside it."""
-    for seed in range(12):
-        recording, truth = synthetic_recording(
-            np.random.default_rng([seed, 7]), Synthesis(rhythm=rhythm, tall_t=8.0, noise_db=20.0)
-        )
-        (group,) = lead_groups(recording, TargetOptions())
-        assert group.intervals[1:].min() > 120
-        assert len(group.labels) == len(group.peaks)
-        away = np.abs(truth.r_times[:, None] - group.times).min(axis=1)
-        assert away.max() < 0.1

@@ -11,8 +11,8 @@ import xarray as xr
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.covariance import residual_covariance
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, applied_filters
+from fascicle.recording.residuals import residual_covariance
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target, write_target
 
@@ -172,7 +172,7 @@ def test_filters_come_back_and_can_be_read_by_others(target, tmp_path):
     filters = (
         Filter(FilterKind.LOW_PASS, 36.25, FilterOrigin.ESTIMATED, 12.5),
         Filter(FilterKind.NOTCH, 60.0, FilterOrigin.FILE, 30.0),
-        *applied_filters(150.0, 50.0, 1000.0),
+        *applied_filters(150.0, 50.0),
     )
     write_target(replace(target, filters=filters), tmp_path / "target.nc")
     assert read_target(tmp_path / "target.nc").filters == filters

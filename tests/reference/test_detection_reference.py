@@ -157,7 +157,7 @@ def test_beats_among_t_waves_higher_than_the_qrs():
                 np.random.default_rng([seed, 11]),
                 Synthesis(rhythm=rhythm, tall_t=6.0, noise_db=20.0),
             )
-            (group,) = lead_groups(recording, TargetOptions())
+            (group,) = lead_groups(recording, np.empty((0, 2), dtype=np.int64), TargetOptions())
             total += outcome(group.times, truth)
     found, missed, false = total
     assert found + missed > 1900

@@ -8,7 +8,7 @@ import pytest
 import fascicle
 from benchmarks.global_qrs import errors, manual_marks
 from benchmarks.synthetic_recordings.rhythms import Synthesis, synthetic_recording
-from fascicle.recording.resampling import resample
+from fascicle.recording.filters import resample
 from fascicle.recording.window import qrs_window, window_uncertainty
 
 pytestmark = pytest.mark.slow

@@ -8,8 +8,7 @@ from matplotlib.colors import same_color, to_hex
 from matplotlib.text import Text
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Analysis, Beat, BeatClass, Unused
-from fascicle.recording.baseline_drift import Drift
+from fascicle.recording.analysis import Analysis, Beat, BeatClass, Drift, Unused
 from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
@@ -509,7 +508,7 @@ def test_page_is_written_in_every_format_without_a_warning(tmp_path, suffix):
 )
 def test_real_recordings_fit_at_the_standard_gain(data_folder, name, window):
     from fascicle import read_recording
-    from fascicle.recording.resampling import resample
+    from fascicle.recording.filters import resample
 
     recording = read_recording(data_folder / "ecg" / name)
     signal = resample(recording.signal, recording.sampling_rate)

@@ -14,7 +14,7 @@ from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separabl
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario, Slowing, Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
-from fascicle.recording.synthetic import smooth_noise
+from fascicle.recording.residuals import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.reporting.study import drawings
 from fascicle.study.recordings import digests, given_recordings, read_recordings, write_recordings

@@ -6,9 +6,8 @@ import math
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -52,7 +51,7 @@ Leads = Annotated[
 ]
 Invert = Annotated[list[str] | None, typer.Option(help="Lead that was recorded upside down.")]
 Swap = Annotated[
-    list[str] | None, typer.Option(help="Exchanged electrodes or leads, such as RA-LA or V1-V2.")
+    list[str] | None, typer.Option(help="Reversed electrodes or leads, such as RA-LA or V1-V2.")
 ]
 SharedGain = Annotated[
     bool,
@@ -78,7 +77,8 @@ RecorderLowpass = Annotated[
 ]
 Lowpass = Annotated[float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")]
 Notch = Annotated[
-    float | None, typer.Option(help="Mains hum to remove, 50 or 60 (Hz); none by default.")
+    float | None,
+    typer.Option(help="Power-line interference to remove, 50 or 60 (Hz); none by default."),
 ]
 
 
@@ -113,7 +113,7 @@ def target(
     ```
     fascicle target ecg.hea --out t.nc --exclude-beat 3 --onset -52
     fascicle target ecg.hea --out t.nc --class B          # the ectopic beats
-    fascicle target ecg.dcm --out t.nc --swap RA-LA       # arm cables were exchanged
+    fascicle target ecg.dcm --out t.nc --swap RA-LA       # arm electrodes were reversed
     fascicle target ecg.csv --out t.nc --unit uV --sampling-rate 500
     fascicle target ecg.csv --out t.nc --recorder-lowpass 40
     fascicle target beat.csv --out t.nc --noise 0.03      # a single averaged beat
@@ -123,7 +123,6 @@ def target(
     state, otherwise a steep low-pass that shows in the spectrum, and --lowpass and --notch.
     """
     from fascicle.cli.output import TerminalProgress
-    from fascicle.recording.missing_metadata import collect_missing
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
@@ -147,15 +146,9 @@ def target(
     with TerminalProgress() as progress:
         progress("recording", 0, 3, "reading")
         wanted = None if leads is None else _leads(leads)
-
-        def analysed(noise: float | None, **said: Any) -> Analysis:
-            read = read_recording(recording, leads=wanted, **said)
-            progress("recording", 1, 3, "beats")
-            corrected = _corrected(read, gain, invert or (), swap or ())
-            return analyse(corrected, replace(choices, noise=noise))
-
-        said = {"noise": noise, "sampling_rate": sampling_rate, "unit": unit}
-        analysis = collect_missing(analysed, str(recording), **said)
+        read = read_recording(recording, leads=wanted, sampling_rate=sampling_rate, unit=unit)
+        progress("recording", 1, 3, "beats")
+        analysis = analyse(_corrected(read, gain, invert or (), swap or ()), choices)
         progress("recording", 2, 3, "picture")
         save(recording_figure(analysis), picture)
         write_target(analysis.target, out)
@@ -190,13 +183,11 @@ def _corrected(
 
 def _gain(shared: bool, digits_per_mv: float | None) -> float | None:
     """Digits per mV that all leads share; None where each has its own."""
-    from fascicle.recording.corrections import DIGITS_PER_MILLIVOLT
-
     if digits_per_mv is not None and not shared:
         raise InputError("--digits-per-mv is the gain of --shared-gain; give both or neither")
     if not shared:
         return None
-    return digits_per_mv if digits_per_mv is not None else DIGITS_PER_MILLIVOLT
+    return digits_per_mv if digits_per_mv is not None else 1000.0
 
 
 def print_analysis(analysis: Analysis) -> None:

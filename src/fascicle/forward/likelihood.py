@@ -41,7 +41,7 @@ from fascicle.core.leads import LEADS, LIMB_LEADS, independent_rows, limb_leads_
 from fascicle.core.ranges import short_repr
 from fascicle.forward.loss import placed
 from fascicle.forward.simulation import Signals
-from fascicle.recording.covariance import residual_covariance
+from fascicle.recording.residuals import residual_covariance
 from fascicle.recording.target import Target
 
 MARGIN = 40  # samples (ms) of silence on either side of the QRS

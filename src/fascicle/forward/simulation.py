@@ -15,8 +15,7 @@ from fascicle.core.ranges import short_repr
 from fascicle.forward.ecg.electrocardiogram import STEP
 from fascicle.forward.eikonal.activation import Activation
 from fascicle.purkinje.tree import PurkinjeTree
-from fascicle.recording.global_window import global_qrs_window
-from fascicle.recording.window import qrs_window
+from fascicle.recording.window import qrs_window, qrs_windows
 
 LONGEST = 100_000.0  # ms that an activation may take; more is a mistake, and much memory
 
@@ -91,7 +90,7 @@ class SimulatedBeat:
     @property
     def global_qrs_duration(self) -> float:
         """Global QRS duration (ms), that of the outermost leads, by the rule for recordings."""
-        onset, offset = global_qrs_window(self.leads, STEP)
+        onset, offset = qrs_windows(self.leads, STEP).global_window
         return (offset - onset) * STEP
 
 

@@ -1,31 +1,31 @@
-"""Beats cut out of a recording and aligned at R, of one group of leads or of several."""
+"""Beats cut out of a recording, aligned at R and detrended, of one group of leads or of several.
+
+A straight line is taken from each beat. What is left of a drift that is none, as when an electrode
+settles or is pushed, shows right after the QRS, where beats of one shape have one ST segment.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from fascicle.core.arrays import Booleans, Floats, Integers
-from fascicle.recording.classes import LARGEST_SHIFT, cut, detrended
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import LEADS
+from fascicle.recording.analysis import Drift
 from fascicle.recording.detection import magnitude
+from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.lead_groups import LeadGroup
-from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.morphology import LARGEST_SHIFT, cut, detrended
 from fascicle.recording.window import qrs_window, spatial_velocity
 
-BEFORE, AFTER = 250.0, 450.0  # ms around R
-BEFORE_SHARE, AFTER_SHARE = 0.4, 0.6  # of the RR interval, at fast rates
-ALIGNMENT_SD = 10.0  # ms; of groups without a common lead, see `combine`
-# The isoelectric level of a beat is read in its still PR segment.
-KNOT = 20  # samples; one period of 50 Hz mains, so that hum averages out
-EARLIEST = 60  # samples before the QRS; further back is the P wave
-LATEST = 5  # samples before the QRS; nearer, its first slope is smoothed in
-FARTHEST = 2500  # samples; between isoelectric points farther apart, drift is no straight line
+# Samples in which the isoelectric level of a beat is read: one period of 50 Hz, so that power-line
+# interference averages out.
+KNOT = 20
 
 
-@dataclass(frozen=True)
-class AlignedBeats:
+class AlignedBeats(NamedTuple):
     """Beats on one time axis.
 
     Attributes
@@ -55,18 +55,13 @@ class AlignedBeats:
         """Time from the R peak (ms), shape (n_time,)."""
         return SAMPLING_STEP * (np.arange(self.beats.shape[2], dtype=np.float64) - self.before)
 
-    @property
-    def there(self) -> Booleans:
-        """Which leads there are, shape (12,)."""
-        return np.asarray(np.isfinite(self.beats[0]).all(axis=1))
-
 
 def extent(group: LeadGroup) -> tuple[int, int]:
     """Samples before and after R that a beat has."""
-    before, after = BEFORE, AFTER
+    before, after = 250.0, 450.0  # ms
     if len(group.peaks) > 1:
         interval = float(np.nanmedian(group.intervals))
-        before, after = min(before, BEFORE_SHARE * interval), min(after, AFTER_SHARE * interval)
+        before, after = min(before, 0.4 * interval), min(after, 0.6 * interval)
     before, after = round(before / SAMPLING_STEP), round(after / SAMPLING_STEP)
     if len(group.peaks) == 1:
         peak = int(group.peaks[0])
@@ -93,15 +88,18 @@ def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -
     first = qrs_window(median, SAMPLING_STEP, not_before)[0]
     if onset is not None:
         first = min(max(before + round(onset / SAMPLING_STEP), 0), before + after)
-    knots = peaks - before + _quiet_start(median, first)
+    knots = peaks - before + _isoelectric_start(median, first)
     beats = _detrended_beats(group.signal, knots, peaks, before, after)
     return AlignedBeats(beats, before, not_before)
 
 
-def _quiet_start(mean: Floats, onset: int) -> int:
-    """First sample of the stillest `KNOT` samples just before the QRS of a mean beat (12, n)."""
-    earliest = max(onset - EARLIEST, 0)
-    stop = max(onset - LATEST, earliest + KNOT)
+def _isoelectric_start(mean: Floats, onset: int) -> int:
+    """First of the `KNOT` slowest samples, of 60 to 5 before the QRS, of a mean beat (12, n).
+
+    Further back is the P wave; nearer, the first slope of the QRS is smoothed in.
+    """
+    earliest = max(onset - 60, 0)
+    stop = max(onset - 5, earliest + KNOT)
     velocity = spatial_velocity(mean, SAMPLING_STEP)[earliest:stop]
     speed = np.convolve(velocity, np.full(KNOT, 1 / KNOT), mode="valid")
     return int(earliest + np.argmin(speed))
@@ -129,22 +127,49 @@ def _slope(level: Floats, knots: Integers, beat: int) -> Floats:
     neighbours = [k for k in (beat + 1, beat - 1) if 0 <= k < len(knots)]
     near = min(neighbours, key=lambda k: abs(int(knots[k] - knots[beat])), default=beat)
     distance = int(knots[near] - knots[beat])
-    if not 0 < abs(distance) <= FARTHEST:
+    if not 0 < abs(distance) <= 2500:  # samples; over more, drift does not follow a straight line
         return np.zeros(level.shape[1])
     return np.asarray((level[near] - level[beat]) / distance)
 
 
 def _end_of_spikes(group: LeadGroup, members: Integers, before: int) -> int:
     """Sample of the window after the spikes that fired most of the beats; 0 if none did."""
-    ends = [group.spike_before(int(k)) for k in members]
-    offsets = [
-        end - group.peaks[k] + before
-        for k, end in zip(members, ends, strict=True)
-        if end is not None
-    ]
+    ends = [(group.spike_before(int(k)), group.peaks[k]) for k in members]
+    offsets = [end - peak + before for end, peak in ends if end is not None]
     if len(offsets) <= len(members) / 2:
         return 0
     return max(int(np.median(offsets)), 0)
+
+
+def drifting_beats(
+    group: LeadGroup, members: Integers, onset: float | None = None
+) -> dict[int, Drift]:
+    """Find beats of one shape whose baseline drifts: right after the QRS they are off the others.
+
+    By more than 0.1 mV in a lead, and by more than eight robust standard deviations of the beats in
+    that lead, or in the median lead where that is larger; of fewer than five beats none can be told
+    from the others. Of two neighbours the one that is further off goes first, since the other's
+    line may run through it. Parameters as of `cut_beats`.
+    """
+    found: dict[int, Drift] = {}
+    while len(members) >= 5:
+        aligned = cut_beats(group, members, onset)
+        median = np.median(aligned.beats, axis=0)
+        end = qrs_window(median, SAMPLING_STEP, aligned.not_before)[1]
+        levels = aligned.beats[:, :, end : end + KNOT].mean(axis=2)
+        off = np.asarray(levels - np.median(levels, axis=0))
+        spread = 1.4826 * np.median(np.abs(off), axis=0)  # of a normal distribution
+        spread = np.maximum(spread, np.nanmedian(spread))
+        excess = np.abs(off) / np.maximum(8.0 * spread, 0.1)
+        leads = np.argmax(np.where(np.isfinite(excess), excess, 0.0), axis=1)
+        worst = np.pad(excess[np.arange(len(members)), leads], 1)
+        drifting = (worst[1:-1] > 1) & (worst[1:-1] > worst[:-2]) & (worst[1:-1] >= worst[2:])
+        if not drifting.any():
+            break
+        for k in np.flatnonzero(drifting):
+            found[int(members[k])] = Drift(LEADS[leads[k]], float(off[k, leads[k]]))
+        members = members[~drifting]
+    return found
 
 
 def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
@@ -158,33 +183,34 @@ def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
     if len(groups) == 1:
         return groups[0]
     first = groups[0]
-    shifts = [0, *(_shift(first, other) for other in groups[1:])]
+    there = [np.isfinite(group.beats[0]).all(axis=1) for group in groups]
+    shared = [there[0] & other for other in there]
+    shifts = [0]
+    for group, both in zip(groups[1:], shared[1:], strict=True):
+        a, b = first.mean, group.mean
+        x, y = (a[both], b[both]) if both.any() else (magnitude(a)[None], magnitude(b)[None])
+        shifts.append(_shift(x, y, first.before, group.before))
     r_peaks = [group.before + shift for group, shift in zip(groups, shifts, strict=True)]
     before = min(r_peaks)
     after = min(group.beats.shape[2] - r for group, r in zip(groups, r_peaks, strict=True))
     count = min(len(group.beats) for group in groups)
-    together = np.full((count, first.beats.shape[1], before + after), np.nan)
+    together = np.full((count, len(LEADS), before + after), np.nan)
+    spikes = [0]
     for group, r in zip(groups, r_peaks, strict=True):
         beats = group.beats[:count, :, r - before : r + after]
         together = np.where(np.isnan(together), beats, together)
-    spikes = [
-        group.not_before - r + before
-        for group, r in zip(groups, r_peaks, strict=True)
-        if group.not_before
-    ]
-    alone = any(not (first.there & group.there).any() for group in groups)
-    return AlignedBeats(together, before, max(spikes, default=0), ALIGNMENT_SD if alone else 0.0)
+        if group.not_before:
+            spikes.append(group.not_before - r + before)
+    alone = not all(both.any() for both in shared)
+    return AlignedBeats(together, before, max(spikes), 10.0 if alone else 0.0)
 
 
-def _shift(first: AlignedBeats, other: AlignedBeats) -> int:
-    """Samples by which the second group's beats lie later about R than the first's."""
-    a, b = first.mean, other.mean
-    shared = first.there & other.there
-    x, y = (a[shared], b[shared]) if shared.any() else (magnitude(a)[None], magnitude(b)[None])
-    reach = min(first.before, other.before)
-    length = min(x.shape[1] - first.before, y.shape[1] - other.before) + reach
-    x = detrended(x[:, first.before - reach :][:, :length])
-    y = detrended(y[:, other.before - reach :][:, :length])
+def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
+    """Samples by which beats (k, m) lie later about R in the second group than in the first."""
+    reach = min(x_peak, y_peak)
+    length = min(x.shape[1] - x_peak, y.shape[1] - y_peak) + reach
+    x = detrended(x[:, x_peak - reach :][:, :length])
+    y = detrended(y[:, y_peak - reach :][:, :length])
     margin = min(LARGEST_SHIFT, length // 3)
     core = x[:, margin : length - margin]
     tries = np.lib.stride_tricks.sliding_window_view(y, core.shape[1], axis=-1)

@@ -7,19 +7,9 @@ from enum import Enum
 
 from fascicle.core.arrays import Floats
 from fascicle.core.ranges import short_repr
-from fascicle.recording.baseline_drift import Drift
 from fascicle.recording.quality.check_result import CheckResult
 from fascicle.recording.recording import Recording
 from fascicle.recording.target import Target
-
-# By their keys in the provenance
-READ_WITH = {
-    "shared_gain": "one gain for all leads, {}, in place of the file's (amplitudes rest on it)",
-    "choice_unit": "unit {}",
-    "choice_sampling_rate_hz": "sampling rate {} Hz",
-    "inverted": "upside down: {}",
-    "swapped": "exchanged: {}",
-}
 
 
 class Unused(Enum):
@@ -33,10 +23,24 @@ class Unused(Enum):
     DRIFTING = "baseline drifts"
     SURPLUS = "the other groups of leads have no more beats"
 
-    @property
-    def cut_off(self) -> bool:
-        """Whether a part of the beat was not recorded."""
-        return self in (Unused.CUT_OFF_START, Unused.CUT_OFF_END)
+
+@dataclass(frozen=True)
+class Drift:
+    """How far a beat is off the median beat right after the QRS.
+
+    Attributes
+    ----------
+    lead : str
+        In which it is off most, for how the beats vary there.
+    potential : float
+        How far (mV).
+    """
+
+    lead: str
+    potential: float
+
+    def __str__(self) -> str:
+        return f"baseline drifts by {abs(self.potential):.2f} mV in {self.lead}"
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,11 @@ class Beat:
     def used(self) -> bool:
         """Whether it is one of the target's beats."""
         return self.unused is None
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether a part of the beat was not recorded."""
+        return self.unused in (Unused.CUT_OFF_START, Unused.CUT_OFF_END)
 
     @property
     def why_unused(self) -> str:
@@ -109,7 +118,7 @@ class Analysis:
     recording : Recording
         With the user's corrections.
     signal : (12, n) array
-        Potential (mV) as recorded, every `fascicle.recording.target.SAMPLING_STEP`; NaN where a
+        Potential (mV) as recorded, every `fascicle.recording.filters.SAMPLING_STEP`; NaN where a
         lead was not recorded.
     beats : tuple of Beat
         Every beat that was found.
@@ -139,8 +148,13 @@ class Analysis:
     @property
     def read_with(self) -> tuple[str, ...]:
         """What the user has said of the file, in words: it was taken as said."""
-        return tuple(
-            text.format(self.recording.provenance[key])
-            for key, text in READ_WITH.items()
-            if key in self.recording.provenance
-        )
+        said = {
+            "shared_gain": "one gain for all leads, {}, in place of the file's "
+            "(amplitudes rest on it)",
+            "choice_unit": "unit {}",
+            "choice_sampling_rate_hz": "sampling rate {} Hz",
+            "inverted": "upside down: {}",
+            "swapped": "exchanged: {}",
+        }
+        notes = self.recording.provenance
+        return tuple(text.format(notes[key]) for key, text in said.items() if key in notes)

@@ -1,4 +1,4 @@
-"""What a user may set right in a recording: gains, polarity, exchanged cables."""
+"""What a user may set right in a recording: gains, polarity, lead reversal."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from fascicle.core.leads import ELECTRODES, LEADS, LIMB_LEADS, lead_matrix
 from fascicle.core.ranges import within
 from fascicle.recording.recording import Recording, derive_limb_leads
 
-DIGITS_PER_MILLIVOLT = 1000.0  # 1 uV a digit, the commonest gain of digital recorders
-LIMB_ELECTRODES = ELECTRODES[:3]
 
-
-def share_gain(recording: Recording, digits_per_millivolt: float) -> Recording:
+def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Recording:
     """Give all leads one gain (digits per mV), where the file states one per lead.
+
+    The default, 1 uV a digit, is the commonest gain of digital recorders.
 
     Raises
     ------
@@ -59,17 +58,10 @@ def invert(recording: Recording, lead: str) -> Recording:
 
 
 def swap(recording: Recording, first: str, second: str) -> Recording:
-    """Undo the exchange of two limb electrodes (RA, LA, LL) or of two leads.
+    """Undo the reversal of two limb electrodes (RA, LA, LL), or of two leads, by their names.
 
-    Chest leads are measured against the mean of the limb electrodes, which no exchange among these
-    alters; with two chest electrodes exchanged their leads are, too.
-
-    Parameters
-    ----------
-    recording : Recording
-        As it was read.
-    first, second : str
-        Names of the electrodes or leads.
+    Chest leads are measured against the mean of the limb electrodes, which no reversal among these
+    alters; with two chest electrodes reversed their leads are, too.
 
     Raises
     ------
@@ -77,7 +69,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
         When the two are not of one kind.
     """
     names = f"{first}-{second}"
-    if {first, second} <= set(LIMB_ELECTRODES) and first != second:
+    if {first, second} <= set(ELECTRODES[:3]) and first != second:
         signal, kept = _limb_electrodes_swapped(recording, first, second)
     elif {first, second} <= set(recording.measured_leads) and first != second:
         signal, kept = recording.signal[_order(LEADS, first, second)], recording.measured_leads
@@ -86,7 +78,7 @@ def swap(recording: Recording, first: str, second: str) -> Recording:
             f"{recording.source}: cannot swap {names}; give two of the electrodes RA, LA, LL, or "
             f"two recorded leads ({', '.join(recording.measured_leads)})"
         )
-    gainless = replace(recording, digits_per_millivolt=None)  # theirs were exchanged, too
+    gainless = replace(recording, digits_per_millivolt=None)  # theirs were reversed, too
     return _changed(gainless, signal, kept, "swapped", names)
 
 
@@ -97,8 +89,9 @@ def _limb_electrodes_swapped(
     limb = lead_matrix()[: len(LIMB_LEADS)]
     recorded, signal = recording.measured_leads, recording.signal.copy()
     kept = [lead for lead in recorded if lead not in LIMB_LEADS]
-    for row, exchanged in enumerate(limb[:, _order(ELECTRODES, first, second)]):
-        product = limb @ exchanged / np.linalg.norm(limb, axis=1) / np.linalg.norm(exchanged)
+    for row, reversed_lead in enumerate(limb[:, _order(ELECTRODES, first, second)]):
+        product = limb @ reversed_lead
+        product = product / np.linalg.norm(limb, axis=1) / np.linalg.norm(reversed_lead)
         source = int(np.argmax(np.abs(product)))  # the same lead, perhaps upside down: +1 or -1
         signal[row] = np.sign(product[source]) * recording.signal[source]
         if LIMB_LEADS[source] in recorded:
@@ -107,7 +100,7 @@ def _limb_electrodes_swapped(
 
 
 def _order(names: Sequence[str], first: str, second: str) -> list[int]:
-    """Positions of names, with two of them exchanged."""
+    """Positions of names, with two of them swapped."""
     return [names.index({first: second, second: first}.get(name, name)) for name in names]
 
 

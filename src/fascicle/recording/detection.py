@@ -1,4 +1,4 @@
-"""R peaks, from the slopes of all leads together."""
+"""R peaks, from the slopes of all leads together, without T waves as high as a QRS."""
 
 from __future__ import annotations
 
@@ -7,24 +7,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_ROWS, LEADS, LIMB_LEADS
-from fascicle.recording.resampling import block_means
-from fascicle.recording.t_waves import t_waves
-
-BASELINE_WIDTH = 0.2  # s; standard deviation of the Gaussian that is taken as baseline
-
-WORKING_RATE = 250.0  # Hz; enough for a band that ends at 15 Hz
-BAND = (5.0, 15.0)  # Hz; of Pan and Tompkins
-STRETCH = 2.0  # s; nearly always holds a beat
-LARGEST_SLOPE = 2.0  # of the lead's usual QRS; what is steeper counts no more
-TRIMMED = 0.25  # share of the leads, the most excited at each instant, that are left out
-MERGING = 0.035  # s; standard deviation of the Gaussian that makes one hump of one QRS
-REFRACTORY = 0.24  # s; no two beats follow each other faster
-# Of the way from the level between beats to that of beats; slow ectopic beats need it low.
-THRESHOLD = 0.2
-ROUNDS = 5  # in which the threshold settles
-DISAGREEING = 0.5  # of the best lead's agreement with the others; below it a lead is not used
-REACH = 0.1  # s; from the steepest part of a QRS to its R peak
-NOTCH = 0.012  # s; smoothing that merges the notches of one QRS
+from fascicle.recording.filters import block_means
 
 
 def magnitude(signal: Floats) -> Floats:
@@ -57,14 +40,14 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
 
     As Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) do for one lead: a band-pass, the
     slope, its mean over about a QRS, and a threshold a fifth of the way from the level between
-    the beats to that of the beats; T waves above it are told by their steepness and what follows
-    (`fascicle.recording.t_waves`). Three things differ, because all leads and all beats are there
-    from the beginning. The slopes of the leads, each in units of its usual QRS and limited, are
-    averaged, weighted by how well they agree with the other leads, without the quarter of the leads
-    that moves most at that instant: a bad electrode neither makes beats nor hides them. The highest
-    slope within the refractory period decides, not the first. And both levels are medians over the
-    whole recording. Each beat then moves to the top of the smoothed root mean square of the leads
-    that agree, which is the same point of every beat of one shape to within a few ms.
+    the beats to that of the beats; T waves above it are told by their steepness and what follows.
+    Three things differ, because all leads and all beats are there from the beginning. The slopes of
+    the leads, each in units of its usual QRS and limited, are averaged, weighted by how well they
+    agree with the other leads, without the quarter of the leads that moves most at that instant: a
+    bad electrode neither makes beats nor hides them. The highest slope within the refractory period
+    decides, not the first. And both levels are medians over the whole recording. Each beat then
+    moves to the top of the smoothed root mean square of the leads that agree, which is the same
+    point of every beat of one shape to within a few ms.
 
     Parameters
     ----------
@@ -83,38 +66,38 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     ValueError
         When every lead holds a NaN.
     """
-    factor = max(round(sampling_rate / WORKING_RATE), 1)
+    factor = max(round(sampling_rate / 250.0), 1)  # Hz; enough for a band that ends at 15 Hz
     rate = sampling_rate / factor
     leads = np.stack([block_means(signal[row], factor) for row in complete_leads(signal)])
-    slopes = _usual_slopes(leads, rate)
+    slopes = _normalised_slopes(leads, rate)
     moving = slopes.any(axis=1)
     if not moving.any():
         return np.empty(0, dtype=np.int64)
     weights = _agreement(slopes[moving], rate)
     weighted = weights[:, None] * slopes[moving]
-    kept = len(weighted) - int(TRIMMED * len(weighted))
+    kept = len(weighted) - int(0.25 * len(weighted))
     slope = np.partition(weighted, kept - 1, axis=0)[:kept].mean(axis=0)
-    level = leads[moving][weights >= DISAGREEING * weights.max()]
+    level = leads[moving][weights >= 0.5 * weights.max()]
     marks = _beats(slope, level, rate)
-    level = level - gaussian_filter1d(level, BASELINE_WIDTH * rate, axis=-1, mode="nearest")
-    peaks = _tops(np.sqrt(np.mean(level**2, axis=0)), marks, rate)
-    return np.asarray(peaks * factor + factor // 2, dtype=np.int64)
+    baseline = gaussian_filter1d(level, 0.2 * rate, axis=-1, mode="nearest")  # s
+    height = np.sqrt(np.mean((level - baseline) ** 2, axis=0))
+    return np.asarray(_tops(height, marks, rate) * factor + factor // 2, dtype=np.int64)
 
 
-def _usual_slopes(leads: Floats, rate: float) -> Floats:
-    """Steepness of each lead in units of its usual QRS, limited; zero for flat leads."""
+def _normalised_slopes(leads: Floats, rate: float) -> Floats:
+    """Steepness of each lead in units of its usual QRS, at most 2; zero for flat leads."""
     from scipy.signal import butter, sosfiltfilt
 
-    band = butter(1, BAND, "bandpass", fs=rate, output="sos")
+    band = butter(1, (5.0, 15.0), "bandpass", fs=rate, output="sos")  # Hz; Pan and Tompkins
     steep = np.abs(np.gradient(sosfiltfilt(band, leads, axis=-1), axis=-1))
     usual = _usual_height(steep, rate)
     scale = np.where(usual > 0, usual, np.inf)[:, None]
-    return np.asarray(np.minimum(steep / scale, LARGEST_SLOPE))
+    return np.asarray(np.minimum(steep / scale, 2.0))
 
 
 def _usual_height(x: Floats, rate: float) -> Floats:
-    """Median over stretches, each long enough for a beat, of the largest value of x (..., n)."""
-    width = min(round(STRETCH * rate), x.shape[-1])
+    """Median over stretches of 2 s, which nearly always hold a beat, of the largest x (..., n)."""
+    width = min(round(2.0 * rate), x.shape[-1])
     starts = range(0, x.shape[-1] - width + 1, max(width // 2, 1))
     return np.asarray(
         np.median([x[..., start : start + width].max(axis=-1) for start in starts], axis=0)
@@ -135,7 +118,8 @@ def _agreement(slopes: Floats, rate: float) -> Floats:
 
 
 def _merged(slopes: Floats, rate: float) -> Floats:
-    return np.asarray(gaussian_filter1d(slopes, MERGING * rate, axis=-1, mode="constant"))
+    """Slopes (..., n) smoothed so that one QRS makes one hump."""
+    return np.asarray(gaussian_filter1d(slopes, 0.035 * rate, axis=-1, mode="constant"))
 
 
 def _beats(slope: Floats, leads: Floats, rate: float) -> Integers:
@@ -143,12 +127,12 @@ def _beats(slope: Floats, leads: Floats, rate: float) -> Integers:
     from scipy.signal import find_peaks
 
     merged = _merged(slope, rate)
-    # A beat at the very end of the recording has its top there.
-    found = find_peaks(np.pad(merged, 1), distance=REFRACTORY * rate)[0] - 1
+    # A beat at the very end of the recording has its top there. No two follow each other faster.
+    found = find_peaks(np.pad(merged, 1), distance=0.24 * rate)[0] - 1
     usual = float(_usual_height(merged, rate)) / 2
     beats = _high(merged, found, usual)
     # T waves among the beats lower the threshold, so it settles again without them.
-    return _high(merged, np.setdiff1d(found, t_waves(beats, leads, rate)), usual)
+    return _high(merged, np.setdiff1d(found, _t_waves(beats, leads, rate)), usual)
 
 
 def _high(merged: Floats, found: Integers, usual: float) -> Integers:
@@ -156,15 +140,54 @@ def _high(merged: Floats, found: Integers, usual: float) -> Integers:
     height = merged[found]
     between = np.median(merged)
     beat = height > usual
-    for _ in range(ROUNDS):
-        beat = height > between + THRESHOLD * (np.median(height[beat]) - between)
+    for _ in range(5):  # the threshold settles; slow ectopic beats need it low
+        beat = height > between + 0.2 * (np.median(height[beat]) - between)
     return np.asarray(found[beat])
 
 
+def _t_waves(beats: Integers, leads: Floats, rate: float) -> Integers:
+    """Those of the found beats (n_beats,), samples, that are the T wave of the beat before.
+
+    A T wave comes soon after a beat, is less steep, slow for its height, and followed by no wave.
+    The first two are of Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985); the others keep
+    early ectopic beats, which have a QRS and a T wave of their own.
+    """
+    slope = gaussian_filter1d(leads, 0.005 * rate, axis=-1, order=1)
+    slope = np.sqrt(np.mean(slope**2, axis=0))
+    reach = round(0.08 * rate)
+    steepness = [float(slope[max(beat - reach, 0) : beat + reach + 1].max()) for beat in beats]
+    wave = gaussian_filter1d(leads, 0.02 * rate, axis=-1)
+    nexts = [*(beats[1:] - 0.1 * rate), leads.shape[1]]
+    found = []
+    before = 0
+    for k in range(1, len(beats)):
+        height = _height(wave, beats[k] - 0.1 * rate, beats[k] + 0.1 * rate)
+        following = beats[k] + 0.14 * rate, min(beats[k] + 0.4 * rate, nexts[k])  # its own T wave
+        if (
+            beats[k] - beats[before] < 0.36 * rate
+            and steepness[k] < 0.7 * steepness[before]
+            # height over steepness (s): up to 0.048 of few ectopic beats
+            and height > 0.046 * rate * steepness[k]
+            and following[1] - following[0] >= 0.06 * rate  # of less nothing can be said
+            # a P wave is lower, the T wave of most beats higher
+            and _height(wave, *following) < 0.25 * height
+        ):
+            found.append(beats[k])
+        else:
+            before = k
+    return np.array(found, dtype=np.int64)
+
+
+def _height(wave: Floats, start: float, stop: float) -> float:
+    """Root mean square over the leads of what each spans between two samples (mV)."""
+    spans = np.ptp(wave[:, max(round(start), 0) : round(stop) + 1], axis=1)
+    return float(np.sqrt(np.mean(spans**2)))
+
+
 def _tops(height: Floats, marks: Integers, rate: float) -> Integers:
-    """Sample at which the smoothed height is largest around each mark."""
-    smooth = gaussian_filter1d(height, NOTCH * rate)
-    reach = round(REACH * rate)
+    """Sample at which the smoothed height is largest within 0.1 s of each mark."""
+    smooth = gaussian_filter1d(height, 0.012 * rate)  # merges the notches of one QRS
+    reach = round(0.1 * rate)
     first = np.maximum(marks - reach, 0)
     tops = [
         start + int(np.argmax(smooth[start : mark + reach]))

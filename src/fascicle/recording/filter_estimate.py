@@ -1,4 +1,4 @@
-"""The low-pass of a recorder whose file does not name it, from the spectrum of its beats.
+"""The recorder's filters: as the file or the user says, or from the spectrum of the beats.
 
 A QRS's own spectrum falls slowly, over octaves; that of a recording behind a steep low-pass breaks
 off at its cut-off and falls to the noise of the digits. Two models of the spectrum (dB) about a
@@ -10,66 +10,69 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
-from fascicle.recording.filters import DECIBELS, Filter, FilterKind, FilterOrigin, attenuation
+from fascicle.core.errors import InputError
+from fascicle.recording.filters import (
+    DECIBELS,
+    MAINS,
+    NOTCH_QUALITY,
+    Filter,
+    FilterKind,
+    FilterOrigin,
+    applied_filters,
+    attenuation,
+)
+from fascicle.recording.recording import Recording
+from fascicle.recording.target_options import TargetOptions
 
-BEFORE, AFTER = 0.25, 0.45  # s of each beat, about R
-FLAT_BEFORE, FLAT_AFTER = 0.04, 0.06  # s about R that no taper reaches: most of the QRS
-LEAST = 0.35  # s; with less of a beat the spectrum is too blurred
-MOST_BEATS = 30  # more do not make the spectrum smoother
-RESOLUTION = 0.5  # Hz, by padding
-BAND = 2.0  # Hz; the mean power of so much is one value of the fit
-FITTED_FROM, FITTED_TO = 10.0, 0.36  # Hz, below it are P and T; share of the sampling rate
-SMALLEST = 1e-30  # mV² s²; keeps the logarithm finite
-MAINS_LINES, LINE_WIDTH, HARMONICS = (50.0, 60.0), 3.0, 10  # Hz to each side of every harmonic
-
-# Cut-offs (Hz) about which one is looked for, and the range of the fit about each, in shares of it
-CENTRES = (20.0, 30.0, 40.0, 55.0, 75.0, 100.0, 130.0)
-RANGE, CUTOFFS = (0.4, 2.5), (0.7, 1.4)
-FEWEST = 15  # values in that range
-KNEE = 0.7  # of the centre: where the line is pinned
-ORDERS, FIRST_ORDERS = (2.0, 40.0), (5.0, 12.0)  # and where the fit starts
-TOLERANCE = 2.0  # dB; values farther from the model than this count less
-EVALUATIONS = 100  # of a fit, at most
-
-# What a low-pass must be like to be believed; in between lies what smooth waves look like
-LOWEST, HIGHEST = 25.0, 130.0  # Hz
-LEAST_ORDER = 8.0  # 48 dB per octave
-LEAST_DEPTH = 20.0  # dB that it takes away before the floor is reached
-STEEPER = 2.0  # times as steep as the recording's own spectrum
-BETTER = 0.8  # largest ratio of its misfit to that without a low-pass
-# Where the spectrum falls by less there is none of that order and depth, and nothing is fitted.
-APART, LEAST_FALL = 1.4, 15.0  # ratio of two frequencies, and dB from one to the other
-AGREEMENT = 0.05  # between the cut-offs found about two centres
-AT_BOUND = 0.01  # of the cut-off; nearer to the end of its range it is not found, but stopped
+# Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
+# steeply they fall from there; an analogue stage of second order is usual.
+RECORDER_ORDER = 2.0
+RESOLUTION, BAND = 0.5, 2.0  # Hz; of the spectrum, by padding, and of one value of the fit
+CUTOFFS = (0.7, 1.4)  # range of a fitted cut-off, as shares of the frequency it is looked for about
+KNEE = 0.7  # share of that frequency at which the line is pinned
 
 
-class _Fitted(NamedTuple):
-    """A low-pass that was fitted, and what it is judged by."""
+def passed_filters(
+    recording: Recording, r_peaks: Integers, options: TargetOptions
+) -> tuple[Filter, ...]:
+    """The recorder's filters and those of this program, in the order in which they were passed.
 
-    cutoff: float  # Hz
-    order: float
-    depth: float  # dB
-    slope: float  # of the recording's own spectrum, dB per octave, downward
-    misfit: float  # over that without a low-pass
-    at_bound: bool
+    Parameters
+    ----------
+    recording : Recording
+        As recorded, without the filters that the user asks for.
+    r_peaks : (n_beats,) array
+        Samples of its R peaks.
+    options : TargetOptions
+        Decisions of the user.
 
-    @property
-    def believed(self) -> bool:
-        """Whether nothing but a low-pass looks like this."""
-        per_octave = 20 * np.log10(2) * self.order
-        return bool(
-            LOWEST <= self.cutoff <= HIGHEST
-            and not self.at_bound
-            and self.order >= LEAST_ORDER
-            and self.depth >= LEAST_DEPTH
-            and per_octave >= STEEPER * self.slope
-            and self.misfit <= BETTER
+    Raises
+    ------
+    InputError
+        When the user states another low-pass than the file.
+    """
+    named, stated = recording.filters.lowpass, options.recorder_lowpass
+    if named is not None and stated not in (None, named):
+        raise InputError(
+            f"{recording.source}: the recorder's low-pass is {named:g} Hz in the file, not "
+            f"{stated:g} Hz; leave --recorder-lowpass out, or correct the file"
         )
+    lowpass: Filter | None
+    if named is not None:
+        lowpass = Filter(FilterKind.LOW_PASS, named, FilterOrigin.FILE, RECORDER_ORDER)
+    elif stated is not None:
+        lowpass = Filter(FilterKind.LOW_PASS, stated, FilterOrigin.STATED, RECORDER_ORDER)
+    else:
+        lowpass = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
+    filters = [] if lowpass is None else [lowpass]
+    if recording.filters.notch is not None:
+        notch = recording.filters.notch
+        filters.append(Filter(FilterKind.NOTCH, notch, FilterOrigin.FILE, NOTCH_QUALITY))
+    return (*filters, *applied_filters(options.lowpass, options.notch))
 
 
 def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -> Filter | None:
@@ -90,58 +93,44 @@ def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -
         Butterworth low-pass with the cut-off (-3 dB) and the order that describe the fall best; its
         order need not be whole. None where there is no low-pass, a gentle one, or doubt.
     """
-    found = beat_spectrum(signal, sampling_rate, r_peaks)
+    found = _beat_spectrum(signal, sampling_rate, r_peaks)
     if found is None:
         return None
     frequency, level = _levels(*found, sampling_rate)
     believed = []
-    for centre in CENTRES:
-        near = (frequency > RANGE[0] * centre) & (frequency < RANGE[1] * centre)
-        if near.sum() < FEWEST or frequency[-1] < CUTOFFS[1] * centre:
+    for centre in (20.0, 30.0, 40.0, 55.0, 75.0, 100.0, 130.0):  # Hz
+        near = (frequency > 0.4 * centre) & (frequency < 2.5 * centre)
+        if near.sum() < 15 or frequency[-1] < CUTOFFS[1] * centre:
             continue
-        if _steepest_fall(frequency[near], level[near]) > LEAST_FALL:
+        # Where levels fall by less there is no low-pass of the order and depth that count.
+        if _steepest_fall(frequency[near], level[near]) > 15.0:  # dB
             fit = _fit(frequency[near], level[near], centre)
-            if fit.believed:
+            if fit is not None:
                 believed.append(fit)
-    # one that is there is found about more than one centre
+    # A low-pass that is there is found about more than one centre.
     agreeing = [
-        min(one, other, key=lambda fit: fit.misfit)
+        min(one, other)
         for one, other in combinations(believed, 2)
-        if abs(one.cutoff / other.cutoff - 1) < AGREEMENT
+        if abs(one[1] / other[1] - 1) < 0.05
     ]
     if not agreeing:
         return None
-    best = min(agreeing, key=lambda fit: fit.misfit)
-    return Filter(FilterKind.LOW_PASS, best.cutoff, FilterOrigin.ESTIMATED, best.order)
+    _, cutoff, order = min(agreeing)
+    return Filter(FilterKind.LOW_PASS, cutoff, FilterOrigin.ESTIMATED, order)
 
 
-def beat_spectrum(
+def _beat_spectrum(
     signal: Floats, sampling_rate: float, r_peaks: Integers
 ) -> tuple[Floats, Floats] | None:
-    """Mean spectrum of energy over the beats and leads of a recording.
-
-    Parameters
-    ----------
-    signal : (n_leads, n) array
-        Potential (mV); leads may be NaN.
-    sampling_rate : float
-        Samples per second (Hz).
-    r_peaks : (n_beats,) array
-        Samples of the R peaks.
-
-    Returns
-    -------
-    frequency, energy : (k,) array, or None
-        In Hz and mV² s²; None where no beat has enough around it.
-    """
+    """Frequencies (Hz) and mean energy (mV² s²) over beats and leads; None without a whole beat."""
     size = round(sampling_rate / RESOLUTION)
-    before, after = round(BEFORE * sampling_rate), round(AFTER * sampling_rate)
+    before, after = round(0.25 * sampling_rate), round(0.45 * sampling_rate)  # s about R
     energies = []
-    for peak in r_peaks[:: max(len(r_peaks) // MOST_BEATS, 1)]:
+    for peak in r_peaks[:: max(len(r_peaks) // 30, 1)]:  # more do not make it smoother
         start, stop = max(peak - before, 0), min(peak + after, signal.shape[1])
         beat = signal[:, start:stop]
         beat = beat[np.isfinite(beat).all(axis=1)]
-        if stop - start < LEAST * sampling_rate or not len(beat):
+        if stop - start < 0.35 * sampling_rate or not len(beat):  # shorter ones blur the spectrum
             continue
         along = np.linspace(0.0, 1.0, stop - start)
         beat = beat - beat[:, :1] - along * (beat[:, -1:] - beat[:, :1])
@@ -157,8 +146,8 @@ def _taper(peak: int, size: int, sampling_rate: float) -> Floats:
     """Weights (size,), 1 about R, that fall to 0 at both ends by halves of a Blackman-Harris."""
     from scipy.signal.windows import blackmanharris
 
-    rise = max(peak - round(FLAT_BEFORE * sampling_rate), 1)
-    fall = max(size - 1 - peak - round(FLAT_AFTER * sampling_rate), 1)
+    rise = max(peak - round(0.04 * sampling_rate), 1)  # s about R without a taper: the QRS
+    fall = max(size - 1 - peak - round(0.06 * sampling_rate), 1)
     ends = np.ones(size)
     ends[:rise] = blackmanharris(2 * rise + 1)[:rise]
     ends[-fall:] *= blackmanharris(2 * fall + 1)[-fall:]
@@ -166,26 +155,31 @@ def _taper(peak: int, size: int, sampling_rate: float) -> Floats:
 
 
 def _levels(frequency: Floats, energy: Floats, sampling_rate: float) -> tuple[Floats, Floats]:
-    """Middle (Hz) and level (dB) of bands, without those that power-line interference may be in."""
-    starts = np.arange(FITTED_FROM, FITTED_TO * sampling_rate - BAND, BAND)
+    """Middle (Hz) and level (dB) of bands, without those of power-line interference."""
+    # below 10 Hz are P and T waves
+    starts = np.arange(10.0, 0.36 * sampling_rate - BAND, BAND)
     middles = starts + BAND / 2
-    lines = np.outer(MAINS_LINES, np.arange(1, HARMONICS + 1)).ravel()
-    kept = (np.abs(middles[:, None] - lines) > LINE_WIDTH).all(axis=1)
+    lines = np.outer(MAINS, np.arange(1, 11)).ravel()  # with harmonics
+    kept = (np.abs(middles[:, None] - lines) > 3.0).all(axis=1)
     width = round(BAND / RESOLUTION)
     first = np.searchsorted(frequency, starts - RESOLUTION / 2)
     means = np.array([energy[k : k + width].mean() for k in first])
-    return middles[kept], 10 * np.log10(means[kept] + SMALLEST)
+    return middles[kept], 10 * np.log10(means[kept] + 1e-30)
 
 
 def _steepest_fall(frequency: Floats, level: Floats) -> float:
-    """Most (dB) that levels fall between two frequencies of ratio `APART`."""
-    from_here = frequency[frequency * APART <= frequency[-1]]
-    later = np.interp(APART * from_here, frequency, level)
+    """Most (dB) that levels fall from one frequency to 1.4 times that."""
+    from_here = frequency[frequency * 1.4 <= frequency[-1]]
+    later = np.interp(1.4 * from_here, frequency, level)
     return float((level[: len(from_here)] - later).max(initial=0.0))
 
 
-def _fit(frequency: Floats, level: Floats, centre: float) -> _Fitted:
-    """Fit a low-pass to the levels (k,), dB, about a frequency (Hz)."""
+def _fit(frequency: Floats, level: Floats, centre: float) -> tuple[float, float, float] | None:
+    """Fit a low-pass to the levels (k,), dB, about a frequency (Hz).
+
+    Returns its misfit over that without a low-pass, cut-off (Hz) and order; None where a smooth
+    wave looks like it, too.
+    """
     lowest, highest = float(level.min()), float(level.max())
     knee = float(np.interp(KNEE * centre, frequency, level))
     middle = float(np.interp(centre, frequency, level))
@@ -193,14 +187,14 @@ def _fit(frequency: Floats, level: Floats, centre: float) -> _Fitted:
     lower, upper = [lowest - 60, -10.0, lowest - 20, 0.0], [highest + 40, 400.0, highest, 60.0]
     starts = [
         [knee, 5.0, floor, 1.0, np.log(centre), np.log(order), noise]
-        for order in FIRST_ORDERS
+        for order in (5.0, 12.0)
         for noise in (middle - 20, middle)
     ]
     cost, best = _least_cost(
         lambda p: _with_lowpass(p, frequency, centre) - level,
         starts,
-        [*lower, np.log(CUTOFFS[0] * centre), np.log(ORDERS[0]), lowest - 20],
-        [*upper, np.log(CUTOFFS[1] * centre), np.log(ORDERS[1]), highest],
+        [*lower, np.log(CUTOFFS[0] * centre), np.log(2.0), lowest - 20],  # orders 2 to 40
+        [*upper, np.log(CUTOFFS[1] * centre), np.log(40.0), highest],
     )
     free, _ = _least_cost(
         lambda p: _without_lowpass(p, frequency, centre) - level,
@@ -212,14 +206,18 @@ def _fit(frequency: Floats, level: Floats, centre: float) -> _Fitted:
     fine = np.geomspace(frequency[0], frequency[-1], 500)
     own, floor_there = _own_and_floor(best, fine, centre)
     above = _power_sum(own, best[6]) - floor_there
-    return _Fitted(
-        cutoff,
-        order,
-        depth=float(np.minimum(attenuation(fine / cutoff, order), above).max()),
-        slope=float(best[1]) / centre * cutoff * np.log(2),
-        misfit=float(np.sqrt(cost / free)),
-        at_bound=min(abs(cutoff / (share * centre) - 1) for share in CUTOFFS) < AT_BOUND,
+    depth = float(np.minimum(attenuation(fine / cutoff, order), above).max())
+    own_slope = float(best[1]) / centre * cutoff * np.log(2)  # dB per octave, downward
+    misfit = float(np.sqrt(cost / free))
+    believed = (
+        25.0 <= cutoff <= 130.0  # Hz
+        and min(abs(cutoff / (share * centre) - 1) for share in CUTOFFS) >= 0.01  # not at a bound
+        and order >= 8.0  # 48 dB per octave
+        and depth >= 20.0  # dB that it takes away before the floor is reached
+        and 20 * np.log10(2) * order >= 2.0 * own_slope
+        and misfit <= 0.8
     )
+    return (misfit, cutoff, order) if believed else None
 
 
 def _own_and_floor(p: Floats, frequency: Floats, centre: float) -> tuple[Floats, Floats]:
@@ -266,7 +264,7 @@ def _least_cost(
     fits = [
         least_squares(
             residuals, np.clip(start, lower + inside, upper - inside), bounds=(lower, upper),
-            loss="soft_l1", f_scale=TOLERANCE, max_nfev=EVALUATIONS,
+            loss="soft_l1", f_scale=2.0, max_nfev=100,  # dB; values farther away count less
         )
         for start in starts
     ]  # fmt: skip

@@ -1,7 +1,7 @@
-"""Filters that a recording has passed, so that a simulated ECG can pass them, too.
+"""Filters of recorders and users, which simulated ECGs pass too; the sampling rate of targets.
 
-Only what they do to amplitudes is here. Their delay does not matter: a simulation is shifted to
-where it fits best. High-passes are left out, since beats are detrended and shorter than what a
+A filter is known by what it does to amplitudes. Its delay does not matter: a simulation is shifted
+to where it fits best. High-passes are left out, since beats are detrended and shorter than what a
 high-pass below 1 Hz changes.
 """
 
@@ -11,18 +11,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from fractions import Fraction
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
 
-APPLIED_ORDER = 2  # of a low-pass that is run forward and backward: 4 in effect
-NOTCH_QUALITY = 30.0  # of a notch filter: 50 Hz +- 0.8 Hz
-# Electrocardiographs state where they are 3 dB down (ANSI/AAMI EC11, IEC 60601-2-25), not how
-# steeply they fall from there; an analogue stage of second order is usual.
-RECORDER_ORDER = 2.0
-DIGITAL_ORDERS = range(1, 11)  # of a digital low-pass, as designed
-DECIBELS = 10 / math.log(10)  # in one neper of power
+SAMPLING_STEP = 1.0  # ms; targets and simulated ECGs share it
+TARGET_RATE = 1000.0 / SAMPLING_STEP  # Hz
+MAINS = (50.0, 60.0)  # Hz
+NOTCH_QUALITY = 30.0  # frequency over width of a notch filter: 50 Hz +- 0.8 Hz
+DECIBELS = 10 / math.log(10)  # dB in one neper of power
 
 
 class FilterKind(Enum):
@@ -72,30 +71,17 @@ class Filter:
     sampling_rate: float | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.frequency) and self.frequency > 0):
-            raise ValueError(f"{self.kind.value} at {self.frequency} Hz")
-        if not (math.isfinite(self.shape) and self.shape > 0):
-            raise ValueError(f"{self.kind.value} of order or quality {self.shape}")
-        if self.sampling_rate is None:
-            return
-        if not 2 * self.frequency < self.sampling_rate < math.inf:
-            raise ValueError(f"{self.frequency} Hz in a signal of {self.sampling_rate} Hz")
-        if self.kind is FilterKind.LOW_PASS and self.shape not in DIGITAL_ORDERS:
-            raise ValueError(f"digital low-pass of order {self.shape}")
+        rate = self.sampling_rate
+        digital_lowpass = rate is not None and self.kind is FilterKind.LOW_PASS
+        if (
+            not (0 < self.frequency < math.inf and 0 < self.shape < math.inf)
+            or (rate is not None and not 2 * self.frequency < rate < math.inf)
+            or (digital_lowpass and self.shape not in range(1, 11))
+        ):
+            raise ValueError(f"{self} at a sampling rate of {rate} Hz is impossible")
 
     def gain(self, frequency: Floats) -> Floats:
-        """Factor by which amplitudes are multiplied.
-
-        Parameters
-        ----------
-        frequency : (k,) array
-            In Hz; of a digital filter at most half of its sampling rate.
-
-        Returns
-        -------
-        (k,) array
-            0 to 1.
-        """
+        """Factor (0 to 1) by which amplitudes at frequencies (k,), in Hz, are multiplied."""
         if self.sampling_rate is not None:
             return self._digital_gain(frequency, self.sampling_rate)
         ratio = np.asarray(frequency, dtype=np.float64) / self.frequency
@@ -105,15 +91,25 @@ class Filter:
         return np.asarray(passed / np.hypot(passed, ratio / self.shape))
 
     def _digital_gain(self, frequency: Floats, rate: float) -> Floats:
-        from scipy.signal import freqz, freqz_sos
+        from scipy.signal import butter, freqz, freqz_sos, iirnotch
 
         if self.kind is FilterKind.LOW_PASS:
-            sections = lowpass_sections(self.frequency, round(self.shape), rate)
+            sections = butter(round(self.shape), self.frequency, fs=rate, output="sos")
             response = freqz_sos(sections, worN=frequency, fs=rate)[1]
         else:
-            coefficients = notch_coefficients(self.frequency, self.shape, rate)
+            coefficients = iirnotch(self.frequency, self.shape, fs=rate)
             response = freqz(*coefficients, worN=frequency, fs=rate)[1]
         return np.asarray(np.abs(response) ** 2)  # forward and backward
+
+    def apply(self, signal: Floats) -> Floats:
+        """Signal (n_leads, n) after this digital filter, without delay; NaN leads stay so."""
+        from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
+
+        rate = self.sampling_rate
+        if self.kind is FilterKind.LOW_PASS:
+            sections = butter(round(self.shape), self.frequency, fs=rate, output="sos")
+            return np.asarray(sosfiltfilt(sections, signal, axis=-1))
+        return np.asarray(filtfilt(*iirnotch(self.frequency, self.shape, fs=rate), signal))
 
     def __str__(self) -> str:
         """Such as ``low-pass 40 Hz (order 2), applied by this program``."""
@@ -125,84 +121,33 @@ class Filter:
 
 
 def attenuation(ratio: Floats, order: float) -> Floats:
-    """What a Butterworth low-pass takes away (dB) at frequencies of `ratio` times its cut-off.
+    """Attenuation (dB) by a Butterworth low-pass at frequencies of `ratio` times its cut-off.
 
-    It is 10 log₁₀(1 + ratio²ⁿ), n the order, which need not be whole.
+    It is 10 log₁₀(1 + ratio²ⁿ), where the order n need not be whole.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(DECIBELS * np.logaddexp(0.0, 2 * order * np.log(ratio)))
 
 
-def lowpass_sections(cutoff: float, order: int, sampling_rate: float) -> Floats:
-    """Second-order sections of a digital Butterworth low-pass, for one run of it.
-
-    Parameters
-    ----------
-    cutoff, sampling_rate : float
-        In Hz.
-    order : int
-        Of the filter.
-    """
-    from scipy.signal import butter
-
-    return np.asarray(butter(order, cutoff, fs=sampling_rate, output="sos"))
-
-
-def notch_coefficients(mains: float, quality: float, sampling_rate: float) -> tuple[Floats, Floats]:
-    """Numerator and denominator of a digital notch filter, for one run of it.
-
-    Parameters
-    ----------
-    mains, sampling_rate : float
-        In Hz.
-    quality : float
-        `mains` over the width of the notch.
-    """
-    from scipy.signal import iirnotch
-
-    numerator, denominator = iirnotch(mains, quality, fs=sampling_rate)
-    return np.asarray(numerator), np.asarray(denominator)
-
-
-def applied_filters(
-    lowpass: float | None, mains: float | None, sampling_rate: float
-) -> tuple[Filter, ...]:
-    """The filters that a user may ask for, those that are wanted of them.
+def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter, ...]:
+    """The digital filters that the user asks for, at the rate of targets.
 
     Parameters
     ----------
     lowpass : float, optional
-        Cut-off of the low-pass (Hz), where it halves amplitudes.
+        Cut-off (Hz) of a low-pass, where it halves amplitudes.
     mains : float, optional
-        Frequency (Hz) of the hum that the notch removes.
-    sampling_rate : float
-        Samples per second (Hz) of what is filtered.
+        Frequency (Hz) of the power-line interference that a notch removes.
     """
-    wanted = (
-        (FilterKind.LOW_PASS, lowpass, float(APPLIED_ORDER)),
+    wanted = (  # of order 2, run forward and backward: 4 in effect
+        (FilterKind.LOW_PASS, lowpass, 2.0),
         (FilterKind.NOTCH, mains, NOTCH_QUALITY),
     )
     return tuple(
-        Filter(kind, frequency, FilterOrigin.APPLIED, shape, sampling_rate)
+        Filter(kind, frequency, FilterOrigin.APPLIED, shape, TARGET_RATE)
         for kind, frequency, shape in wanted
         if frequency is not None
     )
-
-
-def apply(filters: Sequence[Filter], signal: Floats) -> Floats:
-    """Signal (n_leads, n) after digital filters without delay; leads that are NaN stay so."""
-    from scipy.signal import filtfilt, sosfiltfilt
-
-    for one in filters:
-        if one.sampling_rate is None:
-            raise ValueError(f"{one}: not a digital filter")
-        if one.kind is FilterKind.LOW_PASS:
-            sections = lowpass_sections(one.frequency, round(one.shape), one.sampling_rate)
-            signal = np.asarray(sosfiltfilt(sections, signal, axis=-1))
-        else:
-            coefficients = notch_coefficients(one.frequency, one.shape, one.sampling_rate)
-            signal = np.asarray(filtfilt(*coefficients, signal))
-    return signal
 
 
 def combined_gain(filters: Sequence[Filter], frequency: Floats) -> Floats:
@@ -211,3 +156,26 @@ def combined_gain(filters: Sequence[Filter], frequency: Floats) -> Floats:
     for one in filters:
         gain = gain * one.gain(frequency)
     return gain
+
+
+def resample(signal: Floats, sampling_rate: float) -> Floats:
+    """Signal (n_leads, n) at a rate (Hz), to one sample every `SAMPLING_STEP`.
+
+    By a polyphase filter; leads that are NaN throughout stay so.
+    """
+    from scipy.signal import resample_poly
+
+    exact = Fraction(TARGET_RATE / sampling_rate)
+    ratio = exact.limit_denominator(1000)
+    if abs(ratio - exact) * signal.shape[1] * SAMPLING_STEP > 0.5:  # ms, at the last sample
+        ratio = exact.limit_denominator(20_000)
+    if ratio == 1:
+        return signal.copy()
+    up, down = ratio.numerator, ratio.denominator
+    return np.asarray(resample_poly(signal, up, down, axis=-1, padtype="line"))
+
+
+def block_means(signal: Floats, factor: int) -> Floats:
+    """Means of each `factor` successive samples, (..., n) to (..., n // factor)."""
+    whole = signal.shape[-1] // factor * factor
+    return np.asarray(signal[..., :whole].reshape(*signal.shape[:-1], -1, factor).mean(axis=-1))

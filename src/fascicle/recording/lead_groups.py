@@ -1,31 +1,26 @@
-"""Leads recorded at the same time, and their beats: where each is, and of which shape."""
+"""Leads recorded at the same time, and their beats: where each is, and of which class."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from string import ascii_uppercase
 
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, independent_rows
-from fascicle.recording.classes import HALF_WIDTH, cluster_morphology, cut, detrended, noise_energy
 from fascicle.recording.detection import magnitude, r_peaks
+from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, applied_filters, resample
+from fascicle.recording.morphology import (
+    HALF_WIDTH,
+    cluster_morphology,
+    cut,
+    detrended,
+    noise_energy,
+)
 from fascicle.recording.recording import Recording
-from fascicle.recording.resampling import SAMPLING_STEP, TARGET_RATE, filtered, resample
-from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window
-
-SAME_TIME = 0.9  # share of a stretch that another covers, if it is of the same group or longer
-ONE_BEAT = 120.0  # ms; R peaks so near to each other are of one beat
-SHORTEST_RHYTHM = 1.5  # s; less is one beat, as recorders print it
-CUT = 40.0  # ms; of a QRS that is nearer to an end of the recording, half is missing
-EARLY = 0.85  # of the usual interval; a beat that comes sooner is premature
-SMALLEST_R = 0.1  # of a lead's largest deflection
-MEDIAN_REACH = 2 * HALF_WIDTH  # samples each side of R of the median beat that shows a class's QRS
-WIDE, WIDER = 120.0, 20.0  # ms; a QRS that long, and that much longer than the commonest
-SPIKE_REACH = 200.0  # ms before R in which a spike is taken to have fired the beat
 
 
 @dataclass(frozen=True)
@@ -36,27 +31,22 @@ class LeadGroup:
 
     Attributes
     ----------
-    start : int
-        First sample of the stretch in the whole recording.
-    recording : Recording
-        That stretch without pacing spikes; leads recorded at other times are NaN.
-    recorded : (12, n) array
-        Its potential (mV) every `SAMPLING_STEP`, as recorded.
+    start : float
+        Time of the first sample (s from the start of the recording).
     signal : (12, n) array
-        The same without pacing spikes, filtered if so chosen.
+        Potential (mV) every `SAMPLING_STEP`, without pacing spikes, filtered if so chosen; leads
+        recorded at other times are NaN.
     spikes : (k, 2) array
         First sample of each pacing spike and the one after its last.
     noise : float
-        Energy of the noise between beats, see `fascicle.recording.classes.noise_energy`.
+        Energy of the noise between beats, see `fascicle.recording.morphology.noise_energy`.
     peaks : (n_beats,) array
         R peak of each beat, a sample; beats of one class are aligned on all leads. May be empty.
     labels : tuple of str
         Class of each beat: A is the one with the most beats, of equals the narrower.
     """
 
-    start: int
-    recording: Recording
-    recorded: Floats
+    start: float
     signal: Floats
     spikes: Integers
     noise: float
@@ -66,18 +56,13 @@ class LeadGroup:
     @property
     def leads(self) -> str:
         """Names of its leads, for messages."""
-        names = [lead for lead, there in zip(LEADS, self.recording.recorded, strict=True) if there]
+        names = [LEADS[row] for row in np.flatnonzero(np.isfinite(self.signal).any(axis=1))]
         return "all leads" if len(names) == len(LEADS) else ", ".join(names)
 
     @property
     def times(self) -> Floats:
         """Times of the R peaks (s from the start of the recording), shape (n_beats,)."""
-        return self._time_of(self.peaks)
-
-    @property
-    def spike_times(self) -> Floats:
-        """Times of the pacing spikes (s from the start of the recording), shape (k,)."""
-        return self._time_of(self.spikes[:, 0])
+        return np.asarray(self.start + self.peaks / TARGET_RATE)
 
     @property
     def intervals(self) -> Floats:
@@ -108,80 +93,86 @@ class LeadGroup:
         if np.mean([self.spike_before(k) is not None for k in members]) > 0.5:
             words.append("paced")
         if label != "A":
-            usual = np.nanmedian(self.intervals)
             own = self.intervals[members]
-            if np.isfinite(own).any() and np.nanmedian(own) < EARLY * usual:
+            # premature: sooner than 85 % of the usual interval
+            if np.isfinite(own).any() and np.nanmedian(own) < 0.85 * np.nanmedian(self.intervals):
                 words.append("early")
             own_width, usual_width = (
-                _rough_width(self.signal, self.peaks[self.of_class(one)]) for one in (label, "A")
+                _qrs_width(self.signal, self.peaks[self.of_class(one)]) for one in (label, "A")
             )
-            if own_width > max(WIDE, usual_width + WIDER):
+            if own_width > max(120.0, usual_width + 20.0):  # ms
                 words.append("wide")
         return ", ".join(words)
 
     def spike_before(self, beat: int) -> int | None:
-        """Sample after the end of the last pacing spike that may have fired a beat."""
+        """Sample after the end of the last pacing spike within 200 ms before a beat."""
         peak = self.peaks[beat]
-        reach = SPIKE_REACH / SAMPLING_STEP
-        near = self.spikes[(self.spikes[:, 1] <= peak) & (self.spikes[:, 0] > peak - reach)]
+        near = self.spikes[
+            (self.spikes[:, 1] <= peak) & (self.spikes[:, 0] > peak - 200.0 / SAMPLING_STEP)
+        ]
         return int(near[-1, 1]) if len(near) else None
 
-    def _time_of(self, samples: Integers) -> Floats:
-        return np.asarray(self.start / self.recording.sampling_rate + samples / TARGET_RATE)
 
-
-def lead_groups(recording: Recording, choices: TargetOptions) -> list[LeadGroup]:
+def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) -> list[LeadGroup]:
     """Split a recording into leads recorded at the same time, and find and sort their beats.
 
-    The groups are in the order of time, filtered as `choices` say; any may have no beat. A lead
-    that runs through several stretches, such as a rhythm strip, is in each group.
+    The groups are in the order of time; any may have no beat. A lead that runs through several
+    stretches, such as a rhythm strip, is in each group.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without pacing spikes.
+    spikes : (k, 2) array
+        First sample of each of these and the one after its last.
+    options : TargetOptions
+        Decisions of the user.
     """
-    return [_group(recording, first, stop, choices) for first, stop in _stretches(recording)]
+    return [_group(recording, spikes, *stretch, options) for stretch in stretches(recording)]
 
 
-def _stretches(recording: Recording) -> list[tuple[int, int]]:
+def stretches(recording: Recording) -> list[tuple[int, int]]:
     """First sample and the one after the last of each stretch with the same leads, in order."""
     spans = {(first, stop) for first, stop in recording.spans[recording.recorded].tolist()}
     found: list[tuple[int, int]] = []
-    for span in sorted(sorted(spans), key=lambda one: one[1] - one[0]):  # containing ones last
-        same = [k for k, one in enumerate(found) if _shared(one, span) >= SAME_TIME]
+    for first, stop in sorted(sorted(spans), key=lambda one: one[1] - one[0]):  # longest last
+        same = [
+            k
+            for k, (begin, end) in enumerate(found)
+            if min(end, stop) - max(begin, first) >= 0.9 * (end - begin)
+        ]
         if not same:
-            found.append(span)
-        elif span[1] - span[0] < (found[same[0]][1] - found[same[0]][0]) / SAME_TIME:
-            one = found[same[0]]  # leads of one group, whose ends were digitised unevenly
-            found[same[0]] = (max(one[0], span[0]), min(one[1], span[1]))
+            found.append((first, stop))
+            continue
+        begin, end = found[same[0]]
+        if stop - first < (end - begin) / 0.9:
+            # leads of one group, whose ends were digitised unevenly
+            found[same[0]] = (max(begin, first), min(end, stop))
     return sorted(found)
 
 
-def _shared(one: tuple[int, int], other: tuple[int, int]) -> float:
-    """Share of the first stretch that the second covers."""
-    return (min(one[1], other[1]) - max(one[0], other[0])) / (one[1] - one[0])
-
-
-def _group(recording: Recording, first: int, stop: int, choices: TargetOptions) -> LeadGroup:
+def _group(
+    recording: Recording, spikes: Integers, first: int, stop: int, options: TargetOptions
+) -> LeadGroup:
     """Cut out the leads that are there over all of a stretch, and find their beats."""
     rate = recording.sampling_rate
     native = recording.signal[:, first:stop].copy()
     native[~np.isfinite(native).all(axis=1)] = np.nan
-    signal = recorded = resample(native, rate)
-    spikes = find_spikes(native, rate)
-    if len(spikes):
-        native = remove_spikes(native, spikes)
-        signal = resample(native, rate)
-    signal = filtered(signal, choices.lowpass, choices.notch)
+    signal = resample(native, rate)
+    for one in applied_filters(options.lowpass, options.notch):
+        signal = one.apply(signal)
+    inside = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < stop)] - first
     independent = signal[_independent(signal)]
     noise = noise_energy(independent)
-    labels: tuple[str, ...] = ()
     peaks = _find_peaks(signal)
+    labels: tuple[str, ...] = ()
     if len(peaks):
         classes, peaks = cluster_morphology(independent, peaks, noise)
         peaks, labels = _name_classes(signal, classes, peaks)
     return LeadGroup(
-        start=first,
-        recording=replace(recording, signal=native),
-        recorded=recorded,
+        start=first / rate,
         signal=signal,
-        spikes=np.round(spikes * (TARGET_RATE / rate)).astype(np.int64),
+        spikes=np.round(inside * (TARGET_RATE / rate)).astype(np.int64),
         noise=noise,
         peaks=peaks,
         labels=labels,
@@ -194,10 +185,14 @@ def _independent(signal: Floats) -> Integers:
 
 
 def _find_peaks(signal: Floats) -> Integers:
-    """R peaks of a signal (12, n) every `SAMPLING_STEP`; one where there is room for one only."""
-    if signal.shape[1] < SHORTEST_RHYTHM * TARGET_RATE:
+    """R peaks of a signal (12, n) every `SAMPLING_STEP`.
+
+    Less than 1.5 s is one beat, as recorders print it; of a QRS that is within 40 ms of an end of
+    the recording, half is missing.
+    """
+    if signal.shape[1] < 1.5 * TARGET_RATE:
         return np.array([int(np.argmax(magnitude(detrended(signal))))])
-    peaks, margin = r_peaks(signal, TARGET_RATE), CUT / SAMPLING_STEP
+    peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP
     return np.asarray(peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)])
 
 
@@ -207,25 +202,25 @@ def _name_classes(
     """R peaks in the order of time, and the label of each beat's class.
 
     A is the class with the most beats, and of equally many the one with the narrower QRS. A wave
-    that was found beside its QRS moves to the R peak of that, and is no beat of its own.
+    that was found next to its QRS moves to the R peak of that, and does not count as a beat.
     """
     moved = peaks.copy()
     for number in np.unique(classes):
         moved[classes == number] += _to_r_peak(signal, peaks[classes == number])
     moved = np.clip(moved, 0, signal.shape[1] - 1)
-    kept = _beats_of_their_own(moved, np.abs(moved - peaks))
+    kept = _distinct_beats(moved, np.abs(moved - peaks))
     peaks, classes = moved[kept], classes[kept]
     numbers = np.unique(classes).tolist()
-    rank = {k: (-(classes == k).sum(), _rough_width(signal, peaks[classes == k])) for k in numbers}
+    rank = {k: (-(classes == k).sum(), _qrs_width(signal, peaks[classes == k])) for k in numbers}
     names = {k: _name(place) for place, k in enumerate(sorted(numbers, key=rank.__getitem__))}
     return peaks, tuple(names[k] for k in classes)
 
 
-def _beats_of_their_own(peaks: Integers, moved: Integers) -> Integers:
-    """Which peaks are kept, in the order of time: of those of one beat, that which moved least."""
+def _distinct_beats(peaks: Integers, moved: Integers) -> Integers:
+    """Which peaks are kept, in order: of those within 120 ms of each other, the least moved."""
     kept: list[int] = []
     for k in np.argsort(peaks, kind="stable"):
-        if kept and (peaks[k] - peaks[kept[-1]]) * SAMPLING_STEP < ONE_BEAT:
+        if kept and (peaks[k] - peaks[kept[-1]]) * SAMPLING_STEP < 120.0:
             kept[-1] = k if moved[k] < moved[kept[-1]] else kept[-1]
         else:
             kept.append(k)
@@ -247,18 +242,18 @@ def _to_r_peak(signal: Floats, peaks: Integers) -> int:
     median, onset, offset = _median_beat(signal, peaks)
     qrs = median[np.isfinite(median).all(axis=1), onset : offset + 1]
     qrs = qrs - np.linspace(qrs[:, 0], qrs[:, -1], qrs.shape[1], axis=1)
-    has_r = qrs.max(axis=1) >= SMALLEST_R * np.abs(qrs).max(axis=1)
+    has_r = qrs.max(axis=1) >= 0.1 * np.abs(qrs).max(axis=1)
     tops = np.where(has_r, qrs.argmax(axis=1), qrs.argmin(axis=1))
-    return int(np.median(tops)) + onset - MEDIAN_REACH
+    return int(np.median(tops)) + onset - 2 * HALF_WIDTH
 
 
-def _rough_width(signal: Floats, peaks: Integers) -> float:
+def _qrs_width(signal: Floats, peaks: Integers) -> float:
     """QRS duration (ms) of the median of aligned beats."""
     _, onset, offset = _median_beat(signal, peaks)
     return (offset - onset) * SAMPLING_STEP
 
 
 def _median_beat(signal: Floats, peaks: Integers) -> tuple[Floats, int, int]:
-    """Median of aligned beats, `MEDIAN_REACH` samples each side of R, and the ends of its QRS."""
-    median = np.median(cut(signal, peaks, MEDIAN_REACH, MEDIAN_REACH), axis=0)
+    """Median of aligned beats, `2 HALF_WIDTH` samples each side of R, and the ends of its QRS."""
+    median = np.median(cut(signal, peaks, 2 * HALF_WIDTH, 2 * HALF_WIDTH), axis=0)
     return median, *qrs_window(median, SAMPLING_STEP)

@@ -1,12 +1,15 @@
 """From a recording to its target, with everything that was found on the way.
 
-Recording -> `LeadGroup` (leads recorded together, their beats) -> `AlignedBeats` (those chosen, cut
-out) -> `Target`.
+Recording -> beats of each group of leads -> those chosen, aligned and detrended -> `Target`.
 """
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 from types import NoneType
 
 import numpy as np
@@ -17,20 +20,24 @@ from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind
 from fascicle.recording.aligned_beats import AlignedBeats, combine, cut_beats
 from fascicle.recording.analysis import Analysis, Beat, BeatClass
-from fascicle.recording.beat_selection import by_name, select_beats
-from fascicle.recording.lead_groups import LeadGroup, lead_groups
-from fascicle.recording.passed_filters import passed_filters
-from fascicle.recording.quality.check import check_leads, check_recording
+from fascicle.recording.beat_selection import FEW_ALIKE, by_name, select_beats
+from fascicle.recording.detection import magnitude
+from fascicle.recording.filter_estimate import passed_filters
+from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resample
+from fascicle.recording.lead_groups import LeadGroup, lead_groups, stretches
+from fascicle.recording.missing_metadata import missing_noise
 from fascicle.recording.quality.check_result import CheckResult, Severity
-from fascicle.recording.recording import Recording
-from fascicle.recording.resampling import TARGET_RATE
-from fascicle.recording.spatial_velocity import NoQrsError
+from fascicle.recording.quality.checks import check_leads, check_recording
+from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
+from fascicle.recording.spikes import find_spikes, remove_spikes
 from fascicle.recording.target import Target
-from fascicle.recording.target_from_beats import target_from_beats
-from fascicle.recording.target_options import TargetOptions
-
-LARGEST_QRS, SMALLEST_QRS = 20.0, 0.05  # mV peak to peak; outside, the unit is wrong
-LEAST_SIGNAL = 0.5  # energy of the median beat over that of the noise between beats
+from fascicle.recording.target_options import TargetOptions, check_window
+from fascicle.recording.window import (
+    NoQrsError,
+    qrs_window,
+    smoothing_against_ringing,
+    window_uncertainty,
+)
 
 
 def make_target(
@@ -68,8 +75,8 @@ def make_target(
     InputError
         When no target can be made of the recording, or a choice is impossible.
     """
-    choices = TargetOptions(onset, offset, beat_class, beats, exclude, noise)
-    return analyse(recording, choices).target
+    options = TargetOptions(onset, offset, beat_class, beats, exclude, noise)
+    return analyse(recording, options).target
 
 
 def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analysis:
@@ -89,38 +96,41 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
     """
     check_kind(recording, Recording, "recording", "what fascicle.read_recording returned")
     check_kind(choices, (TargetOptions, NoneType), "choices", "fascicle.TargetOptions")
-    choices = choices if choices is not None else TargetOptions()
-    source = recording.source
+    options = choices if choices is not None else TargetOptions()
+    source, rate = recording.source, recording.sampling_rate
     findings = check_leads(recording)
     _refuse(findings, recording)
+    spikes = find_spikes(recording.signal, rate)
+    clean = recording
+    if len(spikes):
+        clean = replace(recording, signal=remove_spikes(recording.signal, spikes))
     try:
-        groups = lead_groups(recording, choices)
+        groups = lead_groups(clean, spikes, options)
         _check_beats_found(source, groups)
-        checked = groups[0].recording if len(groups) == 1 else recording
         times = np.concatenate([group.times for group in groups])
-        r_peaks = np.round(times * recording.sampling_rate).astype(np.int64)
-        filters = passed_filters(recording, r_peaks, choices)
-        findings += check_recording(checked, r_peaks, filters)
+        r_peaks = np.round(times * rate).astype(np.int64)
+        filters = passed_filters(recording, r_peaks, options)
+        findings += check_recording(clean, r_peaks, filters)
         _refuse(findings, recording)
-        by_group, label = select_beats(groups, choices, source)
+        by_group, label = select_beats(groups, options, source)
         aligned = combine(
             [
-                _cut(source, group, own, choices, label)
+                _cut(source, group, own, options, label)
                 for group, own in zip(groups, by_group, strict=True)
             ]
         )
         beats = tuple(beat for own in by_group for beat in own)
-        target = target_from_beats(recording, aligned, beats, choices, label, findings, filters)
+        target = _target(recording, aligned, beats, options, label, findings, filters)
     except NoQrsError as error:
         raise InputError(
             f"{source}: {error}; leave bad leads out by --leads, or give a cleaner recording"
         ) from error
     return Analysis(
         recording=recording,
-        signal=_recorded_signal(recording, groups),
+        signal=_recorded_signal(recording),
         beats=beats,
         classes=_classes(groups),
-        spikes=np.concatenate([group.spike_times for group in groups]),
+        spikes=np.concatenate([g.start + g.spikes[:, 0] / TARGET_RATE for g in groups]),
         findings=findings,
         target=target,
         chosen=label,
@@ -128,38 +138,35 @@ def analyse(recording: Recording, choices: TargetOptions | None = None) -> Analy
 
 
 def _refuse(findings: Sequence[CheckResult], recording: Recording) -> None:
-    """Raise the first finding that forbids a target."""
-    for finding in findings:
-        if finding.severity is Severity.FATAL:
-            raise InputError(f"{recording.source}: {finding.message}{_reminder(recording)}")
-
-
-def _reminder(recording: Recording) -> str:
-    """What the user has changed in the recording, which may be the fault."""
+    """Raise the first finding that forbids a target, with the corrections that may be the fault."""
     done = [
         f"{name} {recording.provenance[name]}"
         for name in ("inverted", "swapped")
         if name in recording.provenance
     ]
-    return f" (after your options: {', '.join(done)}; they may be the fault)" if done else ""
+    note = f" (after your options: {', '.join(done)}; they may be the fault)" if done else ""
+    for finding in findings:
+        if finding.severity is Severity.FATAL:
+            raise InputError(f"{recording.source}: {finding.message}{note}")
 
 
 def _check_beats_found(source: str, groups: Sequence[LeadGroup]) -> None:
     """Refuse recordings without beats, or with beats of another size than a heart's."""
     for group in groups:
         if not len(group.peaks):
+            seconds = group.signal.shape[1] / TARGET_RATE
             raise InputError(
-                f"{source}: no beats found in {group.recording.duration:.1f} s of "
-                f"{group.leads}; give a longer or cleaner recording (10 s is usual)"
+                f"{source}: no beats found in {seconds:.1f} s of {group.leads}; give a longer or "
+                "cleaner recording (10 s is usual)"
             )
     height = max(group.height for group in groups)
-    if not SMALLEST_QRS <= height <= LARGEST_QRS:
+    if not 0.05 <= height <= 20.0:  # mV
         raise InputError(
-            f"{source}: the largest lead spans {height:.3g} mV in one beat, expected "
-            f"{SMALLEST_QRS:g} to {LARGEST_QRS:g} mV; correct the unit or the gain of the file"
+            f"{source}: the largest lead spans {height:.3g} mV in one beat, expected 0.05 to "
+            "20 mV; correct the unit or the gain of the file"
         )
     clearest = min(group.signal_to_noise for group in groups)
-    if clearest < LEAST_SIGNAL:
+    if clearest < 0.5:
         raise InputError(
             f"{source}: no heart beats stand out of the noise (ratio of energies {clearest:.2f}); "
             "give a cleaner recording"
@@ -167,29 +174,31 @@ def _check_beats_found(source: str, groups: Sequence[LeadGroup]) -> None:
 
 
 def _cut(
-    source: str, group: LeadGroup, beats: Sequence[Beat], choices: TargetOptions, label: str
+    source: str, group: LeadGroup, beats: Sequence[Beat], options: TargetOptions, label: str
 ) -> AlignedBeats:
     """Cut out the beats of one group that are used."""
     members = np.flatnonzero([beat.used for beat in beats])
     if not len(members):
         of_class = [beat for beat in beats if beat.label == label]
-        cut_off = sum(beat.unused is not None and beat.unused.cut_off for beat in of_class)
         raise InputError(
             f"{source}: no beat is left of {len(beats)} in {group.leads} ({len(of_class)} of class "
-            f"{label}, {cut_off} of them cut off by the ends of the recording); choose others or "
-            "give a longer recording"
+            f"{label}, {sum(beat.cut_off for beat in of_class)} of them cut off by the ends of the "
+            "recording); choose others or give a longer recording"
         )
-    return cut_beats(group, members, choices.onset)
+    return cut_beats(group, members, options.onset)
 
 
-def _recorded_signal(recording: Recording, groups: Sequence[LeadGroup]) -> Floats:
-    """Recorded potential (12, n), mV, at the target's rate, each group of leads in its place."""
+def _recorded_signal(recording: Recording) -> Floats:
+    """Recorded potential (12, n), mV, at the target's rate, each stretch of leads in its place."""
     ratio = TARGET_RATE / recording.sampling_rate
     signal = np.full((len(LEADS), round(recording.signal.shape[1] * ratio)), np.nan)
-    for group in groups:
-        start = round(group.start * ratio)
-        place = signal[:, start : start + group.recorded.shape[1]]
-        place[:] = np.where(np.isnan(place), group.recorded[:, : place.shape[1]], place)
+    for first, stop in stretches(recording):
+        native = recording.signal[:, first:stop].copy()
+        native[~np.isfinite(native).all(axis=1)] = np.nan
+        recorded = resample(native, recording.sampling_rate)
+        start = round(first * ratio)
+        place = signal[:, start : start + recorded.shape[1]]
+        place[:] = np.where(np.isnan(place), recorded[:, : place.shape[1]], place)
     return signal
 
 
@@ -202,3 +211,162 @@ def _classes(groups: Sequence[LeadGroup]) -> tuple[BeatClass, ...]:
         count = sum(len(group.of_class(label)) for group in having)
         classes.append(BeatClass(label, count, having[0].describe(label)))
     return tuple(classes)
+
+
+def _target(
+    recording: Recording,
+    aligned: AlignedBeats,
+    beats: Sequence[Beat],
+    options: TargetOptions,
+    label: str,
+    findings: Sequence[CheckResult],
+    filters: tuple[Filter, ...],
+) -> Target:
+    """Make the target of aligned beats: their window, and everything that decided them."""
+    source, count = recording.source, len(aligned.beats)
+    if count == 1 and options.noise is None:
+        raise missing_noise(
+            f"{source}: a single beat (class {label}) does not show how beats vary; state its "
+            "noise by --noise (mV), or give a recording with more beats of one shape"
+        )
+    if count > 1 and options.noise is not None:
+        raise InputError(
+            f"{source}: {count} beats show how they vary; --noise is for a single beat"
+        )
+    smoothing = smoothing_against_ringing(filters)
+    onset, offset = _window(aligned, smoothing, options, source)
+    onset_sd, offset_sd = _end_deviations(aligned, smoothing, options, source)
+    intervals = [beat.interval for beat in beats if math.isfinite(beat.interval)]
+    target = Target(
+        beats=aligned.beats,
+        time=aligned.time,
+        qrs_onset=onset,
+        qrs_offset=offset,
+        heart_rate=60000.0 / float(np.mean(intervals)) if intervals else None,
+        provenance=_provenance(recording, beats, count, options)
+        | {"filters": "\n".join(map(str, filters)) or "none known"},
+        onset_sd=onset_sd,
+        offset_sd=offset_sd,
+        noise=options.noise,
+        filters=filters,
+        earliest_onset=float(aligned.time[aligned.not_before]) if aligned.not_before else None,
+    )
+    warnings = _warnings(recording, target, beats, label, options, findings)
+    if not warnings:
+        return target
+    return replace(target, provenance=target.provenance | {"warnings": "\n".join(warnings)})
+
+
+def _window(
+    aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
+) -> tuple[float, float]:
+    """QRS window (ms from R): what is given, otherwise what is found."""
+    first, last = qrs_window(aligned.mean, SAMPLING_STEP, aligned.not_before, smoothing)
+    time = aligned.time
+    start = float(time[first]) if options.onset is None else float(options.onset)
+    end = float(time[last]) if options.offset is None else float(options.offset)
+    check_window(start, end, source)
+    if not start < 0 < end and None in (options.onset, options.offset):
+        raise InputError(
+            f"{source}: QRS window {start:g} to {end:g} ms does not hold the R peak (0 ms); give "
+            "--onset and --offset about it, or a cleaner recording"
+        )
+    if start < time[0] or end > time[-1]:
+        raise InputError(
+            f"{source}: QRS window {start:g} to {end:g} ms leaves the beat, which spans "
+            f"{time[0]:g} to {time[-1]:g} ms from the R peak; give an onset and offset inside"
+        )
+    return start, end
+
+
+def _end_deviations(
+    aligned: AlignedBeats, smoothing: float, options: TargetOptions, source: str
+) -> list[float]:
+    """Standard deviations (ms) of the ends of the window: 0 where given, refused above 40."""
+    found = window_uncertainty(
+        aligned.beats, SAMPLING_STEP, aligned.not_before, options.noise, smoothing
+    )
+    deviations = []
+    for name, sd in zip(("onset", "offset"), found, strict=True):
+        given = getattr(options, name) is not None
+        deviations.append(0.0 if given else math.hypot(sd, aligned.alignment_sd))
+        if deviations[-1] > 40.0:
+            raise InputError(
+                f"{source}: QRS {name} found to within {deviations[-1]:.0f} ms only (at most 40); "
+                f"give it by --{name}, or a cleaner recording"
+            )
+    return deviations
+
+
+def _provenance(
+    recording: Recording, beats: Sequence[Beat], n_used: int, options: TargetOptions
+) -> dict[str, str]:
+    """Text about everything that decided the target."""
+    notes = {
+        "source": recording.source,
+        "sampling_rate_hz": f"{recording.sampling_rate:g}",
+        "recording_duration_s": f"{recording.duration:.3f}",
+        "beats_found": str(len(beats)),
+        "beats_used": str(n_used),
+        "beat_numbers": ", ".join(str(beat.number) for beat in beats if beat.used),
+        "beat_class": ", ".join(sorted({beat.label for beat in beats if beat.used})),
+        "qrs_onset_from": "detected" if options.onset is None else "given",
+        "qrs_offset_from": "detected" if options.offset is None else "given",
+    }
+    if recording.derived:
+        notes["derived_leads"] = ", ".join(recording.derived)
+    if recording.ignored:
+        notes["ignored_channels"] = ", ".join(recording.ignored)
+    return recording.provenance | notes | options.described()
+
+
+def _warnings(
+    recording: Recording,
+    target: Target,
+    beats: Sequence[Beat],
+    label: str,
+    options: TargetOptions,
+    findings: Sequence[CheckResult],
+) -> list[str]:
+    """Collect what the user should know."""
+    warnings = [one.message for one in findings if one.severity is Severity.WARNING and one.message]
+    if not recording.simultaneous:
+        warnings.append(
+            "leads were recorded one group after another: beats of different groups are put "
+            "together, and aligned to within some 10 ms unless they share a lead"
+        )
+    notes = recording.provenance
+    if notes.get("checksums", CHECKSUMS_AGREE) != CHECKSUMS_AGREE:
+        warnings.append(f"checksums of the file {notes['checksums']}: it may be damaged")
+    if "remarks" in notes:
+        warnings.append(notes["remarks"])
+    rate = target.heart_rate
+    if rate is not None and not 20.0 <= rate <= 300.0:
+        warnings.append(f"{rate:.0f} beats per minute; is the sampling rate right?")
+    if len(target.beats) == 2:
+        warnings.append("two beats show little of how beats vary; give a longer recording")
+    alike = sum(beat.label == label for beat in beats)
+    if options.beats is None and _alternate(beats):
+        warnings.append(
+            "beats of two classes alternate: every second one is ectopic, or twice as many were "
+            "found as there are, with T waves among them; look at the picture (--class chooses)"
+        )
+    elif options.beats is None and alike < FEW_ALIKE * len(beats):
+        warnings.append(
+            f"only {alike} of {len(beats)} beats are of class {label}; look at the rhythm"
+        )
+    spread = float(np.nanmean(magnitude(target.standard_deviation[:, target.qrs_samples])))
+    height = float(magnitude(target.qrs).max())
+    if spread > 0.2 * height:
+        warnings.append(
+            f"the QRS varies by {spread:.3f} mV from beat to beat, {spread / height:.0%} of its "
+            "height; the recording is noisy"
+        )
+    return warnings
+
+
+def _alternate(beats: Sequence[Beat]) -> bool:
+    """Whether nearly every second of four or more beats is of one class, the others of another."""
+    two = {label for label, _ in Counter(beat.label for beat in beats).most_common(2)}
+    changes = [{one.label, following.label} == two for one, following in pairwise(beats)]
+    return len(two) == 2 and len(beats) >= 4 and sum(changes) >= 0.8 * len(changes)

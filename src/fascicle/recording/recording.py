@@ -14,9 +14,7 @@ from fascicle.core.leads import LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.core.ranges import RANGES, check_array, number, short_repr
 
 CHECKSUMS_AGREE = "agree"  # provenance "checksums" where the file's own ones are right
-SHORTEST = 0.4  # s; less does not hold a beat
-_OVERLAP = 0.1  # s by which leads recorded one group after another may overlap
-LONGEST, MOST_SAMPLES = 1800.0, 5_000_000  # s and of each lead; they bound the memory it takes
+SHORTEST, LONGEST = 0.4, 1800.0  # s; less does not hold a beat, more takes much memory
 
 
 @dataclass(frozen=True)
@@ -133,16 +131,9 @@ def derive_limb_leads(signal: Floats, recorded: Collection[str]) -> tuple[Floats
 
 
 def check_extent(samples: int, sampling_rate: float, source: str) -> None:
-    """Refuse a sampling rate or a length that cannot be used, before anything is read.
+    """Refuse a sampling rate (Hz) or a number of samples that cannot be used, before they are read.
 
-    Parameters
-    ----------
-    samples : int
-        Samples of each lead.
-    sampling_rate : float
-        Samples per second (Hz).
-    source : str
-        What the message begins with.
+    Messages begin with the `source`.
     """
     rate, possible = number(sampling_rate, f"{source}: sampling rate"), RANGES["sampling rate"]
     if rate not in possible:
@@ -157,15 +148,10 @@ def check_extent(samples: int, sampling_rate: float, source: str) -> None:
             f"{source}: recording is {seconds:.2f} s long; at least {SHORTEST:g} s are needed for "
             "one beat, give 10 s"
         )
-    if seconds > LONGEST:
+    if seconds > LONGEST or samples > 5_000_000:
         raise InputError(
-            f"{source}: recording is {seconds:.0f} s long; cut it to {LONGEST:.0f} s or less, "
-            "10 s are enough"
-        )
-    if samples > MOST_SAMPLES:
-        raise InputError(
-            f"{source}: {samples} samples of each lead; cut the recording to {MOST_SAMPLES} or "
-            "less, 10 s are enough"
+            f"{source}: recording is {seconds:.0f} s long, with {samples} samples a lead; cut it "
+            f"to {LONGEST:.0f} s and 5,000,000 samples or less, 10 s are enough"
         )
 
 
@@ -173,13 +159,14 @@ def _check_gaps(signal: Floats, spans: Integers, rate: float, source: str) -> No
     """Refuse missing samples, unless they come from recording one group of leads after another."""
     present = np.flatnonzero(spans[:, 1] > 0)
     first, stop = spans[present].T
-    one_by_one = stop.min() <= first.max() + rate * _OVERLAP
+    one_by_one = stop.min() <= first.max() + rate * 0.1  # groups may overlap by 0.1 s
     for lead, begin, end in zip(present, first, stop, strict=True):
-        bad = ~np.isfinite(signal[lead, begin:end] if one_by_one else signal[lead])
-        if bad.any():
-            sample = int(np.argmax(bad)) + (int(begin) if one_by_one else 0)
+        begin, end = (begin, end) if one_by_one else (0, signal.shape[1])
+        missing = np.flatnonzero(~np.isfinite(signal[lead, begin:end]))
+        if missing.size:
+            sample = int(begin + missing[0])
             raise InputError(
-                f"{source}: lead {LEADS[lead]} lacks {int(bad.sum())} samples (first: sample "
+                f"{source}: lead {LEADS[lead]} lacks {missing.size} samples (first: sample "
                 f"{sample}, at {sample / rate:.3f} s); cut the recording to a part without gaps"
             )
         if (end - begin) / rate < SHORTEST:

@@ -10,10 +10,8 @@ import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.ranges import short_repr
-from fascicle.recording.filters import Filter, combined_gain
-from fascicle.recording.global_window import global_qrs_window
-from fascicle.recording.resampling import SAMPLING_STEP
-from fascicle.recording.window import smoothing_against_ringing
+from fascicle.recording.filters import SAMPLING_STEP, Filter, combined_gain
+from fascicle.recording.window import qrs_windows, smoothing_against_ringing
 
 
 @dataclass(frozen=True)
@@ -77,9 +75,7 @@ class Target:
     @property
     def response(self) -> Callable[[Floats], Floats] | None:
         """Gain of all filters at frequencies in cycles per sample; None without filters."""
-        if not self.filters:
-            return None
-        return self._gain
+        return self._gain if self.filters else None
 
     def _gain(self, frequency: Floats) -> Floats:
         return combined_gain(self.filters, frequency * (1000.0 / SAMPLING_STEP))
@@ -93,13 +89,12 @@ class Target:
     def global_qrs(self) -> tuple[float, float]:
         """Ends of the global QRS, that of the outermost leads (ms from the R peak).
 
-        Always found in the mean beat, wherever the window is; see
-        `fascicle.recording.global_window`.
+        Always found in the mean beat, wherever the window is; see `fascicle.recording.window`.
         """
         first = self.time[0] if self.earliest_onset is None else self.earliest_onset
         not_before = int(np.searchsorted(self.time, first))
         smoothing = smoothing_against_ringing(self.filters)
-        onset, offset = global_qrs_window(self.mean, SAMPLING_STEP, not_before, smoothing)
+        onset, offset = qrs_windows(self.mean, SAMPLING_STEP, not_before, smoothing).global_window
         return float(self.time[onset]), float(self.time[offset])
 
     @property

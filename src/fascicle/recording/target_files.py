@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,40 +16,24 @@ from fascicle.core.files import as_path, write_bytes
 from fascicle.core.leads import LEADS
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.ranges import RANGES, shown
-from fascicle.recording.covariance import residual_covariance
-from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
-from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.filters import SAMPLING_STEP, Filter, FilterKind, FilterOrigin
+from fascicle.recording.residuals import residual_covariance
 from fascicle.recording.target import Target
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Variable = tuple[tuple[str, ...], Floats, dict[str, Any]]  # dimensions, values, attributes
-
 FORMAT = "fascicle target"
 FORMAT_VERSION = 3
-_PREFIX = "provenance_"
-_REMAKE = "make the target again with 'fascicle target'"
-_FILTERS = "filters"  # an attribute that holds a list as JSON
-_NOISE = "stated_noise_mV"  # an attribute only where the user has stated the noise
-_RATE = "heart_rate_bpm"  # an attribute only where more than one beat was recorded
-_EARLIEST = "earliest_onset_ms"  # an attribute only of paced beats
-_OPTIONAL = (_NOISE, _RATE, _EARLIEST)
-_NUMBERS = {  # attribute of the file: field of the target
-    "qrs_onset_ms": "qrs_onset",
-    "qrs_offset_ms": "qrs_offset",
-    "qrs_onset_sd_ms": "onset_sd",
-    "qrs_offset_sd_ms": "offset_sd",
-    _RATE: "heart_rate",
-    _NOISE: "noise",
-    _EARLIEST: "earliest_onset",
+NUMBERS = {  # attribute of the file: field of the target, and whether it is always there
+    "qrs_onset_ms": ("qrs_onset", True),
+    "qrs_offset_ms": ("qrs_offset", True),
+    "qrs_onset_sd_ms": ("onset_sd", True),
+    "qrs_offset_sd_ms": ("offset_sd", True),
+    "heart_rate_bpm": ("heart_rate", False),  # where more than one beat was recorded
+    "stated_noise_mV": ("noise", False),  # where the user has stated it
+    "earliest_onset_ms": ("earliest_onset", False),  # of paced beats
 }
-_SHAPES = {FilterKind.LOW_PASS: "order", FilterKind.NOTCH: "quality"}
-COVARIANCE_COMMENT = (
-    "The covariance of the beats about their mean, of lead l at time t with lead m at time s, is "
-    "standard_deviation[l, t] * standard_deviation[m, s] * residual_covariance_leads[l, m] * "
-    "residual_covariance_time[t, s]; both factors are correlations, shrunk towards none."
-)
 
 
 def write_target(target: Target, path: str | Path) -> None:
@@ -87,19 +71,21 @@ def read_target(path: str | Path) -> Target:
             f"{path}: not a readable netCDF file; make a target with 'fascicle target'"
         ) from error
     for problem in _problems(dataset):
-        raise InputError(f"{path}: {problem}; {_REMAKE}")
-    attributes = dataset.attrs
+        raise InputError(f"{path}: {problem}; make the target again with 'fascicle target'")
+    attributes = {str(key): value for key, value in dataset.attrs.items()}
     numbers: dict[str, Any] = {"heart_rate": None}
-    numbers |= {name: float(attributes[key]) for key, name in _NUMBERS.items() if key in attributes}
+    numbers |= {
+        name: float(attributes[key]) for key, (name, _) in NUMBERS.items() if key in attributes
+    }
     return Target(
         beats=dataset["beats"].transpose("beat", "lead", "time").to_numpy().astype(np.float64),
         time=dataset["time"].to_numpy().astype(np.float64),
         provenance={
-            str(key).removeprefix(_PREFIX): str(value)
+            key.removeprefix("provenance_"): str(value)
             for key, value in attributes.items()
-            if str(key).startswith(_PREFIX)
+            if key.startswith("provenance_")
         },
-        filters=_filters_from(attributes[_FILTERS]),
+        filters=_filters_from(attributes["filters"]),
         **numbers,
     )
 
@@ -110,72 +96,70 @@ def _to_dataset(target: Target) -> xr.Dataset:
 
     qrs_time = target.time[target.qrs_samples]
     inside = np.isin(target.time, qrs_time).astype(np.int8)
+    leads = np.array(LEADS, dtype=object)
     coordinates = {
         name: (dimension, values, {"long_name": text} | ({"units": unit} if unit else {}))
         for name, dimension, values, unit, text in (
             ("beat", "beat", np.arange(len(target.beats)), "1", "beat"),
-            ("lead", "lead", np.array(LEADS, dtype=object), "", "electrocardiogram lead"),
+            ("lead", "lead", leads, "", "electrocardiogram lead"),
             ("time", "time", target.time, "ms", "time from the R peak"),
             ("in_qrs", "time", inside, "1", "1 within the QRS, 0 outside"),
-            ("lead_2", "lead_2", np.array(LEADS, dtype=object), "", "the other lead"),
+            ("lead_2", "lead_2", leads, "", "the other lead"),
             ("qrs_time_2", "qrs_time_2", qrs_time, "ms", "the other time, from the R peak"),
             ("qrs_time", "qrs_time", qrs_time, "ms", "time from the R peak, within the QRS"),
         )
     }
-    variables = _potentials(target) | _correlations(target)
+    spread = "standard deviation of a beat"
+    spread += " about the mean" if target.noise is None else ", as stated by the user"
+    beats = "potential of each beat, isoelectric level removed"
+    covariance = residual_covariance(target)
+    across = {
+        "units": "1",
+        "comment": "The covariance of the beats about their mean, of lead l at time t with lead m "
+        "at time s, is standard_deviation[l, t] * standard_deviation[m, s] * "
+        "residual_covariance_leads[l, m] * residual_covariance_time[t, s]; both factors are "
+        "correlations, shrunk towards none.",
+    }
+    over_leads = {"long_name": "correlation of residuals across leads"}
+    over_time = {"long_name": "correlation of residuals across time, within the QRS"}
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, Any]]] = {
+        "beats": (
+            ("beat", "lead", "time"), target.beats,
+            {"units": "mV", "long_name": beats, "comment": "NaN in leads that are not used."},
+        ),
+        "mean": (("lead", "time"), target.mean, {"units": "mV", "long_name": "mean beat"}),
+        "standard_deviation": (
+            ("lead", "time"), target.standard_deviation, {"units": "mV", "long_name": spread},
+        ),
+        "residual_covariance_leads": (
+            ("lead", "lead_2"), covariance.leads,
+            across | over_leads | {"shrinkage": covariance.shrinkage_leads},
+        ),
+        "residual_covariance_time": (
+            ("qrs_time", "qrs_time_2"), covariance.time,
+            across | over_time | {"shrinkage": covariance.shrinkage_time},
+        ),
+    }  # fmt: skip
     dataset = xr.Dataset(variables, coords=coordinates, attrs=_attributes(target))
     for name in variables:
         dataset[name].encoding["zlib"] = True
     return dataset
 
 
-def _potentials(target: Target) -> dict[str, Variable]:
-    """Beats, their mean and standard deviation."""
-    spread = "standard deviation of a beat"
-    spread += " about the mean" if target.noise is None else ", as stated by the user"
-    beats = {
-        "units": "mV",
-        "long_name": "potential of each beat, isoelectric level removed",
-        "comment": "NaN in leads that are not used.",
-    }
-    plane = ("lead", "time")
-    return {
-        "beats": (("beat", *plane), target.beats, beats),
-        "mean": (plane, target.mean, {"units": "mV", "long_name": "mean beat"}),
-        "standard_deviation": (
-            plane, target.standard_deviation, {"units": "mV", "long_name": spread},
-        ),
-    }  # fmt: skip
-
-
-def _correlations(target: Target) -> dict[str, Variable]:
-    """Both factors of the covariance of the beats about their mean."""
-    covariance = residual_covariance(target)
-    return {
-        f"residual_covariance_{over}": (
-            dimensions,
-            values,
-            {
-                "units": "1",
-                "comment": COVARIANCE_COMMENT,
-                "long_name": f"correlation of residuals across {text}",
-                "shrinkage": shrinkage,
-            },
-        )
-        for over, text, dimensions, values, shrinkage in (
-            ("leads", "leads", ("lead", "lead_2"), covariance.leads, covariance.shrinkage_leads),
-            (
-                "time", "time, within the QRS", ("qrs_time", "qrs_time_2"), covariance.time,
-                covariance.shrinkage_time,
-            ),
-        )
-    }  # fmt: skip
-
-
 def _attributes(target: Target) -> dict[str, str | float | int]:
-    numbers = {key: getattr(target, name) for key, name in _NUMBERS.items()}
+    numbers = {key: getattr(target, name) for key, (name, _) in NUMBERS.items()}
     # a path may hold bytes that are no text
     texts = {key: str(text).encode("utf-8", "replace") for key, text in target.provenance.items()}
+    filters = [
+        {
+            "kind": one.kind.value,
+            "frequency_Hz": one.frequency,
+            _shape_of(one.kind): one.shape,
+            "origin": one.origin.value,
+            "sampling_rate_Hz": one.sampling_rate,
+        }
+        for one in target.filters
+    ]
     return {
         "Conventions": "CF-1.11",
         "title": "12-lead QRS target: aligned beats of one electrocardiogram",
@@ -195,98 +179,76 @@ def _attributes(target: Target) -> dict[str, str | float | int]:
             "factor of a notch, how it is known, and the sampling rate of a digital one that was "
             "run forward and backward (null: an analogue one, run once)."
         ),
-        _FILTERS: _filters_text(target.filters),
+        "filters": json.dumps(filters),
         "qrs_duration_ms": float(target.qrs_duration),
         "global_qrs_onset_ms": target.global_qrs[0],
         "global_qrs_offset_ms": target.global_qrs[1],
         "global_qrs_duration_ms": target.global_qrs_duration,
         **{key: float(value) for key, value in numbers.items() if value is not None},
-        **{_PREFIX + key: text.decode() for key, text in texts.items()},
+        **{f"provenance_{key}": text.decode() for key, text in texts.items()},
     }
 
 
-def _filters_text(filters: Sequence[Filter]) -> str:
-    """Filters as a list in JSON."""
-    return json.dumps(
-        [
-            {
-                "kind": one.kind.value,
-                "frequency_Hz": one.frequency,
-                _SHAPES[one.kind]: one.shape,
-                "origin": one.origin.value,
-                "sampling_rate_Hz": one.sampling_rate,
-            }
-            for one in filters
-        ]
-    )
+def _shape_of(kind: FilterKind) -> str:
+    return "order" if kind is FilterKind.LOW_PASS else "quality"
 
 
 def _filters_from(text: object) -> tuple[Filter, ...]:
-    """The filters of a list in JSON.
-
-    Raises
-    ------
-    ValueError
-        When it is none.
-    """
+    """The filters of a list in JSON; ValueError when it is none."""
     try:
-        return tuple(_filter_from(entry) for entry in json.loads(str(text)))
+        return tuple(
+            Filter(
+                kind=FilterKind(entry["kind"]),
+                frequency=float(entry["frequency_Hz"]),
+                origin=FilterOrigin(entry["origin"]),
+                shape=float(entry[_shape_of(FilterKind(entry["kind"]))]),
+                sampling_rate=entry["sampling_rate_Hz"] and float(entry["sampling_rate_Hz"]),
+            )
+            for entry in json.loads(str(text))
+        )
     except (TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise ValueError(f"{text} is no list of filters") from error
 
 
-def _filter_from(entry: dict[str, Any]) -> Filter:
-    kind, rate = FilterKind(entry["kind"]), entry["sampling_rate_Hz"]
-    return Filter(
-        kind=kind,
-        frequency=float(entry["frequency_Hz"]),
-        origin=FilterOrigin(entry["origin"]),
-        shape=float(entry[_SHAPES[kind]]),
-        sampling_rate=None if rate is None else float(rate),
-    )
-
-
 def _problems(dataset: xr.Dataset) -> Iterator[str]:
     """What is wrong with a file; each problem may rely on those before it being absent."""
-    sizes, attributes = dataset.sizes, dataset.attrs
+    attributes = dataset.attrs
     if attributes.get("format") != FORMAT:
         yield f"not a target (format is {attributes.get('format')!r})"
-    number = attributes.get("format_version")
-    if number != FORMAT_VERSION:
+    if attributes.get("format_version") != FORMAT_VERSION:
+        number = attributes.get("format_version")
         yield f"target of format version {number}, this fascicle reads {FORMAT_VERSION}"
     missing = [name for name in ("beats", "lead", "time") if name not in dataset.variables]
-    needed = [name for name in (*_NUMBERS, _FILTERS) if name not in _OPTIONAL]
+    needed = [*(name for name, (_, always) in NUMBERS.items() if always), "filters"]
     missing += [name for name in needed if name not in attributes]
     if missing:
         yield f"damaged target without {', '.join(missing)}"
     beats, time = dataset["beats"], dataset["time"].to_numpy()
-    if set(beats.dims) != {"beat", "lead", "time"}:
-        yield f"beats have sizes {dict(beats.sizes)}, not beat, lead and time"
-    if sizes["beat"] < 2 and _NOISE not in attributes:
-        yield f"{sizes['beat']} beats without a stated noise"
     leads = tuple(str(lead) for lead in dataset["lead"].to_numpy())
-    if leads != LEADS:
-        yield f"leads are {', '.join(leads)}, not the standard 12"
+    if set(beats.dims) != {"beat", "lead", "time"} or leads != LEADS:
+        yield f"beats have sizes {dict(beats.sizes)}, not beat, the standard 12 leads and time"
+    if dataset.sizes["beat"] < 2 and "stated_noise_mV" not in attributes:
+        yield f"{dataset.sizes['beat']} beats without a stated noise"
     values = beats.transpose("lead", "beat", "time").to_numpy().reshape(len(LEADS), -1)
     finite = np.isfinite(values)
-    largest = float(np.abs(np.where(finite, values, 0)).max(initial=0))
     if not finite.any() or not (finite.all(axis=1) | ~finite.any(axis=1)).all():
         yield "beats are not finite"
-    possible = RANGES["potential"]
-    if largest not in possible:
-        yield f"beats reach {largest:.4g} mV, possible are {possible}"
+    largest = float(np.abs(np.where(finite, values, 0)).max(initial=0))
+    if largest not in RANGES["potential"]:
+        yield f"beats reach {largest:.4g} mV, possible are {RANGES['potential']}"
     if not np.allclose(np.diff(time), SAMPLING_STEP):  # false for NaN, too
         yield f"time does not run in steps of {SAMPLING_STEP:g} ms"
-    for name in (name for name in _NUMBERS if name in attributes):
+    for name in (name for name in NUMBERS if name in attributes):
         value = attributes[name]
         if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
             yield f"{name} is {shown(value)}, not a number"
-    if _NOISE in attributes and attributes[_NOISE] not in RANGES["noise"]:
-        yield f"{_NOISE} is {attributes[_NOISE]:.4g}, possible are {RANGES['noise']}"
+    noise = attributes.get("stated_noise_mV")
+    if noise is not None and noise not in RANGES["noise"]:
+        yield f"stated_noise_mV is {noise:.4g}, possible are {RANGES['noise']}"
     try:
-        _filters_from(attributes[_FILTERS])
+        _filters_from(attributes["filters"])
     except ValueError:
-        yield f"{_FILTERS} are {str(attributes[_FILTERS])[:60]!r}, not a list of filters"
+        yield f"filters are {str(attributes['filters'])[:60]!r}, not a list of filters"
     onset, offset = attributes["qrs_onset_ms"], attributes["qrs_offset_ms"]
     if not time[0] <= onset < offset <= time[-1]:
         yield f"QRS from {onset} to {offset} ms, beats from {time[0]} to {time[-1]} ms"

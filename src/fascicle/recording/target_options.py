@@ -7,9 +7,7 @@ from numbers import Integral
 
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_items, check_text, number, within
-from fascicle.recording.resampling import MAINS
-
-SHORTEST_WINDOW = 20.0  # ms
+from fascicle.recording.filters import MAINS
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class TargetOptions:
     lowpass : float, optional
         Cutoff of a zero-phase low-pass (Hz).
     notch : float, optional
-        Mains frequency to remove (Hz).
+        Frequency of the power line (Hz), to remove its interference.
     recorder_lowpass : float, optional
         Cut-off (Hz, -3 dB) of the recorder's own low-pass, where the file does not name it.
 
@@ -52,56 +50,56 @@ class TargetOptions:
     recorder_lowpass: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value in (("onset", self.onset), ("offset", self.offset)):
+        for kind, value, what in (
+            ("QRS end", self.onset, "QRS window: onset, from the R peak,"),
+            ("QRS end", self.offset, "QRS window: offset, from the R peak,"),
+            ("noise", self.noise, "noise"),
+            ("low-pass", self.lowpass, "low-pass"),
+            ("recorder's low-pass", self.recorder_lowpass, "recorder's low-pass"),
+        ):
             if value is not None:
-                within("QRS end", value, f"QRS window: {name}, from the R peak,")
+                within(kind, value, what)
         if self.onset is not None and self.offset is not None:
             check_window(self.onset, self.offset, "--onset and --offset")
-        if self.beats is not None:
-            check_items(self.beats, Integral, "beats", "numbers of beats")
+        named = self.beats if self.beats is not None else ()
+        check_items(named, Integral, "beats", "numbers of beats")
         check_items(self.exclude, Integral, "exclude", "numbers of beats")
         if self.beat_class is not None:
             check_text(self.beat_class, "beat_class")
-        if self.beats is not None and self.beat_class is not None:
-            raise InputError("--beats names beats of whatever class; give it or --class, not both")
-        for name, value in (
-            ("noise", self.noise),
-            ("low-pass", self.lowpass),
-            ("recorder's low-pass", self.recorder_lowpass),
-        ):
-            if value is not None:
-                within(name, value, name)
+            if self.beats is not None:
+                raise InputError(
+                    "--beats names beats of whatever class; give it or --class, not both"
+                )
         if self.notch is not None and number(self.notch, "notch filter") not in MAINS:
-            raise InputError(f"notch filter at {self.notch:.4g} Hz; mains have 50 or 60 Hz")
+            raise InputError(f"notch filter at {self.notch:.4g} Hz; power lines have 50 or 60 Hz")
 
     def described(self) -> dict[str, str]:
         """Text of every decision that was taken, for the provenance."""
-        texts = {
+        values = {
             "class": self.beat_class,
-            "beats": None if self.beats is None else ", ".join(map(str, self.beats)),
-            "exclude": ", ".join(map(str, self.exclude)) or None,
-            "noise_mV": None if self.noise is None else f"{self.noise:g}",
-            "lowpass_hz": None if self.lowpass is None else f"{self.lowpass:g}",
-            "notch_hz": None if self.notch is None else f"{self.notch:g}",
-            "recorder_lowpass_hz": (
-                None if self.recorder_lowpass is None else f"{self.recorder_lowpass:g}"
-            ),
+            "beats": self.beats,
+            "exclude": self.exclude or None,
+            "noise_mV": self.noise,
+            "lowpass_hz": self.lowpass,
+            "notch_hz": self.notch,
+            "recorder_lowpass_hz": self.recorder_lowpass,
         }
-        return {f"choice_{name}": text for name, text in texts.items() if text is not None}
+        texts = {
+            name: value
+            if isinstance(value, str)
+            else ", ".join(map(str, value))
+            if isinstance(value, tuple | list)
+            else f"{value:g}"
+            for name, value in values.items()
+            if value is not None
+        }
+        return {f"choice_{name}": text for name, text in texts.items()}
 
 
 def check_window(onset: float, offset: float, source: str) -> None:
-    """Refuse a QRS window that ends before it has lasted.
-
-    Parameters
-    ----------
-    onset, offset : float
-        Its ends (ms from the R peak).
-    source : str
-        What the message begins with.
-    """
-    if offset - onset < SHORTEST_WINDOW:
+    """Refuse a QRS window (ms from the R peak) of less than 20 ms."""
+    if offset - onset < 20.0:
         raise InputError(
             f"{source}: QRS window {onset:g} to {offset:g} ms; the offset must be at least "
-            f"{SHORTEST_WINDOW:g} ms after the onset (both in ms from the R peak)"
+            "20 ms after the onset (both in ms from the R peak)"
         )

@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex, to_rgb
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, Beat
-from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.reporting import style
 
 SHOWN = 10.0  # s

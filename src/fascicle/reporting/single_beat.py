@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis
-from fascicle.recording.resampling import SAMPLING_STEP
+from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.reporting import style
 from fascicle.reporting.beat_panels import ROWS
 from fascicle.reporting.ecg_paper import draw_paper, without_baseline

@@ -18,7 +18,7 @@ from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.inference.evaluation import Evaluation
-from fascicle.recording.synthetic import repeated
+from fascicle.recording.residuals import repeated
 from fascicle.recording.target import Target
 from fascicle.study.pool import Threads
 from fascicle.study.prior_simulations import signals_of

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 
@@ -39,37 +39,8 @@ class Check:
     def found(
         self, value: float, message: str = "", severity: Severity = Severity.WARNING
     ) -> CheckResult:
-        """Outcome of the check.
-
-        Parameters
-        ----------
-        value : float
-            The figure found.
-        message : str
-            See `CheckResult`; where it is empty, all is fine.
-        severity : Severity
-            What follows where there is a message.
-        """
+        """Outcome of the check: all is fine where the message is empty."""
         return CheckResult(self, value, severity if message else Severity.FINE, message)
-
-    def worst_lead(
-        self, figures: Mapping[str, float], message: str, per_unit: float = 1.0
-    ) -> CheckResult:
-        """Outcome where each lead has a figure: the largest, a warning if it is over the limit.
-
-        Parameters
-        ----------
-        figures : mapping of str to float
-            Figure of each lead.
-        message : str
-            With ``{leads}`` for those over the limit and ``{largest}`` for the largest figure.
-        per_unit : float
-            Size of the figures' unit in that of the check, 1000 for mV in uV.
-        """
-        over = [lead for lead, figure in figures.items() if figure > self.limit / per_unit]
-        largest = per_unit * max(figures.values())
-        text = message.format(leads=listed(over), largest=largest) if over else ""
-        return self.found(largest, text)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
-"""How the beats of a target differ from their mean: across leads, and across time."""
+"""How beats differ from their mean: across leads, across time, and as noise would make them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from fascicle.core.arrays import Floats
+from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.target import Target
 
 
@@ -73,3 +75,28 @@ def _correlation(scores: Floats) -> tuple[Floats, float]:
     shrunk = (1 - weight) * raw + weight * identity
     root = np.sqrt(np.maximum(np.diag(shrunk), np.finfo(float).tiny))
     return shrunk / np.outer(root, root), weight
+
+
+def repeated(target: Target, rng: np.random.Generator, count: int = 10) -> Target:
+    """Target with as many beats as if its single one, of stated noise, had been recorded often.
+
+    Parameters
+    ----------
+    target : Target
+        One beat and its stated noise.
+    rng : numpy.random.Generator
+        Source of the noise.
+    count : int
+        Number of beats, by default that of a 10 s recording; their mean is the recorded beat.
+    """
+    assert target.noise is not None
+    noise = smooth_noise(rng, (count, *target.beats.shape[1:]), target.noise)
+    noise -= noise.mean(axis=0)
+    return replace(target, beats=target.beats + noise, noise=None)
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], sd: float) -> Floats:
+    """Noise of standard deviation `sd` (mV), smooth along the last axis, time, over some ms."""
+    white = rng.standard_normal(shape)
+    smooth = gaussian_filter1d(white, 4.0 / SAMPLING_STEP, axis=-1)  # ms
+    return np.asarray(smooth * (sd / smooth.std()))

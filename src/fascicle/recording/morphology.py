@@ -1,4 +1,4 @@
-"""Beats cut out, aligned and sorted by shape: ectopic and paced ones do not mix with the rest."""
+"""Beats cut out, aligned and clustered by morphology, so that ectopic beats do not mix in."""
 
 from __future__ import annotations
 
@@ -8,13 +8,7 @@ from fascicle.core.arrays import Floats, Integers
 
 HALF_WIDTH = 100  # samples each side of R that are compared
 LARGEST_SHIFT = 60  # samples; an R' may be as tall as the R, and that far away
-REACH = HALF_WIDTH + LARGEST_SHIFT
-BLOCK = 64  # beats that are shifted at a time, which bounds the memory
-ALIKE = 0.2  # of a beat's energy; two beats of one class, correlation 0.9 or more, differ by less
-MOST_CANDIDATES = 40  # beats among which the centre of a class is looked for
-ROUNDS = 3
-FAINTEST = 1e-3  # of a template's energy; what is left of it without noise is taken as no less
-QUIET = 0.1  # quantile of the energy of all stretches that is taken as noise alone
+ALIKE = 0.2  # share of a beat's energy by which beats of one class differ: correlation 0.9 or more
 
 
 def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:
@@ -39,10 +33,7 @@ def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:
 
 
 def detrended(beats: Floats) -> Floats:
-    """Beats (..., n_time) less the straight line that fits each lead of each beat best.
-
-    Neither level nor drift then enters a comparison of two beats.
-    """
+    """Beats (..., n_time) less the straight line that fits each lead of each beat best."""
     t = np.linspace(-1.0, 1.0, beats.shape[-1])
     slope = beats @ t / (t @ t)
     return np.asarray(beats - beats.mean(axis=-1, keepdims=True) - slope[..., None] * t)
@@ -58,7 +49,7 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
     Parameters
     ----------
     signal : (n_leads, n) array
-        Recorded leads (mV) every `fascicle.recording.target.SAMPLING_STEP`.
+        Recorded leads (mV) every `fascicle.recording.filters.SAMPLING_STEP`.
     peaks : (n_beats,) array
         R peaks, at least one.
     noise : float
@@ -71,11 +62,11 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
     aligned : (n_beats,) array
         The peaks, moved to where each beat correlates best with its class, all leads together.
     """
-    wide = cut(signal, peaks, REACH, REACH)
+    wide = cut(signal, peaks, HALF_WIDTH + LARGEST_SHIFT, HALF_WIDTH + LARGEST_SHIFT)
     classes = np.full(len(peaks), -1, dtype=np.int64)
     shifts = np.zeros(len(peaks), dtype=np.int64)
     while (left := np.flatnonzero(classes < 0)).size:
-        members, shift = _class_of_most(wide[left], noise)
+        members, shift = _largest_class(wide[left], noise)
         classes[left[members]] = classes.max() + 1
         shifts[left[members]] = shift[members]
         if len(members) == 1:  # no two are alike
@@ -86,23 +77,26 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
 
 
 def noise_energy(signal: Floats) -> float:
-    """Energy (mV² samples) that noise alone has in a window as long as those compared."""
+    """Energy (mV² samples) that noise alone has in a window as long as those compared.
+
+    It is that of the quietest tenth of all stretches.
+    """
     length = 2 * HALF_WIDTH + 1
     starts = np.arange(0, signal.shape[1] - length + 1, HALF_WIDTH // 2)
     if not len(starts):
         return 0.0
     starts = starts[:: max(len(starts) // 2000, 1)]  # enough of a long recording for a quantile
     stretches = detrended(np.stack([signal[:, s : s + length] for s in starts]))
-    return float(np.quantile((stretches**2).sum(axis=(1, 2)), QUIET))
+    return float(np.quantile((stretches**2).sum(axis=(1, 2)), 0.1))
 
 
-def _class_of_most(wide: Floats, noise: float) -> tuple[Integers, Integers]:
+def _largest_class(wide: Floats, noise: float) -> tuple[Integers, Integers]:
     """Members of the largest class among the beats, and the shift of every beat."""
-    still = _shifted(wide, np.zeros(len(wide), dtype=np.int64))
-    template = still[_central(wide, still, noise)]
+    unshifted = _shifted(wide, np.zeros(len(wide), dtype=np.int64))
+    template = unshifted[_central(wide, unshifted, noise)]
     members = np.arange(len(wide))
     founders = 1
-    for _ in range(ROUNDS):
+    for _ in range(3):
         shift = _best_shifts(wide, template)
         moved = _shifted(wide, shift)
         difference = _difference(moved, template, noise * (1 + 1 / founders), noise)
@@ -114,13 +108,14 @@ def _class_of_most(wide: Floats, noise: float) -> tuple[Integers, Integers]:
     return members, shift
 
 
-def _central(wide: Floats, still: Floats, noise: float) -> int:
-    """Find the beat that resembles most others."""
-    candidates = np.unique(np.linspace(0, len(wide) - 1, MOST_CANDIDATES).round().astype(int))
+def _central(wide: Floats, unshifted: Floats, noise: float) -> int:
+    """Find the beat, of 40 at most, that resembles most others."""
+    candidates = np.unique(np.linspace(0, len(wide) - 1, 40).round().astype(int))
     alike = np.zeros(len(candidates))
     for k, candidate in enumerate(candidates):
-        moved = _shifted(wide[candidates], _best_shifts(wide[candidates], still[candidate]))
-        difference = _difference(moved, still[candidate], 2 * noise, noise)
+        template = unshifted[candidate]
+        moved = _shifted(wide[candidates], _best_shifts(wide[candidates], template))
+        difference = _difference(moved, template, 2 * noise, noise)
         # as many as possible, and of equally many the most alike
         alike[k] = (difference < ALIKE).sum() - np.clip(difference, 0, ALIKE).mean()
     return int(candidates[np.argmax(alike)])
@@ -130,20 +125,19 @@ def _difference(beats: Floats, template: Floats, expected: float, noise: float) 
     """Energy of beats less a template over that of the larger, both without noise."""
     energy = np.maximum((beats**2).sum(axis=(1, 2)), (template**2).sum()) - noise
     left = ((beats - template) ** 2).sum(axis=(1, 2)) - expected
-    least = FAINTEST * (template**2).sum() + np.finfo(float).tiny
+    least = 1e-3 * (template**2).sum() + np.finfo(float).tiny
     return np.asarray(left / np.maximum(energy, least))
 
 
 def _best_shifts(wide: Floats, template: Floats) -> Integers:
     """Samples, up to `LARGEST_SHIFT`, by which R lies later than assumed in each beat (n_beats,).
 
-    There the beats (n_beats, n_leads, 2·REACH + 1) correlate best with the detrended template
-    (n_leads, 2·HALF_WIDTH + 1), all leads together.
+    There the wide beats correlate best with the detrended template, all leads together.
     """
     shifts = []
-    for start in range(0, len(wide), BLOCK):
+    for start in range(0, len(wide), 64):  # beats at a time, which bounds the memory
         tries = np.lib.stride_tricks.sliding_window_view(
-            wide[start : start + BLOCK], 2 * HALF_WIDTH + 1, axis=-1
+            wide[start : start + 64], 2 * HALF_WIDTH + 1, axis=-1
         )
         # The template has neither level nor slope, so those of the beats do not matter
         score = np.einsum("bcst,ct->bs", tries, template)

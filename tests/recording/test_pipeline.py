@@ -1,4 +1,4 @@
-"""Targets of synthetic recordings whose QRS is known exactly."""
+"""Targets of recordings, synthetic ones whose QRS is known exactly and real ones."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.pipeline import analyse, make_target
+from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Recording
 
 ONSET, OFFSET = -45.0, 55.0  # ms from the nominal R
@@ -152,11 +153,6 @@ def test_alignment_is_better_than_a_sample():
     assert target.standard_deviation.max() < 0.6 * slope + 3 * noise
 
 
-def test_two_beats_suffice():
-    signal, _ = ecg(seconds=2.0)
-    assert len(make_target(Recording(signal, 500.0, "short")).beats) == 2
-
-
 def test_window_can_be_given():
     recording = Recording(ecg()[0], 500.0, "synthetic")
     target = make_target(recording, onset=-60, offset=80.5)
@@ -177,85 +173,55 @@ def test_impossible_windows_are_refused(onset, offset):
     assert "\n" not in str(info.value)
 
 
-def bad(change):
-    signal, _ = ecg()
-    return change(signal)
+def changed(rows, samples, value):
+    def change(signal):
+        signal[rows, samples] = value
+        return signal
 
-
-def flat_v2(signal):
-    signal[7] = 0.3
-    return signal, 500.0
-
-
-def with_gap(signal):
-    signal[1, 40:50] = np.nan
-    return signal, 500.0
+    return change
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "rate", "words"),
     [
-        (flat_v2, "no signal in lead V2; .*--leads I,II,III,aVR,aVL,aVF,V1,V3,V4,V5,V6"),
-        (with_gap, r"lead II lacks 10 samples \(first: sample 40, at 0.080 s\)"),
-        (lambda s: (s, 0.0), "sampling rate is 0 Hz"),
-        (lambda s: (s, 125.0), "sampling rate is 125 Hz"),
-        (lambda s: (s[:, :150], 500.0), "0.30 s long"),
-        (lambda s: (np.tile(s, 200), 500.0), "2000 s long; cut it to 1800 s"),
-        (lambda s: (np.full_like(s, np.nan), 500.0), "no lead holds a sample"),
-        (lambda s: (s[:11], 500.0), r"shape \(11, 5000\)"),
-        (lambda s: (s[:, :800], 500.0), "a single beat .*--noise 0.03 is a guess"),
-        (lambda s: (1000 * s, 500.0), "spans .* mV in one beat"),
+        (changed(7, slice(None), 0.3), 500.0, "no signal in lead V2; .*--leads I,II,III,aVR,aVL"),
+        (changed(1, slice(40, 50), np.nan), 500.0, r"lead II lacks 10 samples .*40, at 0.080 s"),
+        (lambda s: s, 0.0, "sampling rate is 0 Hz"),
+        (lambda s: s, 125.0, "sampling rate is 125 Hz"),
+        (lambda s: s[:, :150], 500.0, "0.30 s long"),
+        (lambda s: np.tile(s, 200), 500.0, "2000 s long, .*; cut it to 1800 s"),
+        (lambda s: np.full_like(s, np.nan), 500.0, "no lead holds a sample"),
+        (lambda s: s[:11], 500.0, r"shape \(11, 5000\)"),
+        (lambda s: s[:, :800], 500.0, "a single beat .*--noise 0.03 is a guess"),
+        (lambda s: s[:, 20:220], 500.0, "--noise"),
+        (lambda s: 1000 * s, 500.0, "spans .* mV in one beat"),
+        (np.zeros_like, 500.0, "no signal in any lead"),
+        (changed([*range(6), *range(7, 12)], slice(None), 0.0), 500.0, "no signal in leads I, II"),
+        (lambda s: np.pad(s, ((0, 0), (0, 15_000))), 500.0, "no signal in any lead for up to 30"),
+        (lambda s: np.tile([[0.0, 1.0]], (12, 2500)), 500.0, "QRS|the same"),
+        (
+            lambda s: 0.1 * np.random.default_rng(1).normal(size=s.shape), 500.0,
+            "beats|mV in one beat",
+        ),
     ],
-)
-def test_unusable_recordings_are_refused_in_one_line(change, words):
+)  # fmt: skip
+def test_unusable_recordings_are_refused_in_one_line(change, rate, words):
     with pytest.raises(InputError, match=words) as info:
-        make_target(Recording(*bad(change), "file.csv"))
+        make_target(Recording(change(ecg()[0]), rate, "file.csv"))
     assert str(info.value).startswith("file.csv: ")
     assert "\n" not in str(info.value)
 
 
-def test_noise_without_beats_is_refused():
-    noise = 0.1 * np.random.default_rng(1).normal(size=(12, 5000))
-    with pytest.raises(InputError, match=r"beats|mV in one beat"):
-        make_target(Recording(noise, 500.0, "noise"))
-
-
 def test_unequal_gains_are_refused_and_equal_ones_are_not():
     signal, _ = ecg()
-    assert "warnings" not in make_target(Recording(signal, 500.0, "equal")).provenance
-    signal[0] *= 1.5
-    with pytest.raises(InputError, match=r"lead I is 1.50 times .*--leads II,III,aVR"):
-        make_target(Recording(signal, 500.0, "unequal"))
-
-
-def test_leads_are_not_mixed_up():
-    signal, _ = ecg()
-    target = make_target(Recording(signal, 500.0, "synthetic"))
+    target = make_target(Recording(signal, 500.0, "equal"))
+    assert "warnings" not in target.provenance
     i, ii, iii, avr = (target.mean[LEADS.index(lead)] for lead in ("I", "II", "III", "aVR"))
     assert i + iii == pytest.approx(ii, abs=0.02)
     assert avr == pytest.approx(-(i + ii) / 2, abs=0.02)
-
-
-def one_lead_moves(signal):
-    alone = np.zeros_like(signal)
-    alone[6] = signal[6]
-    return alone
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (np.zeros_like, "no signal in any lead"),
-        (lambda s: np.ones((12, 500)), "no signal in any lead"),
-        (one_lead_moves, "no signal in leads I, II"),
-        (lambda s: np.pad(s, ((0, 0), (0, 15_000))), "no signal in any lead for up to 30"),
-        (lambda s: np.tile([[0.0, 1.0]], (12, 2500)), "file.csv: .*(QRS|the same)"),
-        (lambda s: s[:, 20:220], "--noise"),
-    ],
-)
-def test_dead_recordings_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        make_target(Recording(change(ecg()[0]), 500.0, "file.csv"))
+    signal[0] *= 1.5
+    with pytest.raises(InputError, match=r"lead I is 1.50 times .*--leads II,III,aVR"):
+        make_target(Recording(signal, 500.0, "unequal"))
 
 
 def test_beats_of_another_class_are_what_they_are():
@@ -281,3 +247,23 @@ def test_odd_rates_do_not_drift(rate):
     interval = np.diff([beat.time for beat in beats])
     assert (beats[-1].time - beats[0].time) == pytest.approx((len(interval)) * 0.85, abs=0.0015)
     assert len(times) == len(beats)
+
+
+def test_bundle_branch_blocks_are_wide_and_the_normal_is_not(data_folder):
+    for record, width in (("24", 173), ("23", 147), ("119", 97)):
+        target = make_target(read_recording(data_folder / "ecg" / "ludb" / f"{record}_common"))
+        assert target.qrs_duration == pytest.approx(width, abs=8)
+        before = (target.time >= target.qrs_onset - 15) & (target.time < target.qrs_onset)
+        assert np.abs(target.mean[:, before]).max() < 0.03
+
+
+def test_gain_per_lead_is_refused(data_folder):
+    with pytest.raises(InputError, match=r"gains.*--shared-gain"):
+        make_target(read_recording(data_folder / "ecg" / "ludb" / "24.hea"))
+
+
+def test_long_recording_keeps_its_beats(data_folder):
+    target = make_target(read_recording(data_folder / "ecg" / "ptb-s0010" / "s0010_re.hea"))
+    assert len(target.beats) >= 48
+    assert target.heart_rate == pytest.approx(81.9, abs=0.5)
+    assert target.qrs_duration == pytest.approx(140, abs=10)

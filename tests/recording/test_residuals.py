@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fascicle.recording.covariance import residual_covariance
+from fascicle.recording.residuals import residual_covariance
 from fascicle.recording.target import Target
 
 TIME = np.arange(-40.0, 61.0)

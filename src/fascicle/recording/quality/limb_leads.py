@@ -1,4 +1,4 @@
-"""Whether the limb leads obey Einthoven's and Goldberger's laws, and if not, why."""
+"""Whether the limb leads obey Einthoven's and Goldberger's laws, and if not, why; lead reversal."""
 
 from __future__ import annotations
 
@@ -7,35 +7,21 @@ from itertools import combinations
 from operator import itemgetter
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
-from fascicle.core.arrays import Floats
-from fascicle.core.leads import LIMB_LEADS, limb_leads_from
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
+from fascicle.recording.filters import block_means
+from fascicle.recording.morphology import cut
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out
-from fascicle.recording.quality.lead_signals import coarse, steady
 from fascicle.recording.recording import Recording
 
-LARGEST_MISFIT = 0.05  # mV
-LARGEST_SHARE = 0.05  # of the limb leads' height
-PERCENTILE = 99.0
-ENOUGH = 30_000  # samples that give the percentile
-LARGEST_MISFIT_OF_DIGITS = 3.0  # digits; each lead was rounded
-LARGEST_SHARE_OF_DIGITS = 0.01  # of the limb leads' height
-SAME_GAIN = 0.01  # relative difference up to which gains are one
-REMAINING = 0.5  # of the misfit; an explanation leaves less
-DISTINCT = 0.5  # an explanation leaves less than this share of what the next one leaves
-SHARED_GAIN = (
-    "its gains per lead are wrong, the raw digits satisfy the identities; "
-    "read it with --shared-gain"
-)
-LARGEST_RATIO = 1.2  # between gains of leads that may still be in mV
-LIMB_LEADS_CHECK = Check("limb leads", "mV", LARGEST_MISFIT)
-GAINS = Check("gains of limb leads, ratio", "", 1 + SAME_GAIN)
-SHORTEST_OVERLAP = 1.0  # s; one beat at least
-CLEARLY_WORSE = 3.0  # how many times the misfit in mV must exceed that in digits to blame the gains
-SAME_TIME = 0.9  # share of a lead's time that another must cover to be compared with it
+GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains are one
+REVERSAL = Check("lead reversal, I and II against V6", "", -0.4)
+REMAINING = 0.5  # share of a misfit that an explanation may leave, also of what the next one leaves
 
 # Einthoven, 1913; Goldberger, 1942: what is zero, lead by lead in the order of LIMB_LEADS.
-_CLASSIC = {
+CLASSIC = {
     "Einthoven I + III - II": (1.0, -1.0, 1.0, 0.0, 0.0, 0.0),
     "Goldberger aVR + (I + II)/2": (0.5, 0.5, 0.0, 1.0, 0.0, 0.0),
     "Goldberger aVL - (I - III)/2": (-0.5, 0.0, 0.5, 0.0, 1.0, 0.0),
@@ -48,10 +34,9 @@ def check_identities(recording: Recording) -> list[CheckResult]:
 
     The figure of an identity is the 99th percentile of \|what should be zero\| less its median,
     after the baseline and what is faster than about 37 Hz have been taken off each lead, so that
-    neither drift nor noise of single leads counts. It is fine up to `LARGEST_MISFIT` mV, or up to
-    `LARGEST_SHARE` of the limb leads' height where that is more. Computed leads satisfy the
-    identities by construction and do not count; leads that were recorded one group after another
-    are compared where they overlap.
+    neither drift nor noise of single leads counts. It is fine up to 0.05 mV, or up to 5 % of the
+    limb leads' height where that is more. Computed leads satisfy the identities by construction and
+    do not count; leads that were recorded one group after another are compared where they overlap.
 
     Returns
     -------
@@ -67,12 +52,12 @@ def check_identities(recording: Recording) -> list[CheckResult]:
     together = _together(recording)
     if not together:
         message = "not checked: no three limb leads were recorded at the same time"
-        return [LIMB_LEADS_CHECK.found(np.nan, message, Severity.FINE)]
+        return [Check("limb leads", "mV", 0.05).found(np.nan, message, Severity.FINE)]
     return [finding for rows, time in together for finding in _check_group(recording, rows, time)]
 
 
 def _together(recording: Recording) -> list[tuple[list[int], slice]]:
-    """Sets of at least three limb leads, and the samples that they have in common."""
+    """Sets of at least three limb leads, and the samples (1 s or more) that they have in common."""
     spans = recording.spans.tolist()
     rows = [row for row, lead in enumerate(LIMB_LEADS) if lead in recording.measured_leads]
     found = {}
@@ -80,19 +65,18 @@ def _together(recording: Recording) -> list[tuple[list[int], slice]]:
         covering = tuple(
             row
             for row in rows
-            if min(spans[row][1], stop) - max(spans[row][0], start) >= SAME_TIME * (stop - start)
+            if min(spans[row][1], stop) - max(spans[row][0], start) >= 0.9 * (stop - start)
         )
         begin = max([start, *(spans[row][0] for row in covering)])
         end = min([stop, *(spans[row][1] for row in covering)])
-        if len(covering) >= 3 and end - begin >= SHORTEST_OVERLAP * recording.sampling_rate:
+        if len(covering) >= 3 and end - begin >= recording.sampling_rate:
             found[covering] = slice(begin, end)
     return [(list(covering), time) for covering, time in sorted(found.items(), key=itemgetter(0))]
 
 
 def _check_group(recording: Recording, rows: list[int], time: slice) -> list[CheckResult]:
     """Check one set of leads over the samples that they have in common."""
-    part, rate = coarse(recording.signal[rows, time], recording.sampling_rate)
-    leads = steady(part, rate)
+    leads = _detrended(recording.signal[rows, time], recording.sampling_rate)
     labels, zeros = _identities(rows)
     found, limit = _misfits(leads, zeros), _limit_of(leads)
     broken = np.flatnonzero(found > limit)
@@ -111,6 +95,21 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
     return findings
 
 
+def _detrended(leads: Floats, rate: float) -> Floats:
+    """Leads (m, n), mV, without baseline and with less noise, about 0.6 to 37 Hz.
+
+    Moving averages cost the same at any width, so that half an hour takes a moment; they are
+    linear, so that whatever holds between leads still holds.
+    """
+    factor = max(int(rate / 250.0), 1)  # Hz; enough to see the QRS
+    coarse, rate = block_means(leads, factor), rate / factor
+    width = max(round(0.5 * rate), 1)  # s
+    baseline = uniform_filter1d(coarse, width, axis=-1, mode="nearest")
+    baseline = uniform_filter1d(baseline, width, axis=-1, mode="nearest")
+    width = max(round(0.012 * rate), 1)
+    return np.asarray(uniform_filter1d(coarse - baseline, width, axis=-1, mode="nearest"))
+
+
 def _check_gains(
     recording: Recording, rows: list[int], leads: Floats, zeros: Floats
 ) -> list[CheckResult]:
@@ -125,18 +124,23 @@ def _check_gains(
     digits = gains[rows][:, None] * leads
     share = _worst(leads, zeros) / max(_height(leads), np.finfo(float).tiny)
     share_of_digits = _worst(digits, zeros) / max(_height(digits), 1.0)
-    wrong = _digits_fit(leads, zeros, gains[rows]) and share > CLEARLY_WORSE * share_of_digits
-    message = f"the gains differ {ratio:.2f}-fold: {SHARED_GAIN}" if wrong else ""
+    wrong = _digits_fit(leads, zeros, gains[rows]) and share > 3.0 * share_of_digits
+    message = f"the gains differ {ratio:.2f}-fold: {_wrong_gains()}" if wrong else ""
     return [GAINS.found(ratio, message, Severity.FATAL)]
+
+
+def _wrong_gains() -> str:
+    return (
+        "its gains per lead are wrong, the raw digits satisfy the identities; read it with "
+        "--shared-gain"
+    )
 
 
 def _identities(rows: list[int]) -> tuple[list[str], Floats]:
     """Labels and coefficients of the independent identities of some limb leads."""
     absent = [row for row in range(len(LIMB_LEADS)) if row not in rows]
     classic = {
-        label: np.array(zero)
-        for label, zero in _CLASSIC.items()
-        if not np.array(zero)[absent].any()
+        label: np.array(zero) for label, zero in CLASSIC.items() if not np.array(zero)[absent].any()
     }
     if len(classic) == len(rows) - 2:
         return list(classic), np.array(list(classic.values()))[:, rows]
@@ -154,7 +158,7 @@ def _explain(
 
     Tried in this order: the digits of the file without its gains; one lead upside down or two
     exchanged; one lead with another gain, or wrong altogether; each lead with a gain of its own.
-    Exchanged electrodes are not among them: they leave every relation intact.
+    Reversed electrodes are not among them: they leave every relation intact.
 
     Of leads (m, n) without baseline (mV), `rows` of the limb leads, whose relations `zeros`
     (m - 2, m) are not all zero. FATAL when there is an explanation, WARNING when there is none.
@@ -162,7 +166,7 @@ def _explain(
     leads = _thinned(leads)
     gains = recording.digits_per_millivolt
     if gains is not None and _digits_fit(leads, zeros, gains[rows]):
-        return Severity.FATAL, SHARED_GAIN
+        return Severity.FATAL, _wrong_gains()
     names = [LIMB_LEADS[row] for row in rows]
     mistakes = _mistakes(names, leads, zeros)
     if mistakes:
@@ -174,7 +178,7 @@ def _explain(
             f"{leave_out(recording, [lead])}"
         )
     ratios = _gains(leads, zeros)
-    if ratios is not None and ratios.max() > LARGEST_RATIO * ratios.min():
+    if ratios is not None and ratios.max() > 1.2 * ratios.min():  # below, they may still be in mV
         found = ", ".join(f"{n} {g:.2f}" for n, g in zip(names, ratios / ratios[0], strict=True))
         return Severity.FATAL, (
             f"each lead has a gain of its own ({found}); export the recording in mV, with one gain "
@@ -192,24 +196,24 @@ def _misfits(leads: Floats, zeros: Floats) -> Floats:
     """
     rest = zeros @ _thinned(leads)
     rest = np.abs(rest - np.median(rest, axis=1, keepdims=True))
-    return np.asarray(np.percentile(rest, PERCENTILE, axis=1))
+    return np.asarray(np.percentile(rest, 99.0, axis=1))
 
 
 def _height(leads: Floats) -> float:
     """99th percentile of the largest absolute value among leads (m, n), each less its median."""
     leads = _thinned(leads)
     centred = np.abs(leads - np.median(leads, axis=1, keepdims=True))
-    return float(np.percentile(centred.max(axis=0), PERCENTILE))
+    return float(np.percentile(centred.max(axis=0), 99.0))
 
 
 def _limit_of(leads: Floats) -> float:
     """Misfit (mV) up to which a relation between leads (m, n) holds."""
-    return max(LARGEST_MISFIT, LARGEST_SHARE * _height(leads))
+    return max(0.05, 0.05 * _height(leads))
 
 
 def _thinned(leads: Floats) -> Floats:
     """Evenly spread samples of leads (m, n), which serve as relations hold at each sample."""
-    return leads[:, :: max(leads.shape[1] // ENOUGH, 1)]
+    return leads[:, :: max(leads.shape[1] // 30_000, 1)]
 
 
 def _worst(leads: Floats, zeros: Floats) -> float:
@@ -224,11 +228,11 @@ def _holds(before: float, leads: Floats, zeros: Floats) -> bool:
 
 def _digits_fit(leads: Floats, zeros: Floats, gains: Floats) -> bool:
     """Whether leads (m, n), mV, times their different gains (m,) satisfy the relations (k, m)."""
-    if not (gains > 0).all() or gains.max() <= (1 + SAME_GAIN) * gains.min():
+    if not (gains > 0).all() or gains.max() <= GAINS.limit * gains.min():
         return False
     digits = gains[:, None] * leads
-    largest = max(LARGEST_MISFIT_OF_DIGITS, LARGEST_SHARE_OF_DIGITS * _height(digits))
-    return _worst(digits, zeros) <= largest
+    # each lead was rounded
+    return _worst(digits, zeros) <= max(3.0, 0.01 * _height(digits))
 
 
 def _mistakes(names: list[str], leads: Floats, zeros: Floats) -> list[str]:
@@ -253,10 +257,9 @@ def _single_lead(names: list[str], leads: Floats, zeros: Floats) -> tuple[str, s
     """Name of the lead at fault, empty when it is not one or not clear which, and its fault."""
     before = _worst(leads, zeros)
     remaining = np.array([_without(k, leads, zeros) for k in range(len(names))])
-    order = np.argsort(remaining)
-    best, next_best = int(order[0]), int(order[1])
+    best, next_best = np.argsort(remaining)[:2]
     largest = min(_limit_of(np.delete(leads, best, axis=0)), REMAINING * before)
-    if remaining[best] > min(largest, DISTINCT * remaining[next_best]):
+    if remaining[best] > min(largest, REMAINING * remaining[next_best]):
         return "", ""
     gain = _gain(best, leads, zeros)
     changed = leads.copy()
@@ -296,8 +299,88 @@ def _gains(leads: Floats, zeros: Floats) -> Floats | None:
     values, vectors = np.linalg.eigh(form)
     factors = vectors[:, 0] / size
     factors = factors if factors.sum() > 0 else -factors
-    if factors.min() <= 0 or values[1] * DISTINCT <= values[0]:
+    if factors.min() <= 0 or values[1] * REMAINING <= values[0]:
         return None
     factors = factors / np.exp(np.log(factors).mean())
     before = _worst(leads, zeros)
     return 1 / factors if _holds(before, factors[:, None] * leads, zeros) else None
+
+
+def check_reversal(recording: Recording, peaks: Integers) -> CheckResult:
+    """Suspect the right arm's electrode of having been exchanged with another limb's, by beats.
+
+    Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
+    in all three. Reversed arms turn lead I upside down, and reversed right arm and left leg lead
+    II; V6 (or V5) stays as it is. The figure is the lower mean of the correlations of I or II with
+    V6 in the P wave and in the QRS, so that a QRS axis to the right alone does not count (a P wave
+    that is negative in lead I is the better sign). Reversed left arm and left leg look like a
+    turned axis. The `peaks` (n_beats,) are samples of the R peaks.
+
+    References
+    ----------
+    V. N. Batchvarov, M. Malik, A. J. Camm, Europace 9:1081 (2007); K. K. Ho, S. K. Ho, J.
+    Electrocardiol. 34:161 (2001), on the P wave.
+    """
+    rate = recording.sampling_rate
+    median = _median_beat(recording, peaks)
+    left = [row for row in (LEADS.index("V6"), LEADS.index("V5")) if np.isfinite(median[row]).all()]
+    if not left or not np.isfinite(median[:2]).all():
+        message = "not checked: needs leads I, II and V6 or V5, and two beats"
+        return REVERSAL.found(np.nan, message, Severity.FINE)
+    reference = median[left[0]]
+    now = _likeness(median[:2], reference, rate)
+    if min(now) >= REVERSAL.limit:
+        return REVERSAL.found(min(now))
+    limb = lead_matrix()[:2, :3]
+    from_potentials = np.linalg.pinv(limb)
+    after = {
+        pair: sum(_likeness(limb[:, order] @ from_potentials @ median[:2], reference, rate))
+        for pair, order in {"RA-LA": [1, 0, 2], "RA-LL": [2, 1, 0]}.items()
+    }
+    pair = max(after, key=after.__getitem__)
+    message = (
+        f"lead {'I' if now[0] < now[1] else 'II'} runs against {LEADS[left[0]]} in P wave and QRS: "
+        f"electrodes {pair.replace('-', ' and ')} are probably reversed (or the heart lies on the "
+        f"right, or the rhythm is not from the sinus node); to undo it: --swap {pair}"
+    )
+    return REVERSAL.found(min(now), message)
+
+
+def _median_beat(recording: Recording, peaks: Integers) -> Floats:
+    """Median (12, n), mV, over two or more beats of each lead, 0.26 s before R to 0.10 s after.
+
+    Leads recorded at other times give their own beats; NaN where they have fewer.
+    """
+    before = round(0.26 * recording.sampling_rate)
+    after = round(0.10 * recording.sampling_rate)
+    median = np.full((len(LEADS), before + after + 1), np.nan)
+    for row, (start, stop) in enumerate(recording.spans):
+        own = peaks[(peaks - before >= start) & (peaks + after < stop)]
+        own = own[:: max(len(own) // 100, 1)]
+        if len(own) >= 2:
+            median[row] = np.median(cut(recording.signal[[row]], own, before, after), axis=0)
+    return median
+
+
+def _likeness(leads: Floats, reference: Floats, rate: float) -> tuple[float, float]:
+    """Mean of the correlations in P wave and QRS of leads I and II with another lead."""
+    waves = (-0.26, -0.10), (-0.06, 0.08)  # s from R
+    one, two = (
+        sum(_correlation(lead, reference, wave, rate) for wave in waves) / 2 for lead in leads
+    )
+    return one, two
+
+
+def _correlation(x: Floats, y: Floats, wave: tuple[float, float], rate: float) -> float:
+    """Correlation of two median beats (n,) over a wave, each less the line between its ends."""
+    start, stop = (round((0.26 + end) * rate) for end in wave)
+    edge = max(round(0.01 * rate), 1)  # samples at each end that are taken as its level
+    a, b = (_level(lead[start : stop + 1], edge) for lead in (x, y))
+    scale = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / scale if scale > 0 else 0.0
+
+
+def _level(x: Floats, edge: int) -> Floats:
+    """Wave (n,) less the line between the means of its ends, and less its mean."""
+    line = np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
+    return np.asarray(x - line - (x - line).mean())

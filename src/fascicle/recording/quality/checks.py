@@ -1,0 +1,324 @@
+"""All checks of a recording, the most basic first, each with its limit and unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import butter, sosfiltfilt, welch
+
+from fascicle.core.arrays import Floats, Integers
+from fascicle.core.leads import LEADS, LIMB_LEADS
+from fascicle.recording.filter_estimate import estimated_lowpass
+from fascicle.recording.filters import MAINS, Filter, FilterKind, FilterOrigin, block_means
+from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
+from fascicle.recording.quality.limb_leads import check_identities, check_reversal
+from fascicle.recording.recording import Recording
+
+FLAT = Check("smallest lead", "uV", 1.0)  # standard deviation below which there is no signal
+CONSTANT = Check("longest constant stretch", "s", 2.0)  # longer than between two beats of most
+DUPLICATED = Check("duplicated leads, correlation", "", 0.9999)
+# for adults, of P. Kligfield et al., Recommendations for the standardization and interpretation of
+# the electrocardiogram, part I, Circulation 115:1306 (2007)
+LOWPASS = Check("recorder's low-pass", "Hz", 150.0)
+
+
+@dataclass(frozen=True)
+class LeadCheck(Check):
+    """A check of each lead by itself; the largest figure counts.
+
+    Attributes
+    ----------
+    figure : callable
+        Of the samples (mV) of a lead and their rate (Hz), in the unit of the check.
+    message : str
+        With ``{leads}`` for those over the limit and ``{largest}`` for the largest figure.
+    advice : str
+        What to do.
+    refused : float
+        The figure from which on a lead cannot be used, unless all are so.
+    """
+
+    figure: Callable[[Floats, float], float]
+    message: str
+    advice: str
+    refused: float = math.inf
+
+    def of(self, recording: Recording) -> CheckResult:
+        """Outcome in a recording."""
+        figures = {
+            lead: self.figure(values, recording.sampling_rate)
+            for lead, values in measured(recording).items()
+        }
+        largest = max(figures.values())
+        over, lost = (
+            [lead for lead, figure in figures.items() if figure > limit]
+            for limit in (self.limit, self.refused)
+        )
+        if lost and len(lost) < len(figures):
+            what = self.message.format(leads=listed(lost), largest=largest)
+            advice = f"go on without: {leave_out(recording, lost)}"
+            return self.found(largest, f"{what}; {advice}", Severity.FATAL)
+        what = self.message.format(leads=listed(over), largest=largest) if over else ""
+        return self.found(largest, what and f"{what}; {self.advice}")
+
+
+def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
+    """What is wrong with leads whatever is in them: no signal, or another lead's."""
+    return (*_check_flatness(recording), *_check_duplicates(recording))
+
+
+def check_recording(
+    recording: Recording, peaks: Integers, filters: Sequence[Filter]
+) -> tuple[CheckResult, ...]:
+    """Every check of a recording with a signal in each lead, also those that are fine.
+
+    Leads may be absent, or recorded one group after another. NaN is the figure of a check that the
+    recording does not allow; its message says so.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without pacing spikes.
+    peaks : (n_beats,) array
+        Samples of its R peaks.
+    filters : sequence of Filter
+        Those that it has passed.
+    """
+    return (
+        *check_identities(recording),
+        check_reversal(recording, peaks),
+        *(check.of(recording) for check in LEAD_CHECKS),
+        _check_lowpass(recording, peaks, filters),
+    )
+
+
+def measured(recording: Recording) -> dict[str, Floats]:
+    """Samples (mV) of each lead over its own time; computed leads are left out."""
+    spans = recording.spans
+    return {
+        lead: recording.signal[LEADS.index(lead), slice(*spans[LEADS.index(lead)])]
+        for lead in recording.measured_leads
+    }
+
+
+def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:
+    """Block means (mV) of a signal (..., n), and their rate (Hz), not below 250 Hz."""
+    factor = max(int(rate / 250.0), 1)
+    return block_means(signal, factor), rate / factor
+
+
+def _check_flatness(recording: Recording) -> list[CheckResult]:
+    """Find leads without signal, and leads that lose it for a while.
+
+    The figures are the smallest standard deviation of a lead (uV), and the longest time (s) over
+    which a lead stays at one value.
+    """
+    leads = measured(recording)
+    spread = {lead: 1e3 * float(values.std()) for lead, values in leads.items()}
+    flat = [lead for lead in leads if spread[lead] < FLAT.limit]
+    message = ""
+    if flat:
+        message = f"no signal in {listed(flat)}; go on without: {leave_out(recording, flat)}"
+        if len(flat) == len(leads):
+            message = "no signal in any lead; correct the unit or the gain, or record again"
+    finding = FLAT.found(min(spread.values()), message, Severity.FATAL)
+    constant = {
+        lead: _longest_constant(values) / recording.sampling_rate
+        for lead, values in leads.items()
+        if lead not in flat
+    }
+    long = [lead for lead, seconds in constant.items() if seconds > CONSTANT.limit]
+    longest, message = max(constant.values(), default=0.0), ""
+    severity = Severity.FATAL if len(long) == len(constant) else Severity.WARNING
+    if long:
+        where = "any lead" if severity is Severity.FATAL else listed(long)
+        message = (
+            f"no signal in {where} for up to {longest:.1f} s: electrode off, or the file was "
+            "filled up; cut the recording to the part with signal"
+        )
+    return [finding, CONSTANT.found(longest, message, severity)]
+
+
+def _longest_constant(values: Floats) -> int:
+    """Number of samples of the longest run of equal ones in (n,) values."""
+    changes = np.flatnonzero(np.diff(values))
+    return int(np.diff(np.concatenate([[-1], changes, [len(values) - 1]])).max())
+
+
+def _check_duplicates(recording: Recording) -> list[CheckResult]:
+    """Find leads that are the same as another, or its exact negative.
+
+    The figure is the largest absolute correlation between two leads of the same size.
+    """
+    leads = {}  # that move: mean zero and standard deviation one, and what that was (mV)
+    for lead, values in measured(recording).items():
+        x, _ = coarse(values, recording.sampling_rate)
+        size = float(x.std())
+        if size >= 1e-3 * FLAT.limit:
+            leads[lead] = ((x - x.mean()) / size, size)
+    # where one limb lead is flat, others are the same by Einthoven's law
+    limb_flat = {lead for lead in measured(recording) if lead in LIMB_LEADS} - set(leads)
+    largest, messages = 0.0, []
+    for one, other in combinations(leads, 2):
+        if limb_flat and one in LIMB_LEADS and other in LIMB_LEADS:
+            continue
+        (x, x_size), (y, y_size) = leads[one], leads[other]
+        if len(x) != len(y) or abs(x_size - y_size) > 0.01 * max(x_size, y_size):
+            continue
+        correlation = float(x @ y) / len(x)
+        largest = max(largest, abs(correlation))
+        if abs(correlation) > DUPLICATED.limit:
+            sign = "the same" if correlation > 0 else "the same but for the sign"
+            messages.append(
+                f"leads {one} and {other} are {sign}; get the right samples, or leave both out: "
+                f"{leave_out(recording, [one, other])}"
+            )
+    return [DUPLICATED.found(largest, message, Severity.FATAL) for message in messages or [""]]
+
+
+def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filter]) -> CheckResult:
+    """Say what the recorder's low-pass, of the file, the user or the spectrum, does to the QRS.
+
+    One that the user states is set against the spectrum of the beats.
+    """
+    own = [
+        one
+        for one in filters
+        if one.kind is FilterKind.LOW_PASS and one.origin is not FilterOrigin.APPLIED
+    ]
+    if not own:
+        return LOWPASS.found(math.nan)
+    (lowpass,) = own
+    messages = []
+    if lowpass.frequency < LOWPASS.limit:
+        much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
+        known = ", estimated from the spectrum," if lowpass.origin is FilterOrigin.ESTIMATED else ""
+        messages.append(
+            f"the recorder's low-pass at {lowpass.frequency:.3g} Hz{known} {much}smooths the QRS "
+            f"({LOWPASS.limit:g} Hz are recommended); export the recording unfiltered"
+        )
+    if lowpass.origin is FilterOrigin.STATED:
+        seen = estimated_lowpass(recording.signal, recording.sampling_rate, peaks)
+        if seen is not None and (
+            abs(math.log(seen.frequency / lowpass.frequency)) > math.log(1.1)
+            or seen.shape >= 2.0 * lowpass.shape  # it rings otherwise
+        ):
+            messages.append(
+                f"the spectrum shows a low-pass at {seen.frequency:.3g} Hz of order "
+                f"{seen.shape:.2g}, not one at {lowpass.frequency:.3g} Hz of order "
+                f"{lowpass.shape:.2g}, as --recorder-lowpass is taken: it rings, and the QRS is "
+                "marked too wide unless that option is left out"
+            )
+    return LOWPASS.found(lowpass.frequency, "; ".join(messages))
+
+
+def _noise(values: Floats, rate: float) -> float:
+    """Robust standard deviation (uV) of what a moving average of 12 ms (37 Hz) takes off.
+
+    By the median absolute deviation: the QRS takes too little of the time to count.
+    """
+    fast = values - uniform_filter1d(values, max(round(0.012 * rate), 1), mode="nearest")
+    fast = fast[:: max(len(fast) // 200_000, 1)]
+    return 1e3 * 1.4826 * float(np.median(np.abs(fast - np.median(fast))))
+
+
+def _interference(values: Floats, rate: float, mains: float) -> float:
+    """Amplitude (uV), as of one sine, of a frequency (Hz) and two harmonics.
+
+    It is the power of the lines less that of the spectrum next to them, by pieces of 4 s.
+    """
+    n = min(len(values), round(4.0 * rate))
+    window = np.hanning(n)
+    frequency, density = welch(values, rate, window=window, noverlap=0, scaling="density")
+    # scaled so that of a sine of amplitude A the sum over its line is A²
+    spectrum = 2 * density * rate / n
+    power = 0.0
+    for line in mains * np.arange(1, 4):
+        distance = np.abs(frequency - line)
+        on_line = distance <= 0.75  # Hz, for mains that are not quite on their frequency
+        nearby = (distance > 0.75) & (distance <= 4.0)
+        if line + 4.0 < rate / 2:
+            excess = spectrum[on_line].sum() - on_line.sum() * float(np.median(spectrum[nearby]))
+            power += max(excess, 0.0)
+    return 1e3 * float(np.sqrt(power))
+
+
+def _wander(values: Floats, rate: float) -> float:
+    """Peak-to-peak amplitude (mV), 1st to 99th percentile, of one lead below 0.5 Hz.
+
+    Below that frequency there is no ECG (AHA/ACC/HRS, Circulation 115:1306, 2007).
+    """
+    x, coarse_rate = coarse(values, rate)
+    low = butter(2, 0.5, fs=coarse_rate, output="sos")
+    pad = min(len(x) - 1, round(2 * coarse_rate / 0.5))
+    slow = sosfiltfilt(low, x - np.median(x), padtype="even", padlen=pad)
+    below, above = np.percentile(slow, (1.0, 99.0))
+    return float(above - below)
+
+
+def _resolution(values: Floats) -> float:
+    """Smallest difference between distinct (n,) values (mV); 0 where all are the same."""
+    gaps = np.diff(np.unique(values[:: max(len(values) // 100_000, 1)]))
+    gaps = gaps[gaps > 1e-7]  # nearer values are one value
+    return float(gaps.min()) if gaps.size else 0.0
+
+
+def _clipped(values: Floats, rate: float) -> float:
+    """Share of the samples in runs of three or more at the lowest or highest value.
+
+    A rounded peak comes to its top by steps of about one digit; a clipped one arrives at full
+    slope, by four digits or more. Fewer than three runs shorter than 20 ms happen by chance.
+    """
+    if np.ptp(values) == 0:
+        return 0.0
+    steps = np.abs(np.diff(values, prepend=values[0], append=values[-1]))
+    steep = 4.0 * _resolution(values)
+    count = 0
+    for extreme in (values.min(), values.max()):
+        edges = np.diff(np.concatenate([[0], values == extreme, [0]]))
+        starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+        lengths = (stops - starts)[np.maximum(steps[starts], steps[stops]) >= steep]
+        lengths = lengths[lengths >= 3]
+        if len(lengths) >= 3 or max(lengths, default=0) >= 0.02 * rate:
+            count += int(lengths.sum())
+    return count / len(values)
+
+
+LEAD_CHECKS = (
+    LeadCheck(
+        "noise above 37 Hz", "uV", 50.0, _noise,  # a band 3 mm wide on paper
+        "noise in {leads} (SD up to {largest:.0f} uV above 37 Hz)", "record again",
+        refused=300.0,  # the QRS drowns
+    ),
+    LeadCheck(
+        "clipped samples", "", 1e-4, _clipped,  # one run of 3 in 30 000
+        "peaks of {leads} are clipped ({largest:.2%} of the samples)",
+        "the amplifier's or the file's range was too small, leave out what is clipped in the QRS",
+    ),
+    *(
+        LeadCheck(
+            f"power-line interference, {mains:g} Hz", "uV", 25.0,  # a quarter of a mm on paper
+            partial(_interference, mains=mains),
+            f"power-line interference at {mains:g} Hz in {{leads}} (up to {{largest:.0f}} uV)",
+            f"take it away by --notch {mains:g}, or record again away from the power line",
+        )
+        for mains in MAINS
+    ),
+    LeadCheck(
+        "baseline wander", "mV", 1.0, _wander,  # 10 mm on paper; every beat is detrended anyway
+        "the baseline of {leads} wanders (up to {largest:.2f} mV peak to peak)",
+        "look at the beats, or record again at rest",
+    ),
+    LeadCheck(
+        "amplitude resolution", "uV", 20.0,  # recorders store 5 uV or finer
+        lambda values, _: 1e3 * _resolution(values),
+        "steps of up to {largest:.0f} uV between the values of {leads}",
+        "export the recording with all its digits",
+    ),
+)  # fmt: skip

@@ -1,0 +1,322 @@
+"""Each check finds its fault, explains it, and has nothing against good and real recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from quality_recordings import REAL, beating, fatal, real, row, warned, with_lead
+
+from fascicle.core.leads import LEADS, LIMB_LEADS
+from fascicle.recording.detection import r_peaks
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin
+from fascicle.recording.quality.check_result import CheckResult, Severity
+from fascicle.recording.quality.checks import LEAD_CHECKS, check_leads, check_recording
+from fascicle.recording.quality.limb_leads import check_identities, check_reversal
+from fascicle.recording.readers.read import read_recording
+from fascicle.recording.recording import Recording
+
+GAINS = np.array([1012.0, 1280, 930, 988, 692, 1086, 2834, 2867, 2817, 1715, 2102, 1842])
+# What the six limb leads become when two electrodes are reversed.
+REVERSALS = {
+    "RA-LA": ([0, 2, 1, 4, 3, 5], [-1, 1, 1, 1, 1, 1]),
+    "RA-LL": ([2, 1, 0, 5, 4, 3], [-1, -1, -1, 1, 1, 1]),
+}
+
+
+@pytest.fixture(scope="module")
+def good() -> Recording:
+    return beating()
+
+
+@pytest.fixture(scope="module")
+def disturbed(good: Recording) -> Recording:
+    """Each lead has its own offset, slow drift and noise, which break no law."""
+    t = np.arange(good.signal.shape[1]) / good.sampling_rate
+    lead = np.arange(12)[:, None]
+    drift = 0.3 * lead + 0.4 * np.sin(2 * np.pi * 0.15 * t + lead)
+    noise = 0.015 * np.random.default_rng(1).standard_normal(good.signal.shape)
+    return replace(good, signal=good.signal + drift + noise)
+
+
+@pytest.fixture(scope="module")
+def patients(data_folder: Path) -> dict[str, Recording]:
+    return real(data_folder)
+
+
+def every(recording: Recording, filters: tuple[Filter, ...] = ()) -> list[CheckResult]:
+    """All findings, with the R peaks that the detector gives."""
+    peaks = r_peaks(recording.signal, recording.sampling_rate)
+    return [*check_leads(recording), *check_recording(recording, peaks, filters)]
+
+
+def one(recording: Recording, name: str) -> CheckResult:
+    """The finding of the check of leads whose name begins so."""
+    (check,) = (check for check in LEAD_CHECKS if check.name.startswith(name))
+    return check.of(recording)
+
+
+def groups_of(recording: Recording) -> Recording:
+    """Four groups of three leads, one after another."""
+    signal, quarter = recording.signal.copy(), recording.signal.shape[1] // 4
+    for group in range(4):
+        rows = slice(3 * group, 3 * group + 3)
+        signal[rows, : group * quarter] = np.nan
+        signal[rows, (group + 1) * quarter :] = np.nan
+    return replace(recording, signal=signal)
+
+
+def test_nothing_against_good_and_real_recordings(good, patients) -> None:
+    findings = every(good)
+    assert len({finding.check for finding in findings}) == len(findings) == 15
+    for recording in (good, groups_of(good), *patients.values()):
+        assert fatal(every(recording)) + warned(every(recording)) == []
+
+
+def test_any_lead_may_be_absent(good) -> None:
+    for lead in LEADS:
+        findings = every(with_lead(good, lead, np.full(good.signal.shape[1], np.nan)))
+        assert fatal(findings) + warned(findings) == []
+    alone = np.full_like(good.signal, np.nan)
+    alone[7] = good.signal[7]
+    findings = every(replace(good, signal=alone))
+    assert fatal(findings) + warned(findings) == []
+    assert sum(finding.message.startswith("not checked") for finding in findings) == 2
+
+
+def test_the_most_basic_fault_comes_first(good) -> None:
+    inverted = with_lead(good, "II", -row(good, "II"))
+    messages = fatal(every(with_lead(inverted, "V3", np.zeros(good.signal.shape[1]))))
+    assert "no signal in lead V3" in messages[0]
+    assert "--invert II" in messages[1]
+
+
+def test_flat_leads(good) -> None:
+    assert check_leads(good)[0].value == pytest.approx(1e3 * good.signal.std(axis=1).min())
+    flat = with_lead(good, "V2", np.full(good.signal.shape[1], 0.3))
+    assert fatal(check_leads(flat)) == [
+        "no signal in lead V2; go on without: --leads I,II,III,aVR,aVL,aVF,V1,V3,V4,V5,V6"
+    ]
+    values = row(good, "V2").copy()
+    values[1000:2501] = values[1000]
+    (message,) = warned(check_leads(with_lead(good, "V2", values)))
+    assert message.startswith("no signal in lead V2 for up to 3.0 s")
+    signal = good.signal.copy()
+    signal[:, 3000:] = 0
+    (message,) = fatal(check_leads(replace(good, signal=signal)))
+    assert "no signal in any lead for up to 4.0 s" in message
+
+
+@pytest.mark.parametrize(("sign", "words"), [(1, "the same;"), (-1, "the same but for the sign;")])
+def test_duplicated_leads(good, sign: int, words: str) -> None:
+    (message,) = fatal(check_leads(with_lead(good, "V5", sign * row(good, "V1") + 0.2)))
+    assert message.startswith(f"leads V1 and V5 are {words}")
+    noisy = row(good, "V1") + 0.02 * np.random.default_rng(0).standard_normal(len(row(good, "V1")))
+    assert fatal(check_leads(with_lead(good, "V5", noisy))) == []
+
+
+def test_limb_leads_that_are_the_same_by_law(good) -> None:
+    signal = good.signal.copy()
+    signal[0] = 0
+    signal[2], signal[3], signal[4], signal[5] = signal[1], -signal[1], -signal[1] / 2, signal[1]
+    (message,) = fatal(check_leads(replace(good, signal=signal)))
+    assert "no signal in lead I" in message
+
+
+def test_clipped_peaks(good) -> None:
+    assert one(good, "clipped").value == 0
+    cut = np.minimum(row(good, "V4"), 0.8 * row(good, "V4").max())
+    finding = one(with_lead(good, "V4", cut), "clipped")
+    assert finding.value == pytest.approx(np.mean(cut == cut.max()), rel=0.2)
+    assert finding.message.startswith("peaks of lead V4 are clipped")
+    # the rounded tops of coarse digits
+    smooth = beating(noise=0.0)
+    assert one(replace(good, signal=0.01 * np.round(smooth.signal / 0.01)), "clipped").value == 0
+
+
+def test_resolution(good) -> None:
+    for step, severity in ((0.005, Severity.FINE), (0.04, Severity.WARNING)):
+        rounded = step * np.round(good.signal / step)
+        finding = one(replace(good, signal=rounded), "amplitude resolution")
+        assert finding.value == pytest.approx(1e3 * step)
+        assert finding.severity is severity
+
+
+@pytest.mark.parametrize(
+    ("size", "severity"), [(0.02, Severity.FINE), (0.1, Severity.WARNING), (0.5, Severity.FATAL)]
+)
+def test_noise_is_measured_between_the_beats(size: float, severity: Severity) -> None:
+    clean = beating(noise=0.0)
+    assert one(clean, "noise").value < 1.0
+    white = np.random.default_rng(0).standard_normal(clean.signal.shape[1])
+    finding = one(with_lead(clean, "V3", row(clean, "V3") + size * white), "noise")
+    # a moving average of 6 samples leaves 5/6 of the variance
+    assert finding.value == pytest.approx(1e3 * size * np.sqrt(5 / 6), rel=0.1)
+    assert finding.severity is severity
+    assert ("lead V3" in finding.message) == (severity is not Severity.FINE)
+    assert ("--leads I," in finding.message) == (severity is Severity.FATAL)
+
+
+@pytest.mark.parametrize("frequency", [50.0, 49.8, 60.0])
+def test_power_line_interference_and_wander(good, frequency: float) -> None:
+    time = np.arange(good.signal.shape[1]) / good.sampling_rate
+    name = f"power-line interference, {round(frequency, -1):g} Hz"
+    assert one(good, name).value < 5
+    wave = 0.06 * np.sin(2 * np.pi * frequency * time) + 0.02 * np.sin(4 * np.pi * frequency * time)
+    finding = one(with_lead(good, "aVL", row(good, "aVL") + wave), name)
+    assert finding.value == pytest.approx(1e3 * np.hypot(0.06, 0.02), rel=0.05)
+    assert "in lead aVL" in finding.message
+    slow = 0.6 * np.sin(2 * np.pi * 0.2 * time)
+    assert one(good, "baseline").value < 0.15
+    finding = one(with_lead(good, "V1", row(good, "V1") + slow), "baseline")
+    assert finding.value == pytest.approx(1.2, rel=0.1)
+    assert "baseline of lead V1 wanders" in finding.message
+
+
+def test_low_pass_of_the_recorder(good) -> None:
+    def found(frequency: float, origin: FilterOrigin, rate: float | None = None) -> CheckResult:
+        order = 2.0 if rate else 10.0
+        return every(good, (Filter(FilterKind.LOW_PASS, frequency, origin, order, rate),))[-1]
+
+    assert np.isnan(every(good)[-1].value)
+    assert found(150.0, FilterOrigin.FILE).severity is Severity.FINE
+    assert np.isnan(found(40.0, FilterOrigin.APPLIED, 1000.0).value)
+    low = found(40.0, FilterOrigin.ESTIMATED).message
+    assert "low-pass at 40 Hz, estimated from the spectrum, strongly smooths the QRS" in low
+
+
+def test_identities_hold_in_spite_of_drift_and_noise(good, disturbed) -> None:
+    clean = check_identities(good)
+    assert [finding.check.name.split(" ", 1)[1] for finding in clean] == [
+        "I + III - II", "aVR + (I + II)/2", "aVL - (I - III)/2", "aVF - (II + III)/2",
+    ]  # fmt: skip
+    assert max(finding.value for finding in clean) < 1e-12
+    noisy = check_identities(disturbed)
+    assert {finding.severity for finding in noisy} == {Severity.FINE}
+    assert 0.005 < max(finding.value for finding in noisy) < 0.05
+
+
+def test_the_figure_is_the_misfit_in_millivolts(good) -> None:
+    # a lead 1.3 times too high is off by 0.3 of its own (filtered) height
+    found = check_identities(with_lead(good, "II", 1.3 * row(good, "II")))
+    more = check_identities(with_lead(good, "II", 1.6 * row(good, "II")))
+    assert more[0].value == pytest.approx(2 * found[0].value, rel=1e-6)
+    assert 0.15 < found[0].value < 0.3 * np.ptp(row(good, "II"))
+
+
+@pytest.mark.parametrize("lead", LIMB_LEADS)
+def test_inverted_lead_and_another_gain(good, disturbed, lead: str) -> None:
+    found = fatal(check_identities(with_lead(disturbed, lead, -row(disturbed, lead))))
+    assert found[0].endswith(f"lead {lead} is upside down, give --invert {lead}")
+    exact = fatal(check_identities(with_lead(good, lead, 1.8 * row(good, lead))))
+    assert f"lead {lead} is 1.80 times what the other limb leads say" in exact[0]
+    found = fatal(check_identities(with_lead(disturbed, lead, 1.8 * row(disturbed, lead))))
+    assert f"lead {lead} " in found[0]
+    assert f"--leads {','.join(name for name in LIMB_LEADS if name != lead)},V1" in found[0]
+
+
+def test_exchanged_leads(disturbed) -> None:
+    for lead, other in combinations(LIMB_LEADS, 2):
+        exchanged = with_lead(disturbed, lead, row(disturbed, other))
+        exchanged = with_lead(exchanged, other, row(disturbed, lead))
+        assert fatal(check_identities(exchanged))[0].endswith(f"give --swap {lead}-{other}")
+
+
+def test_lead_that_is_something_else_and_chaos(good, disturbed) -> None:
+    other = np.roll(row(disturbed, "aVL"), 200)
+    found = fatal(check_identities(with_lead(disturbed, "aVL", other)))
+    assert "lead aVL does not follow from the other limb leads; leave it out" in found[0]
+    shifted = np.stack([np.roll(lead, 37 * k) for k, lead in enumerate(good.signal)])
+    findings = check_identities(replace(good, signal=shifted))
+    assert fatal(findings) == []
+    assert "no single lead, gain or exchange explains it" in warned(findings)[0]
+
+
+def test_gain_of_its_own_for_each_lead(good, disturbed) -> None:
+    gain = np.array([1.0, 1.5, 0.7, 1.2, 2.0, 0.8, *[1.0] * 6])
+    noisy = replace(disturbed, signal=gain[:, None] * disturbed.signal)
+    assert "each lead has a gain of its own" in fatal(check_identities(noisy))[0]
+    found = fatal(check_identities(replace(good, signal=gain[:, None] * good.signal)))
+    ratios = dict(part.split() for part in found[0].split("(")[-1].split(")")[0].split(", "))
+    assert [float(ratios[lead]) for lead in LIMB_LEADS] == pytest.approx(gain[:6], abs=0.01)
+
+
+@pytest.mark.parametrize("per_millivolt", [1000, 120])
+def test_digits_show_that_the_gains_are_wrong(good, per_millivolt: int) -> None:
+    """Also where the limb leads are so small that no identity is broken by much."""
+    digits = np.round(per_millivolt * good.signal)
+    wrong = replace(good, signal=digits / GAINS[:, None], digits_per_millivolt=GAINS)
+    (message,) = fatal(check_identities(wrong))[:1]
+    assert "--shared-gain" in message
+    digits = np.round(GAINS[:, None] * good.signal)
+    right = replace(good, signal=digits / GAINS[:, None], digits_per_millivolt=GAINS)
+    assert fatal(check_identities(right)) == []
+
+
+@pytest.mark.parametrize("record", ["23", "24", "119"])
+def test_real_headers_with_wrong_gains(data_folder: Path, record: str) -> None:
+    folder = data_folder / "ecg" / "ludb"
+    wrong = check_identities(read_recording(folder / f"{record}.hea"))
+    assert "--shared-gain" in fatal(wrong)[0]
+    right = check_identities(read_recording(folder / f"{record}_common.hea"))
+    assert max(finding.value for finding in right if finding.check.unit == "mV") < 0.002
+    assert fatal(right) == []
+
+
+def test_three_leads_leave_a_choice_and_computed_ones_prove_nothing(good) -> None:
+    signal = good.signal.copy()
+    signal[3:6] = np.nan
+    signal[2] *= -1
+    (message,) = fatal(check_identities(replace(good, signal=signal)))
+    assert "--invert III, or leads I and II are exchanged, give --swap I-II" in message
+    wrong = with_lead(good, "II", 1.8 * row(good, "II"))
+    (finding,) = check_identities(replace(wrong, derived=("III", "aVR", "aVL", "aVF")))
+    assert np.isnan(finding.value)
+
+
+def test_lead_groups_are_compared_where_they_overlap(good) -> None:
+    groups = groups_of(good)
+    assert [finding.check.name for finding in check_identities(groups)] == [
+        "Einthoven I + III - II", "identity aVF from aVR and aVL",
+    ]  # fmt: skip
+    broken = check_identities(with_lead(groups, "aVL", 3 * row(groups, "aVL")))
+    assert [finding.severity for finding in broken] == [Severity.FINE, Severity.FATAL]
+
+
+def reversal(recording: Recording, exchange: str | None = None) -> CheckResult:
+    peaks = r_peaks(recording.signal, recording.sampling_rate)
+    signal = recording.signal.copy()
+    if exchange is not None:
+        order, sign = REVERSALS[exchange]
+        signal[:6] = np.array(sign)[:, None] * signal[order]
+    return check_reversal(replace(recording, signal=signal), peaks)
+
+
+@pytest.mark.parametrize("name", ["made", *REAL])
+def test_reversed_electrodes(good, patients: dict[str, Recording], name: str) -> None:
+    recording = good if name == "made" else patients[name]
+    assert reversal(recording).value > 0.3
+    assert reversal(recording).severity is Severity.FINE
+    arms = reversal(recording, "RA-LA")
+    assert arms.value <= -0.4
+    assert arms.message.endswith("to undo it: --swap RA-LA")
+    assert "the heart lies on the right" in arms.message
+    assert reversal(recording, "RA-LL").message.endswith("--swap RA-LL")
+    assert check_identities(recording)[-1].severity is Severity.FINE  # no law is broken
+
+
+def test_an_axis_to_the_right_is_no_reversal(good) -> None:
+    """Lead I is negative in the QRS, but not in the P wave; V5 serves where there is no V6."""
+    signal = good.signal.copy()
+    for peak in r_peaks(good.signal, good.sampling_rate):
+        qrs = slice(peak - 30, peak + 41)  # 60 ms before R to 80 ms after
+        signal[0, qrs] = 2 * signal[0, qrs.start] - signal[0, qrs]
+    peaks = r_peaks(good.signal, good.sampling_rate)
+    finding = check_reversal(replace(good, signal=signal), peaks)
+    assert -0.2 < finding.value < 0.2
+    assert finding.severity is Severity.FINE
+    without_v6 = with_lead(good, "V6", np.full(good.signal.shape[1], np.nan))
+    assert check_reversal(without_v6, peaks).value > 0.8

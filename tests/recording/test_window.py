@@ -1,0 +1,306 @@
+"""The QRS windows of signals whose ends are known, and how sure their ends are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.qrs_window import simulated
+from fascicle.core.leads import lead_matrix
+from fascicle.core.parameters import EXAMPLE_PARAMETERS
+from fascicle.recording.filters import Filter, FilterKind, FilterOrigin, combined_gain
+from fascicle.recording.target import Target
+from fascicle.recording.window import (
+    OFFSET_ERROR,
+    ONSET_ERROR,
+    SMOOTHING,
+    qrs_window,
+    qrs_windows,
+    smoothing_against_ringing,
+    window_uncertainty,
+)
+
+
+def depolarisation(start, end, step, length, power=1.0):
+    """(12, n) mV, smooth, nonzero from start to end (ms) only."""
+    t = np.arange(0, length, step)
+    phase = np.clip((t - start) / (end - start), 0, 1)
+    turns = np.array([1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5])[:, None]
+    return lead_matrix() @ (np.sin(np.pi * phase) ** power * np.sin(np.pi * turns * phase + turns))
+
+
+def beat(start=150, end=250, length=700):
+    """QRS with a P wave that ends 40 ms before it, and a T wave (12, n) mV, every 1 ms."""
+    t = np.arange(length)
+    p_wave = 0.12 * np.exp(-(((t - start + 85) / 20.0) ** 2))
+    t_wave = 0.3 * np.exp(-(((t - end - 200) / 55.0) ** 2))
+    return depolarisation(start, end, 1.0, length) + p_wave + t_wave
+
+
+def outermost(signal, step=1.0, **options):
+    return qrs_windows(signal, step, **options).global_window
+
+
+PLAIN = qrs_windows(beat(), 1.0)
+BEAT_WINDOW = PLAIN.window
+
+
+@pytest.mark.parametrize("step", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("start", "end"), [(40, 120), (60, 240), (30, 200)])
+def test_ends_of_a_clean_qrs(start, end, step):
+    onset, offset = qrs_window(depolarisation(start, end, step, 400), step)
+    # A kink at the true end is smoothed by a 4 ms Gaussian, so it is seen up to 2.5 widths early.
+    assert start - 10 <= onset * step <= start + 1
+    assert end - 1 <= offset * step <= end + 10
+
+
+def test_a_qrs_may_fill_the_array():
+    signal = depolarisation(0, 100, 1.0, 101)
+    assert qrs_window(signal, 1.0) == (0, signal.shape[1] - 1)
+
+
+def test_both_windows_of_one_beat():
+    assert qrs_window(beat(), 1.0) == BEAT_WINDOW == pytest.approx((150, 250), abs=10)
+    assert 138 <= PLAIN.global_window[0] <= 150
+    assert 250 <= PLAIN.global_window[1] <= 262
+
+
+def test_neither_amplitude_nor_level_nor_drift_matter():
+    signal = beat()
+    assert qrs_windows(1e-6 * signal, 1.0) == PLAIN
+    drift = np.linspace(-1, 1, 12)[:, None] * (2 + np.arange(signal.shape[1]) / 2000)
+    assert qrs_window(signal + drift, 1.0) == pytest.approx(BEAT_WINDOW, abs=2)
+    fine, coarse = (depolarisation(150, 250, step, 700) for step in (0.5, 1.0))
+    assert 0.5 * np.array(outermost(fine, 0.5)) == pytest.approx(outermost(coarse), abs=2)
+
+
+def test_longer_activation_is_measured_longer():
+    durations = [
+        np.ptp(qrs_window(depolarisation(20, end, 1.0, 400), 1.0)) for end in (100, 130, 160, 190)
+    ]
+    assert np.diff(durations) == pytest.approx(30, abs=4)
+
+
+def test_no_signal_is_an_error():
+    for find in (qrs_window, qrs_windows):
+        with pytest.raises(ValueError, match="do not move"):
+            find(np.zeros((12, 100)), 1.0)
+    with pytest.raises(ValueError, match="lead"):
+        qrs_window(np.full((12, 100), np.nan), 1.0)
+    signal = np.zeros((12, 300))
+    signal[7, 100:] = 1.0
+    with pytest.raises(ValueError, match="one of many alone"):
+        qrs_window(signal, 1.0)
+
+
+@pytest.mark.parametrize("frequency", [50, 60])
+def test_power_line_interference_is_taken_away(frequency):
+    signal = beat()
+    time = np.arange(signal.shape[1]) / 1000
+    wave = np.sin(2 * np.pi * frequency * time + np.arange(12)[:, None])
+    assert qrs_window(signal + 0.2 * wave, 1.0) == pytest.approx(BEAT_WINDOW, abs=5)
+    signal[7] += 0.1 * wave[0]
+    assert qrs_window(signal, 1.0) == pytest.approx(BEAT_WINDOW, abs=5)
+
+
+@pytest.mark.parametrize("lead", [0, 1, 7, 11])
+def test_one_noisy_lead_decides_nothing(lead):
+    signal = beat()
+    signal[lead] += 0.3 * np.random.default_rng(lead).standard_normal(signal.shape[1])
+    assert outermost(signal) == pytest.approx(PLAIN.global_window, abs=6)
+
+
+def test_leads_that_are_absent_or_do_not_move_have_no_say():
+    signal = beat()
+    signal[[0, 3, 8, 9]] = np.nan
+    assert qrs_window(signal, 1.0) == pytest.approx(BEAT_WINDOW, abs=5)
+    assert outermost(signal) == pytest.approx(PLAIN.global_window, abs=6)
+    signal = beat()
+    signal[[8, 9, 10]] = 0.2
+    assert outermost(signal) == pytest.approx(PLAIN.global_window, abs=6)
+
+
+def test_st_segment_that_slopes_stays_outside():
+    signal = beat()
+    after = np.clip(np.arange(signal.shape[1]) - 250, 0, 150)
+    slopes = 1.5e-3 * np.cos(np.arange(12))[:, None]  # mV/ms
+    onset, offset = qrs_window(signal + slopes * after, 1.0)
+    assert onset == BEAT_WINDOW[0]
+    assert offset == pytest.approx(250, abs=12)
+
+
+@pytest.mark.parametrize("height", [0.05, 0.1, 0.15])
+def test_short_pr_interval(height):
+    """The P wave, of 75 ms, ends 5 ms before the QRS; what smoothing shows of both merges."""
+    t = np.arange(700)
+    phase = np.clip((t - 70) / 75.0, 0, 1)
+    begin = np.clip((t - 150) / 20.0, 0, 1)
+    signal = begin * depolarisation(150, 250, 1.0, 700)
+    signal += height * np.cos(0.3 * np.arange(12))[:, None] * np.sin(np.pi * phase) ** 2
+    onset, offset = qrs_window(signal, 1.0)
+    assert onset == pytest.approx(150, abs=15)
+    assert offset == pytest.approx(250, abs=10)
+
+
+def test_slurred_upstroke_belongs_to_the_qrs():
+    """A delta wave of 40 ms and 0.25 mV before the steep part."""
+    t = np.arange(700)
+    rise = np.clip((t - 150) / 40.0, 0, 1) ** 1.3 * np.clip((240 - t) / 40.0, 0, 1)
+    signal = depolarisation(190, 270, 1.0, 700) + 0.25 * np.cos(np.arange(12))[:, None] * rise
+    assert qrs_window(signal, 1.0) == pytest.approx((150, 270), abs=10)
+
+
+def test_wide_fragmented_qrs():
+    """A steep start, a slow middle with notches, a steeper end: 220 ms."""
+    signal = depolarisation(150, 230, 1.0, 700)
+    signal += 0.4 * depolarisation(200, 370, 1.0, 700)
+    for notch in (240, 275, 310):
+        signal += 0.1 * depolarisation(notch, notch + 20, 1.0, 700)
+    assert qrs_window(signal, 1.0) == pytest.approx((150, 370), abs=10)
+
+
+def test_nothing_before_the_end_of_a_spike_counts():
+    signal = beat()
+    signal[:, 140:144] += 5.0 * np.cos(np.arange(12))[:, None]
+    assert qrs_window(signal, 1.0)[0] < 140
+    onset, offset = qrs_window(signal, 1.0, not_before=146)
+    assert 146 <= onset == pytest.approx(150, abs=8)
+    assert offset == BEAT_WINDOW[1]
+    assert outermost(signal, not_before=146)[0] >= 146
+
+
+def in_leads(leads, start, end, size=0.06):
+    """A wave (12, 700), mV, in some leads only."""
+    phase = np.clip((np.arange(700) - start) / (end - start), 0, 1)
+    wave = np.zeros((12, 700))
+    wave[list(leads)] = size * np.sin(np.pi * phase) ** 2
+    return wave
+
+
+def test_leads_that_begin_earlier_and_end_later_decide():
+    """The limb leads move 25 ms before and after the others: all together hardly do."""
+    moved = beat() + in_leads(range(6), 125, 175) + in_leads(range(6), 225, 275)
+    window, (onset, offset) = qrs_windows(moved, 1.0)
+    assert 115 <= onset <= 130
+    assert 270 <= offset <= 285
+    assert onset < window[0] - 3
+    assert offset > window[1] + 3
+
+
+@pytest.mark.parametrize("leads", [[7], [7, 8]])
+def test_one_lead_or_two_alone_decide_nothing(leads):
+    moved = beat() + in_leads(leads, 110, 175) + in_leads(leads, 225, 300)
+    assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=8)
+
+
+def test_global_window_is_the_same_with_the_noise_of_recordings_as_without(default_model):
+    """A simulated ECG has none: the level must not be that of the noise."""
+    simulation = default_model.simulate(EXAMPLE_PARAMETERS)
+    clean = simulation.global_qrs_duration
+    assert clean == pytest.approx(np.ptp(simulation.activation), abs=12)
+    rng = np.random.default_rng(5)
+    noisy = []
+    for _ in range(8):
+        case = simulated(rng, simulation, 30.0, 10)
+        onset, offset = outermost(case.beats.mean(axis=0))
+        # some are slowed to a wide QRS
+        noisy.append(offset - onset - (case.offset - case.onset))
+    assert np.median(noisy) == pytest.approx(clean - np.ptp(simulation.activation), abs=6)
+
+
+def test_global_qrs_of_a_target():
+    """Counted from the R peak, whatever the window is, and not before the end of a spike."""
+    beats = np.stack([beat(), 1.1 * beat()])
+    target = Target(beats, np.arange(700.0) - 200, -30.0, 30.0, 60.0)
+    onset, offset = PLAIN.global_window
+    assert target.qrs_duration == 60
+    assert target.global_qrs == pytest.approx((onset - 200, offset - 200))
+    assert target.global_qrs_duration == offset - onset
+    paced = Target(beats, target.time, -30.0, 30.0, 60.0, earliest_onset=-50.0)
+    assert paced.global_qrs[0] >= -50
+
+
+def lowpass(cutoff, order):
+    return Filter(FilterKind.LOW_PASS, cutoff, FilterOrigin.STATED, order)
+
+
+@pytest.mark.parametrize(("cutoff", "order"), [(35.0, 20.0), (40.0, 20.0), (40.0, 10.0)])
+def test_ringing_is_no_qrs(default_model, cutoff, order):
+    leads = default_model.simulate(EXAMPLE_PARAMETERS).leads
+    sharp = np.pad(leads, ((0, 0), (250, 250)))
+    size = sharp.shape[1]
+    filters = (lowpass(cutoff, order),)
+    gain = combined_gain(filters, np.fft.rfftfreq(size, 1e-3))
+    blurred = np.fft.irfft(gain * np.fft.rfft(sharp), size)
+    true = qrs_window(sharp, 1.0)
+    assert np.ptp(qrs_window(blurred, 1.0)) - np.ptp(true) > 20
+    found = qrs_window(blurred, 1.0, smoothing=smoothing_against_ringing(filters))
+    assert found == pytest.approx(true, abs=5)
+
+
+def test_gentle_and_fast_filters_need_no_smoothing():
+    notch = Filter(FilterKind.NOTCH, 50.0, FilterOrigin.FILE, 30.0)
+    assert smoothing_against_ringing(()) == SMOOTHING
+    assert smoothing_against_ringing((lowpass(40.0, 2.0), lowpass(150.0, 20.0), notch)) == SMOOTHING
+    assert smoothing_against_ringing((lowpass(100.0, 20.0), lowpass(40.0, 20.0))) == 10.0
+
+
+def noisy_beats(rng, count, noise):
+    clean = depolarisation(200, 300, 1.0, 700, power=1.5)
+    return clean + noise * rng.standard_normal((count, *clean.shape))
+
+
+def test_without_noise_the_error_of_the_method_remains():
+    beats = noisy_beats(np.random.default_rng(0), 5, 0.0)
+    assert window_uncertainty(beats, 1.0) == pytest.approx((ONSET_ERROR, OFFSET_ERROR))
+
+
+def test_noisier_beats_are_less_sure_and_more_beats_are_surer():
+    rng = np.random.default_rng(1)
+    few, quiet, many = (
+        np.array(window_uncertainty(noisy_beats(rng, *case), 1.0))
+        for case in ((6, 0.3), (6, 0.02), (96, 0.3))
+    )
+    assert (few > quiet + 0.5).all()
+    assert (few > many + 0.5).all()
+
+
+def test_the_step_scales_it_and_the_same_beats_give_the_same():
+    beats = noisy_beats(np.random.default_rng(3), 6, 0.2)
+    fine = window_uncertainty(beats, 1.0)
+    assert fine == window_uncertainty(beats.copy(), 1.0)
+    assert window_uncertainty(beats[..., ::2], 2.0) == pytest.approx(fine, rel=0.5)
+
+
+def test_one_beat_needs_its_noise():
+    one = noisy_beats(np.random.default_rng(0), 1, 0.0)
+    with pytest.raises(ValueError, match="state it"):
+        window_uncertainty(one, 1.0)
+    little = window_uncertainty(one, 1.0, noise=0.005)
+    assert little == pytest.approx((ONSET_ERROR, OFFSET_ERROR), abs=0.5)
+    much = window_uncertainty(one, 1.0, noise=0.15)
+    assert (np.array(much) > np.array(little) + 0.5).all()
+
+
+def test_uncertainty_after_a_spike_and_with_absent_leads():
+    """A spike whose height varies makes the onset unsure unless it is left out."""
+    rng = np.random.default_rng(5)
+    beats = noisy_beats(rng, 6, 0.02)
+    beats[:, :, 180:183] += rng.choice([0.0, 3.0], (6, 1, 1)) * np.cos(np.arange(12))[:, None]
+    beats[:, [2, 8]] = np.nan
+    after = window_uncertainty(beats, 1.0, not_before=185)
+    assert after[0] == pytest.approx(ONSET_ERROR, abs=0.5)
+
+
+def test_noise_of_the_found_ends_is_foreseen():
+    """Over many recordings the ends scatter about as much as is said of each."""
+    rng = np.random.default_rng(6)
+    found, said = [], []
+    for _ in range(12):
+        beats = noisy_beats(rng, 6, 0.3)
+        found.append(qrs_window(beats.mean(axis=0), 1.0))
+        said.append(np.square(window_uncertainty(beats, 1.0)))
+    scatter = np.std(found, axis=0)
+    foreseen = np.sqrt(np.mean(said, axis=0) - np.square([ONSET_ERROR, OFFSET_ERROR]))
+    assert (foreseen > 0.6 * scatter).all()
+    assert (foreseen < 2.5 * scatter).all()
