@@ -1,24 +1,17 @@
-"""What a table does not say is asked for at once, with guesses that work."""
+"""What a table does not say is asked for, with guesses that work."""
 
 from __future__ import annotations
 
 import re
-import shlex
+from itertools import chain
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.recording.missing_metadata import (
-    MissingMetadataError,
-    collect_missing,
-    missing_rate,
-    missing_time_unit,
-    missing_unit,
-)
+from fascicle.recording.missing_metadata import missing_rate, missing_time_unit, missing_unit
 
 
 @pytest.fixture
@@ -48,30 +41,19 @@ def table(tmp_path, default_model):
         (1e6, "time_s", 1e-3, {"--unit": "nV", "--noise": "0.03"}),
     ],
 )
-def test_one_question_whose_answer_works(run, table, tmp_path, factor, time, step, options):
+def test_guesses_that_work(run, table, tmp_path, factor, time, step, options):
+    """Each thing that is missing is asked for in one line, until nothing is."""
     path, out = table(factor, time, step), tmp_path / "t.nc"
-    ended = run("target", path, "--out", out)
-    assert ended.status == 2
-    assert ended.err.count("\n") == 1
-    assert not out.exists()
-    proposed = re.search(r"such as (.*?) if these guesses are right", ended.err)[1]
-    words = shlex.split(proposed)
-    assert dict(zip(words[::2], words[1::2], strict=True)) == options
-    assert run("target", path, "--out", out, *words).status == 0
+    given = {}
+    while (ended := run("target", path, "--out", out, *chain(*given.items()))).status != 0:
+        assert ended.status == 2
+        assert ended.err.count("\n") == 1
+        assert not out.exists()
+        option, guess = re.search(r"(--\S+) (\S+) is a guess: ", ended.err).groups()
+        assert option not in given
+        given[option] = guess
     assert out.exists()
-
-
-def test_what_was_said_is_not_asked_for(run, table, tmp_path):
-    said = run("target", table(1e3), "--out", tmp_path / "t.nc", "--unit", "uV").err
-    assert "sampling rate, noise" in said
-    assert "--unit" not in said
-
-
-def test_one_thing_keeps_its_own_message(run, table, tmp_path):
-    options = ("--unit", "uV", "--sampling-rate", "1000")
-    said = run("target", table(1e3), "--out", tmp_path / "t.nc", *options).err
-    assert "a single beat (class A) does not show how beats vary" in said
-    assert "--noise 0.03 is a guess" in said
+    assert given == options
 
 
 class TestGuesses:
@@ -90,23 +72,3 @@ class TestGuesses:
     @pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf])
     def test_no_rate_where_times_do_not_run(self, step):
         assert missing_time_unit("it", step).guess is None
-
-    def test_nothing_is_tried_without_a_guess(self):
-        calls = []
-
-        def make(unit):
-            calls.append(unit)
-            raise MissingMetadataError("it", "unit")
-
-        with pytest.raises(MissingMetadataError, match=r"^it$"):
-            collect_missing(make, "a", unit=None)
-        assert calls == [None]
-
-    def test_other_errors_wait(self):
-        def make(unit, noise):
-            if unit is None:
-                raise MissingMetadataError("no unit", "unit", "mV", "why")
-            raise InputError("something else")
-
-        with pytest.raises(MissingMetadataError, match="no unit; --unit mV is a guess: why"):
-            collect_missing(make, "a", unit=None, noise=None)

@@ -191,7 +191,7 @@ def test_filters_come_back_and_can_be_read_by_others(target, tmp_path):
     [
         (lambda d: d.drop_vars("beats"), "without beats"),
         (lambda d: d.isel(beat=[0]), "1 beats without a stated noise"),
-        (lambda d: d.isel(lead=slice(0, 8)), "not the standard 12"),
+        (lambda d: d.isel(lead=slice(0, 8)), "not beat, the standard 12"),
         (lambda d: d.assign(beats=d["beats"] * np.nan), "not finite"),
         (lambda d: d.assign(beats=d["beats"].where(d["time"] < 100)), "not finite"),
         (lambda d: d.assign_attrs(heart_rate_bpm=np.nan), "heart_rate_bpm is"),

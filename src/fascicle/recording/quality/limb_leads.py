@@ -18,6 +18,10 @@ from fascicle.recording.recording import Recording
 
 GAINS = Check("gains of limb leads, ratio", "", 1.01)  # up to which gains are one
 REVERSAL = Check("lead reversal, I and II against V6", "", -0.4)
+WRONG_GAINS = (
+    "its gains per lead are wrong, the raw digits satisfy the identities; "
+    "read it with --shared-gain"
+)
 REMAINING = 0.5  # share of a misfit that an explanation may leave, also of what the next one leaves
 
 # Einthoven, 1913; Goldberger, 1942: what is zero, lead by lead in the order of LIMB_LEADS.
@@ -84,9 +88,12 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
         Check(label, "mV", limit).found(float(value))
         for label, value in zip(labels, found, strict=True)
     ]
+    gains = _check_gains(recording, rows, leads, zeros)
     if not broken.size:
-        return [*_check_gains(recording, rows, leads, zeros), *findings]
-    severity, reason = _explain(recording, rows, leads, zeros)
+        return [*gains, *findings]
+    severity, reason = Severity.FATAL, WRONG_GAINS
+    if not any(finding.message for finding in gains):
+        severity, reason = _explain(recording, rows, leads, zeros)
     for k in broken:
         findings[k] = replace(findings[k], severity=severity)
     first = int(broken[0])  # one fault breaks several identities, and is explained once
@@ -122,18 +129,15 @@ def _check_gains(
         return []
     ratio = float(gains[rows].max() / gains[rows].min())
     digits = gains[rows][:, None] * leads
-    share = _worst(leads, zeros) / max(_height(leads), np.finfo(float).tiny)
-    share_of_digits = _worst(digits, zeros) / max(_height(digits), 1.0)
-    wrong = _digits_fit(leads, zeros, gains[rows]) and share > 3.0 * share_of_digits
-    message = f"the gains differ {ratio:.2f}-fold: {_wrong_gains()}" if wrong else ""
-    return [GAINS.found(ratio, message, Severity.FATAL)]
-
-
-def _wrong_gains() -> str:
-    return (
-        "its gains per lead are wrong, the raw digits satisfy the identities; read it with "
-        "--shared-gain"
+    misfit, misfit_of_digits = _worst(leads, zeros), _worst(digits, zeros)
+    height, height_of_digits = _height(leads), max(_height(digits), 1.0)
+    wrong = (
+        ratio > GAINS.limit
+        and misfit_of_digits <= max(3.0, 0.01 * height_of_digits)  # each lead was rounded
+        and misfit * height_of_digits > 3.0 * misfit_of_digits * height
     )
+    message = f"the gains differ {ratio:.2f}-fold: {WRONG_GAINS}" if wrong else ""
+    return [GAINS.found(ratio, message, Severity.FATAL)]
 
 
 def _identities(rows: list[int]) -> tuple[list[str], Floats]:
@@ -156,17 +160,14 @@ def _explain(
 ) -> tuple[Severity, str]:
     """Find the simplest change of the leads that makes their relations hold.
 
-    Tried in this order: the digits of the file without its gains; one lead upside down or two
-    exchanged; one lead with another gain, or wrong altogether; each lead with a gain of its own.
+    Tried in this order: one lead upside down or two exchanged; one lead with another gain, or wrong
+    altogether; each lead with a gain of its own.
     Reversed electrodes are not among them: they leave every relation intact.
 
     Of leads (m, n) without baseline (mV), `rows` of the limb leads, whose relations `zeros`
     (m - 2, m) are not all zero. FATAL when there is an explanation, WARNING when there is none.
     """
     leads = _thinned(leads)
-    gains = recording.digits_per_millivolt
-    if gains is not None and _digits_fit(leads, zeros, gains[rows]):
-        return Severity.FATAL, _wrong_gains()
     names = [LIMB_LEADS[row] for row in rows]
     mistakes = _mistakes(names, leads, zeros)
     if mistakes:
@@ -224,15 +225,6 @@ def _worst(leads: Floats, zeros: Floats) -> float:
 def _holds(before: float, leads: Floats, zeros: Floats) -> bool:
     """Whether all relations hold now, and better than before (worst misfit in mV)."""
     return _worst(leads, zeros) <= min(_limit_of(leads), REMAINING * before)
-
-
-def _digits_fit(leads: Floats, zeros: Floats, gains: Floats) -> bool:
-    """Whether leads (m, n), mV, times their different gains (m,) satisfy the relations (k, m)."""
-    if not (gains > 0).all() or gains.max() <= GAINS.limit * gains.min():
-        return False
-    digits = gains[:, None] * leads
-    # each lead was rounded
-    return _worst(digits, zeros) <= max(3.0, 0.01 * _height(digits))
 
 
 def _mistakes(names: list[str], leads: Floats, zeros: Floats) -> list[str]:
