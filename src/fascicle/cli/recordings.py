@@ -14,6 +14,7 @@ import typer
 from fascicle.cli.arguments import FormatOption
 from fascicle.cli.output import Result
 from fascicle.core.errors import InputError
+from fascicle.recording.readers.formats import known_formats
 
 if TYPE_CHECKING:
     from fascicle.recording.analysis import Analysis
@@ -28,10 +29,7 @@ _WIDTH = 15  # of the first column
 
 RecordingArgument = Annotated[
     Path,
-    typer.Argument(
-        help="WFDB (.hea), DICOM (.dcm), HL7 aECG or MUSE (.xml), SCP-ECG (.scp), EDF (.edf), "
-        "HDF5 (.h5), MATLAB (.mat) or a table (.csv, .tsv)."
-    ),
+    typer.Argument(help=f"One of {known_formats()}."),
 ]
 TargetOption = Annotated[
     Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")

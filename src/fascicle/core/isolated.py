@@ -4,10 +4,9 @@ The libraries for VTK, HDF5, MATLAB and other files trust the sizes that a file 
 or hostile one they crash, never end, or ask for any amount of memory. In a child process each of
 these is one clear refusal, and what they leak goes with it.
 
-The child stays to read the next file, since to start one and import VTK takes 0.3 s, ten times what
-most files take, and goes when it has read a large file, or when this process ends. It is no worker
-of `multiprocessing`, which would run the user's script again in it. Where Python has no module
-`resource` (Windows), only the time is limited, not the memory.
+The child stays to read the next file, since to start one and import VTK takes 0.3 s, and goes when
+it has read a large file, or when this process ends. A worker of `multiprocessing` would run the
+user's script again. Where Python has no module `resource` (Windows), only the time is limited.
 """
 
 from __future__ import annotations
@@ -63,28 +62,10 @@ class Limits:
 def read_isolated(
     reader: Callable[..., Any], path: Path, *, companions: tuple[Path, ...] = (), **options: Any
 ) -> Any:
-    """Call a reader in a child process.
+    """Return ``reader(path, **options)``, called in a child process.
 
-    Parameters
-    ----------
-    reader : function
-        Called as ``reader(path, **options)``; it is found by its module and name.
-    path : Path
-        The file, which decides the limits.
-    companions : tuple of Path
-        Files that are read with it, which count for the limits.
-    **options
-        What else the reader takes.
-
-    Returns
-    -------
-    object
-        What the reader returned.
-
-    Raises
-    ------
-    InputError
-        What the reader raised, or that reading crashed or went beyond the limits.
+    The size of the file and its companions decides the limits. InputError is what the reader
+    raised, or that it crashed or went beyond the limits.
     """
     limits = Limits.of(path, *companions)
     with _Child.lock:

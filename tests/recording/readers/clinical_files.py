@@ -1,4 +1,4 @@
-"""Writers of HL7 aECG, GE MUSE XML and SCP-ECG files, from the standards, for the tests.
+"""Writers of HL7 aECG, MUSE, Mortara, SCP-ECG, ISHNE and MFER files, from the standards.
 
 Digits are (leads, samples) arrays of integers. Everything that a test wants wrong is an argument,
 or is changed in the text that comes out.
@@ -7,13 +7,14 @@ or is changed in the text that comes out.
 from __future__ import annotations
 
 import base64
+import binascii
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fascicle.core.leads import INDEPENDENT_LEADS
+from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
 
 # EN 1064, 5.6.3: identification of leads
 SCP_CODES = {
@@ -199,6 +200,49 @@ def scp_sections(
 def scp(digits, **options) -> bytes:
     """SCP-ECG file of a recording."""
     return scp_record(scp_sections(digits, **options))
+
+
+def mortara(digits, *, names=INDEPENDENT_LEADS) -> bytes:
+    """Mortara ELI XML of 200 digits a mV at 500 Hz."""
+    channels = "".join(
+        f'<CHANNEL NAME="{name}" SAMPLE_FREQ="500" UNITS_PER_MV="200" DURATION="{len(row)}" '
+        f'BITS="16" FORMAT="SIGNED" ENCODING="BASE64" OFFSET="0" '
+        f'DATA="{base64.b64encode(np.asarray(row).astype("<i2").tobytes()).decode()}"/>'
+        for name, row in zip(names, digits, strict=True)
+    )
+    source = '<SOURCE TYPE="RESTING" MANUFACTURER="MORTARA" MODEL="ELI280"/>'
+    return f'<?xml version="1.0"?><ECG VENT_RATE="60">{source}{channels}</ECG>'.encode()
+
+
+def ishne(digits, *, names=INDEPENDENT_LEADS, nanovolts=5000, rate=500) -> bytes:
+    """ISHNE Holter file (Badilini 1998): a header of 522 bytes, then the leads in turns."""
+    codes = [5 + LEADS.index(name) for name in names] + [-9] * (12 - len(names))
+    rows = np.asarray(digits).astype("<i2").T.tobytes()
+    header = bytearray(512)
+    struct.pack_into("<iiii", header, 0, 0, np.shape(digits)[1], 522, 522)
+    struct.pack_into("<h", header, 146, len(names))
+    struct.pack_into("<12h12h12h", header, 148, *codes, *[0] * 12, *[nanovolts] * 12)
+    struct.pack_into("<h", header, 262, rate)
+    return b"ISHNE1.0" + struct.pack("<H", binascii.crc_hqx(bytes(header), 0xFFFF)) + header + rows
+
+
+def mfer(digits, *, names=INDEPENDENT_LEADS, interval=b"\x0b\x04\x01\xfd\x02\x00") -> bytes:
+    """MFER file (ISO 22077) of 5 uV a digit; by default at an interval of 2 ms."""
+
+    def item(tag: int, content: bytes) -> bytes:
+        size = len(content)
+        length = bytes([size]) if size < 128 else b"\x84" + struct.pack(">I", size)
+        return bytes([tag]) + length + content
+
+    codes = {name: code for name, code in SCP_CODES.items() if name in names}
+    samples = np.shape(digits)[1]
+    start = item(0x40, b"MFR ") + item(0x01, b"\1") + interval + item(0x0C, b"\0\xfa\5\0")
+    start += item(0x04, struct.pack("<I", samples)) + item(0x05, bytes([len(names)]))
+    start += item(0x06, struct.pack("<I", 1))
+    for k, name in enumerate(names):
+        attributes = item(0x09, struct.pack("<H", codes[name]))
+        start += b"\x3f" + bytes([k, len(attributes)]) + attributes
+    return start + item(0x1E, np.asarray(digits).astype("<i2").tobytes()) + b"\x80\0"
 
 
 def saved(folder, content):

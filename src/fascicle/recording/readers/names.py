@@ -1,39 +1,41 @@
-"""Lead names and units as they are spelt in files."""
+"""Names of leads, units and pieces of metadata as they are spelt in files.
+
+Files without a standard (HDF5, MATLAB, tables) state rate, unit and names of leads under names of
+the user's own, of which those of `Key` and ``docs/recordings.md`` are understood.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from fascicle.core.errors import InputError, printable
 from fascicle.core.leads import LEADS
 
 # What may stand before the name proper: what ISO/IEEE 11073 and EDF+ put there, and who introduced
-# the lead.
-_WORD = "(?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|lead)"
-# A hyphen joins words only where nothing is beside it, or blanks on both sides: "ECG -aVR" is the
-# inverted lead.
-_BEFORE = rf"(?:(?:{_WORD}(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])|lead))*"
-_BEHIND = r"(?:[ _-]?lead)?"
-_REMARK = (
-    r"(?: ?[(\[](?:einthoven|goldberger|wilson|unipolar|bipolar|limb|chest|precordial|augmented|"
-    r"standard)[)\]])?"
+# the lead. A hyphen joins words only where nothing is beside it, or blanks on both sides:
+# "ECG -aVR" is the inverted lead.
+_BEFORE = (
+    r"(?:(?:mdc|ecg[12]?|ekg|einthoven|goldberger|wilson|lead)(?:[ _:.]+(?!-)|-(?![ -])|[ ]-[ ])"
+    r"|lead)*"
 )
-_ROMAN = re.compile(rf"{_BEFORE}(?:l[ _]?|d[ _-]?)?(?P<name>i{{1,3}}){_BEHIND}{_REMARK}")
-_ARABIC = re.compile(rf"{_BEFORE}(?:lead[ _-]?|l[ _]?|d[ _-]?)(?P<name>[123]){_BEHIND}{_REMARK}")
-_AUGMENTED = re.compile(rf"{_BEFORE}a[ _-]?v[ _-]?(?P<name>[rlf]){_BEHIND}{_REMARK}")
-_CHEST = re.compile(rf"{_BEFORE}[vc][ _-]?0?(?P<name>[1-6]){_BEHIND}{_REMARK}")
-
-_LONGEST_NAME = 64  # characters, as in DICOM; bounds what matching takes
-
-# Codes of ISO/IEEE 11073 (MDC, context 2) and, with the prefix 5.6.3-9-, of SCP-ECG
-_CODES = {"1": "I", "2": "II", "61": "III", "62": "aVR", "63": "aVL", "64": "aVF"} | {
-    str(number + 2): f"V{number}" for number in range(1, 7)
-}
-_MILLIVOLTS = {
-    spelling: scale
-    for scale, short, long in ((1e-6, "nv", "nano"), (1e-3, "uv", "micro"), (1.0, "mv", "milli"))
-    for spelling in (short, f"{long}volt", f"{long}volts")
-} | {"v": 1e3, "volt": 1e3, "volts": 1e3}
+_NAMES = (
+    r"(?:l[ _]?|d[ _-]?)?(?P<roman>i{1,3})|(?:lead[ _-]?|l[ _]?|d[ _-]?)(?P<arabic>[123])"
+    r"|a[ _-]?v[ _-]?(?P<augmented>[rlf])|[vc][ _-]?0?(?P<chest>[1-6])"
+)
+_BEHIND = (
+    r"(?:[ _-]?lead)?(?: ?[(\[](?:einthoven|goldberger|wilson|unipolar|bipolar|limb|chest|"
+    r"precordial|augmented|standard)[)\]])?"
+)
+_LEAD = re.compile(f"{_BEFORE}(?:{_NAMES}){_BEHIND}")
 
 
 def lead_name(text: str) -> str | None:
@@ -45,33 +47,24 @@ def lead_name(text: str) -> str | None:
     unaugmented ``VR``, ``MLII`` of ambulatory recorders, ``V7``, ``V4R``, Frank's X, Y and Z, and a
     ``II rhythm``, which repeats a lead.
     """
-    if len(text) > _LONGEST_NAME:
+    if len(text) > 64:  # characters, as in DICOM; bounds what matching takes
         return None
-    name = _plain(text)
-    for pattern in (_ROMAN, _ARABIC):
-        if match := pattern.fullmatch(name):
-            number = match["name"]
-            return LEADS[(int(number) if number.isdigit() else len(number)) - 1]
-    if match := _AUGMENTED.fullmatch(name):
-        return f"aV{match['name'].upper()}"
-    if match := _CHEST.fullmatch(name):
-        return f"V{match['name']}"
-    return None
-
-
-def _plain(text: str) -> str:
-    """Return the text in lower case, in compatible letters without accents, single blanks."""
-    # a dotless i is what Turkish software makes of a lower-case I
+    # compatible letters without accents; a dotless i is a lower-case I of Turkish software
     letters = unicodedata.normalize("NFKD", text).casefold().replace("ı", "i")
-    return " ".join("".join(c for c in letters if not unicodedata.combining(c)).split())
+    name = " ".join("".join(c for c in letters if not unicodedata.combining(c)).split())
+    match = _LEAD.fullmatch(name)
+    if match is None:
+        return None
+    if match["roman"] or match["arabic"]:
+        return LEADS[int(match["arabic"] or len(match["roman"])) - 1]
+    return f"V{match['chest']}" if match["chest"] else f"aV{match['augmented'].upper()}"
 
 
 def lead_of_code(code: str) -> str | None:
-    """Return the lead of an MDC (``2:1``) or SCP-ECG (``5.6.3-9-1``) code, or None."""
-    for prefix in ("2:", "5.6.3-9-"):
-        if code.startswith(prefix):
-            return _CODES.get(code.removeprefix(prefix))
-    return None
+    """Return the lead of an MDC (``2:1``, ISO/IEEE 11073) or SCP-ECG (``5.6.3-9-1``) code."""
+    match = re.fullmatch(r"(?:2:|5\.6\.3-9-)(\d+)", code)
+    codes = (1, 2, 61, 62, 63, 64, 3, 4, 5, 6, 7, 8)
+    return dict(zip(codes, LEADS, strict=True)).get(int(match[1])) if match else None
 
 
 def millivolts(unit: str) -> float | None:
@@ -80,7 +73,14 @@ def millivolts(unit: str) -> float | None:
     Understands nV, uV (with u or either code point of the Greek letter), mV, V and the words
     (``microvolts``), in any case: a megavolt is no unit of an ECG.
     """
-    return _MILLIVOLTS.get(plain_unit(unit))
+    sizes = {"nv": 1e-6, "uv": 1e-3, "mv": 1.0, "v": 1e3}
+    sizes |= {"nanovolt": 1e-6, "microvolt": 1e-3, "millivolt": 1.0, "volt": 1e3}
+    return sizes.get(re.sub("volts$", "volt", plain_unit(unit)))
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Tell whether two spellings mean the same unit."""
+    return one == other or millivolts(one) == millivolts(other) is not None
 
 
 def plain_unit(unit: str) -> str:
@@ -88,8 +88,112 @@ def plain_unit(unit: str) -> str:
     return unit.strip().lower().replace("µ", "u").replace("μ", "u")
 
 
-def same_unit(one: str, other: str) -> bool:
-    """Tell whether two spellings mean the same unit."""
-    if millivolts(one) is None or millivolts(other) is None:
-        return one == other
-    return millivolts(one) == millivolts(other)
+class Key(Enum):
+    """What a piece of metadata says; the values are the names it may have."""
+
+    RATE = (
+        "fs sfreq srate samplingrate samplingfrequency samplingfreq samplerate samplefrequency "
+        "samplefreq frequency freq"
+    )
+    UNIT = "unit units physicalunit physicalunits signalunits sigunits"
+    NAMES = (
+        "lead leads leadname leadnames channel channels channelname channelnames chname chnames "
+        "signame signames signalname signalnames label labels name names columns"
+    )
+    # What turns stored digits into physical values: conventions differ, so none is applied
+    GAIN = "gain gains adcgain adcgains scale scaling scalefactor lsb"
+    OFFSET = "addoffset offset baseline adczero"
+    MISSING = "fillvalue missingvalue"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One piece of metadata, as it is spelt in the file.
+
+    `value` is texts, or a number: NaN for several different ones.
+    """
+
+    key: Key
+    name: str
+    value: tuple[str, ...] | float
+
+    @property
+    def text(self) -> str:
+        """What it says, in a line."""
+        return repr(self.value) if isinstance(self.value, float) else ", ".join(self.value[:3])
+
+
+def key_of(name: str) -> Key | None:
+    """Return what metadata of this name says, or None where it is none."""
+    plain = re.sub("[^a-z0-9]", "", name.lower()).removesuffix("hz")
+    return next((key for key in Key if plain in key.value.split()), None)
+
+
+def entry_of(name: str, content: Any) -> Entry | None:
+    """Make an entry of texts or numbers; None where they are neither, or the name is no key."""
+    key, values = key_of(name), np.ravel(np.asarray(content))
+    if key is None or not 0 < values.size <= 1000:
+        return None
+    if values.dtype.kind in "iuf":
+        different = np.unique(values.astype(np.float64))
+        number = float(different[0]) if different.size == 1 else math.nan
+        return Entry(key, printable(name), number)
+    words = [w.decode("utf-8", "replace") if isinstance(w, bytes) else w for w in values.tolist()]
+    if not all(isinstance(word, str) for word in words):
+        return None
+    return Entry(key, printable(name), tuple(printable(w.rstrip("\0").strip()) for w in words))
+
+
+def name_lists(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Return the texts that may list the names of signals; a single text is split."""
+    lists = []
+    for entry in entries:
+        if entry.key is Key.NAMES and isinstance(entry.value, tuple):
+            one = entry.value[0] if len(entry.value) == 1 else ""
+            names = re.split(r"\s*[,;|]\s*" if re.search("[,;|]", one) else r"\s+", one)
+            lists.append(tuple(names) if one else entry.value)
+    return lists
+
+
+def check_physical(entries: Sequence[Entry], path: Path) -> None:
+    """Refuse digits that a factor or an offset would have to turn into volts."""
+    neutral = {Key.GAIN: 1.0, Key.OFFSET: 0.0}
+    for entry in entries:
+        if isinstance(entry.value, float) and neutral.get(entry.key) not in (None, entry.value):
+            raise InputError(
+                f"{path}: '{entry.name}' of {entry.text} says that the leads are not in physical "
+                "units; apply it, state the unit and leave it out"
+            )
+
+
+def declared_rate(entries: Sequence[Entry], path: Path) -> float | None:
+    """Return the sampling rate (Hz) that the metadata declare, None where they do not."""
+    said = [entry for entry in entries if entry.key is Key.RATE]
+    spelt = r"(\d{1,9}\.?\d{0,20})\s*(?:Hz|sps)?"
+    matches = [re.fullmatch(spelt, entry.text, re.IGNORECASE) for entry in said]
+    rates = {float(match[1]) for match in matches if match is not None}
+    if None in matches or len(rates) > 1:
+        found = ", ".join(f"'{entry.name}' is {entry.text}" for entry in said)
+        raise InputError(f"{path}: unclear sampling rate ({found}); state one, in Hz")
+    return next(iter(rates), None)
+
+
+def declared_unit(
+    entries: Sequence[Entry], path: Path, signal: str, place: tuple[int, int] = (0, 1)
+) -> str | None:
+    """Return the unit that the metadata declare for a signal, None where they do not.
+
+    `place` is its index among the signals that the entries are about, and their number.
+    """
+    index, count = place
+    said = [(e.name, e.value) for e in entries if e.key is Key.UNIT and isinstance(e.value, tuple)]
+    lists = [units * count if len(units) == 1 else units for _, units in said]
+    units = [units[index] for units in lists if len(units) == count and units[index]]
+    one_each = all(len(units) == count for units in lists)
+    if not one_each or not all(same_unit(units[0], unit) for unit in units):
+        found = ", ".join(f"'{name}' is {', '.join(units[:3])}" for name, units in said)
+        raise InputError(
+            f"{path}: unclear unit of lead '{signal}' ({found}); state one, or one for each of the "
+            f"{count} signals"
+        )
+    return units[0] if units else None

@@ -1,52 +1,82 @@
-"""ECG recordings from the files that clinics and archives have."""
+"""ECG recordings from the files that clinics and archives have: read, then checked once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, replace
-from importlib import import_module
+import glob
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-from fascicle.core.errors import InputError
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.files import as_path
 from fascicle.core.isolated import read_isolated
-from fascicle.core.leads import LEADS
+from fascicle.core.leads import CHEST_LEADS, INDEPENDENT_LEADS, LEADS, LIMB_LEADS, limb_leads_from
 from fascicle.core.ranges import check_items, check_text, number
-from fascicle.recording.readers.content import LARGEST_FILE, kind_of_content, sha256_of
-from fascicle.recording.readers.raw_recording import RawRecording, ReadOptions, assemble
-from fascicle.recording.recording import Recording
+from fascicle.recording.missing_metadata import missing_rate, missing_unit
+from fascicle.recording.readers.formats import READERS, reader_of
+from fascicle.recording.readers.names import lead_name, millivolts, same_unit
+from fascicle.recording.recording import Filters, Recording, check_extent, derive_limb_leads
 
-# The module and function that read each kind of file; loaded when used.
-_READERS = {
-    "WFDB": ("wfdb_records", "read_wfdb"),
-    "DICOM": ("dicom", "read_dicom"),
-    "XML": ("clinical", "read_xml"),
-    "SCP-ECG": ("clinical", "read_scp"),
-    "EDF": ("edf", "read_edf"),
-    "HDF5": ("hdf5", "read_hdf5"),
-    "MAT": ("matlab", "read_matlab"),
-    "table": ("tables", "read_table"),
-}
-# Kinds whose libraries may crash or never end on damaged files; they run in a child process
-_ISOLATED = ("SCP-ECG", "HDF5", "MAT")
-_KINDS = {
-    ".hea": "WFDB", ".dcm": "DICOM", ".xml": "XML", ".scp": "SCP-ECG", ".edf": "EDF",
-    ".h5": "HDF5", ".hdf5": "HDF5", ".nc": "HDF5", ".mat": "MAT", ".csv": "table",
-    ".tsv": "table", ".txt": "table",
-}  # fmt: skip
-_ADVICE = {
-    ".pkl": "pickle files can run any code and are never opened, save the recording as CSV",
-    ".pickle": "pickle files can run any code and are never opened, save the recording as CSV",
-    ".npy": "arrays without lead names are not read, save the recording as CSV",
-    ".dat": "give its WFDB header, the .hea file beside it",
-    ".bdf": "BDF is not read, save the recording as EDF",
-    ".pdf": "give the recording itself, or digitise the picture to CSV",
-}
-_KNOWN = (
-    "give WFDB (.hea), DICOM (.dcm), HL7 aECG or MUSE (.xml), SCP-ECG (.scp), EDF (.edf), HDF5 "
-    "(.h5), MATLAB (.mat) or a table (.csv, .tsv)"
-)
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal of a file.
+
+    Attributes
+    ----------
+    name : str
+        As it is spelt in the file.
+    values : (n,) array
+        Samples, in `unit`; NaN where there is none.
+    unit : str, optional
+        As it is spelt in the file; None where the file does not say.
+    lead : str, optional
+        Standard name of the lead where a code of the file says it; otherwise `name` decides.
+    gain : float, optional
+        Digits of the file in one `unit`.
+    """
+
+    name: str
+    values: Floats
+    unit: str | None = None
+    lead: str | None = None
+    gain: float | None = None
+
+    def placed(self, start: int, length: int) -> Channel:
+        """The same on a time axis of `length` samples, from `start` on; NaN where it has none."""
+        values = np.full(length, np.nan)
+        values[start : start + len(self.values)] = self.values
+        return replace(self, values=values)
+
+
+@dataclass(frozen=True)
+class RawRecording:
+    """What a reader finds in a file.
+
+    Attributes
+    ----------
+    channels : sequence of Channel
+        Signals, in any order; what is none of the twelve leads is left out and named.
+    sampling_rate : float, optional
+        Samples per second (Hz); None where the file does not say.
+    format : str
+        Name of the format; by default that of the reader.
+    filters : Filters
+        What the recorder did to the signals.
+    provenance : dict
+        Text about the file.
+    """
+
+    channels: Sequence[Channel]
+    sampling_rate: float | None = None
+    format: str = ""
+    filters: Filters = field(default_factory=Filters)
+    provenance: dict[str, str] = field(default_factory=dict)
 
 
 def read_recording(
@@ -62,7 +92,8 @@ def read_recording(
     ----------
     path : path
         WFDB header (or the record name without suffix), DICOM waveform, HL7 aECG, MUSE XML,
-        SCP-ECG, EDF or EDF+, HDF5, MATLAB or a table: see ``docs/recordings.md``.
+        SCP-ECG, EDF, HDF5, MATLAB, a table or another of the formats in ``docs/recordings.md``,
+        or of those added by `register_reader`.
     leads : sequence of str, optional
         Leads to use, of `fascicle.core.leads.LEADS`; by default all. Limb leads are computed where
         two of them are used.
@@ -88,72 +119,187 @@ def read_recording(
         number(sampling_rate, "sampling_rate")
     if unit is not None:
         check_text(unit, "unit")
-    options = ReadOptions(sampling_rate, unit)
-    kind = _kind_of(path)
-    if kind in _ISOLATED:
-        raw = RawRecording.of_parts(read_isolated(read_parts, path, kind=kind, **asdict(options)))
+    reader = reader_of(path)
+    if reader.isolated:
+        # such as the signal file of a WFDB header
+        others = path.parent.glob(f"{glob.escape(path.stem)}.*")
+        raw: RawRecording = read_isolated(
+            read_raw,
+            path,
+            companions=tuple(other for other in others if other != path and other.is_file()),
+            format=reader.format,
+            sampling_rate=sampling_rate,
+        )
     else:
-        raw = _read(path, kind, options)
-    recording = assemble(raw, str(path), options, leads)
-    notes = {"source_sha256": sha256_of([path])}
-    if leads is not None:
-        notes["choice_leads"] = ", ".join(leads)
-    if sampling_rate is not None:
-        notes["choice_sampling_rate_hz"] = f"{sampling_rate:g}"
-    if unit is not None:
-        notes["choice_unit"] = unit
-    return replace(recording, provenance=recording.provenance | notes)
+        raw = read_raw(path, reader.format, sampling_rate)
+    recording = _assemble(raw, str(path), leads, sampling_rate, unit)
+    notes = {
+        "source_sha256": sha256_of([path]),
+        "choice_leads": None if leads is None else ", ".join(leads),
+        "choice_sampling_rate_hz": None if sampling_rate is None else f"{sampling_rate:g}",
+        "choice_unit": unit,
+    }
+    said = {name: text for name, text in notes.items() if text is not None}
+    return replace(recording, provenance=recording.provenance | said)
 
 
-def read_parts(path: Path, kind: str, **options: Any) -> dict[str, Any]:
-    """Parts of the raw recording in a file whose library may crash."""
-    return _read(path, kind, ReadOptions(**options)).parts
-
-
-def _read(path: Path, kind: str, options: ReadOptions) -> RawRecording:
-    module, function = _READERS[kind]
-    raw: RawRecording = getattr(import_module(f"{__package__}.{module}"), function)(path, options)
-    return raw
+def read_raw(path: Path, format: str, sampling_rate: float | None) -> RawRecording:
+    """What a file of a format holds; whatever its reader raises is a damaged file."""
+    reader = next(reader for reader in READERS if reader.format == format)
+    try:
+        raw = reader.read(path, sampling_rate)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path}: damaged, truncated or unusual {format} file ({one_line(error)}); export it "
+            "again"
+        ) from error
+    return raw if raw.format else replace(raw, format=format)
 
 
 def existing_file(path: Path) -> Path:
-    """Return the file itself, or the WFDB header of a record name.
-
-    Raises
-    ------
-    InputError
-        If there is neither.
-    """
+    """Return the file itself, or the WFDB header of a record name."""
     if path.is_file():
         return path
     header = path.with_name(path.name + ".hea") if path.name else path
     if header.is_file():
         return header
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; give one recording file")
-    if path.exists():
-        raise InputError(f"{path}: is not an ordinary file; give one recording file")
-    raise InputError(f"{path}: no such file; check the name of the recording")
+    what = "is not an ordinary file" if path.exists() else "no such file"
+    raise InputError(f"{path}: {what}; give one recording file")
 
 
-def _kind_of(path: Path) -> str:
-    """Kind of a file by its suffix, or by its first bytes where it has none; both must agree."""
-    suffix, size = path.suffix.lower(), path.stat().st_size
-    if not 0 < size <= LARGEST_FILE:
+def _assemble(
+    raw: RawRecording,
+    source: str,
+    wanted: Sequence[str] | None = None,
+    sampling_rate: float | None = None,
+    unit: str | None = None,
+) -> Recording:
+    """Make a recording of the channels that are leads; missing limb leads follow from two.
+
+    This is the one check of what a reader found, against itself and against what the user says.
+    """
+    leads, ignored = _by_lead(raw, source, wanted)
+    _check_complete(list(leads), source, wanted)
+    lengths = {lead: len(channel.values) for lead, channel in leads.items()}
+    few, many = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+    rate = raw.sampling_rate if raw.sampling_rate is not None else sampling_rate
+    if rate is None:
+        message = f"{source}: no sampling rate in the file; give it in Hz by --sampling-rate"
+        raise missing_rate(message, lengths[many])
+    if sampling_rate is not None and not math.isclose(rate, sampling_rate, rel_tol=1e-6):
         raise InputError(
-            f"{path}: {size / 2**20:.0f} MB; cut the recording to a part of at most "
-            f"{LARGEST_FILE / 2**20:.0f} MB, 10 s are enough"
-            if size
-            else f"{path}: the file is empty; download or export it again"
+            f"{source}: its sampling rate is {rate:g} Hz, --sampling-rate says {sampling_rate:g} "
+            "Hz; leave the option out or correct the file"
         )
-    found = kind_of_content(path)
-    kind = _KINDS.get(suffix)
-    if kind is None and suffix not in _ADVICE:
-        kind = found
-    if kind is None:
-        what = f"'{suffix}' recordings" if suffix else "recordings of unknown kind"
-        raise InputError(f"{path}: {what} cannot be read; {_ADVICE.get(suffix, _KNOWN)}")
-    # MATLAB's newer files are HDF5 inside
-    if found is not None and found != kind and (found, kind) != ("HDF5", "MAT"):
-        raise InputError(f"{path}: its content is {found}, not what its name says; rename it")
-    return kind
+    check_extent(lengths[many], rate, source)
+    if lengths[few] != lengths[many]:
+        raise InputError(
+            f"{source}: lead {few} has {lengths[few]} samples, lead {many} {lengths[many]}; export "
+            "all leads over the same time and at one rate"
+        )
+    signal = np.full((len(LEADS), lengths[many]), np.nan)
+    gains = np.full(len(LEADS), np.nan)
+    for lead, channel in leads.items():
+        row, scale = LEADS.index(lead), _scale(channel, lead, source, unit, leads)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused as a gap
+            signal[row] = scale * np.asarray(channel.values, dtype=np.float64)
+        if channel.gain is not None and math.isfinite(channel.gain):
+            gains[row] = abs(channel.gain) / scale
+    signal, derived = derive_limb_leads(signal, leads)
+    for lead in derived:
+        if not np.isfinite(signal[LEADS.index(lead)]).any():
+            raise InputError(
+                f"{source}: lead {lead} missing, and no two limb leads were recorded at the same "
+                "time to compute it from"
+            )
+    return Recording(
+        signal=signal,
+        sampling_rate=rate,
+        source=source,
+        provenance={"format": raw.format} | raw.provenance,
+        filters=raw.filters,
+        digits_per_millivolt=gains,
+        derived=derived,
+        ignored=tuple(ignored),
+    )
+
+
+def _by_lead(
+    raw: RawRecording, source: str, wanted: Sequence[str] | None
+) -> tuple[dict[str, Channel], list[str]]:
+    """Sort the channels into leads and the rest, whose names are returned."""
+    leads: dict[str, Channel] = {}
+    ignored = []
+    for channel in raw.channels:
+        lead = channel.lead if channel.lead is not None else lead_name(channel.name)
+        if lead is None or (wanted is not None and lead not in wanted):
+            ignored.append(printable(channel.name))
+        elif lead in leads:
+            raise InputError(
+                f"{source}: lead {lead} is there twice ('{leads[lead].name}' and "
+                f"'{channel.name}'); keep one of them"
+            )
+        else:
+            leads[lead] = channel
+    return leads, ignored
+
+
+def _check_complete(found: Sequence[str], source: str, wanted: Sequence[str] | None) -> None:
+    """Refuse a file without the leads that are needed or wanted."""
+    limb_known = limb_leads_from(found) is not None
+    needed = INDEPENDENT_LEADS if wanted is None else wanted
+    missing = [
+        lead for lead in needed if lead not in found and not (lead in LIMB_LEADS and limb_known)
+    ]
+    if not missing:
+        return
+    usable = [lead for lead in LEADS if lead in found]
+    advice = "two limb leads and V1 to V6 are needed"
+    if limb_known and any(lead in CHEST_LEADS for lead in found):
+        advice += f"; to go on without, name the leads to use: --leads {','.join(usable)}"
+    raise InputError(
+        f"{source}: lead{'s' * (len(missing) > 1)} {', '.join(missing)} missing (found: "
+        f"{', '.join(usable) or 'none'}); {advice}"
+    )
+
+
+def _scale(
+    channel: Channel, lead: str, source: str, said: str | None, leads: Mapping[str, Channel]
+) -> float:
+    """Return the mV of one unit of a channel."""
+    if channel.unit is not None and said is not None and not same_unit(channel.unit, said):
+        raise InputError(
+            f"{source}: lead {lead} is in '{channel.unit}', --unit says '{said}'; leave the option "
+            "out or correct the file"
+        )
+    unit = channel.unit if channel.unit is not None else said
+    scale = None if unit is None else millivolts(unit)
+    if scale is None:
+        found = "the file names none" if unit is None else f"'{unit}'"
+        message = (
+            f"{source}: unknown unit of lead {lead} ({found}); known are nV, uV, mV and V, give it "
+            "in the file or by --unit"
+        )
+        if unit is not None:
+            raise InputError(message)
+        raise missing_unit(message, [each.values for each in leads.values() if each.unit is None])
+    return scale
+
+
+def sha256_of(paths: Iterable[Path]) -> str:
+    """Return the SHA-256 of files, one after another."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            hashlib.file_digest(file, lambda: digest)  # goes on with what is hashed already
+    return digest.hexdigest()
+
+
+def narrowest_passband(
+    highpass: Iterable[float], lowpass: Iterable[float], notch: Iterable[float]
+) -> Filters:
+    """Filters of leads that may differ in them (Hz, 0 is none): the narrowest band."""
+    high, low, mains = ([f for f in found if f > 0] for found in (highpass, lowpass, notch))
+    return Filters(max(high, default=None), min(low, default=None), min(mains, default=None))

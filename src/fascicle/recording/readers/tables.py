@@ -1,232 +1,369 @@
-"""Recordings as tables: a time column and one column per lead, or one row per lead and time."""
+"""Text tables: a time column and one column per lead, or one row per lead and time."""
 
 from __future__ import annotations
 
+import codecs
+import re
+import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError, printable
+from fascicle.core.errors import InputError, one_line, printable
+from fascicle.core.leads import LEADS
 from fascicle.recording.missing_metadata import missing_rate, missing_time_unit
-from fascicle.recording.readers.metadata import declared_rate
-from fascicle.recording.readers.raw_recording import Channel, RawRecording, ReadOptions
-from fascicle.recording.readers.table_text import Column, Table, lead_or_rhythm, open_table
-from fascicle.recording.recording import check_extent
+from fascicle.recording.readers.names import (
+    Entry,
+    declared_rate,
+    declared_unit,
+    entry_of,
+    lead_name,
+    millivolts,
+    plain_unit,
+    same_unit,
+)
+from fascicle.recording.readers.read import Channel, RawRecording
 
-_TIMES = ("time", "t", "timestamp", "elapsed time")
-_COUNTERS = (  # of samples; the last is what pandas calls a column without a name
-    "sample", "samples", "sample #", "samp #", "sample number", "index", "unnamed: 0"
-)  # fmt: skip
-_LEADS = ("lead", "leads", "lead name", "channel")
-_VALUES = ("value", "values", "voltage", "amplitude", "potential", "signal", "ecg")
-_UNEVEN = 0.5  # of a step; more is a gap, less is rounding of the times
-_SAME_RATE = 2e-3  # relative; more is no rounding of the times
-_SAME_UNIT = 0.1  # relative, between steps of times and of the rate that is known
-_LATEST = 1e18  # in any unit; us since 1970 are below
-_RATE_DIGITS = 6  # after the decimal point; more is rounding of binary numbers
+if TYPE_CHECKING:
+    import pandas as pd
+
+_PER_SECOND = (
+    dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
+    | dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e3)
+    | dict.fromkeys(("us", "microsecond", "microseconds"), 1e6)
+)
 
 
-def read_table(path: Path, options: ReadOptions) -> RawRecording:
+@dataclass(frozen=True)
+class _Column:
+    """A column: its name and the unit in it, as in the file, the lead that it holds, its cells.
+
+    `quantity` is the name without the unit, in small letters with blanks for underscores; `rhythm`
+    says that the name is that of a rhythm strip, which may repeat a lead.
+    """
+
+    name: str
+    quantity: str
+    unit: str | None
+    lead: str | None
+    rhythm: bool
+    cells: pd.Series
+
+    @property
+    def per_second(self) -> float | None:
+        """How many of the column's units are a second; None where it has no unit of time."""
+        return _PER_SECOND.get(plain_unit(self.quantity if self.unit is None else self.unit))
+
+    def numbers(self, path: Path) -> Floats:
+        """The cells as numbers (n,); empty cells are NaN."""
+        values = np.full(len(self.cells), np.nan)
+        if self.cells.dtype.kind in "iuf":  # else one cell at least is no number
+            values = self.cells.to_numpy(dtype=np.float64)
+        wrong = ~np.isfinite(values) & self.cells.notna().to_numpy()
+        if wrong.any():
+            number = r"\s*[+-]?(?:\d{1,300}\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?\s*"
+            wrong &= ~self.cells.astype(str).str.fullmatch(number).to_numpy()
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f"{path}: column '{self.name}' holds '{str(self.cells.iloc[row])[:40]}' in row "
+                f"{row + 1} of samples; every cell must be a number, all with the same decimal "
+                "mark, or empty"
+            )
+        return values
+
+
+def read_table(path: Path, sampling_rate: float | None) -> RawRecording:
     """Read a table of samples by the schema in ``docs/recordings.md``.
 
     Columns that are no leads are named but not read. Where there are a lead and a rhythm strip of
     the same lead, the longer one is the lead.
     """
-    table = open_table(path)
-    leads = [column for column in table.columns if column.lead is not None]
-    times = [c for c in table.columns if c.quantity in _TIMES or _is_time(c)]
-    times = times or [column for column in table.columns if column.quantity in _COUNTERS]
-    named = {column.quantity: column for column in table.columns}
-    lead = next((named[name] for name in _LEADS if name in named), None)
-    value = next((named[name] for name in _VALUES if name in named), None)
-    if not leads and lead is not None and value is not None and times:
-        return _read_long(table, (lead, times[0], value), options)
+    columns, metadata = _parsed(path)
+    said = {"by --sampling-rate": sampling_rate, "by a comment": declared_rate(metadata, path)}
+    leads = [column for column in columns if column.lead is not None]
+    clocks = ("time", "t", "timestamp", "elapsed time")
+    # a name may be that of a unit of time alone, such as seconds
+    times = [c for c in columns if c.quantity in clocks or (c.unit is None and c.per_second)]
+    # counters of samples; the last is what pandas calls a column without a name
+    counters = ("sample", "samples", "sample #", "samp #", "sample number", "index", "unnamed: 0")
+    times = times or [column for column in columns if column.quantity in counters]
+    shown = ", ".join(f"'{column.name[:30]}'" for column in columns[:4])
     if not leads:
-        raise InputError(
-            f"{path}: no lead among the columns {table.shown}; name them I, II, V1 to V6 with "
-            "their unit (I_mV)"
-        )
-    values = np.array([table.numbers(column) for column in [*leads, *times]])
+        named = {column.quantity: column for column in columns}
+        places = ("lead", "leads", "lead name", "channel")
+        values = ("value", "values", "voltage", "amplitude", "potential", "signal", "ecg")
+        place = next((named[name] for name in places if name in named), None)
+        value = next((named[name] for name in values if name in named), None)
+        if place is None or value is None or not times:
+            raise InputError(
+                f"{path}: no lead among the columns {shown}; name them I, II, V1 to V6 with their "
+                "unit (I_mV)"
+            )
+        unit = _unit(value, columns, metadata, path)
+        return _read_long(path, place, times[0], value, unit, said)
+    numbers = np.array([column.numbers(path) for column in [*leads, *times]])
     if times:
-        values = values[:, ~np.isnan(values).all(axis=0)]  # spreadsheets end with empty rows
-    evidence = []
-    for column, clock in zip(times, values[len(leads) :], strict=True):
-        where = f"in the column '{printable(column.name)}'"
-        evidence.append(
-            (where, _rate_of(table, clock, _scale(table, column, clock, options), where))
-        )
-    rate = _agreed_rate(table, options, evidence)
+        numbers = numbers[:, ~np.isnan(numbers).all(axis=0)]  # spreadsheets end with empty rows
+    known = _agreed_rate(path, said)
+    rates: dict[str, float | None] = {
+        f"in the column '{column.name}'": _rate_of(path, column, clock, known)
+        for column, clock in zip(times, numbers[len(leads) :], strict=True)
+    }
+    rate = _agreed_rate(path, said | rates)
     if rate is None:
         raise missing_rate(
-            f"{path}: no time column among {table.shown}; add one named time_ms or time_s, or "
-            "give the rate in Hz by --sampling-rate",
-            values.shape[1],
+            f"{path}: no time column among {shown}; add one named time_ms or time_s, or give the "
+            "rate in Hz by --sampling-rate",
+            numbers.shape[1],
         )
     channels = [
-        Channel(column.name, row, table.unit_of(column), column.lead)
-        for column, row in zip(leads, values, strict=False)
+        Channel(column.name, row, _unit(column, columns, metadata, path), column.lead)
+        for column, row in zip(leads, numbers, strict=False)
     ]
-    others = [c.name for c in table.columns if c not in leads and c not in times]
-    return _raw_recording(channels, [c.rhythm for c in leads], rate, others, "table")
+    others = [c.name for c in columns if c not in leads and c not in times]
+    return _without_strips(channels, [c.rhythm for c in leads], rate, others, "table")
 
 
-def _is_time(column: Column) -> bool:
-    """Whether a column is named after a unit of time alone, as ``seconds``."""
-    return column.unit is None and column.per_second is not None
+def _parsed(path: Path) -> tuple[list[_Column], list[Entry]]:
+    """Read the columns of a table, and what its comments declare.
 
-
-def _read_long(
-    table: Table, columns: tuple[Column, Column, Column], options: ReadOptions
-) -> RawRecording:
-    """Read one row per lead and time; each lead has even times, at the rate of the others.
-
-    Leads come on common times, each moved by half a sample at most; NaN where it was not recorded.
+    Text with cells separated by tabs, semicolons or commas; lines that begin with ``#`` are
+    comments, the first other line names the columns. Numbers may have decimal commas where no
+    comma separates cells.
     """
-    named, times, values = table.cells(columns[0]), *map(table.numbers, columns[1:])
-    kept = ~np.isnan(values) & named.notna().to_numpy()
-    stretches = {}
-    for name, rows in named[kept].astype(str).groupby(named[kept]).indices.items():
-        if lead_or_rhythm(str(name))[0] is not None and len(rows) > 1:
-            clock = times[kept][rows]
-            clock /= _scale(table, columns[1], clock, options)
-            stretches[str(name)] = clock, values[kept][rows]
-    if not stretches:
+    import pandas as pd
+
+    content = path.read_bytes()
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # "Unicode" of Excel
+    try:
+        text = content.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")  # whose letter µ is where Windows has it
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    comments = re.findall(r"^[ \t]*#+[ \t]*(.*)$", text, re.MULTILINE)
+    body = _one_header(re.sub(r"^[ \t]*#.*\n?", "", text, flags=re.MULTILINE).lstrip("\n"))
+    header, _, cells = body.partition("\n")
+    separator = next((mark for mark in "\t;," if mark in header), None)
+    if separator is None or header.count(separator) > 256 or "\0" in text:
         raise InputError(
-            f"{table.path}: no lead in the column '{printable(columns[0].name)}'; name them I, II, "
-            "V1 to V6"
+            f"{path}: no table of samples (its first line is '{header[:40]}'); the first line must "
+            "name the columns, separated by commas, semicolons or tabs, such as time_ms,I_mV,II_mV"
         )
-    # the longest lead knows the rate best
-    ordered = sorted(stretches.items(), key=lambda item: -len(item[1][0]))
-    evidence = [
-        (f"of lead '{name}'", _rate_of(table, clock, 1.0, f"of lead '{name}'"))
-        for name, (clock, _) in ordered
-    ]
-    rate = _agreed_rate(table, options, evidence)
-    assert rate is not None  # every lead has one
-    firsts = {
-        name: float(clock.mean()) * rate - (len(clock) - 1) / 2
-        for name, (clock, _) in stretches.items()
-    }
-    starts = {name: round(first - min(firsts.values())) for name, first in firsts.items()}
-    length = max(starts[name] + len(clock) for name, (clock, _) in stretches.items())
-    check_extent(length, rate, str(table.path))
-    channels = []
-    for name, (clock, row) in stretches.items():
-        ahead = (clock - clock.mean()) * rate - np.arange(len(clock))
-        if np.ptp(ahead) > _UNEVEN:
-            raise InputError(
-                f"{table.path}: lead '{printable(name)}' is not sampled at the {rate:g} Hz of the "
-                "others; resample all leads at one rate"
+    # where both 1,5 and 0.5 stand in a table, one of them is no number
+    commas = separator != "," and re.search(r"\d,\d", cells) and not re.search(r"\d\.\d", cells)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than in the header
+        try:
+            frame = pd.read_csv(
+                StringIO(body),
+                sep=separator,
+                decimal="," if commas else ".",
+                index_col=False,
+                skipinitialspace=True,
+                low_memory=False,
+                # the other ways crash at 1e4000000000000001 (pandas issue 63089)
+                float_precision="round_trip",
             )
-        channel = Channel(name, row, table.unit_of(columns[2]), lead_or_rhythm(name)[0])
-        channels.append(channel.placed(starts[name], length))
-    rhythm = [lead_or_rhythm(name)[1] for name in stretches]
-    others = sorted(set(named.dropna().astype(str)) - set(stretches))
-    return _raw_recording(channels, rhythm, rate, others, "long table")
-
-
-def _raw_recording(
-    channels: Sequence[Channel],
-    rhythm: Sequence[bool],
-    rate: float,
-    others: Sequence[str],
-    kind: str,
-) -> RawRecording:
-    """Choose between a lead and a rhythm strip of it: on paper, the longer one serves."""
-    chosen, choices = [], {}
-    for channel, strip in zip(channels, rhythm, strict=True):
-        rivals = [
-            other
-            for other, other_strip in zip(channels, rhythm, strict=True)
-            if other.lead == channel.lead and other_strip != strip
-        ]
-        if len(rivals) == 1:
-            mine, other = (np.isfinite(c.values).sum() / rate for c in (channel, rivals[0]))
-            if mine > other or (mine == other and not strip):
-                choices[f"strip_of_{channel.lead}"] = (
-                    f"'{channel.name}' ({mine:.2f} s) is lead {channel.lead}, '{rivals[0].name}' "
-                    f"({other:.2f} s) is left out: the longer one serves"
-                )
-            else:
-                channel = replace(channel, name=f"{channel.name} (left out)", lead=None)
-        chosen.append(channel)
-    chosen += [Channel(name, np.empty(0), None) for name in others]
-    return RawRecording(chosen, rate, kind, provenance=choices)
-
-
-def _agreed_rate(
-    table: Table, options: ReadOptions, evidence: Sequence[tuple[str, float]] = ()
-) -> float | None:
-    """Rate (Hz) that the user, a comment (``# fs: 500``) and the times agree about, if any says it.
-
-    The user's counts first, then that of a comment: those of times may have been rounded.
-    """
-    declared = declared_rate(table.metadata, table.path)
-    rates = [("by --sampling-rate", options.sampling_rate), ("by a comment", declared), *evidence]
-    found = [(who, rate) for who, rate in rates if rate is not None]
-    for who, rate in found[1:]:
-        if not abs(rate - found[0][1]) <= _SAME_RATE * found[0][1]:
+        except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
             raise InputError(
-                f"{table.path}: sampling rate is {found[0][1]:g} Hz {found[0][0]}, {rate:g} Hz "
-                f"{who}; correct the wrong one"
+                f"{path}: not a readable table ({one_line(error)}); give every row the cells of "
+                "the header, and separate numbers with decimal commas by semicolons"
+            ) from error
+    for _, column in frame.select_dtypes(object).items():
+        if column.astype(str).str.contains("\n", regex=False).any():
+            raise InputError(f"{path}: a quotation mark is not closed in its line; remove it")
+    names = [str(name) for name in frame.columns]
+    columns = [_column(name, names, frame.iloc[:, k]) for k, name in enumerate(names)]
+    # "fs: 500"
+    said = (re.fullmatch(r"([\w -]{1,40}?)\s*[:=]\s*(\S.{0,40}?)\s*", line) for line in comments)
+    entries = (entry_of(match[1], match[2]) for match in said if match is not None)
+    return columns, [entry for entry in entries if entry is not None]
+
+
+def _one_header(text: str) -> str:
+    """Join the names and units that PhysioNet's ``rdsamp`` writes in two rows of single quotes.
+
+    Its clock times (``'0:10.002'``) become seconds.
+    """
+    clock = re.compile(r"^'(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4}\.\d{1,9})'", re.ASCII | re.MULTILINE)
+    names, _, rest = text.partition("\n")
+    if not names.startswith("'"):
+        return text
+    if rest.startswith("'") and not clock.match(rest):
+        units, _, rest = rest.replace("hh:mm:ss.mmm", "s", 1).partition("\n")
+        pairs = zip(names.split(","), units.split(","), strict=False)
+        names = ",".join(f"{name} [{unit}]" for name, unit in pairs)
+    rest = clock.sub(lambda at: f"{60 * (60 * int(at[1] or 0) + int(at[2])) + float(at[3])}", rest)
+    return names.replace("'", "") + "\n" + rest
+
+
+def _column(spelt: str, names: Sequence[str], cells: pd.Series) -> _Column:
+    """Tell what a column holds from its name."""
+    name, unit = spelt[:100].strip(), None  # bounds what matching takes
+    renamed = re.fullmatch(r"(.+)\.\d+", name)  # by pandas, of a column that is there twice
+    name = renamed[1] if renamed and renamed[1] in names else name
+    lead, rhythm = _lead_or_rhythm(name)
+    if lead is None:  # "V1 (Wilson)" has no unit
+        brackets = re.fullmatch(r"(.+?)\s*[\[(]\s*([^\])]*?)\s*[\])]", name)  # "V1 [uV]"
+        tail = re.fullmatch(r"(.+?)(?:[_ ]in[_ ]|[_ ]|\s*/\s*)([^_ /]+)", name)  # "V1_uV", "V1/uV"
+        match = brackets or tail
+        if match and (brackets or millivolts(match[2]) or plain_unit(match[2]) in _PER_SECOND):
+            name, unit = match[1], printable(match[2])
+            lead, rhythm = _lead_or_rhythm(name)
+    quantity = name.lower().replace("_", " ")
+    return _Column(printable(spelt), quantity, unit, lead, rhythm, cells)
+
+
+def _lead_or_rhythm(name: str) -> tuple[str | None, bool]:
+    """Return the lead that a name stands for, and whether as a rhythm strip."""
+    strip = r"[\s_(.-]*(?<![a-z])(?:rhythm(?:[\s_]strip)?|long)(?![a-z])\)?[\s_.-]*"
+    rest, found = re.subn(strip, "", name, count=1, flags=re.IGNORECASE)
+    return lead_name(rest), found > 0
+
+
+def _unit(
+    column: _Column, columns: Sequence[_Column], metadata: Sequence[Entry], path: Path
+) -> str | None:
+    """Unit of a lead, which its header and the comments must agree about."""
+    commented = declared_unit(metadata, path, column.name)
+    # what this package writes is in mV
+    own = [each.name for each in columns] == ["time_ms", *LEADS]
+    unit = "mV" if own else column.unit
+    if unit is not None and commented is not None and not same_unit(unit, commented):
+        raise InputError(
+            f"{path}: column '{column.name}' is in '{unit}', a comment says '{commented}'; correct "
+            "the wrong one"
+        )
+    return commented if unit is None else unit
+
+
+def _agreed_rate(path: Path, rates: dict[str, float | None]) -> float | None:
+    """Rate (Hz) that the user, a comment and the times agree about, if any says it.
+
+    The first counts: rates of times may have been rounded.
+    """
+    found = [(who, rate) for who, rate in rates.items() if rate is not None]
+    for who, rate in found[1:]:
+        if not abs(rate - found[0][1]) <= 2e-3 * found[0][1]:  # more is no rounding
+            raise InputError(
+                f"{path}: sampling rate is {found[0][1]:g} Hz {found[0][0]}, {rate:g} Hz {who}; "
+                "correct the wrong one"
             )
     return found[0][1] if found else None
 
 
-def _scale(table: Table, column: Column, times: Floats, options: ReadOptions) -> float:
-    """Return how many units of a time column are a second.
+def _rate_of(
+    path: Path, column: _Column, times: Floats, known: float | None, lead: str = ""
+) -> float:
+    """Rate (Hz) of even times by least squares; they may be rounded, by less than half a step.
 
-    Where its name has no unit, the rate of the user or a comment must be known, and tells it: times
-    step by 1/rate (s), 1000/rate (ms) or 1 (numbers of samples).
+    It is the one that is known where the column has no unit.
     """
-    if column.per_second is not None:
-        return column.per_second
-    rate = _agreed_rate(table, options)
-    if rate is None:
+    where = f"of lead '{lead}'" if lead else f"in the column '{column.name}'"
+    step, steps = _step(times), np.diff(times)
+    if column.per_second is None and known is None:
         raise missing_time_unit(
-            f"{table.path}: unknown unit of the time column '{printable(column.name)}'; name it "
-            "time_ms or time_s, or give the sampling rate in Hz by --sampling-rate",
-            _step(times),
+            f"{path}: unknown unit of the time column '{column.name}'; name it time_ms or time_s, "
+            "or give the sampling rate in Hz by --sampling-rate",
+            step,
         )
-    step = _step(times)
-    for scale in (1.0, 1e3, rate):
-        if abs(step * rate / scale - 1.0) <= _SAME_UNIT:
-            return scale
-    raise InputError(
-        f"{table.path}: column '{printable(column.name)}' steps by {step:g}, which at the {rate:g} "
-        "Hz of --sampling-rate is neither s nor ms nor a number of samples; correct one of them"
-    )
-
-
-def _rate_of(table: Table, times: Floats, scale: float, where: str) -> float:
-    """Rate (Hz) of even times, `scale` of whose units are a second, by least squares.
-
-    Times may be rounded, by less than half a step. `where` says in messages whose they are.
-    """
-    step = _step(times)
     # the step is no number where there are too few times or one is missing or far too large
-    if not step > 0 or (np.diff(times) < 0).any():
+    if not step > 0 or (steps < 0).any():
         raise InputError(
-            f"{table.path}: times {where} are missing or do not increase from row to row; sort or "
+            f"{path}: times {where} are missing or do not increase from row to row; sort or "
             "correct them"
         )
-    if np.ptp(times - times[0] - step * np.arange(len(times))) > _UNEVEN * step:
-        steps = np.diff(times)
+    scale = column.per_second or step * (known or 1.0)
+    if np.ptp(times - times[0] - step * np.arange(len(times))) > 0.5 * step:
         k = int(np.argmax(np.abs(steps - step)))
         raise InputError(
-            f"{table.path}: samples are not evenly spaced ({1000 * steps[k] / scale:g} ms after "
+            f"{path}: samples are not evenly spaced ({1000 * steps[k] / scale:g} ms after "
             f"{times[k] / scale:g} s, {1000 * step / scale:.4g} ms on average); resample, cut the "
             "recording to a part without gaps, or write the times with more digits"
         )
-    return round(scale / step, _RATE_DIGITS)
+    return round(scale / step, 6)  # more digits are rounding of binary numbers
 
 
 def _step(times: Floats) -> float:
     """Mean step of times, by least squares; NaN where there is none."""
     order = np.arange(len(times)) - (len(times) - 1) / 2
-    if len(times) < 2 or not np.abs(times).max() <= _LATEST:
+    if len(times) < 2 or not np.abs(times).max() <= 1e18:  # us since 1970 are below
         return float("nan")
     return float(order @ (times - times[0]) / (order @ order))
+
+
+def _read_long(
+    path: Path,
+    place: _Column,
+    time: _Column,
+    value: _Column,
+    unit: str | None,
+    said: dict[str, float | None],
+) -> RawRecording:
+    """Read one row per lead and time; each lead has even times, at the rate of the others.
+
+    Leads come on common times, each moved by half a sample at most; NaN where it was not recorded.
+    """
+    times, values = time.numbers(path), value.numbers(path)
+    kept = ~np.isnan(values) & place.cells.notna().to_numpy()
+    times, values, leads = times[kept], values[kept], place.cells[kept].astype(str)
+    rows = {
+        str(name): index
+        for name, index in leads.groupby(leads.to_numpy()).indices.items()
+        if _lead_or_rhythm(str(name))[0] is not None and len(index) > 1
+    }
+    if not rows:
+        raise InputError(f"{path}: no lead in the column '{place.name}'; name them I, II, V1 to V6")
+    # the longest lead knows the rate best
+    ordered, known = sorted(rows, key=lambda name: -len(rows[name])), _agreed_rate(path, said)
+    rates: dict[str, float | None] = {
+        f"of lead '{name}'": _rate_of(path, time, times[rows[name]], known, name)
+        for name in ordered
+    }
+    rate, step = _agreed_rate(path, said | rates), _step(times[rows[ordered[0]]])
+    assert rate is not None  # every lead has one
+    samples = {name: times[index] / step for name, index in rows.items()}
+    first = {name: at.mean() - (len(at) - 1) / 2 for name, at in samples.items()}
+    starts = {name: round(start - min(first.values())) for name, start in first.items()}
+    length = max(starts[name] + len(index) for name, index in rows.items())
+    channels = []
+    for name, index in rows.items():
+        if np.ptp(samples[name] - np.arange(len(index))) > 0.5:
+            raise InputError(
+                f"{path}: lead '{name}' is not sampled at the {rate:g} Hz of the others; resample "
+                "all leads at one rate"
+            )
+        channel = Channel(printable(name), values[index], unit, _lead_or_rhythm(name)[0])
+        channels.append(channel.placed(starts[name], length))
+    rhythm = [_lead_or_rhythm(name)[1] for name in rows]
+    return _without_strips(channels, rhythm, rate, sorted(set(leads) - set(rows)), "long table")
+
+
+def _without_strips(
+    channels: Sequence[Channel],
+    rhythm: Sequence[bool],
+    rate: float,
+    others: Sequence[str],
+    format: str,
+) -> RawRecording:
+    """Choose between a lead and a rhythm strip of it: on paper, the longer one serves."""
+    seconds = [np.isfinite(channel.values).sum() / rate for channel in channels]
+    chosen, choices = list(channels), {}
+    for lead in {channel.lead for channel in channels}:
+        rivals = [k for k, channel in enumerate(channels) if channel.lead == lead]
+        if sorted(rhythm[k] for k in rivals) != [False, True]:
+            continue
+        best, other = sorted(rivals, key=lambda k: (-seconds[k], rhythm[k]))
+        choices[f"strip_of_{lead}"] = (
+            f"'{channels[best].name}' ({seconds[best]:.2f} s) is lead {lead}, "
+            f"'{channels[other].name}' ({seconds[other]:.2f} s) is left out: the longer one serves"
+        )
+        name = f"{channels[other].name} (left out)"
+        chosen[other] = replace(channels[other], name=name, lead=None)
+    chosen += [Channel(name, np.empty(0)) for name in others]
+    return RawRecording(chosen, rate, format, provenance=choices)

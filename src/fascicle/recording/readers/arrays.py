@@ -1,0 +1,209 @@
+"""HDF5 (netCDF-4 among them) and MATLAB files: named arrays, one a lead, or a matrix with names.
+
+These have no standard for ECGs. Nothing is guessed: leads, rate and unit must be declared under the
+names in `metadata`, once, or by the user.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError, printable
+from fascicle.recording.readers.names import (
+    Entry,
+    Key,
+    check_physical,
+    declared_rate,
+    declared_unit,
+    entry_of,
+    key_of,
+    lead_name,
+    name_lists,
+)
+from fascicle.recording.readers.read import Channel, RawRecording
+
+if TYPE_CHECKING:
+    import h5py
+
+
+@dataclass(frozen=True)
+class _Array:
+    """Numbers, and what the file says about them alone."""
+
+    numbers: Any
+    metadata: Sequence[Entry] = ()
+
+    @property
+    def values(self) -> Floats:
+        """Without axes of length one; numbers that stand for missing samples are NaN."""
+        values = np.array(self.numbers, dtype=np.float64).squeeze()
+        missing = [entry.value for entry in self.metadata if entry.key is Key.MISSING]
+        values[np.isin(values, missing)] = np.nan
+        return values
+
+
+@dataclass(frozen=True)
+class _Group:
+    """A file, or a group or structure in it; `metadata` is said here and in those around it."""
+
+    name: str
+    metadata: list[Entry]
+    arrays: dict[str, _Array] = field(default_factory=dict)
+    others: list[str] = field(default_factory=list)
+
+
+def read_hdf5(path: Path, sampling_rate: float | None) -> RawRecording:
+    """Read a file with one dataset a lead, or with a matrix and the names of its leads.
+
+    Links are not followed, data in other files are not read.
+    """
+    import h5py
+
+    with h5py.File(path, "r", locking=False) as file:
+        if str(file.attrs.get("format", "")) == "fascicle target":
+            raise InputError(f"{path}: is a target already; give the recording it is made of")
+        stored = _stored(file)
+    is_matlab = path.suffix.lower() == ".mat"
+    return _raw_recording(stored, path, "MATLAB 7.3" if is_matlab else "HDF5")
+
+
+def read_matlab(path: Path, sampling_rate: float | None) -> RawRecording:
+    """Read variables or the fields of a structure, of a file of MATLAB 4 to 7.3, which is HDF5."""
+    from scipy.io import loadmat
+
+    with path.open("rb") as file:
+        start = file.read(128)
+    if b"HDF5" in start:
+        return read_hdf5(path, sampling_rate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # such as that a variable is there twice
+        variables = loadmat(path, appendmat=False, simplify_cells=True)
+    found = {name: value for name, value in variables.items() if not name.startswith("__")}
+    # MATLAB 4 has no header
+    return _raw_recording(found, path, "MATLAB 4" if 0 in start[:4] else "MATLAB 5")
+
+
+def _stored(node: h5py.Group, depth: int = 0) -> dict[str, Any]:
+    """Read a group: its attributes, datasets and groups."""
+    import h5py
+
+    found: dict[str, Any] = _attributes(node)
+    for key in node:
+        item: Any = None
+        if isinstance(node.get(key, getlink=True), h5py.HardLink):
+            item = node[key]
+        if isinstance(item, h5py.Group) and depth < 4:  # more may be a circle
+            found[key] = {} if key.startswith("#") else _stored(item, depth + 1)  # MATLAB's own
+        elif isinstance(item, h5py.Dataset) and not item.is_virtual and not item.external:
+            said = (entry_of(name, value) for name, value in _attributes(item).items())
+            content = _content(item)
+            numeric = isinstance(content, np.ndarray) and content.dtype.kind in "iuf"
+            metadata = [entry for entry in said if entry is not None]
+            found[key] = _Array(content, metadata) if numeric else content
+        else:
+            found[key] = None
+    return found
+
+
+def _attributes(item: Any) -> dict[str, Any]:
+    return {key: item.attrs[key] for key in item.attrs if key_of(key) is not None}
+
+
+def _content(item: h5py.Dataset) -> Any:
+    """Read a dataset; what MATLAB 7.3 stores as codes of characters becomes text."""
+    kind = item.attrs.get("MATLAB_class", b"")
+    if kind == b"cell":
+        cells = [_content(item.file[reference]) for reference in np.ravel(item[()])]
+        return [cell for cell in cells if isinstance(cell, str)]
+    if item.shape is None or "MATLAB_empty" in item.attrs:
+        return None
+    if kind == b"char":
+        return "".join(chr(code) for code in np.ravel(item[()].T))
+    return item[()]
+
+
+def _groups(where: str, stored: Mapping[str, Any], around: Sequence[Entry]) -> Iterator[_Group]:
+    """Yield what a file or structure holds, sorted into metadata and arrays, and those in it."""
+    found = _Group(where or "/", list(around))
+    for key, value in stored.items():
+        name, array = printable(key), value if isinstance(value, _Array) else _Array(value)
+        if isinstance(value, Mapping):
+            continue
+        if (entry := entry_of(name, array.numbers)) is not None:
+            found.metadata.append(entry)
+        elif isinstance(array.numbers, np.ndarray) and array.numbers.dtype.kind in "iuf":
+            found.arrays[name] = array
+        else:
+            found.others.append(name)
+    yield found
+    for name, value in stored.items():
+        if isinstance(value, Mapping):
+            yield from _groups(f"{where}/{printable(name)}", value, found.metadata)
+
+
+def _raw_recording(stored: Mapping[str, Any], path: Path, format: str) -> RawRecording:
+    """Make a raw recording of the one place in a file that holds leads."""
+    groups = list(_groups("", stored, []))
+    places = {where: found for group in groups for where, found in _leads(group, path).items()}
+    if not places:
+        raise _nothing_found(groups, path)
+    if len(places) > 1:
+        raise InputError(
+            f"{path}: leads in {' and '.join(list(places)[:3])}; keep one recording in the file"
+        )
+    ((channels, said),) = places.values()
+    check_physical(said, path)
+    return RawRecording(channels, declared_rate(said, path), format)
+
+
+def _leads(group: _Group, path: Path) -> dict[str, tuple[list[Channel], list[Entry]]]:
+    """Leads of a group and what is said of them, by where: arrays named so, matrices with names."""
+    vectors, said, found = [], list(group.metadata), {}
+    for name, array in group.arrays.items():
+        values, metadata = array.values, [*array.metadata, *group.metadata]
+        if values.ndim == 1:
+            unit = None if lead_name(name) is None else declared_unit(metadata, path, name)
+            vectors.append(Channel(name, values, unit))
+            said += [] if lead_name(name) is None else array.metadata
+        names = [n for n in name_lists(metadata) if len(n) in values.shape and _are_leads(n)]
+        if values.ndim != 2 or not names:
+            continue
+        if len(set(names)) > 1 or values.shape[0] == values.shape[1]:
+            raise InputError(
+                f"{path}: lead names of '{name}' ({_size(array)}) are ambiguous; keep one list of "
+                "names, as long as one side of the matrix only"
+            )
+        rows, count = values if len(names[0]) == len(values) else values.T, len(names[0])
+        units = [declared_unit(metadata, path, lead, (k, count)) for k, lead in enumerate(names[0])]
+        found[f"'{name}' of {group.name}"] = (list(map(Channel, names[0], rows, units)), metadata)
+    if _are_leads([vector.name for vector in vectors]):
+        found[f"arrays named after leads of {group.name}"] = (vectors, said)
+    return found
+
+
+def _are_leads(names: Sequence[str]) -> bool:
+    """Whether two names at least are leads, so that a stray variable `i` makes no recording."""
+    return sum(lead_name(name) is not None for name in names) > 1
+
+
+def _size(array: _Array) -> str:
+    return " x ".join(str(length) for length in np.shape(array.numbers) if length != 1)
+
+
+def _nothing_found(groups: Sequence[_Group], path: Path) -> InputError:
+    """Say what is there instead of leads, and what to add."""
+    there = [f"'{name}' ({_size(a)})" for group in groups for name, a in group.arrays.items()]
+    there += [f"'{name}' (no numbers)" for group in groups for name in group.others]
+    # a record of a PhysioNet challenge
+    header = ", or give the WFDB header (.hea) of the record" * ("val" in groups[0].arrays)
+    return InputError(
+        f"{path}: no leads (found: {', '.join(there[:4]) or 'nothing'}); name the arrays I, II, V1 "
+        f"to V6, or add a list 'leads' of names to one matrix{header}"
+    )

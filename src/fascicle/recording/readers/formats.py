@@ -1,0 +1,153 @@
+"""The formats that are read, a `Reader` each: help texts and documentation follow from this list.
+
+Nothing heavy is imported here: a format's own module loads when a file of it is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fascicle.core.errors import InputError
+
+if TYPE_CHECKING:
+    from fascicle.recording.readers.read import RawRecording
+
+
+def _never(start: bytes) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What reads the files of one format.
+
+    Attributes
+    ----------
+    format : str
+        Its name.
+    suffixes : tuple of str
+        How the names of its files end, such as ``.csv``.
+    read : function
+        Called as ``read(path, sampling_rate)``, returns a `RawRecording`. `sampling_rate` is what
+        the user says of a file, usually None. Whatever it raises makes the file a damaged one.
+    recognises : function, optional
+        Whether a file that begins with so many bytes (at most 512) is of this format. What the
+        content says counts before what the name says.
+    notes : str
+        For the table of formats in the documentation.
+    largest : int
+        Size of the largest file that is opened (bytes).
+    isolated : bool
+        Whether to read in a child process with limits on its time and memory, which cannot reach
+        functions that a script or a notebook defines.
+    """
+
+    format: str
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, float | None], RawRecording]
+    recognises: Callable[[bytes], bool] = _never
+    notes: str = ""
+    largest: int = 512 * 2**20
+    isolated: bool = False
+
+
+def _built_in(
+    name: str, suffixes: str, place: str, notes: str, recognises: Callable[[bytes], bool] = _never
+) -> Reader:
+    """Reader by a function, ``module.function``, that is loaded when it is called."""
+    module, function = place.split(".")
+
+    def read(path: Path, sampling_rate: float | None) -> Any:
+        loaded = import_module(f"fascicle.recording.readers.{module}")
+        return getattr(loaded, function)(path, sampling_rate)
+
+    return Reader(name, tuple(suffixes.split()), read, recognises, notes, isolated=True)
+
+
+READERS = [
+    _built_in(
+        "WFDB", ".hea", "clinical.read_wfdb",
+        "or the record's name; several files and segments; the header's gains count",
+    ),
+    _built_in(
+        "DICOM waveform", ".dcm", "dicom.read_dicom",
+        "the group with the most leads; groups that follow one another are put side by side in "
+        "time",
+        lambda start: start[128:132] == b"DICM",
+    ),
+    _built_in(
+        "HL7 aECG, GE MUSE, Philips or Mortara XML", ".xml", "clinical.read_clinical",
+        "entities are refused, nothing is fetched, checksums must be right",
+        lambda start: start.lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n\0").startswith(b"<"),
+    ),
+    _built_in(
+        "SCP-ECG", ".scp", "clinical.read_clinical", "checksums must be right",
+        lambda start: start[16:22] == b"SCPECG",
+    ),
+    _built_in(
+        "EDF", ".edf", "clinical.read_clinical", "EDF+ as well, without gaps",
+        lambda start: start.startswith(b"0       ") and len(start) >= 256,
+    ),
+    _built_in(
+        "ISHNE", ".ecg", "clinical.read_clinical", "checksums must be right",
+        lambda start: start.startswith(b"ISHNE1.0"),
+    ),
+    _built_in("MFER", ".mwf .mfer", "clinical.read_clinical", "uncompressed"),
+    _built_in(
+        "HDF5", ".h5 .hdf5 .nc", "arrays.read_hdf5",
+        "one array for each lead, or one matrix with the leads' names; see the keys below",
+        lambda start: start.startswith(b"\x89HDF\r\n\x1a\n"),
+    ),
+    _built_in(
+        "MATLAB", ".mat", "arrays.read_matlab", "versions 4 to 7.3; as HDF5",
+        lambda start: start.startswith(b"MATLAB "),
+    ),
+    _built_in("table", ".csv .tsv .txt", "tables.read_table", "see below"),
+]  # fmt: skip
+
+
+def register_reader(reader: Reader) -> None:
+    """Add a format to those that are read, in this process; it comes before the others.
+
+    Parameters
+    ----------
+    reader : Reader
+        Takes the place of one whose format has the same name.
+    """
+    READERS[:] = [reader, *(other for other in READERS if other.format != reader.format)]
+
+
+def known_formats() -> str:
+    """Formats with their suffixes, for help texts and messages."""
+    return ", ".join(f"{reader.format} ({', '.join(reader.suffixes)})" for reader in READERS)
+
+
+def formats_table() -> str:
+    """Formats with their notes, for the documentation."""
+    rows = (
+        f"| {reader.format} | {', '.join(f'`{s}`' for s in reader.suffixes)} | {reader.notes} |"
+        for reader in READERS
+    )
+    return "\n".join(["| format | files | notes |", "|---|---|---|", *rows])
+
+
+def reader_of(path: Path) -> Reader:
+    """Reader of a file that is not empty or too large, by its content or else by its name."""
+    with path.open("rb") as file:
+        start, suffix = file.read(512), path.suffix.lower()
+    found = [reader for reader in READERS if reader.recognises(start)]
+    found += [reader for reader in READERS if suffix in reader.suffixes]
+    if not start or not found:
+        what = f"'{suffix}' recordings cannot be read" if start else "the file is empty"
+        raise InputError(f"{path}: {what}; give {known_formats()}")
+    size, largest = path.stat().st_size / 2**20, found[0].largest / 2**20
+    if size > largest:
+        raise InputError(
+            f"{path}: {size:.0f} MB; cut the recording to a part of at most {largest:.0f} MB, 10 s "
+            "are enough"
+        )
+    return found[0]
