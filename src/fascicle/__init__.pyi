@@ -30,10 +30,6 @@ from .purkinje.tree import InvalidTree as InvalidTree
 from .purkinje.tree import PurkinjeTree as PurkinjeTree
 from .recording.pipeline import analyse as analyse
 from .recording.pipeline import make_target as make_target
-from .recording.readers.formats import Reader as Reader
-from .recording.readers.formats import register_reader as register_reader
-from .recording.readers.read import Channel as Channel
-from .recording.readers.read import RawRecording as RawRecording
 from .recording.readers.read import read_recording as read_recording
 from .recording.target_files import read_target as read_target
 from .recording.target_options import TargetOptions as TargetOptions

@@ -27,10 +27,7 @@ _MOST_BEATS = 100_000  # of the longest recording, by far
 _WIDTH = 15  # of the first column
 
 
-RecordingArgument = Annotated[
-    Path,
-    typer.Argument(help=f"One of {known_formats()}."),
-]
+RecordingArgument = Annotated[Path, typer.Argument(help=f"One of {known_formats()}.")]
 TargetOption = Annotated[
     Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
 ]

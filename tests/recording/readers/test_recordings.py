@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,8 +14,16 @@ from pydicom.data import get_testdata_file
 from refusals import refused
 
 from fascicle.core.leads import LEADS
-from fascicle.recording.readers.formats import reader_of
+from fascicle.recording.readers.formats import (
+    READERS,
+    Reader,
+    formats_table,
+    reader_of,
+    register_reader,
+)
 from fascicle.recording.readers.read import read_recording
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 
 @pytest.fixture
@@ -87,3 +97,42 @@ def test_same_recording_from_two_formats(data_folder, tmp_path):
     second = read_recording(tmp_path / "a.csv")
     assert second.signal == pytest.approx(first.signal, abs=1e-9)
     assert second.sampling_rate == first.sampling_rate
+
+
+def test_the_documentation_names_every_format():
+    assert formats_table() in (DOCS / "recordings.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def readers():
+    """Takes back what a test registers."""
+    before = list(READERS)
+    yield
+    READERS[:] = before
+
+
+def test_the_example_of_the_documentation(readers, monkeypatch, tmp_path, dicom):
+    """A format that is registered outside the package is one of those that are read."""
+    page = (DOCS / "extending.md").read_text(encoding="utf-8").split("## Reader")[1]
+    example = re.search(r"```python\n(.*?)```", page, re.DOTALL)[1]
+    assert example.count("\n") < 40
+    monkeypatch.chdir(tmp_path)
+    found = {}
+    exec(example, found)
+    expected = read_recording(dicom)
+    recording = read_recording("a.lab")
+    assert recording.provenance["format"] == "laboratory"
+    assert recording.sampling_rate == 1000
+    assert np.abs(recording.signal - expected.signal)[6:].max() <= 0.0025 + 1e-12
+    assert recording.digits_per_millivolt[6] == 200
+    assert len(found["target"].beats) > 5
+    Path("a.lab").write_bytes(b"LAB 1000\n123")
+    refused(Path("a.lab"), "damaged, truncated or unusual laboratory file")
+    Path("a.lab2").write_bytes(b"lab")
+    refused(Path("a.lab2"), "laboratory (.lab)")
+
+
+def test_a_reader_of_the_same_name_takes_the_place(readers, tmp_path):
+    register_reader(Reader("table", (".csv",), lambda path, sampling_rate: None, largest=10))
+    (tmp_path / "a.csv").write_bytes(b"x" * 100)
+    refused(tmp_path / "a.csv", "at most 0 MB")

@@ -15,7 +15,6 @@ from refusals import fuzzing, outcome, refused
 
 from fascicle.core import isolated
 from fascicle.core.leads import LEADS, lead_matrix
-
 from fascicle.recording.readers.read import read_recording
 
 RATE, N = 500, 1000

@@ -13,7 +13,6 @@ from clinical_files import replaced, saved
 from refusals import refused
 
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
-
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
 
@@ -168,9 +167,7 @@ class TestRate:
         recording = read_recording(saved(tmp_path, files.aecg(digits, step=step)))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
 
-    @pytest.mark.parametrize(
-        ("base", "exponent", "rate"), [("5", "2", 500), ("1000", "", 1000)]
-    )
+    @pytest.mark.parametrize(("base", "exponent", "rate"), [("5", "2", 500), ("1000", "", 1000)])
     def test_base_and_exponent(self, tmp_path, digits, base, exponent, rate):
         content = files.muse(digits, base=base, exponent=exponent)
         recording = read_recording(saved(tmp_path, content))
@@ -303,7 +300,8 @@ class TestDamage:
         [
             ("<LeadByteCountTotal>4000", "<LeadByteCountTotal>4002"),
             ("<LeadSampleCountTotal>2000", "<LeadSampleCountTotal>-1"),
-            ("<LeadSampleSize>2", "<LeadSampleSize>3"), ("<LeadSampleSize>2", "<LeadSampleSize>inf"),
+            ("<LeadSampleSize>2", "<LeadSampleSize>3"),
+            ("<LeadSampleSize>2", "<LeadSampleSize>inf"),
             ("<WaveFormData>", "<WaveFormData>*!"), ("<WaveformType>Rhythm", "<WaveformType>Other"),
         ],
     )  # fmt: skip

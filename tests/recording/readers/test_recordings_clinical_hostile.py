@@ -15,7 +15,6 @@ from refusals import fuzzing, refused
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS
-
 from fascicle.recording.readers.read import read_recording
 
 

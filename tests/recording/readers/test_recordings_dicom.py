@@ -342,7 +342,8 @@ def test_padding_is_a_gap(tmp_path):
         {"NumberOfWaveformSamples": 0}, {"NumberOfWaveformSamples": N + 1},
         {"NumberOfWaveformSamples": 2**32 - 1}, {"NumberOfWaveformSamples": None},
         {"NumberOfWaveformChannels": 11}, {"ChannelDefinitionSequence": []},
-        {"ChannelDefinitionSequence": None}, {"WaveformData": None}, {"WaveformBitsAllocated": None},
+        {"ChannelDefinitionSequence": None}, {"WaveformData": None},
+        {"WaveformBitsAllocated": None},
     ],
 )  # fmt: skip
 def test_groups_that_are_refused(tmp_path, elements):

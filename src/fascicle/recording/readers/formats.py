@@ -9,12 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fascicle.core.errors import InputError
-
-if TYPE_CHECKING:
-    from fascicle.recording.readers.read import RawRecording
 
 
 def _never(start: bytes) -> bool:
@@ -48,7 +45,7 @@ class Reader:
 
     format: str
     suffixes: tuple[str, ...]
-    read: Callable[[Path, float | None], RawRecording]
+    read: Callable[[Path, float | None], Any]
     recognises: Callable[[bytes], bool] = _never
     notes: str = ""
     largest: int = 512 * 2**20

@@ -147,7 +147,7 @@ def read_raw(path: Path, format: str, sampling_rate: float | None) -> RawRecordi
     """What a file of a format holds; whatever its reader raises is a damaged file."""
     reader = next(reader for reader in READERS if reader.format == format)
     try:
-        raw = reader.read(path, sampling_rate)
+        raw: RawRecording = reader.read(path, sampling_rate)
     except (InputError, MemoryError):
         raise
     except Exception as error:

@@ -66,7 +66,7 @@ class _Column:
             values = self.cells.to_numpy(dtype=np.float64)
         wrong = ~np.isfinite(values) & self.cells.notna().to_numpy()
         if wrong.any():
-            number = r"\s*[+-]?(?:\d{1,300}\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?\s*"
+            number = r"\s*[+-]?(?:\d{1,300}(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,2})?\s*"
             wrong &= ~self.cells.astype(str).str.fullmatch(number).to_numpy()
             row = int(np.argmax(wrong))
             raise InputError(
