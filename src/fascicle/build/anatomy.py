@@ -44,10 +44,10 @@ class Source:
                 "give either one file (surface, segmentation or mesh) or separate surfaces "
                 "(--lv-endocardium, --rv-endocardium, --epicardium)"
             )
-        missing = {"lv", "rv", "epicardium"} - set(self.parts)
+        missing = [part for part in ("lv", "rv", "epicardium") if part not in self.parts]
         if self.parts and missing:
             raise InputError(
-                f"separate surfaces: {', '.join(sorted(missing))} missing; give all of "
+                f"separate surfaces: {', '.join(missing)} missing; give all of "
                 "--lv-endocardium, --rv-endocardium and --epicardium"
             )
 

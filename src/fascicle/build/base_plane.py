@@ -14,17 +14,7 @@ LEVEL = 1.0  # mm, resolution of the search along the axis
 
 @dataclass(frozen=True)
 class BasePlane:
-    """A plane across the heart.
-
-    Attributes
-    ----------
-    point : (3,) array
-        A point of it (mm).
-    normal : (3,) array
-        Unit vector from the apex to the base.
-    how : str
-        What it was found by, for a message.
-    """
+    """A plane by a point (mm) and the unit vector from apex to base, and how it was found."""
 
     point: Floats
     normal: Floats

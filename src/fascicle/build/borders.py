@@ -52,12 +52,8 @@ def smoothed_regions(graph: DualGraph, regions: Integers) -> Integers:
 def cut_along_borders(surface: LabelledSurface, edge_length: float = NARROWEST) -> LabelledSurface:
     """The same surface with triangles divided so that borders need not follow their edges.
 
-    Parameters
-    ----------
-    surface : LabelledSurface
-        Closed, with `Label.BASE` between the other labels.
-    edge_length : float
-        Of the triangles to come (mm); the base is nowhere narrower than that.
+    The surface is closed, with `Label.BASE` between the other labels. The base is nowhere narrower
+    than the edge length of the triangles to come (mm).
     """
     for part in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):
         inside = surface.labels == part
@@ -108,16 +104,10 @@ def _level(graph: DualGraph, inside: Booleans) -> Floats:
 
 
 class CutSurface(NamedTuple):
-    """A surface none of whose triangles lies on both sides of a line.
+    """A surface none of whose triangles (m, 3) lies on both sides of a line.
 
-    Attributes
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm), those that were there first, and vertex indices.
-    parent : (m,) array
-        The triangle that each is part of.
-    side : (m,) array
-        1 where the function is positive, -1 where negative, 0 where all corners are on the line.
+    The old vertices come first. `parent` (m,) is the triangle that each is part of, `side` (m,) 1
+    where the function is positive, -1 where negative, 0 where all corners are on the line.
     """
 
     vertices: Floats
@@ -127,15 +117,7 @@ class CutSurface(NamedTuple):
 
 
 def cut_at_zero(vertices: Floats, triangles: Integers, values: Floats) -> CutSurface:
-    """Divide the triangles that the zero level of a function passes through.
-
-    Parameters
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        The surface (mm).
-    values : (n,) array
-        The function at its vertices, linear between them.
-    """
+    """Divide the triangles that the zero level of a function, given at the vertices, crosses."""
     near = 0.15  # of an edge; a line that passes a vertex so near is led through it
     values = values.copy()
     edges, _ = unique_edges(triangles)

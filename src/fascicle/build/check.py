@@ -84,13 +84,23 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
     walls = wall_thickness(mesh)
     shape = quality(heart.vertices, heart.tetrahedra)
     helix = helix_angles(mesh, heart)
+    lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
+    muscle, extent = heart.volumes.sum() / 1e3, np.ptp(heart.vertices, axis=0)
     rows = [
-        *_tissue_rows(heart, shape),
-        *_wall_rows(walls),
-        *_endocardium_rows(heart, charts),
-        *_helix_rows(helix),
-        *_torso_rows(heart),
+        ("myocardium", f"{muscle:.1f} ml; cavities LV {lv:.0f}, RV {rv:.0f} ml"),
+        ("extent", " x ".join(f"{size:.0f}" for size in extent) + " mm"),
+        ("mesh", str(shape)),
     ]
+    for name, wall in zip(WALLS, walls, strict=True):
+        if wall.thickness.size:
+            low, high = np.percentile(wall.thickness, [5, 95])
+            rows.append((name, f"{wall.median:.1f} mm thick ({low:.1f} to {high:.1f})"))
+    rows += _endocardium_rows(heart, charts)
+    for name, angles in helix.items():
+        if angles.depth.size:
+            layers = ", ".join("-" if np.isnan(a) else f"{a:.0f}" for a in angles.in_layers())
+            rows.append((f"helix, {name}", f"{layers} degrees, inside to outside"))
+    rows += _torso_rows(heart)
     warnings = [
         *_size_warnings(heart, walls, shape, charts),
         *_fibre_warnings(helix),
@@ -146,25 +156,6 @@ def _helix(fibres: Floats, outward: Floats, up: Floats) -> Floats:
     return np.asarray(90 - (90 - np.degrees(angle)) % 180)
 
 
-def _tissue_rows(heart: Heart, shape: Quality) -> list[tuple[str, str]]:
-    lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
-    extent = np.ptp(heart.vertices, axis=0)
-    return [
-        ("myocardium", f"{heart.volumes.sum() / 1e3:.1f} ml; cavities LV {lv:.0f}, RV {rv:.0f} ml"),
-        ("extent", " x ".join(f"{size:.0f}" for size in extent) + " mm"),
-        ("mesh", str(shape)),
-    ]
-
-
-def _wall_rows(walls: Walls) -> list[tuple[str, str]]:
-    rows = []
-    for name, wall in zip(WALLS, (walls.lv, walls.septum, walls.rv), strict=True):
-        if wall.thickness.size:
-            low, high = np.percentile(wall.thickness, [5, 95])
-            rows.append((name, f"{wall.median:.1f} mm thick ({low:.1f} to {high:.1f})"))
-    return rows
-
-
 def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[str, str]]:
     rows = []
     for e in heart.endocardia:
@@ -184,15 +175,6 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
                 f"one way than the other (fine up to {DISTORTED:g})",
             ),
         ]
-    return rows
-
-
-def _helix_rows(helix: Mapping[str, HelixAngles]) -> list[tuple[str, str]]:
-    rows = []
-    for name, angles in helix.items():
-        if angles.depth.size:
-            layers = ", ".join("-" if np.isnan(a) else f"{a:.0f}" for a in angles.in_layers())
-            rows.append((f"helix, {name}", f"{layers} degrees, inside to outside"))
     return rows
 
 

@@ -50,9 +50,8 @@ def classify_surface(
     Returns
     -------
     LabelledSurface
-        The same triangles, turned to face out of the tissue, with `Label.BASE`,
-        `Label.EPICARDIUM`, `Label.LV_ENDOCARDIUM` and `Label.RV_ENDOCARDIUM`; each of these is one
-        piece and each endocardium has one opening. Vertices that no triangle uses are dropped.
+        The same triangles, turned to face out of the tissue; each label is one piece and each
+        endocardium has one opening. Vertices that no triangle uses are dropped.
     """
     vertices, triangles = without_unused_vertices(vertices, triangles)
     check_units(name, vertices)

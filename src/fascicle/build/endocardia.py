@@ -29,15 +29,10 @@ from fascicle.mesh.topology import (
 
 
 class EndocardialSurface(NamedTuple):
-    """One endocardium, in register with the mesh that it comes from.
+    """One endocardium: vertices (n, 3) exactly those of its mesh (mm), and triangles (m, 3).
 
-    Attributes
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm), exactly those of the mesh's vertices, and vertex indices,
-        counter-clockwise seen from inside the cavity.
-    valve : (m,) array of bool
-        Triangles that close a valve's opening: no tissue is there.
+    These are counter-clockwise seen from inside the cavity; where `valve` (m,) is true they close a
+    valve's opening, and no tissue is there.
     """
 
     vertices: Floats

@@ -128,15 +128,7 @@ def write_opencarp(
     in ``<stem>_lv_endo``, ``_rv_endo``, ``_epi`` and ``_base``, each as ``.surf`` and ``.vtx``. An
     endocardium that is no part of the mesh is ``<stem>_lv_endocardium.pts`` and ``.elem`` besides,
     with triangles of its own, less what spans a valve opening.
-
-    Parameters
-    ----------
-    heart, surface : Heart and LabelledMesh
-        The heart, and its boundary with labels.
-    stem : Path
-        Folder and name of the files, without a suffix.
-    trees : iterable of PurkinjeTree
-        Written beside it as ``lv_tree`` and ``rv_tree``; see `fascicle.purkinje.tree_files`.
+    Trees are written as ``lv_tree`` and ``rv_tree``; see `fascicle.purkinje.tree_files`.
     """
     regions = heart.regions
     tags = regions if regions is not None else np.full(len(heart.tetrahedra), ONE_REGION)

@@ -32,15 +32,7 @@ CLEAR = 0.7  # of the spacing that inner points of the base keep from the loops
 
 @dataclass(frozen=True)
 class OpenSurface:
-    """An open surface that is one manifold piece.
-
-    Attributes
-    ----------
-    what : str
-        What it is, in messages.
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices, consistently oriented.
-    """
+    """An open surface (mm) that is one manifold piece, oriented, and what it is in messages."""
 
     what: str
     vertices: Floats

@@ -16,18 +16,9 @@ PADDING = 5  # voxels around a mask, three standard deviations of the smoothing
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of cubes whose top layer lies in the base plane.
+    """A grid of cubes (edge in mm) whose top layer lies in the base plane.
 
-    Attributes
-    ----------
-    origin : (3,) array
-        Position of the first node (mm).
-    axes : (3, 3) array
-        Rows are the unit vectors of the three directions; the third is the base plane's normal.
-    shape : tuple of int
-        Nodes in each direction.
-    edge : float
-        Distance of neighbouring nodes (mm).
+    The rows of `axes` (3, 3) are its directions, the third the base plane's normal.
     """
 
     origin: Floats
@@ -95,16 +86,7 @@ def level_set(mask: Booleans, masks: Masks, plane: BasePlane, grid: Grid) -> Flo
     functions, so curved surfaces do not shrink. A constant is added such that the volume below
     the plane is the mask's.
 
-    Parameters
-    ----------
-    mask : (i, j, k) boolean array
-        A part, on the voxel grid of `masks`.
-    masks : Masks
-        The segmentation.
-    plane : BasePlane
-        The part counts below it.
-    grid : Grid
-        Where the function is wanted.
+    The mask (i, j, k) is on the voxel grid of `masks`, and counts below the plane.
     """
     mask = _continued_above(mask, masks, plane)
     spacing = np.linalg.norm(masks.affine[:3, :3], axis=0)

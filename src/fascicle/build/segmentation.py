@@ -113,16 +113,9 @@ class SegmentationLabels:
 
 @dataclass(frozen=True)
 class Masks:
-    """The parts of a segmentation as masks on a grid that just holds them.
+    """Blood of each ventricle, and muscle with scar, as masks on a grid that just holds them.
 
-    Attributes
-    ----------
-    lv, rv, tissue : (i, j, k) boolean arrays
-        Blood of each ventricle, and muscle with scar; no voxel at the edge is in any of them.
-    affine : (4, 4) array
-        From indices into these arrays to mm.
-    name : str
-        What to call the segmentation in messages.
+    No voxel at the edge is in any of them; the affine is from indices into them to mm.
     """
 
     lv: Booleans

@@ -25,16 +25,6 @@ def read_segmentation(path: Path | str) -> Segmentation:
     NIfTI positions are RAS+ by definition. NRRD positions stay in the file's space, which must be
     LPS or RAS; a file that names no space gives spacings alone, and its own axes are kept, with the
     first voxel at the origin unless the file says otherwise.
-
-    Parameters
-    ----------
-    path : path
-        A ``.nii``, ``.nii.gz``, ``.nrrd`` or ``.nhdr`` file.
-
-    Returns
-    -------
-    Segmentation
-        Labels, and the affine from voxel index to mm.
     """
     path = Path(path)
     packed = path.name.lower().endswith(".nii.gz")

@@ -59,15 +59,8 @@ def surface_from_segmentation(
     Where less than 80 % of the RV's blood has tissue around it, as in maps of the LV myocardium
     alone, a wall of 3 mm is put around it.
 
-    Parameters
-    ----------
-    segmentation, labels : Segmentation, SegmentationLabels
-        The label map, and which number stands for what.
-    progress : StageProgress
-        Called with the steps done and in all.
-    notes : list of str, optional
-        A line is added for everything found or changed: small components, an added wall, the base
-        plane, mended cavities.
+    A line is added to the notes for everything found or changed: small components, an added wall,
+    the base plane, mended cavities.
 
     Returns
     -------

@@ -127,13 +127,8 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
     Fan, Lai et al. 2009, Loop subdivision surface based progressive interpolation, J Comput Sci
     Technol 24:39-46.
 
-    Returns
-    -------
-    surface : LabelledSurface
-        Closed, with edges of at most two edge lengths (mean); remeshing does the rest. The label of
-        each triangle is that of the one it is part of.
-    note : str
-        What was done, for people.
+    The mean edge is then at most two edge lengths; remeshing does the rest. A note for people says
+    what was done.
     """
     given = closed_surface(surface)
     before = mean_edge_length(given.vertices, given.triangles)

@@ -36,11 +36,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     20 mm, triangles facing the wrong way and small components of labels are repaired. Where parts
     cut through one another, the surface is drawn anew around what lies within.
 
-    Returns
-    -------
-    LabelledSurface
-        Closed, in one piece, not cutting itself, and facing outwards; each endocardium in one
-        piece.
+    Afterwards it is closed, in one piece, does not cut itself, and faces outwards.
     """
     missing = missing_parts(surface.labels)
     if missing:

@@ -25,14 +25,9 @@ NOTHING = 0  # Netgen's number for what stays empty
 
 
 class Interface(NamedTuple):
-    """A closed surface between two domains.
+    """A closed surface (mm), counter-clockwise seen from outside, between two domains.
 
-    Attributes
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices, counter-clockwise seen from outside.
-    inner, outer : int
-        Numbers of the domains inside and outside, 1 and up without gaps, or `NOTHING`.
+    Domains have numbers from 1 up without gaps, or are `NOTHING`.
     """
 
     vertices: Floats

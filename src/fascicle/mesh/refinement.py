@@ -13,16 +13,9 @@ CHILDREN = 8  # of each tetrahedron
 
 
 class Refinement(NamedTuple):
-    """Tetrahedra in eight, numbered together, those of the first parent first.
+    """Tetrahedra in eight (8 m, 4), numbered together, those of the first parent first.
 
-    Attributes
-    ----------
-    vertices : (n + e, 3) array
-        The old vertices, then the midpoints of the edges (mm).
-    tetrahedra : (8 m, 4) array
-        Positively oriented, if the parents are.
-    edges : (e, 2) array
-        The old vertices that each new one lies between.
+    The vertices (n + e, 3) are the old ones, then the midpoints of the edges (e, 2).
     """
 
     vertices: Floats
