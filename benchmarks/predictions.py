@@ -26,7 +26,8 @@ from fascicle.study.space import study_space
 from fascicle.study.target_comparison import Network, TargetComparison
 
 SCENARIOS = (
-    "intrinsic", "his-pacing", "left-bundle-pacing", "left-bundle-pacing-nonselective",
+    "intrinsic", "his-pacing", "left-bundle-branch-pacing",
+    "left-bundle-branch-pacing-nonselective",
     "rv-apical-pacing", "biventricular-pacing",
 )  # fmt: skip
 

@@ -46,7 +46,7 @@ def commands(data: Path) -> Iterator[list[str]]:
     yield ["fit", "default", target, *FIT, *posterior, "--out", "posterior"]
     paper = ["--method", "paper", "--initial", "30", "--steps", "10", "--samples", "3"]
     yield ["fit", "default", target, *FIT, *paper, "--draws", "20000", "--out", "paper"]
-    yield ["predict", "posterior", "--scenario", "left-bundle-pacing", "--out", "prediction"]
+    yield ["predict", "posterior", "--scenario", "his-pacing-nonselective", "--out", "prediction"]
 
 
 def run(checkout: Path, folder: Path, data: Path) -> None:

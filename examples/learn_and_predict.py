@@ -44,12 +44,12 @@ _ = fascicle.plot.ecg(study)
 # What scenarios do in every network: an interval is what the ECG leaves open.
 
 # %%
-predicted = fascicle.predict(study, ["left-bundle-pacing", "rv-apical-pacing"])
+predicted = fascicle.predict(study, ["left-bundle-branch-pacing", "rv-apical-pacing"])
 _ = fascicle.plot.indices(predicted)
 
 # %%
 found = fascicle.compare(
-    predicted["left-bundle-pacing"], predicted["rv-apical-pacing"], "total_activation_time"
+    predicted["left-bundle-branch-pacing"], predicted["rv-apical-pacing"], "total_activation_time"
 )
 low, high = found.interval
 print(f"probability to be faster {found.probability():.2f}, by {low:.0f} to {high:.0f} ms")

@@ -30,7 +30,7 @@ print(f"QRS window {own.qrs_duration:.0f} ms, activation {own.total_activation_t
 # %%
 NAMES = [
     "left-bundle-branch-block",
-    "left-bundle-pacing",
+    "left-bundle-branch-pacing",
     "rv-apical-pacing",
     "biventricular-pacing",
 ]
@@ -52,11 +52,11 @@ for name, found in simulated.items():
 # late instead of the left one.
 
 # %%
-pacing = scenarios["left-bundle-pacing"]
+pacing = scenarios["left-bundle-branch-pacing"]
 with_block = replace(pacing, his=replace(pacing.his, left=0.0))
 paced = model.activate(own.trees, scenario=with_block, **learnt)
 blocked = simulated["left-bundle-branch-block"]
 print(f"paced, with the block: QRS window {paced.qrs_duration:.0f} ms")
 assert blocked.qrs_duration > own.qrs_duration + 10
-assert simulated["left-bundle-pacing"].qrs_duration + 10 < paced.qrs_duration
+assert simulated["left-bundle-branch-pacing"].qrs_duration + 10 < paced.qrs_duration
 assert paced.qrs_duration < blocked.qrs_duration

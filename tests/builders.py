@@ -10,6 +10,8 @@ from numba import njit
 from benchmarks.references import solve_from_vertices
 from fascicle.forward.eikonal.activation import attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
+from fascicle.forward.primitives import InactiveRoot, JunctionDelays
+from fascicle.forward.scenario import Scenario
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
 from fascicle.heart.heart import Heart
@@ -257,3 +259,13 @@ def lowest_offers(vertices, corners, metric, time, halvings):
             gram[:] = edges @ metric[e] @ edges.T
             offers[vertex] = min(offers[vertex], brute_force(gram, t, halvings))
     return offers
+
+
+def case(stimuli=(), slow=(), *, inactive=(), his=None, delays=None, **options) -> Scenario:
+    """A scenario of primitives by kind."""
+    others = [*map(InactiveRoot, inactive)]
+    if delays is not None:
+        others.append(JunctionDelays(**delays))
+    if his is not None:
+        others.append(his)
+    return Scenario((*stimuli, *slow, *others), **options)

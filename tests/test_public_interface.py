@@ -66,7 +66,7 @@ ALSO = {
 }
 # Of the numbers and texts of these `test_an_answer_or_one_line` tries more
 TRIED_ABOVE = {
-    "Stimulus", "Slowing", "His", "Region", "GrowthRules", "TargetOptions", "FitSettings",
+    "Stimulus", "SlowConduction", "His", "Region", "GrowthRules", "TargetOptions", "FitSettings",
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
@@ -94,15 +94,15 @@ def study(recording, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def predicted(study):
-    return fascicle.predict(study, "left-bundle-pacing")
+    return fascicle.predict(study, "left-bundle-branch-pacing")
 
 
 @pytest.fixture(scope="module")
 def right(study, predicted, recording, default_heart, default_model):
     """Every public function, with arguments that it takes."""
     fitted, target, plot = {"fitted": study}, study.recordings[0].target, fascicle.plot
-    of_two = {"predicted": predicted, "name": "left-bundle-pacing"}
-    pacing = predicted["left-bundle-pacing"]
+    of_two = {"predicted": predicted, "name": "left-bundle-branch-pacing"}
+    pacing = predicted["left-bundle-branch-pacing"]
     return {
         "outside_allowed": (fascicle.outside_allowed, {}),
         "example_parameters": (fascicle.example_parameters, {"model": default_model}),
@@ -212,7 +212,7 @@ def test_an_argument_of_the_wrong_kind_is_refused_in_one_line(
 
 def test_a_study_may_be_given_by_its_folder(study, predicted, monkeypatch):
     """The folder of a heart, too, where the heart of a study is taken."""
-    again = fascicle.predict(str(study.folder), "left-bundle-pacing")
+    again = fascicle.predict(str(study.folder), "left-bundle-branch-pacing")
     for name, found in predicted.items():
         np.testing.assert_array_equal(again[name].indices["qrs_area"], found.indices["qrs_area"])
     plot = fascicle.plot
@@ -248,4 +248,4 @@ def test_pyplot_saves_the_figure_that_was_drawn_last(study, tmp_path):
 
 def test_another_heart_than_that_of_the_predictions_is_refused(predicted):
     with pytest.raises(InputError, match="has 27 vertices, 'intrinsic' was predicted on one of 15"):
-        fascicle.plot.activation(box(10, 2), predicted, "left-bundle-pacing")
+        fascicle.plot.activation(box(10, 2), predicted, "left-bundle-branch-pacing")

@@ -24,7 +24,7 @@ VALUES: tuple[Any, ...] = (
     "x" * 5000, b"lv", (), (1.0, 2.0, 3.0), (np.nan, 0.0, 0.0), (1e308,) * 3, [1, 2], ("lv", "rv"),
     np.zeros(3), np.zeros((0, 3)), np.full(3, np.nan), {}, {"cv": 1}, object(), Path("/nowhere"),
 )  # fmt: skip
-KEPT = ("stimuli", "slowings", "trees", "regions", "source", "around")  # made by others
+KEPT = ("primitives", "trees", "regions", "source")  # made by others
 
 
 def built(kind: type, **given: Any) -> Call:
@@ -50,15 +50,13 @@ def _simulate(rng: np.random.Generator) -> Any:
 
 
 def _paced(rng: np.random.Generator) -> Any:
-    kind, scenario = rng.integers(3), fascicle.Scenario
-    if kind == 0:
-        stimulus = built(fascicle.Stimulus, time=0.0, position=(0.0, 0.0, 0.0))(rng)
-        return small_model().simulate(parameters(), scenario(stimuli=(stimulus,)))
-    if kind == 1:
-        slowing = built(fascicle.Slowing, tree="lv", speed=0.5)(rng)
-        return small_model().simulate(parameters(), scenario(slowings=(slowing,)))
-    his = built(fascicle.His)(rng)
-    return small_model().simulate(parameters(), scenario(his=his))
+    makers = (
+        built(fascicle.Stimulus, time=0.0, position=(0.0, 0.0, 0.0)),
+        built(fascicle.SlowConduction, tree="lv", speed=0.5),
+        built(fascicle.His),
+    )
+    primitive = makers[rng.integers(len(makers))](rng)
+    return small_model().simulate(parameters(), fascicle.Scenario([primitive]))
 
 
 def _regional(rng: np.random.Generator) -> Any:
@@ -82,7 +80,7 @@ def _space(rng: np.random.Generator) -> Any:
 # Every public function that is quick enough, of a generator that chooses what it gets
 CALLS: dict[str, Call] = {
     "Stimulus()": built(fascicle.Stimulus, time=0.0, position=(0.0, 0.0, 0.0)),
-    "Slowing()": built(fascicle.Slowing, tree="lv", speed=0.5),
+    "SlowConduction()": built(fascicle.SlowConduction, tree="lv", speed=0.5),
     "His()": built(fascicle.His),
     "Region()": built(fascicle.Region, conductivity=0.5, label=1),
     "Conduction()": built(fascicle.Conduction),

@@ -417,12 +417,12 @@ position = [80.0, 40.0, 55.0]
 tree = "rv"
 part = "bundle"
 
-[[slowing]]
+[[slow_conduction]]
 tree = "lv"
 part = "fascicle 1"
 speed = 0.5
 
-[[slowing]]
+[[slow_conduction]]
 tree = "rv"
 speed = 0.0
 centre = [80.0, 40.0, 40.0]
@@ -437,7 +437,8 @@ conductivity = 0.0
 centre = [40.0, 40.0, 40.0]
 radius = 15.0
 """
-OWN_TREE = """silent = ["rv"]
+OWN_TREE = """[[inactive_root]]
+tree = "rv"
 
 [[tree]]
 name = "own"

@@ -9,10 +9,14 @@ from .forward.cable.action_potential_table import read_action_potential as read_
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
 from .forward.model import ForwardModel as ForwardModel
-from .forward.scenario import His as His
+from .forward.primitives import His as His
+from .forward.primitives import InactiveRoot as InactiveRoot
+from .forward.primitives import JunctionDelays as JunctionDelays
+from .forward.primitives import SlowConduction as SlowConduction
+from .forward.primitives import Stimulus as Stimulus
+from .forward.scenario import Beat as Beat
+from .forward.scenario import Primitive as Primitive
 from .forward.scenario import Scenario as Scenario
-from .forward.scenario import Slowing as Slowing
-from .forward.scenario import Stimulus as Stimulus
 from .forward.scenario_files import read_scenarios as read_scenarios
 from .forward.simulation import SimulatedBeat as SimulatedBeat
 from .forward.simulation import Simulation as Simulation

@@ -114,7 +114,7 @@ def test_log_holds_what_was_said_with_times(run, refused, heart, tmp_path):
 
 
 def test_the_file_of_a_scenario_is_printed(run, refused, tmp_path):
-    assert 'site = "left bundle"' in run("scenarios", "left-bundle-pacing").out
+    assert 'site = "left bundle"' in run("scenarios", "left-bundle-branch-pacing").out
     refused(["scenarios", tmp_path / "none.toml"], "no such file")
     refused(["scenarios", "his-pacin"], "did you mean 'his-pacing'")
 

@@ -54,11 +54,12 @@ def activation(folder):
     return np.asarray(pv.read(folder / "activation.vtu")["activation"])
 
 
+INACTIVE = 'inactive_root = [{tree = "lv"}, {tree = "rv"}]'
+
+
 class TestOutputs:
     def test_pacing_alone(self, simulated, corner):
-        out, said = simulated(
-            f'silent = ["lv", "rv"]\n[[stimulus]]\nposition = {corner}\ntime = -20.5\n'
-        )
+        out, said = simulated(f"{INACTIVE}\n[[stimulus]]\nposition = {corner}\ntime = -20.5\n")
         assert sorted(p.name for p in out.iterdir()) == FILES
         assert activation(out).min() == -20.5
         with (out / "ecg.csv").open() as file:
@@ -74,7 +75,7 @@ class TestOutputs:
     def test_blocked_bundle_is_told_in_numbers(self, simulated, run, small_heart, parameters):
         plain, _ = simulated("", name="plain")
         blocked, said = simulated(
-            '[[slowing]]\ntree = "lv"\npart = "bundle"\nspeed = 0\n', name="blocked"
+            '[[slow_conduction]]\ntree = "lv"\npart = "bundle"\nspeed = 0\n', name="blocked"
         )
         first, second = (json.loads((f / "summary.json").read_text()) for f in (plain, blocked))
         assert (
@@ -102,7 +103,7 @@ class TestOutputs:
         tree = pv.read(plain / "lv_tree.vtu")
         root = np.asarray(tree.points)[np.asarray(tree["activation"]).argmin()].tolist()
         out, said = simulated(
-            'silent = ["lv"]\n[[tree]]\nname = "band"\n'
+            '[[inactive_root]]\ntree = "lv"\n[[tree]]\nname = "band"\n'
             f'file = "{plain / "lv_tree.vtu"}"\ntime = -2.5\nroot = {root}\n',
             name="third",
         )
@@ -130,17 +131,23 @@ class TestRefusals:
         [
             ("hello", ["not valid TOML"]),
             ("stimuli = 1", ["unknown key 'stimuli'", "known: stimulus"]),
-            ('silent = ["septum"]', ["no tree 'septum'; known: lv, rv"]),
-            ('silent = ["lv", "rv"]', ["nothing activates the myocardium", "add a stimulus"]),
-            ("[delay]\nanterograde = inf", ["nothing activates the myocardium"]),
-            ('[[slowing]]\ntree = "lv"\nspeed = -1', ["slowing 1: 'speed' is -1", "0 (block)"]),
+            ('[[inactive_root]]\ntree = "septum"', ["no tree 'septum'; known: lv, rv"]),
             (
-                '[[slowing]]\ntree = "rv"\npart = "fascicle 9"\nspeed = 0',
+                'inactive_root = [{tree = "lv"}, {tree = "rv"}]',
+                ["nothing activates the myocardium", "add a stimulus"],
+            ),
+            ("[delay]\nanterograde = inf", ["nothing activates the myocardium"]),
+            (
+                '[[slow_conduction]]\ntree = "lv"\nspeed = -1',
+                ["slow_conduction 1: 'speed' is -1", "or 0"],
+            ),
+            (
+                '[[slow_conduction]]\ntree = "rv"\npart = "fascicle 9"\nspeed = 0',
                 ["the rv tree has no part 'fascicle 9'; known: bundle, fascicle 1, fascicle 2"],
             ),
             (
-                '[[slowing]]\ntree = "rv"\nspeed = 0\nradius = 3',
-                ["slowing of the rv tree: a sphere needs centre and radius"],
+                '[[slow_conduction]]\ntree = "rv"\nspeed = 0\nradius = 3',
+                ["slow_conduction 1: a sphere needs centre and radius"],
             ),
             (
                 "[[stimulus]]\nposition = [0, 0, 900]\ntime = 0",

@@ -126,7 +126,7 @@ DAMAGE = {
     "heart/mesh.vtu": lambda path: path.write_bytes(path.read_bytes()[:50_000]),
     "heart/heart.toml": lambda path: path.write_text("name = 3"),
     "heart/electrodes.csv": lambda path: path.unlink(),
-    "scenario.toml": lambda path: path.write_text("silent = ['rv']"),
+    "scenario.toml": lambda path: path.write_text("[[inactive_root]]\ntree = 'rv'"),
 }
 
 
@@ -363,13 +363,13 @@ def test_gains_are_those_that_were_drawn(study):
 
 def test_plots_in_a_notebook(study):
     """Every one draws something on axes of a figure of its own, of which pyplot knows."""
-    plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-pacing")
-    assert list(predicted) == ["intrinsic", "left-bundle-pacing"]
+    plot, predicted = fascicle.plot, fascicle.predict(study, "left-bundle-branch-pacing")
+    assert list(predicted) == ["intrinsic", "left-bundle-branch-pacing"]
     heart = study.simulator.model.heart
     drawn = {
         "ecg": plot.ecg(study),
-        "scenario_ecg": plot.scenario_ecg(predicted, "left-bundle-pacing"),
-        "activation": plot.activation(heart, predicted, "left-bundle-pacing"),
+        "scenario_ecg": plot.scenario_ecg(predicted, "left-bundle-branch-pacing"),
+        "activation": plot.activation(heart, predicted, "left-bundle-branch-pacing"),
         "activation_spread": plot.activation_spread(heart, predicted),
         "indices": plot.indices(predicted),
         "pairs": plot.pairs(study),
@@ -392,7 +392,9 @@ def test_plots_in_a_notebook(study):
         plot.ecg(study, recording=1)
     with pytest.raises(fascicle.InputError, match="'his-pacing' was not predicted; there"):
         plot.scenario_ecg(predicted, "his-pacing")
-    found = fascicle.compare(predicted["left-bundle-pacing"], predicted["intrinsic"], "qrs_area")
+    found = fascicle.compare(
+        predicted["left-bundle-branch-pacing"], predicted["intrinsic"], "qrs_area"
+    )
     assert 0 <= found.probability() <= 1
 
 

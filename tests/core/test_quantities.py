@@ -25,6 +25,7 @@ from fascicle.core.quantities import (
     region_labels,
 )
 from fascicle.core.ranges import RANGES, digits
+from fascicle.forward.scenario_files import tables
 from fascicle.heart.conduction import Conduction
 from fascicle.purkinje.growth import GrowthRules
 
@@ -205,3 +206,9 @@ def test_the_page_follows_from_the_declarations():
     assert [line for line in lines if line.startswith("| `")] == expected
     for name, known in RANGES.items():
         assert f"| {name} | {known} | {known.meaning} |" in lines
+
+
+def test_tables_of_scenario_files_follow_from_the_declarations():
+    page = (DOCS / "files.md").read_text(encoding="utf-8")
+    for name, table in tables().items():
+        assert table.reference() in page, name

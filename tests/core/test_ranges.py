@@ -14,7 +14,7 @@ from fascicle.core.errors import InputError, ValueRefusedError
 from fascicle.core.leads import LEADS
 from fascicle.core.quantities import QUANTITIES
 from fascicle.core.ranges import RANGES, check_array, within
-from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
+from fascicle.forward.primitives import His, JunctionDelays, SlowConduction, Stimulus
 from fascicle.heart.conduction import CONDUCTIVITIES, Conduction, Region
 from fascicle.recording.recording import Recording
 
@@ -36,13 +36,16 @@ ENTRIES = {
     "stimulus time": (lambda x: Stimulus(x, PLACE), False),
     "stimulus position": (lambda x: Stimulus(0.0, (0.0, x, 0.0)), False),
     "stimulus radius": (lambda x: Stimulus(0.0, PLACE, radius=x), False),
-    "slowing speed": (lambda x: Slowing("lv", x), False),
-    "slowing centre": (lambda x: Slowing("lv", 0.5, centre=(x, 0.0, 0.0), radius=1.0), False),
-    "slowing radius": (lambda x: Slowing("lv", 0.5, centre=PLACE, radius=x), False),
+    "slowing speed": (lambda x: SlowConduction("lv", x), False),
+    "slowing centre": (
+        lambda x: SlowConduction("lv", 0.5, centre=(x, 0.0, 0.0), radius=1.0),
+        False,
+    ),
+    "slowing radius": (lambda x: SlowConduction("lv", 0.5, centre=PLACE, radius=x), False),
     "his time": (lambda x: His(time=x), True),
     "his root time": (lambda x: His(root_time=x), False),
     "his branch": (lambda x: His(left=x), False),
-    "anterograde delay": (lambda x: Scenario(anterograde_delay=x), True),
+    "anterograde delay": (lambda x: JunctionDelays(anterograde=x), True),
     "region conductivity": (lambda x: Region(x, 1), False),
     "region centre": (lambda x: Region(0.5, centre=(0.0, x, 0.0), radius=1.0), False),
     "region radius": (lambda x: Region(0.5, centre=PLACE, radius=x), False),
@@ -126,14 +129,14 @@ def test_ends_are_possible_and_what_is_beyond_is_not(name):
 
 
 def test_texts_and_places():
-    for make in (lambda x: Stimulus(0.0, PLACE, tree=x), lambda x: Slowing(x, 0.5)):
+    for make in (lambda x: Stimulus(0.0, PLACE, tree=x), lambda x: SlowConduction(x, 0.5)):
         for value in (1.0, True, b"lv"):
             with pytest.raises(ValueRefusedError):
                 make(value)
     for place in ("abc", (1.0, 2.0), 5.0, np.zeros(4)):
         with pytest.raises(ValueRefusedError, match="three coordinates"):
             Stimulus(0.0, place)
-    with pytest.raises(ValueRefusedError, match="its time"):  # frozen, and checked when replaced
+    with pytest.raises(ValueRefusedError, match="'time'"):  # frozen, and checked when replaced
         dataclasses.replace(Stimulus(0.0, PLACE), time=1e308)
 
 

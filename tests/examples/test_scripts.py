@@ -12,7 +12,7 @@ def test_simulate_and_pace():
     found = runpy.run_path(str(EXAMPLES / "simulate_and_pace.py"))
     qrs = {name: simulation.qrs_duration for name, simulation in found["simulated"].items()}
     assert qrs["left-bundle-branch-block"] > found["paced"].qrs_duration
-    assert found["paced"].qrs_duration > qrs["left-bundle-pacing"] + 10
+    assert found["paced"].qrs_duration > qrs["left-bundle-branch-pacing"] + 10
     assert qrs["rv-apical-pacing"] > found["own"].qrs_duration + 20
 
 

@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import case
 
 import fascicle.forward.model
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.model import REMEMBERED, ForwardModel
-from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.purkinje.tree import InvalidTree
 
@@ -49,7 +50,7 @@ class FarAway(Executor):
 @pytest.fixture(scope="module")
 def scenario(default_heart):
     place = tuple(default_heart.vertices[5962].tolist())
-    return Scenario((Stimulus(-5.0, place),), (Slowing("lv", 0.0, "bundle"),), silent=("rv",))
+    return case((Stimulus(-5.0, place),), (SlowConduction("lv", 0.0, "bundle"),), inactive=("rv",))
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +156,7 @@ class TestRememberedTrees:
         assert grown == ["lv", "rv"]
         changed = EXAMPLE_PARAMETERS | {"cv": 2.3, "root_time": -17.0}
         again = model.simulate(changed)
-        model.simulate(changed, Scenario(silent=("lv",)))
+        model.simulate(changed, case(inactive=("lv",)))
         trees = model.grow(EXAMPLE_PARAMETERS)
         assert grown == ["lv", "rv"]
         fresh = ForwardModel(model.heart, prepared=model.prepared).simulate(changed)
@@ -189,7 +190,7 @@ class TestRememberedTrees:
         before = model.simulate(EXAMPLE_PARAMETERS)
         mine = replace(before.trees[0], side="mine")
         place = tuple(model.heart.vertices[5962].tolist())
-        model.simulate(EXAMPLE_PARAMETERS, Scenario((Stimulus(0.0, place),), trees=((mine, 0.0),)))
+        model.simulate(EXAMPLE_PARAMETERS, case((Stimulus(0.0, place),), trees=((mine, 0.0),)))
         after = model.simulate(EXAMPLE_PARAMETERS)
         assert_same([after], [before])
         assert len(after.trees) == 2

@@ -64,7 +64,7 @@ def test_junction_delay_is_that_of_a_scenario_unless_it_has_its_own(default_mode
     late = default_model.simulate(EXAMPLE_PARAMETERS | {"anterograde_delay": 4.0})
     np.testing.assert_allclose(late.activation, plain.activation + 4.0, atol=4.0)
     assert late.activation.min() == pytest.approx(plain.activation.min() + 4.0, abs=1e-9)
-    scenario = fascicle.Scenario(anterograde_delay=0.0)
+    scenario = fascicle.Scenario([fascicle.JunctionDelays(anterograde=0.0)])
     again = default_model.simulate(EXAMPLE_PARAMETERS | {"anterograde_delay": 4.0}, scenario)
     np.testing.assert_array_equal(again.activation, plain.activation)
 

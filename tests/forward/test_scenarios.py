@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import activate, box, conduction_for, heart_vertices, vertex_at
+from builders import activate, box, case, conduction_for, heart_vertices, vertex_at
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
@@ -14,21 +14,21 @@ from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.forward.primitives import JunctionDelays, SlowConduction, Stimulus
 from fascicle.heart.conduction import Conduction, Region
 from fascicle.mesh.measures import barycentric_gradients
 
 CV = EXAMPLE_PARAMETERS["cv"]
 BOTH = ("lv", "rv")
-ALONE = {"anterograde_delay": np.inf, "retrograde_delay": np.inf}  # trees cut off
-ONE_WAY = {"retrograde_delay": np.inf}  # trees fire the myocardium, never the other way
+ALONE = {"delays": {"anterograde": np.inf, "retrograde": np.inf}}  # trees cut off
+ONE_WAY = {"delays": {"retrograde": np.inf}}  # trees fire the myocardium, never the other way
 LATEST = 5962  # vertex of the packaged heart's base, activated last
 
 
 @pytest.fixture(scope="module")
 def simulate(default_model):
     def call(**options):
-        return default_model.simulate(EXAMPLE_PARAMETERS, Scenario(**options))
+        return default_model.simulate(EXAMPLE_PARAMETERS, case(**options))
 
     return call
 
@@ -59,7 +59,7 @@ def along_path(tree, values):
 class TestStimuli:
     def test_of_the_myocardium_alone(self, simulate, default_heart, default_model, place):
         """Without the trees the front spreads from the site, nowhere faster than along fibres."""
-        paced = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH, **ALONE)
+        paced = simulate(stimuli=(Stimulus(0.0, place),), inactive=BOTH, **ALONE)
         assert paced.activation[LATEST] == 0
         assert (np.delete(paced.activation, LATEST) > 0).all()
         distance = np.linalg.norm(default_heart.vertices - place, axis=1)
@@ -74,8 +74,8 @@ class TestStimuli:
         assert paced.coupled.captured.tolist() == [True]
 
     def test_trees_carry_its_front_and_are_the_origin_there(self, simulate, place):
-        alone = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH, **ALONE)
-        paced = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH)
+        alone = simulate(stimuli=(Stimulus(0.0, place),), inactive=BOTH, **ALONE)
+        paced = simulate(stimuli=(Stimulus(0.0, place),), inactive=BOTH)
         assert (paced.activation <= alone.activation + 1e-9).all()
         assert paced.total_activation_time < 0.85 * alone.total_activation_time
         number = sum(len(tree.junctions) for tree in paced.trees)
@@ -112,7 +112,7 @@ class TestStimuli:
         tree = normal.trees[0]
         leaf = tree.junctions[100]
         fired = simulate(
-            stimuli=(Stimulus(5.0, tuple(tree.nodes[leaf]), "lv"),), silent=BOTH, **ONE_WAY
+            stimuli=(Stimulus(5.0, tuple(tree.nodes[leaf]), "lv"),), inactive=BOTH, **ONE_WAY
         )
         times, depth = fired.coupled.trees[0], along_path(tree, tree.lengths)
         path = [leaf]
@@ -126,7 +126,7 @@ class TestStimuli:
     def test_before_zero_moves_the_time_axis(self, simulate, place):
         """40.5 ms earlier: the same ECG on an axis that starts at −41 ms."""
         at_zero, early, whole = (
-            simulate(stimuli=(Stimulus(t, place),), silent=BOTH) for t in (0.0, -40.5, -40.0)
+            simulate(stimuli=(Stimulus(t, place),), inactive=BOTH) for t in (0.0, -40.5, -40.0)
         )
         np.testing.assert_allclose(early.activation, at_zero.activation - 40.5, atol=1e-9)
         assert early.ecg.time.to_numpy()[0] == -41.0
@@ -150,23 +150,23 @@ class TestStimuli:
         """Neither a junction that fired backwards nor a stimulus that came too late."""
         number = sum(len(tree.junctions) for tree in normal.trees)
         for time, silent in ((0.0, BOTH), (500.0, ())):
-            paced = simulate(stimuli=(Stimulus(time, place),), silent=silent)
+            paced = simulate(stimuli=(Stimulus(time, place),), inactive=silent)
             fired = [~backwards for backwards in paced.coupled.retrograde]
             assert np.concatenate([*fired, paced.coupled.captured])[paced.coupled.origin].all()
             assert paced.coupled.origin.max() <= number
 
     def test_that_meets_another_takes_the_earlier(self, simulate, place):
         twice = simulate(
-            stimuli=(Stimulus(0.0, place), Stimulus(-3.0, place)), silent=BOTH, **ALONE
+            stimuli=(Stimulus(0.0, place), Stimulus(-3.0, place)), inactive=BOTH, **ALONE
         )
         assert twice.activation[LATEST] == -3.0
         assert twice.coupled.captured.tolist() == [False, True]
 
 
-class TestSlowings:
+class TestSlowConduction:
     def test_blocked_left_bundle_is_left_bundle_branch_block(self, simulate, normal):
         """The left tree is entered from the septum, its root reached by nothing but itself."""
-        block = simulate(slowings=(Slowing("lv", 0.0, "bundle"),))
+        block = simulate(slow=(SlowConduction("lv", 0.0, "bundle"),))
         assert block.total_activation_time > normal.total_activation_time + 25
         assert block.qrs_duration >= 120
         tree, times = block.trees[0], block.coupled.trees[0]
@@ -185,7 +185,7 @@ class TestSlowings:
     def test_slow_fascicle_delays_its_own_nodes_exactly(self, simulate, factor):
         """By length/cv·(1/f − 1) of what lies in it; every other node keeps its time."""
         before = simulate(**ONE_WAY)
-        slow = simulate(slowings=(Slowing("rv", factor, "fascicle 2"),), **ONE_WAY)
+        slow = simulate(slow=(SlowConduction("rv", factor, "fascicle 2"),), **ONE_WAY)
         tree = before.trees[1]
         inside = along_path(tree, np.where(tree.parts["fascicle 2"], tree.lengths, 0.0))
         delay = slow.coupled.trees[1] - before.coupled.trees[1]
@@ -198,24 +198,32 @@ class TestSlowings:
         tree = normal.trees[0]
         centre = tuple(tree.nodes[tree.parts["bundle"]][20])
         sphere = {"centre": centre, "radius": 6.0}
-        both = simulate(slowings=(Slowing("lv", 0.5), Slowing("lv", 0.2, **sphere)), **ONE_WAY)
+        both = simulate(
+            slow=(SlowConduction("lv", 0.5), SlowConduction("lv", 0.2, **sphere)), **ONE_WAY
+        )
         factor = np.where(np.linalg.norm(tree.nodes - centre, axis=1) <= 6.0, 0.1, 0.5)
         assert 5 < (factor == 0.1).sum() < 100
         expected = along_path(tree, tree.lengths / (CV * factor))
         np.testing.assert_allclose(both.coupled.trees[0], expected, atol=1e-9)
 
-    def test_part_and_sphere_are_both_needed(self, normal):
+    def test_part_and_sphere_are_both_needed(self, normal, default_model):
         tree = normal.trees[0]
+
+        def slowed(*where):
+            slow = case(slow=[SlowConduction("lv", 0.0, *where)])
+            beat = slow.beat(normal.trees, 0.0, {}, default_model.sites)
+            return beat.speed[: len(tree.nodes)] == 0
+
         centre = tuple(tree.nodes[np.flatnonzero(tree.parts["fascicle 1"])[0]])
-        chosen = Slowing("lv", 0.0, "fascicle 1", centre, 3.0).segments(tree)
-        ball = Slowing("lv", 0.0, None, centre, 3.0).segments(tree)
+        chosen = slowed("fascicle 1", centre, 3.0)
+        ball = slowed(None, centre, 3.0)
         np.testing.assert_array_equal(chosen, ball & tree.parts["fascicle 1"])
         assert 0 < chosen.sum() < ball.sum()
-        assert Slowing("lv", 0.0).segments(tree).sum() == len(tree.nodes) - 1
+        assert slowed().sum() == len(tree.nodes) - 1
 
     def test_a_block_in_the_middle_leaves_the_rest_to_the_myocardium(self, simulate, normal):
         """Nodes beyond a cut fascicle are late, but reached from their own ends."""
-        cut = simulate(slowings=(Slowing("lv", 0.0, "fascicle 1"),))
+        cut = simulate(slow=(SlowConduction("lv", 0.0, "fascicle 1"),))
         tree = normal.trees[0]
         beyond = along_path(tree, tree.parts["fascicle 1"].astype(float)) >= 15
         beyond &= ~tree.parts["fascicle 1"]
@@ -228,35 +236,36 @@ class TestSlowings:
 class TestDelays:
     def test_anterograde_delay_shifts_the_myocardium(self, simulate):
         before = simulate(**ONE_WAY)
-        late = simulate(anterograde_delay=7.5, **ONE_WAY)
+        late = simulate(delays={"anterograde": 7.5, "retrograde": np.inf})
         np.testing.assert_allclose(late.activation, before.activation + 7.5, atol=1e-9, rtol=0)
         for one, other in zip(late.coupled.trees, before.coupled.trees, strict=True):
             np.testing.assert_array_equal(one, other)
 
     def test_retrograde_delay_shifts_the_trees(self, simulate, place):
-        paced = {"stimuli": (Stimulus(0.0, place),), "silent": BOTH, "anterograde_delay": np.inf}
-        before, late = simulate(**paced), simulate(retrograde_delay=4.0, **paced)
+        paced = {"stimuli": (Stimulus(0.0, place),), "inactive": BOTH}
+        before = simulate(**paced, delays={"anterograde": np.inf})
+        late = simulate(**paced, delays={"anterograde": np.inf, "retrograde": 4.0})
         np.testing.assert_array_equal(late.activation, before.activation)
         for one, other in zip(late.coupled.trees, before.coupled.trees, strict=True):
             np.testing.assert_allclose(one, other + 4.0, atol=1e-9)
 
     def test_trees_that_cannot_fire_leave_it_all_to_the_stimulus(self, simulate, place):
-        paced = simulate(stimuli=(Stimulus(0.0, place),), anterograde_delay=np.inf)
+        paced = simulate(stimuli=(Stimulus(0.0, place),), delays={"anterograde": np.inf})
         number = sum(len(tree.junctions) for tree in paced.trees)
         assert (paced.coupled.origin == number).all()
-        alone = simulate(stimuli=(Stimulus(0.0, place),), silent=BOTH, **ALONE)
+        alone = simulate(stimuli=(Stimulus(0.0, place),), inactive=BOTH, **ALONE)
         np.testing.assert_array_equal(paced.activation, alone.activation)
 
-    @pytest.mark.parametrize("why", [{"anterograde_delay": np.inf}, {"silent": BOTH}])
+    @pytest.mark.parametrize("why", [{"delays": {"anterograde": np.inf}}, {"inactive": BOTH}])
     def test_nothing_that_fires_is_refused(self, simulate, why):
         with pytest.raises(InputError, match="nothing activates the myocardium"):
             simulate(**why)
 
 
-class TestSilentRoots:
+class TestInactiveRoots:
     def test_left_root_silent(self, simulate, normal):
         """The left tree then fires from below, and its root comes last in its bundle."""
-        silent = simulate(silent=("lv",))
+        silent = simulate(inactive=("lv",))
         times = silent.coupled.trees[0]
         bundle = np.flatnonzero(silent.trees[0].parts["bundle"])
         assert times[silent.trees[0].root] == times[bundle].max()
@@ -271,9 +280,9 @@ class TestExtraTrees:
         left = normal.trees[0]
         mine = replace(left, side="mine")
         extra = default_model.simulate(
-            EXAMPLE_PARAMETERS, Scenario(trees=((mine, 12.0),), silent=BOTH, **ONE_WAY)
+            EXAMPLE_PARAMETERS, case(trees=((mine, 12.0),), inactive=BOTH, **ONE_WAY)
         )
-        alone = default_model.activate([left], [12.0], CV, Scenario(**ONE_WAY))
+        alone = default_model.activate([left], [12.0], CV, case(**ONE_WAY))
         np.testing.assert_array_equal(extra.activation, alone.activation)
         assert [tree.side for tree in extra.trees] == ["lv", "rv", "mine"]
         assert extra.coupled.trees[2][left.root] == 12.0
@@ -283,10 +292,10 @@ class TestExtraTrees:
     def test_can_be_slowed_silenced_and_stimulated_by_name(self, default_model, normal):
         left = normal.trees[0]
         mine = replace(left, side="mine")
-        scenario = Scenario(
+        scenario = case(
             trees=((mine, 0.0),),
-            silent=(*BOTH, "mine"),
-            slowings=(Slowing("mine", 0.5),),
+            inactive=(*BOTH, "mine"),
+            slow=(SlowConduction("mine", 0.5),),
             stimuli=(Stimulus(3.0, tuple(left.nodes[left.root]), "mine"),),
             **ONE_WAY,
         )
@@ -388,12 +397,12 @@ class TestScar:
         model = ForwardModel(heart, Conduction(regions=(Region(0.0, label=1),)))
         start = int(np.argmin(z))
         stimulus = Stimulus(0.0, tuple(heart.vertices[start]))
-        isolated = model.simulate(EXAMPLE_PARAMETERS, Scenario((stimulus,), silent=BOTH, **ALONE))
+        isolated = model.simulate(EXAMPLE_PARAMETERS, case((stimulus,), inactive=BOTH, **ALONE))
         assert isolated.unreached[z > level].all()
         assert (~isolated.unreached[z < level]).mean() > 0.5
         assert np.isfinite(isolated.total_activation_time)
         assert np.isfinite(leads(isolated)).all()
-        bridged = model.simulate(EXAMPLE_PARAMETERS, Scenario((stimulus,), silent=BOTH))
+        bridged = model.simulate(EXAMPLE_PARAMETERS, case((stimulus,), inactive=BOTH))
         assert (~bridged.unreached[z > level]).mean() > 0.5
 
 
@@ -430,7 +439,7 @@ class TestScaledConductivity:
         np.testing.assert_allclose(
             whole.electrocardiograph.weights, 4 * plain.weights, rtol=1e-12, atol=1e-18
         )
-        scenario = Scenario((Stimulus(0.0, place),), silent=BOTH, **ALONE)
+        scenario = case((Stimulus(0.0, place),), inactive=BOTH, **ALONE)
         one, other = (m.simulate(EXAMPLE_PARAMETERS, scenario) for m in (default_model, whole))
         np.testing.assert_allclose(other.activation, one.activation / 2, rtol=1e-9)
 
@@ -448,20 +457,15 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"silent": ("septum",)}, "no tree 'septum'; known: lv, rv"),
+            ({"inactive": ("septum",)}, "no tree 'septum'; known: lv, rv"),
             ({"stimuli": (Stimulus(0.0, (0, 0, 0), "mid"),)}, "no tree 'mid'; known: lv, rv"),
-            ({"slowings": (Slowing("mid", 0.0),)}, "no tree 'mid'; known: lv, rv"),
+            ({"slow": (SlowConduction("mid", 0.0),)}, "no tree 'mid'; known: lv, rv"),
             (
-                {"slowings": (Slowing("lv", 0.0, "fascicle 9"),)},
+                {"slow": (SlowConduction("lv", 0.0, "fascicle 9"),)},
                 "lv tree has no part 'fascicle 9'; known: bundle, fascicle 1, fascicle 2",
             ),
             (
-                {"slowings": (Slowing("lv", 0.0, centre=(0.0, 0.0, 0.0)),)},
-                "a sphere needs centre and radius",
-            ),
-            ({"slowings": (Slowing("lv", 0.0, radius=3.0),)}, "needs centre and radius"),
-            (
-                {"slowings": (Slowing("lv", 0.0, None, (0.0, 0.0, 400.0), 3.0),)},
+                {"slow": (SlowConduction("lv", 0.0, None, (0.0, 0.0, 400.0), 3.0),)},
                 r"no segment ends in the sphere at \(0.0, 0.0, 400.0\); the nearest ends \d{3}\.\d",
             ),
             (
@@ -485,38 +489,38 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"anterograde_delay": -1.0}, "'anterograde_delay' is -1 ms"),
-            ({"retrograde_delay": np.nan}, "'retrograde_delay' is nan ms"),
+            ({"anterograde": -1.0}, "'anterograde' is -1 ms"),
+            ({"retrograde": np.nan}, "'retrograde' is nan ms"),
         ],
     )
     def test_what_no_heart_could_do_is_refused_at_construction(self, options, message):
         with pytest.raises(InputError, match=message):
-            Scenario(**options)
+            JunctionDelays(**options)
 
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"time": np.nan, "position": (0, 0, 0)}, "its time is nan ms; give -10000 to"),
-            ({"time": np.inf, "position": (0, 0, 0)}, "its time is inf ms; give -10000 to"),
+            ({"time": np.nan, "position": (0, 0, 0)}, "'time' is nan ms; give -10000 to"),
+            ({"time": np.inf, "position": (0, 0, 0)}, "'time' is inf ms; give -10000 to"),
             ({"time": 0.0, "position": (0, np.inf, 0)}, "a coordinate is inf mm"),
             ({"time": 0.0}, "give either a position or a site, not none"),
             ({"time": 0.0, "position": (0, 0, 0), "site": "rv apex"}, "or a site, not both"),
-            ({"time": 0.0, "site": "rv apex", "radius": -1.0}, "radius is -1 mm; give 0 to 20 mm"),
-            ({"time": 0.0, "site": "rv apex", "radius": np.nan}, "radius is nan mm"),
-            ({"time": 0.0, "site": "rv apex", "part": "bundle"}, "part 'bundle' is of no tree"),
+            ({"time": 0.0, "site": "rv apex", "radius": -1.0}, "'radius' is -1 mm; give 0 to 20"),
+            ({"time": 0.0, "site": "rv apex", "radius": np.nan}, "'radius' is nan mm"),
+            ({"time": 0.0, "site": "rv apex", "part": "bundle"}, "part 'bundle' is given without"),
         ],
     )
     def test_what_no_stimulus_is(self, options, message):
         with pytest.raises(InputError, match=message):
             Stimulus(**options)
 
-    def test_sphere_off_its_part_tells_the_distance_to_that_part(self, normal):
+    def test_sphere_off_its_part_tells_the_distance_to_that_part(self, simulate, normal):
         """Not to a node of another part that lies in the sphere."""
         tree = normal.trees[0]
         centre = tuple(tree.nodes[tree.root].tolist())
         nearest = np.linalg.norm(tree.nodes[tree.parts["fascicle 2"]] - centre, axis=1).min()
         with pytest.raises(InputError, match=f"of its fascicle 2 .* nearest ends {nearest:.1f} mm"):
-            Slowing("lv", 0.0, "fascicle 2", centre, 3.0).segments(tree)
+            simulate(slow=(SlowConduction("lv", 0.0, "fascicle 2", centre, 3.0),))
 
     @pytest.mark.parametrize(
         ("region", "message"),

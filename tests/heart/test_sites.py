@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import case
 from scipy.spatial import cKDTree
 
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.scenario import Scenario, Stimulus
+from fascicle.forward.primitives import Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.heart.sites import LAYERS, LEFT_SITES, RIGHT, RIGHT_SITES, SEGMENTS, Sites
 
@@ -129,8 +130,8 @@ def test_there_are_no_others(sites, name):
 
 def test_more_stimuli_than_anybody_has():
     many = (Stimulus(0.0, site="rv apex"),) * 1001
-    with pytest.raises(InputError, match="1001 stimuli; give 1000 at most"):
-        Scenario(many)
+    with pytest.raises(InputError, match="give 1000 at most"):
+        case(many)
 
 
 class TestInScenarios:
@@ -138,7 +139,7 @@ class TestInScenarios:
         place = default_model.sites.position("rv apex")
         named, placed = (
             default_model.simulate(
-                EXAMPLE_PARAMETERS, Scenario((Stimulus(0.0, **where),), silent=("lv", "rv"))
+                EXAMPLE_PARAMETERS, case((Stimulus(0.0, **where),), inactive=("lv", "rv"))
             )
             for where in ({"site": "rv apex"}, {"position": place})
         )
@@ -146,9 +147,7 @@ class TestInScenarios:
 
     def test_a_radius_fires_all_that_is_near(self, default_model, default_heart):
         stimulus = Stimulus(3.0, site="mid inferior epicardium", radius=8.0)
-        paced = default_model.simulate(
-            EXAMPLE_PARAMETERS, Scenario((stimulus,), silent=("lv", "rv"))
-        )
+        paced = default_model.simulate(EXAMPLE_PARAMETERS, case((stimulus,), inactive=("lv", "rv")))
         place = default_model.sites.position("mid inferior epicardium")
         away = np.linalg.norm(default_heart.vertices - place, axis=1)
         assert (away <= 8).sum() > 3
@@ -164,15 +163,13 @@ class TestInScenarios:
             Stimulus(0.0, site="mid inferior epicardium", radius=8.0),
             Stimulus(5.0, site="rv apex", radius=6.0),
         )
-        case = Scenario(stimuli, silent=("lv", "rv"))
-        located = case.located(default_model.sites)
-        assert located.owners[:2].tolist() == [0, 1]
-        assert set(located.owners[2:]) == {0, 1}
-        each = Scenario(
-            tuple(replace(stimulus, around=None) for stimulus in located.stimuli),
-            silent=("lv", "rv"),
-        )
-        far, near = (default_model.simulate(EXAMPLE_PARAMETERS, c).activation for c in (each, case))
+        wide = case(stimuli, inactive=("lv", "rv"))
+        beat = wide.beat(default_model.grow(EXAMPLE_PARAMETERS), 0.0, {}, default_model.sites)
+        assert beat.capture_groups[:2].tolist() == [0, 1]
+        assert set(beat.capture_groups[2:]) == {0, 1}
+        fired = zip(beat.point_times, beat.points.tolist(), strict=True)
+        each = case([Stimulus(*one) for one in fired], inactive=("lv", "rv"))
+        far, near = (default_model.simulate(EXAMPLE_PARAMETERS, c).activation for c in (each, wide))
         later = near - far
         assert later.min() > -1e-9
         assert 0 < later.max() < 3
@@ -181,8 +178,8 @@ class TestInScenarios:
     def test_a_radius_in_a_tree_fires_its_nodes(self, default_model):
         paced = default_model.simulate(
             EXAMPLE_PARAMETERS,
-            Scenario(
-                (Stimulus(2.0, site="left bundle", tree="lv", radius=6.0),), silent=("lv", "rv")
+            case(
+                (Stimulus(2.0, site="left bundle", tree="lv", radius=6.0),), inactive=("lv", "rv")
             ),
         )
         place = default_model.sites.position("left bundle")
@@ -197,14 +194,14 @@ class TestInScenarios:
         for part in (None, "bundle"):
             stimulus = Stimulus(0.0, site="left septum", tree="lv", part=part)
             paced = default_model.simulate(
-                EXAMPLE_PARAMETERS, Scenario((stimulus,), silent=("lv", "rv"))
+                EXAMPLE_PARAMETERS, case((stimulus,), inactive=("lv", "rv"))
             )
             fired[part] = int(np.argmin(paced.coupled.trees[0]))
         assert paced.trees[0].parts["bundle"][fired["bundle"]]
         assert not paced.trees[0].parts["bundle"][fired[None]]
 
     def test_they_come_back_from_a_file(self, tmp_path):
-        scenario = Scenario(
+        scenario = case(
             (
                 Stimulus(0.0, site="apex epicardium", radius=3.0),
                 Stimulus(1.0, (1.0, 2.0, 3.0), "lv"),
@@ -212,13 +209,13 @@ class TestInScenarios:
         )
         path = tmp_path / "case.toml"
         path.write_text(scenario_text(scenario))
-        assert read_scenario(path)[0].stimuli == scenario.stimuli
+        assert read_scenario(path)[0] == scenario
 
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("time = 0", "case.toml: stimulus at 0.0 ms: give either a position or a site"),
-            ("time = 0\nsite = 3", "stimulus 1: 'site' is 3; it must be the name of a site"),
+            ("time = 0", "case.toml: stimulus 1: give either a position or a site"),
+            ("time = 0\nsite = 3", "stimulus 1: 'site' is 3; give a text"),
             ("time = 0\nsite = 'rv apex'\nradius = 50", "radius' is 50; .* 0 to 20 mm"),
         ],
     )

@@ -7,9 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders import case
 
 from fascicle.core.errors import InputError
-from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
+from fascicle.forward.primitives import His, SlowConduction, Stimulus
+from fascicle.forward.scenario import Scenario
 from fascicle.prediction.comparison import FEWEST, compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 
@@ -47,15 +49,16 @@ def test_a_threshold_is_a_number():
 
 
 def test_a_pacing_without_the_block_it_is_compared_with():
-    pacing = Scenario(stimuli=(Stimulus(0.0, site="rv apex"),), his=His(time=np.inf))
-    slow = Slowing("lv", 0.0, part="fascicle 1")
+    paced, off = [Stimulus(0.0, site="rv apex")], His(time=np.inf)
+    cut = His(time=np.inf, left=0.0)
+    slow = SlowConduction("lv", 0.0, part="fascicle 1")
     scenarios = {
-        "block": Scenario(his=His(left=0.0), slowings=(slow,)),
+        "block": case(his=His(left=0.0), slow=(slow,)),
         "intrinsic": Scenario(),
-        "his": Scenario(his=His(root_time=0.0)),
-        "pacing": pacing,
-        "half": replace(pacing, his=His(time=np.inf, left=0.0)),
-        "blocked": replace(pacing, his=His(time=np.inf, left=0.0), slowings=(slow,)),
+        "his": case(his=His(root_time=0.0)),
+        "pacing": case(paced, his=off),
+        "half": case(paced, his=cut),
+        "blocked": case(paced, his=cut, slow=(slow,)),
     }
     found = {name: replace(predicted(), scenario=each) for name, each in scenarios.items()}
     said = missing_blocks("pacing", found, "block")

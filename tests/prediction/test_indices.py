@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders import box
+from builders import box, case
 
 from fascicle.core.leads import LEADS
 from fascicle.forward.simulation import Simulation
@@ -40,7 +40,7 @@ def territories(bar):
 def simulated(activation, leads=None, onset=0.0):
     if leads is None:
         leads = wave({"V6": 60.0})
-    return Simulation(leads, onset, activation, (), None)
+    return Simulation(leads, onset, activation, (), None, np.empty(0, int))
 
 
 def wave(peaks, width=12.0, size=1.0, length=200):
@@ -143,11 +143,11 @@ class TestEcg:
 def test_left_bundle_branch_block_as_clinics_know_it(default_model, default_heart):
     """Wide QRS, a late left and lateral wall, a large area; a right block is late on the right."""
     from fascicle.core.parameters import EXAMPLE_PARAMETERS
-    from fascicle.forward.scenario import His, Scenario
+    from fascicle.forward.primitives import His
 
     territories = Territories.of(default_heart, places(default_heart))
     normal, left, right = (
-        indices(default_model.simulate(EXAMPLE_PARAMETERS, Scenario(his=his)), territories)
+        indices(default_model.simulate(EXAMPLE_PARAMETERS, case(his=his)), territories)
         for his in (His(), His(left=0.0), His(right=0.0))
     )
     assert left["qrs_duration"] > 120 > normal["qrs_duration"]

@@ -7,10 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders import case
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.scenario import His, Scenario, Stimulus
+from fascicle.forward.primitives import His, Stimulus
+from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import find_scenario, library, read_scenario, read_scenarios
 from fascicle.forward.simulation import Simulation
 from fascicle.prediction.predicted import RINGING, Predicted
@@ -24,7 +26,7 @@ from fascicle.study.pool import Threads
 from fascicle.study.target_comparison import Network
 
 OF_THE_TISSUE = (
-    "biventricular-pacing", "left-bundle-pacing-nonselective", "left-septal-pacing",
+    "biventricular-pacing", "left-bundle-branch-pacing-nonselective", "left-septal-pacing",
     "left-bundle-optimised-crt", "rv-apical-pacing", "rv-outflow-pacing",
 )  # fmt: skip
 PARAMETERS = EXAMPLE_PARAMETERS | {"root_time": -50.0, "cv": 2.5}
@@ -46,7 +48,7 @@ def networks(default_model):
 
 @pytest.fixture(scope="module")
 def predicted(simulated_by, networks):
-    names = ["intrinsic", "his-pacing", "left-bundle-branch-block", "left-bundle-pacing"]
+    names = ["intrinsic", "his-pacing", "left-bundle-branch-block", "left-bundle-branch-pacing"]
     return simulate_scenarios(*simulated_by, networks, read_scenarios(names))
 
 
@@ -105,7 +107,7 @@ class TestPredicted:
             predicted["left-bundle-branch-block"].indices["lv_rv_delay"]
             >= predicted["intrinsic"].indices["lv_rv_delay"]
         ).all()
-        assert (predicted["left-bundle-pacing"].indices["lv_rv_delay"] < 0).all()
+        assert (predicted["left-bundle-branch-pacing"].indices["lv_rv_delay"] < 0).all()
 
 
 def test_a_gain_that_was_drawn_stands_in_place_of_the_best(simulated_by, networks, predicted):
@@ -123,14 +125,14 @@ def test_stimuli_that_capture_nothing_are_seen(simulated_by, networks):
         Stimulus(0.0, site="left bundle", tree="lv"),
         Stimulus(300.0, site="segment 12 epicardium", radius=5.0),
     )
-    found = simulate_scenarios(*simulated_by, networks, {"late": Scenario(stimuli)})["late"]
+    found = simulate_scenarios(*simulated_by, networks, {"late": case(stimuli)})["late"]
     assert [beat.captured.tolist() for beat in found.beats] == [[True, False]] * 3
     np.testing.assert_array_equal(found.captured, [1, 0])
 
 
 def test_the_own_beat_keeps_its_name(tmp_path):
     path = tmp_path / "intrinsic.toml"
-    path.write_text("silent = ['rv']\n")
+    path.write_text("inactive_root = [{tree = 'rv'}]\n")
     with pytest.raises(InputError, match=r"intrinsic.toml: 'intrinsic' is the intrinsic beat"):
         with_intrinsic_beat(read_scenarios([path]))
     assert list(with_intrinsic_beat(read_scenarios(["his-pacing", "intrinsic"]))) == [
@@ -143,7 +145,7 @@ def test_errors_name_the_file_or_the_scenario(simulated_by, networks, tmp_path):
     path.write_text("[[stimulus]]\ntime = 0\nsite = 'rv apx'\n")
     with pytest.raises(InputError, match=r"case.toml: there is no site 'rv apx'; did you mean"):
         simulate_scenarios(*simulated_by, networks, read_scenarios([path]))
-    far = Scenario((Stimulus(0.0, (1e4, 0.0, 0.0)),))
+    far = case((Stimulus(0.0, (1e4, 0.0, 0.0)),))
     with pytest.raises(InputError, match=r"far: stimulus at \(10000, 0, 0\): \d"):
         simulate_scenarios(*simulated_by, networks, {"far": far})
 
@@ -159,7 +161,7 @@ def test_maps_and_extremes_by_hand():
     )
     beats = [SimpleNamespace(activation=row) for row in times]
     totals = {"total_activation_time": np.array([30.0, 20.0, 50.0])}
-    found = Predicted(Scenario(his=His()), beats, totals)
+    found = Predicted(case(his=His()), beats, totals)
     assert found.extremes() == {"minimum": 1, "median": 0, "maximum": 2}
     maps = found.maps
     np.testing.assert_allclose(maps["activation_mean"], [0, 40 / 3, 80 / 3, 25, np.nan])
@@ -180,7 +182,7 @@ def test_a_steep_filter_changes_the_ecg_and_no_index(simulated_by, networks, pre
 
 
 def test_ecgs_begin_at_their_onsets(predicted):
-    time, (ecgs,) = qrs_aligned(predicted["left-bundle-pacing"])
+    time, (ecgs,) = qrs_aligned(predicted["left-bundle-branch-pacing"])
     assert time[0] == -LEAD_IN
     assert ecgs.shape == (3, 12, len(time))
     strength = np.abs(ecgs).max(axis=(0, 1))

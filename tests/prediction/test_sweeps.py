@@ -6,10 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders import case
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.scenario import His, Scenario, Stimulus
+from fascicle.forward.primitives import His, Stimulus
 from fascicle.prediction.sweeps import (
     DELAY,
     RADIUS,
@@ -23,7 +24,7 @@ from fascicle.study.pool import Threads
 from fascicle.study.target_comparison import Network
 
 HIS = His(time=np.inf)
-PAIR = Scenario((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)
+PAIR = case((Stimulus(5.0, site="rv apex"), Stimulus(10.0, (1.0, 2.0, 3.0))), his=HIS)
 
 
 def test_delays_move_the_last_stimulus():
@@ -31,20 +32,20 @@ def test_delays_move_the_last_stimulus():
     assert found.varied == DELAY
     assert list(found.scenarios) == [-20, -10, 0, 10, 20]
     for delay, scenario in found.scenarios.items():
-        assert scenario.stimuli[0] == PAIR.stimuli[0]
-        assert scenario.stimuli[1] == Stimulus(5.0 + delay, (1.0, 2.0, 3.0))
-        assert scenario.his == HIS
+        assert scenario.of(Stimulus)[0] == PAIR.of(Stimulus)[0]
+        assert scenario.of(Stimulus)[1] == Stimulus(5.0 + delay, (1.0, 2.0, 3.0))
+        assert scenario.of(His) == [HIS]
 
 
 def test_segments_move_the_last_stimulus_of_the_tissue():
-    case = Scenario((*PAIR.stimuli, Stimulus(0.0, site="left bundle", tree="lv")))
-    found = segments(case, "epicardium")
+    wide = case((*PAIR.of(Stimulus), Stimulus(0.0, site="left bundle", tree="lv")))
+    found = segments(wide, "epicardium")
     assert found.varied == SEGMENT
     assert list(found.scenarios) == list(range(1, 18))
     for number, scenario in found.scenarios.items():
-        assert scenario.stimuli[0] == case.stimuli[0]
-        assert scenario.stimuli[1] == Stimulus(10.0, site=f"segment {number:g} epicardium")
-        assert scenario.stimuli[2] == case.stimuli[2]
+        assert scenario.of(Stimulus)[0] == wide.of(Stimulus)[0]
+        assert scenario.of(Stimulus)[1] == Stimulus(10.0, site=f"segment {number:g} epicardium")
+        assert scenario.of(Stimulus)[2] == wide.of(Stimulus)[2]
 
 
 @pytest.mark.parametrize(
@@ -59,23 +60,23 @@ def test_what_is_no_sweep(given):
 
 def test_what_cannot_be_moved():
     with pytest.raises(InputError, match="1 stimuli; a delay needs two"):
-        delays(Scenario(PAIR.stimuli[:1]), "0:10:1")
-    with pytest.raises(InputError, match="no stimulus of the tissue that could be moved"):
-        segments(Scenario((Stimulus(0.0, site="left bundle", tree="lv"),)), "epicardium")
+        delays(case(PAIR.of(Stimulus)[:1]), "0:10:1")
+    with pytest.raises(InputError, match="no stimulus of the myocardium, which"):
+        segments(case((Stimulus(0.0, site="left bundle", tree="lv"),)), "epicardium")
     with pytest.raises(InputError, match="no layer 'middle'; choose endocardium or epicardium"):
         segments(PAIR, "middle")
 
 
 def test_radii_are_of_all_stimuli_of_the_tissue():
     bundle = Stimulus(0.0, site="left bundle", tree="lv", radius=1.0)
-    found = radii(Scenario((bundle, *PAIR.stimuli)), "0:6:3")
+    found = radii(case((bundle, *PAIR.of(Stimulus))), "0:6:3")
     assert found.varied == RADIUS
     assert list(found.scenarios) == [0, 3, 6]
     for radius, scenario in found.scenarios.items():
-        assert scenario.stimuli[0] == bundle
-        assert [stimulus.radius for stimulus in scenario.stimuli[1:]] == [radius] * 2
-    with pytest.raises(InputError, match="the scenario: no stimulus of the tissue that has a"):
-        radii(Scenario((bundle,)), "0:6:3")
+        assert scenario.of(Stimulus)[0] == bundle
+        assert [stimulus.radius for stimulus in scenario.of(Stimulus)[1:]] == [radius] * 2
+    with pytest.raises(InputError, match="the scenario: no stimulus of the myocardium"):
+        radii(case((bundle,)), "0:6:3")
 
 
 class TestSimulated:
@@ -92,7 +93,7 @@ class TestSimulated:
         )
 
     def test_networks_are_spread_over_the_population(self, fitted):
-        paced = Scenario((Stimulus(0.0, site="rv apex"),), silent=("lv", "rv"))
+        paced = case((Stimulus(0.0, site="rv apex"),), inactive=("lv", "rv"))
         found = simulate_sweep(fitted, radii(paced, "0:8:8"), 3)
         assert found.called(8.0) == "8 mm"
         one, other = (found.predicted[radius] for radius in (0.0, 8.0))
@@ -113,7 +114,7 @@ class TestSimulated:
         monkeypatch.setattr(type(sites), "position", lacking)
         sites._known.clear()
         lost = ("segment 3 ", "segment 17 ")
-        paced = segments(Scenario((Stimulus(0.0, site="rv apex"),), his=HIS), "endocardium")
+        paced = segments(case((Stimulus(0.0, site="rv apex"),), his=HIS), "endocardium")
         found = simulate_sweep(fitted, paced, 2)
         assert sorted(found.predicted) == [k for k in range(1, 18) if k not in (3, 17)]
         assert found.impossible == {

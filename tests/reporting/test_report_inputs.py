@@ -171,7 +171,7 @@ def test_the_fit_s_command_gives_the_same_study(
 def test_the_report_s_command_makes_the_page_again(tmp_path):
     """With the file of a scenario of one's own, and names with spaces in quotes."""
     path = tmp_path / "my case.toml"
-    path.write_text("silent = ['rv']\n")
+    path.write_text("inactive_root = [{tree = 'rv'}]\n")
     found = {
         name: SimpleNamespace(scenario=scenario)
         for name, scenario in with_intrinsic_beat(read_scenarios(["his-pacing", path])).items()

@@ -10,10 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import case
 from matplotlib.image import imread
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.scenario import His, Scenario
+from fascicle.forward.primitives import His
 from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.page.page import _file
 from fascicle.reporting.page.scene import scene
@@ -31,7 +32,7 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on the pat
 def content(default_heart, default_model):
     found = {}
     for name, his in (("intrinsic", His()), ("block", His(left=0.0))):
-        scenario = Scenario(his=his, description=f"<b>{name}</b>")
+        scenario = case(his=his, description=f"<b>{name}</b>")
         simulation = default_model.simulate(EXAMPLE_PARAMETERS, scenario)
         beat = PredictedBeat.of(simulation, *2 * [simulation.leads], simulation.coupled.captured)
         faster = replace(beat, activation=beat.activation / 2)

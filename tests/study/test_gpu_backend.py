@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import case
 
 import fascicle
 from fascicle.cli import main
@@ -13,7 +14,7 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
-from fascicle.forward.scenario import His, Scenario
+from fascicle.forward.primitives import His
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.study import SAME_LOSS
 from fascicle.study.target_comparison import evaluate, networks
@@ -63,7 +64,7 @@ def test_what_is_too_large_is_simulated_here(
 
 def test_further_recordings_are_simulated_here(backend, simulator, recordings, points):
     """Paced ones after an intrinsic one."""
-    both = (*recordings, replace(recordings[0], scenario=Scenario(his=His(right=0.0))))
+    both = (*recordings, replace(recordings[0], scenario=case(his=His(right=0.0))))
     alone = evaluated(simulator, both, points[:2], None)
     for one, other in zip(evaluated(simulator, both, points[:2], backend), alone, strict=True):
         np.testing.assert_allclose(one.loss, other.loss, rtol=0.1 * SAME_LOSS)

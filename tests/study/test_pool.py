@@ -17,13 +17,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import case
 
 import fascicle
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.shared_files import read_shared, write_shared
 from fascicle.forward import model as model_module
-from fascicle.forward.scenario import His, Scenario
+from fascicle.forward.primitives import His
 from fascicle.study.pool import ExecutorPool, Pool, Threads, parts
 from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.target_comparison import evaluate, networks
@@ -59,7 +60,7 @@ def test_threads(simulator, recordings, points, expected):
 def test_processes(simulator, recordings, points, expected):
     """The model goes to them once, and further recordings do not send it again."""
     context = multiprocessing.get_context("spawn")
-    paced = (replace(recordings[0], scenario=Scenario(his=His())),)
+    paced = (replace(recordings[0], scenario=case(his=His())),)
     with ProcessPoolExecutor(2, mp_context=context) as executor:
         pool = ExecutorPool(executor, 2)
         assert_same(evaluated(simulator, recordings, points, pool), expected)
@@ -90,7 +91,7 @@ def test_what_is_stored_is_not_sent(simulator, recordings, points, expected, tmp
     here = replace(simulator, prior=prior)
     assert_same(evaluated(here, recordings, points, pool), expected)
     assert pool.sent == len(points) - 3
-    evaluated(here, (replace(recordings[0], scenario=Scenario(his=His())),), points[:4], pool)
+    evaluated(here, (replace(recordings[0], scenario=case(his=His())),), points[:4], pool)
     assert pool.sent == len(points) - 3 + 4
 
 

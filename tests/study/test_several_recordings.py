@@ -5,6 +5,7 @@ from dataclasses import replace
 import arviz as az
 import numpy as np
 import pytest
+from builders import case
 from numpy.testing import assert_allclose
 
 import fascicle
@@ -12,7 +13,7 @@ from fascicle.cli.arguments import with_scenario
 from fascicle.core.errors import InputError
 from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separable
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.scenario import Scenario, Slowing, Stimulus
+from fascicle.forward.primitives import SlowConduction, Stimulus
 from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.recording.residuals import smooth_noise
 from fascicle.recording.target import Target
@@ -23,12 +24,14 @@ from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
 SMALL = {"bank": 100, "evaluations": 300, "effective": 20, "workers": 2}
-EVERYTHING = Scenario(
+EVERYTHING = case(
     stimuli=(Stimulus(3.5, (1.0, -2.0, 3.0)), Stimulus(0.0, (0.0, 0.0, 1e-3), "rv")),
-    slowings=(Slowing("lv", 0.0, part="bundle"), Slowing("rv", 0.5, None, (1.0, 2.0, 3.0), 4.0)),
-    silent=("lv", "rv"),
-    anterograde_delay=2.0,
-    retrograde_delay=np.inf,
+    slow=(
+        SlowConduction("lv", 0.0, part="bundle"),
+        SlowConduction("rv", 0.5, None, (1.0, 2.0, 3.0), 4.0),
+    ),
+    inactive=("lv", "rv"),
+    delays={"anterograde": 2.0, "retrograde": np.inf},
 )
 
 
@@ -42,7 +45,7 @@ def paced(model):
     """The right endocardium is stimulated, and no root fires."""
     fire = model.simulate(fascicle.EXAMPLE_PARAMETERS).trees[1].nodes[0]
     nearest = model.heart.vertices[np.linalg.norm(model.heart.vertices - fire, axis=1).argmin()]
-    return Scenario(stimuli=(Stimulus(0.0, tuple(map(float, nearest))),), silent=("lv", "rv"))
+    return case(stimuli=(Stimulus(0.0, tuple(map(float, nearest))),), inactive=("lv", "rv"))
 
 
 def recorded(model, scenario=None, seed=0):
@@ -70,7 +73,7 @@ def test_scenarios_are_kept_as_text(tmp_path):
 def test_a_scenario_with_trees_of_its_own_is_refused(model):
     tree = model.simulate(fascicle.EXAMPLE_PARAMETERS).trees[0]
     with pytest.raises(InputError, match=r"rv\.toml: has trees of its own"):
-        scenario_text(Scenario(trees=((tree, 0.0),), source="rv.toml"))
+        scenario_text(case(trees=((tree, 0.0),), source="rv.toml"))
 
 
 def test_recordings_are_kept(both, tmp_path):
@@ -105,7 +108,7 @@ def test_the_papers_method_knows_one_intrinsic_beat(both, tmp_path):
 
 
 def test_a_site_outside_the_heart_is_refused_before_anything_is_written(both, tmp_path):
-    far = Scenario(stimuli=(Stimulus(0.0, (0.0, 0.0, 900.0)),))
+    far = case(stimuli=(Stimulus(0.0, (0.0, 0.0, 900.0)),))
     with pytest.raises(InputError, match="from the"):
         fascicle.fit("default", [both[0], (both[1][0], far)], tmp_path / "s")
     assert not (tmp_path / "s").exists()

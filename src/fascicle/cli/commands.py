@@ -123,13 +123,14 @@ def simulate(
     adds what is beyond the intrinsic beat:
 
     ```toml
-    silent = ["lv"]                # trees whose root does not fire
+    [[inactive_root]]              # a tree whose root does not fire
+    tree = "lv"
 
     [[stimulus]]                   # pacing site in the myocardium (mm, ms)
     position = [73.4, -56.2, -39.1]
     time = 0.0
 
-    [[slowing]]
+    [[slow_conduction]]
     tree = "rv"
     part = "bundle"                # or "fascicle 1", "fascicle 2", or a sphere
     speed = 0.0                    # factor on the speed; 0 blocks

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fascicle.core.progress import Progress
+from fascicle.forward.primitives import His
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.predicted import Predicted
@@ -47,8 +48,9 @@ def blocked_scenarios() -> dict[str, Scenario]:
     scenarios = read_scenarios([BLOCK, *PACINGS])
     for name, scenario in scenarios.items():
         if name != "his-pacing":
-            assert scenario.his is not None  # of all pacings of the library
-            scenarios[name] = replace(scenario, his=replace(scenario.his, left=0.0))
+            scenarios[name] = scenario.mapped(
+                lambda p: replace(p, left=0.0) if isinstance(p, His) else p
+            )
     return scenarios
 
 

@@ -84,6 +84,7 @@ RANGES = {
         "Hz", 250.0, 1e5, "samples per second of a recording; fewer do not resolve the QRS"
     ),
     "threshold": Range("", -1e6, 1e6, "a gain that matters, in the unit of its index"),
+    "delay": Range("ms", 0.0, 10_000.0, "delay of a junction; inf blocks", math.inf),
     "label": Range("", -(2.0**31), 2.0**31 - 1, "number of a region of a mesh"),
 }
 

@@ -33,6 +33,7 @@ from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardi
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
 from fascicle.forward.preparation import Prepared, load, prepare, save
+from fascicle.forward.primitives import FURTHEST_STIMULUS
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
 from fascicle.heart.conduction import Conduction
@@ -260,32 +261,31 @@ class ForwardModel:
         check_items(trees, PurkinjeTree, "trees", "fascicle.PurkinjeTree")
         check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
         values = checked(values | {"cv": cv})
-        scenario = scenario.located(self.sites) if scenario is not None else Scenario()
-        trees = (*trees, *(tree for tree, _ in scenario.trees))
+        beat = (scenario or Scenario()).beat(trees, root_time, values, self.sites)
         conduction = self.conduction.with_values(values)
         tissue = self._tissue(replace(conduction, alpha=self.conduction.alpha))
-        if len(scenario.points):  # rays to every vertex are too many to keep for several networks
-            own = int((scenario.owners == np.arange(len(scenario.points))).sum())
-            coupling = attach(tissue.myocardium, trees, scenario.points, own)
-            scenario.check_stimuli(coupling.stimuli.distances)
+        if beat.stimuli:  # rays to every vertex are too many to keep for several networks
+            coupling = attach(tissue.myocardium, beat.trees, beat.points, beat.stimuli)
+            _check_stimuli(beat.points, coupling.stimuli.distances)
         else:
-            coupling = tissue.attach(trees)
-        roots, his = scenario.firing(trees, root_time, values)
+            coupling = tissue.attach(beat.trees)
         coupled = solve(
             coupling,
-            roots,
+            beat.root_times,
             values["cv"],
-            his=his,
-            stimuli=scenario.times,
-            node_times=scenario.node_times(trees),
-            speed=scenario.speeds(trees) if scenario.slowings else 1.0,
+            his=beat.his,
+            stimuli=beat.point_times,
+            node_times=beat.node_times,
+            speed=beat.speed,
             tissue_speed=conduction.alpha / self.conduction.alpha,
-            **scenario.delays(values),
+            **beat.delays,
         )
         times = coupled.myocardium
         check_activation(times)
         leads = self._leads(times, tissue, values)
-        return Simulation(leads, first_sample(times), times, trees, coupled)
+        return Simulation(
+            leads, first_sample(times), times, beat.trees, coupled, beat.capture_groups
+        )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
         """The twelve leads (mV), in the body that the values say."""
@@ -427,6 +427,17 @@ def _simulate_elsewhere(
 ) -> Simulation | InvalidTree | InvalidBody:
     model: ForwardModel = read_shared(file)
     return model.simulate(parameters, scenario)
+
+
+def _check_stimuli(points: Floats, distances: Floats) -> None:
+    """Refuse stimuli that are not in the myocardium, given how far they are from it (mm)."""
+    for position, distance in zip(points, distances, strict=True):
+        if distance > FURTHEST_STIMULUS:
+            where = ", ".join(f"{x:g}" for x in position)
+            raise InputError(
+                f"stimulus at ({where}): {distance:.1f} mm from the tissue; give a position in "
+                "it, in mm and in the heart's frame"
+            )
 
 
 def _grow_trees(

@@ -1,166 +1,57 @@
-"""Scenario files: TOML with stimuli, His bundle, slow segments, delays, regions, extra trees."""
+"""Scenario files: TOML, a table a primitive, with regions of the myocardium and further trees."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError
 
+import fascicle.forward.primitives  # noqa: F401  registers those of the package
+from fascicle.core.declared import Name, Point, Table, Time
 from fascicle.core.errors import InputError
 from fascicle.core.files import as_path, check_file, named_by, read_toml
-from fascicle.core.quantities import check, quantity
-from fascicle.core.ranges import RANGES, check_items, shown
-from fascicle.forward.scenario import His, Scenario, Slowing, Stimulus
+from fascicle.core.ranges import check_items, check_text
+from fascicle.forward.scenario import PRIMITIVES, Scenario
 from fascicle.heart.conduction import Region
 from fascicle.purkinje.tree import PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree
 
-FURTHEST_ROOT = 5.0  # mm; a root further from the free ends of its tree is a mistake
+Kind = TypeVar("Kind", bound=Table)
 
 
-def _within(name: str) -> AfterValidator:
-    """Check a number against its range, whose message `NEEDED` has."""
+class TreeFile(Table, table="tree"):
+    """A tree in addition to the heart's own."""
 
-    def possible(value: float) -> float:
-        if value not in RANGES[name]:
-            raise ValueError
-        return value
+    name: Annotated[Name, "letters, digits, - and _; it is written to `name_tree.vtu`"]
+    file: Annotated[Name, "lines (VTU, VTP, VTK), in the folder of this file"]
+    root: Annotated[Point, "the free end nearest to this point, within 5 mm, fires"]
+    time: Annotated[Time, "when it fires"]
 
-    return AfterValidator(possible)
+    def __post_init__(self) -> None:
+        if not self.name.replace("-", "").replace("_", "").isalnum() or not self.name.isascii():
+            raise InputError(f"'name' is '{self.name}'; give letters, digits, '-' and '_'")
 
-
-def _delay_or_block(value: float) -> float:
-    try:
-        return check(quantity("anterograde_delay"), value)
-    except InputError:  # `NEEDED` says it
-        raise ValueError from None
-
-
-Number = Annotated[float, Strict()]
-Coordinate = Annotated[Number, _within("coordinate")]
-Point = tuple[Coordinate, Coordinate, Coordinate]
-Time = Annotated[Number, _within("time")]
-Radius = Annotated[Number, _within("radius")]
-CaptureRadius = Annotated[Number, _within("capture radius")]
-SpeedFactor = Annotated[Number, _within("speed factor")]
-ConductivityFactor = Annotated[Number, _within("conductivity factor")]
-Delay = Annotated[Number, AfterValidator(_delay_or_block)]
-TimeOrNever = Annotated[Number, _within("firing time")]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]  # files are named after it
-
-POINT = f"a point [x, y, z], each {RANGES['coordinate']}"
-TIME = f"a number from {RANGES['time']}"
-DELAY = "a number from 0 to {:g} ms, or inf (block)".format(
-    quantity("anterograde_delay").valid_range[1]
-)
-FACTOR = f"a factor: {RANGES['speed factor']} (block)"
-NEEDED = {
-    "time": TIME,
-    "position": POINT,
-    "centre": POINT,
-    "root": POINT,
-    "radius": f"a number from {RANGES['radius']}",
-    "tree": "the name of a tree, in quotes",
-    "site": "the name of a site, in quotes, such as 'rv apex'",
-    "part": "'bundle', 'fascicle 1', 'fascicle 2', …",
-    "speed": FACTOR,
-    "conductivity": f"a factor: {RANGES['conductivity factor']} (scar)",
-    "label": "a whole number",
-    "name": "made of letters, digits, '-' and '_'",
-    "file": "a path in quotes",
-    "anterograde": DELAY,
-    "retrograde": DELAY,
-    "silent": "a list of names of trees, such as ['lv']",
-    "delay": "one table: [delay]",
-    "his": "one table: [his]",
-    "description": "a text in quotes",
-    "reference": "a text in quotes",
-    "root_time": TIME,
-    "left": FACTOR,
-    "right": FACTOR,
-}
-# what a key must be in one table, where it differs
-NEEDED_IN = {
-    ("his", "time"): f"a number from {RANGES['firing time']} (it does not fire)",
-    ("stimulus", "radius"): f"a number from {RANGES['capture radius']}",
-}
+    def read(self, scenario: Path) -> PurkinjeTree:
+        """Read the tree of a scenario file."""
+        root = np.array(self.root)
+        tree = read_tree(named_by(scenario, self.file), self.name, root)
+        distance = float(np.linalg.norm(tree.nodes[tree.root] - root))
+        if distance > 5.0:  # a root further from the free ends of its tree is a mistake
+            raise InputError(
+                f"tree '{self.name}': 'root' is {list(self.root)}, {distance:.1f} mm from the "
+                f"nearest free end in {self.file}; give the position of the end that fires (mm)"
+            )
+        return tree
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _Stimulus(_Table):
-    time: Time
-    position: Point | None = None
-    tree: str | None = None
-    site: str | None = None
-    radius: CaptureRadius = 0.0
-    part: str | None = None
-
-
-class _Slowing(_Table):
-    tree: str
-    speed: SpeedFactor
-    part: str | None = None
-    centre: Point | None = None
-    radius: Radius | None = None
-
-
-class _Region(_Table):
-    conductivity: ConductivityFactor
-    label: Annotated[int, Strict()] | None = None
-    centre: Point | None = None
-    radius: Radius | None = None
-
-
-class _Tree(_Table):
-    name: Name
-    file: Path
-    time: Time
-    root: Point
-
-
-class _Delay(_Table):
-    model_config = ConfigDict(allow_inf_nan=True)  # inf blocks
-    anterograde: Delay | None = None
-    retrograde: Delay | None = None
-
-
-class _His(_Table):
-    model_config = ConfigDict(allow_inf_nan=True)  # inf: it does not fire
-    time: TimeOrNever | None = None
-    root_time: Time | None = None
-    left: SpeedFactor = 1.0
-    right: SpeedFactor = 1.0
-
-
-class _File(_Table):
-    stimulus: list[_Stimulus] = []
-    slowing: list[_Slowing] = []
-    region: list[_Region] = []
-    tree: list[_Tree] = []
-    silent: list[str] = []
-    delay: _Delay = _Delay()
-    his: _His | None = None
-    description: str = ""
-    reference: str = ""
-
-
-TABLES: dict[str, type[_Table]] = {
-    "stimulus": _Stimulus,
-    "slowing": _Slowing,
-    "region": _Region,
-    "tree": _Tree,
-    "delay": _Delay,
-    "his": _His,
-}
-ONCE = ("delay", "his")  # tables in single brackets
+def tables() -> dict[str, type[Table]]:
+    """The tables of a scenario file by name, in the order of the documentation."""
+    return {**PRIMITIVES, "region": Region, "tree": TreeFile}
 
 
 def library() -> dict[str, Path]:
@@ -239,29 +130,35 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
     path = Path(path)
     check_file(path, (".toml",), "scenario")
     values = read_toml(path, "see docs/files.md")
+    texts = {key: values.pop(key, "") for key in ("description", "reference")}
     try:
-        content = _File.model_validate(values)
-    except ValidationError as error:
-        raise InputError(f"{path}: {_complaint(error, values)}; see docs/files.md") from None
-    try:
-        scenario = Scenario(
-            stimuli=tuple(
-                Stimulus(**table.model_dump(exclude_none=True)) for table in content.stimulus
-            ),
-            slowings=tuple(Slowing(**dict(s)) for s in content.slowing),
-            silent=tuple(content.silent),
-            anterograde_delay=content.delay.anterograde,
-            retrograde_delay=content.delay.retrograde,
-            trees=tuple((_read_tree(tree, path), tree.time) for tree in content.tree),
-            his=His(**dict(content.his)) if content.his is not None else None,
-            source=str(path),
-            description=content.description,
-            reference=content.reference,
-        )
+        for key, text in texts.items():
+            check_text(text, f"'{key}'")
+        known = tables()
+        for key in values:
+            if key not in known:
+                names = ", ".join([*known, *texts])
+                raise InputError(f"unknown key '{key}'; known: {names}")
+        found = [one for kind in PRIMITIVES.values() for one in _read(kind, values)]
+        regions = tuple(replace(r, source=str(path)) for r in _read(Region, values))
+        trees = tuple((tree.read(path), tree.time) for tree in _read(TreeFile, values))
+        scenario = Scenario(found, trees, str(path), **texts)
     except InputError as error:
         raise InputError(f"{path}: {error}; see docs/files.md") from None
-    regions = (Region(**dict(region), source=str(path)) for region in content.region)
-    return scenario, tuple(regions)
+    return scenario, regions
+
+
+def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
+    """The tables of one kind."""
+    given = values.get(kind.table, [])
+    if kind.once:
+        if given != []:
+            yield kind.of(given)
+        return
+    if not isinstance(given, list):
+        raise InputError(f"'{kind.table}' must be in double brackets: [[{kind.table}]]")
+    for number, table in enumerate(given, 1):
+        yield kind.of(table, number)
 
 
 def scenario_text(scenario: Scenario) -> str:
@@ -274,58 +171,12 @@ def scenario_text(scenario: Scenario) -> str:
     """
     if scenario.trees:
         raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")
-    lines = [f"silent = {list(scenario.silent)!r}"]
-    for name, delay in (
-        ("anterograde", scenario.anterograde_delay),
-        ("retrograde", scenario.retrograde_delay),
-    ):
-        if delay is not None:
-            lines.append(f"delay.{name} = {delay!r}")
-    for key, value in vars(scenario.his).items() if scenario.his is not None else ():
-        if value is not None:
-            lines.append(f"his.{key} = {value!r}")
-    for table, items in (("stimulus", scenario.stimuli), ("slowing", scenario.slowings)):
-        for item in items:
-            lines.append(f"\n[[{table}]]")
-            for key, value in vars(item).items():
-                if value is not None:
-                    written = [float(x) for x in value] if isinstance(value, tuple) else value
-                    lines.append(f"{key} = {written!r}")
+    lines = []
+    for primitive in scenario.primitives:
+        lines.append(f"[{primitive.table}]" if primitive.once else f"[[{primitive.table}]]")
+        for key in primitive.key_names():
+            value = getattr(primitive, key)
+            if value is not None:
+                written = list(value) if isinstance(value, tuple) else value
+                lines.append(f"{key} = {written!r}")
     return "\n".join(lines) + "\n"
-
-
-def _read_tree(table: _Tree, scenario: Path) -> PurkinjeTree:
-    root = np.array(table.root)
-    tree = read_tree(named_by(scenario, str(table.file)), table.name, root)
-    distance = float(np.linalg.norm(tree.nodes[tree.root] - root))
-    if distance > FURTHEST_ROOT:
-        raise InputError(
-            f"tree '{table.name}': 'root' is {list(table.root)}, {distance:.1f} mm from the "
-            f"nearest free end in {table.file}; give the position of the end that fires (mm)"
-        )
-    return tree
-
-
-def _complaint(error: ValidationError, values: dict[str, Any]) -> str:
-    """Name the table, counted from 1, which key, the value found and what is needed."""
-    errors = error.errors(include_url=False)
-    unknown = [e for e in errors if e["type"] == "extra_forbidden"]  # it explains what is missing
-    first = (unknown + errors)[0]
-    location = first["loc"]
-    *tables, key = (step for step in location if isinstance(step, str))
-    number = next((step for step in location if isinstance(step, int)), None)
-    where, known, found = "", _File.model_fields, values
-    if tables:
-        table = tables[0]
-        where, known, found = f"{table}: ", TABLES[table].model_fields, values[table]
-        if number is not None:
-            where, found = f"{table} {number + 1}: ", values[table][number]
-    if first["type"] == "extra_forbidden":
-        return f"{where}unknown key '{key}'; known: {', '.join(known)}"
-    needed = NEEDED_IN.get((tables[0] if tables else "", key), NEEDED.get(key))
-    if not tables and key in TABLES and key not in ONCE:
-        needed = None
-    needed = needed if needed is not None else f"in double brackets: [[{key}]]"
-    if key not in found:
-        return f"{where}'{key}' is missing; it must be {needed}"
-    return f"{where}'{key}' is {shown(found[key])}; it must be {needed}"

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
-from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import short_repr
@@ -102,9 +102,18 @@ class Simulation(SimulatedBeat):
     ----------
     coupled : Activation
         Times in the trees, how each junction fired, and from where each vertex was.
+    capture_groups : (n_points,) int array
+        The stimulus of the myocardium that each of `Activation.stimuli` belongs to: the scenario's,
+        in their order, and the vertices that they capture.
     """
 
     coupled: Activation
+    capture_groups: Integers
+
+    @property
+    def captured(self) -> Booleans:
+        """Which stimuli of the myocardium came before any front was there, shape (n_stimuli,)."""
+        return np.asarray(np.bincount(self.capture_groups, self.coupled.captured) > 0)
 
     __repr__ = short_repr
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import igl
 import numpy as np
 
 from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.declared import Conductivity, Label, Point, Radius, Table
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import checked, default_of, quantity, region_labels
-from fascicle.core.ranges import check_items, check_position, within
+from fascicle.core.ranges import check_items, within
 from fascicle.heart.heart import Heart
 
 # α² G is (cm/ms)²; speeds here are in mm/ms
@@ -23,39 +25,16 @@ CONDUCTIVITIES = (
 SPEEDS = ("alpha", "anisotropy_ratio", "endocardial_layer", "endocardial_speed")
 
 
-@dataclass(frozen=True)
-class Region:
-    """Part of the myocardium that conducts differently; give a label, or a sphere.
+class Region(Table, table="region"):
+    """Part of the myocardium that conducts differently: give a label, or centre and radius."""
 
-    Attributes
-    ----------
-    conductivity : float
-        Factor on all its conductivities, so that speeds change by its root; 0 for scar that does
-        not conduct.
-    label : int, optional
-        The elements with this label in `Heart.regions`.
-    centre : (x, y, z), optional
-        Centre of a sphere (mm).
-    radius : float, optional
-        The elements whose centroid lies within this distance (mm) of it.
-    source : str, optional
-        Where it was read from, for messages.
-    """
-
-    conductivity: float
-    label: int | None = None
-    centre: tuple[float, float, float] | None = None
-    radius: float | None = None
+    conductivity: Annotated[
+        Conductivity, "factor on all conductivities, so that speeds change by its root; 0 is scar"
+    ]
+    label: Annotated[Label | None, "the elements with this number in `region`"] = None
+    centre: Annotated[Point | None, "centre of a sphere"] = None
+    radius: Annotated[Radius | None, "the elements whose centroid lies within it"] = None
     source: str | None = field(default=None, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if self.centre is not None:
-            check_position(self.centre, "region: its centre")
-        if self.label is not None:
-            within("label", self.label, "region: its label")
-        within("conductivity factor", self.conductivity, f"{self.name}: conductivity, a factor,")
-        if self.radius is not None:
-            within("radius", self.radius, f"{self.name}: its radius")
 
     def elements(self, heart: Heart) -> Booleans:
         """Which tetrahedra belong to it, shape (m,).

@@ -11,6 +11,7 @@ from scipy.stats import rankdata
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import check_kind, short_repr, within
+from fascicle.forward.primitives import Stimulus
 from fascicle.prediction.index_names import INDICES, check_index
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
@@ -45,7 +46,7 @@ def missing_blocks(name: str, predicted: Mapping[str, Predicted], against: str) 
     """
     pacing, other = predicted[name].scenario, predicted[against].scenario
     missing = sorted(other.blocks - pacing.blocks)
-    if not missing or not pacing.stimuli:
+    if not missing or not pacing.of(Stimulus):
         return ""
     return (
         f"{against} blocks {' and '.join(missing)}, and {name} does not: its gain is also that of "

@@ -46,13 +46,12 @@ class PredictedBeat:
     __repr__ = short_repr
 
     @classmethod
-    def of(
-        cls, simulation: Simulation, leads: Floats, filtered: Floats, captured: Booleans
-    ) -> PredictedBeat:
-        """What is kept of a simulation; `leads`, `filtered` and `captured` as above."""
+    def of(cls, simulation: Simulation, leads: Floats, filtered: Floats) -> PredictedBeat:
+        """What is kept of a simulation; `leads` and `filtered` as above."""
         times = (each.astype(np.float32) for each in simulation.coupled.trees)
         trees = tuple(zip(simulation.trees, times, strict=True))
-        return cls(leads, filtered, simulation.activation.astype(np.float32), trees, captured)
+        activation = simulation.activation.astype(np.float32)
+        return cls(leads, filtered, activation, trees, simulation.captured)
 
 
 @dataclass(frozen=True)

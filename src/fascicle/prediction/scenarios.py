@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fascicle.core.arrays import Floats, Integers
+from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
@@ -165,17 +165,15 @@ def simulate_scenarios(
     of : str
         What the stages are called beside the scenario's name.
     """
-    model = simulator.model
-    sites, response = model.sites, recording.target.response
-    territories = Territories.of(model.heart, sites.places)
+    model, response = simulator.model, recording.target.response
+    territories = Territories.of(model.heart, model.sites.places)
     predicted = {}
     for name, scenario in scenarios.items():
         report, beats, found = stage_progress(progress, name + of), [], []
         try:
-            owners = scenario.located(sites).owners
             # in that of the recording they are simulated already
             new = None if scenario == (recording.scenario or Scenario()) else scenario
-            each_network = partial(_simulate, territories, scenario, owners, new, response)
+            each_network = partial(_simulate, territories, scenario, new, response)
             for beat, values in simulator.pool.map(each_network, networks, model):
                 beats.append(beat)
                 found.append(values)
@@ -190,7 +188,6 @@ def simulate_scenarios(
 def _simulate(
     territories: Territories,
     scenario: Scenario,
-    owners: Integers,
     new: Scenario | None,
     response: Response | None,
     network: Network,
@@ -203,8 +200,7 @@ def _simulate(
     leads = gain * simulation.leads
     values = indices(replace(simulation, leads=leads), territories, scenario.first_stimulus)
     filtered = placed(leads, -RINGING, leads.shape[1] + 2 * RINGING, response)
-    captured = np.bincount(owners, simulation.coupled.captured) > 0
-    return PredictedBeat.of(simulation, leads, filtered, captured), values
+    return PredictedBeat.of(simulation, leads, filtered), values
 
 
 def prior_networks(simulator: PointSimulator, progress: Progress | None = None) -> list[Network]:

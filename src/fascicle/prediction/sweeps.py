@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.progress import Progress
-from fascicle.forward.scenario import Scenario, Stimulus
+from fascicle.forward.primitives import Stimulus
+from fascicle.forward.scenario import Scenario
 from fascicle.forward.scenario_files import name_in_library
 from fascicle.heart.sites import LAYERS, SEGMENTS
 from fascicle.prediction.predicted import Predicted
@@ -118,15 +120,12 @@ def delays(scenario: Scenario, given: str) -> Sweep:
     InputError
         If the scenario has fewer stimuli, or the delays are not three numbers that go up.
     """
-    if len(scenario.stimuli) < 2:
-        raise InputError(
-            f"{_called(scenario)}: {len(scenario.stimuli)} stimuli; a delay needs two of them"
-        )
-    *others, last = scenario.stimuli
-    begin = min(stimulus.time for stimulus in others)
+    stimuli = scenario.of(Stimulus)
+    if len(stimuli) < 2:
+        raise InputError(f"{_called(scenario)}: {len(stimuli)} stimuli; a delay needs two of them")
+    begin = min(stimulus.time for stimulus in stimuli[:-1])
     moved = {
-        delay: replace(scenario, stimuli=(*others, replace(last, time=begin + delay)))
-        for delay in _numbers(given)
+        delay: _changed(scenario, stimuli[-1:], time=begin + delay) for delay in _numbers(given)
     }
     return Sweep(DELAY, moved)
 
@@ -148,17 +147,11 @@ def segments(scenario: Scenario, layer: str) -> Sweep:
     """
     if layer not in LAYERS:
         raise InputError(f"there is no layer '{layer}'; choose {' or '.join(LAYERS)}")
-    of_tissue = [k for k, stimulus in enumerate(scenario.stimuli) if stimulus.tree is None]
-    if not of_tissue:
-        raise InputError(f"{_called(scenario)}: no stimulus of the tissue that could be moved")
-    moved = of_tissue[-1]
-
-    def at(number: int) -> tuple[Stimulus, ...]:
-        here = replace(scenario.stimuli[moved], position=None, site=f"segment {number} {layer}")
-        return (*scenario.stimuli[:moved], here, *scenario.stimuli[moved + 1 :])
-
-    numbers = range(1, len(SEGMENTS) + 1)
-    return Sweep(SEGMENT, {float(k): replace(scenario, stimuli=at(k)) for k in numbers})
+    moved = _of_the_myocardium(scenario)[-1:]
+    sites = {float(k): f"segment {k} {layer}" for k in range(1, len(SEGMENTS) + 1)}
+    return Sweep(
+        SEGMENT, {k: _changed(scenario, moved, position=None, site=s) for k, s in sites.items()}
+    )
 
 
 def radii(scenario: Scenario, given: str) -> Sweep:
@@ -176,13 +169,23 @@ def radii(scenario: Scenario, given: str) -> Sweep:
     InputError
         If there is no such stimulus, or the radii are not three numbers that go up.
     """
-    if all(stimulus.tree is not None for stimulus in scenario.stimuli):
-        raise InputError(f"{_called(scenario)}: no stimulus of the tissue that has a radius")
+    changed = _of_the_myocardium(scenario)
+    return Sweep(RADIUS, {r: _changed(scenario, changed, radius=r) for r in _numbers(given)})
 
-    def captured(radius: float) -> tuple[Stimulus, ...]:
-        return tuple(s if s.tree else replace(s, radius=radius) for s in scenario.stimuli)
 
-    return Sweep(RADIUS, {r: replace(scenario, stimuli=captured(r)) for r in _numbers(given)})
+def _of_the_myocardium(scenario: Scenario) -> list[Stimulus]:
+    stimuli = [stimulus for stimulus in scenario.of(Stimulus) if stimulus.tree is None]
+    if not stimuli:
+        raise InputError(
+            f"{_called(scenario)}: no stimulus of the myocardium, which the sweep could change"
+        )
+    return stimuli
+
+
+def _changed(scenario: Scenario, stimuli: Sequence[Stimulus], **changes: Any) -> Scenario:
+    """The scenario with some of its stimuli changed."""
+    chosen = {id(stimulus) for stimulus in stimuli}
+    return scenario.mapped(lambda p: replace(p, **changes) if id(p) in chosen else p)
 
 
 def _called(scenario: Scenario) -> str:

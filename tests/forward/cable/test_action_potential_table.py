@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import barycentric_gradients
 from tests.builders import box
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "extending.md"
 RISE = [(t, -85.0 if t < 0 else 20.0) for t in range(-5, 10)]
 
 
@@ -106,13 +104,3 @@ def test_another_table_is_refused(tmp_path, rows, header, words):
         read_action_potential(path)
     assert str(refused.value).startswith(str(path))
     assert "; give " in str(refused.value)
-
-
-def test_the_example_of_the_documentation(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    code, *_ = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert code.count("\n") < 40
-    names: dict[str, object] = {"__name__": "example"}
-    exec(compile(code, PAGE, "exec"), names)
-    peaks = names["peaks"]
-    assert 0.5 < peaks[2.0] < peaks[1.0] < 5.0

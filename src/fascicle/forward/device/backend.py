@@ -18,7 +18,7 @@ from fascicle.forward.device.card import Card
 from fascicle.forward.device.source import BEAT, PLAN
 from fascicle.forward.ecg.electrocardiogram import STEP, leads_from_independent
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.scenario import Scenario, root_times
+from fascicle.forward.scenario import root_times
 from fascicle.forward.simulation import Signals, SimulatedBeat
 from fascicle.kernels.growth import GROWN
 from fascicle.purkinje.growth import tree_of_nodes, tree_outside
@@ -147,8 +147,7 @@ def _beat(model: ForwardModel, values: Mapping[str, float]) -> tuple[Any, ...]:
     """
     speed = model.conduction.with_values(values).alpha / model.conduction.alpha
     fires = tuple(speed * time for time in root_times(values["root_time"]))
-    delays = Scenario().delays(values)
-    there, back = delays["anterograde_delay"], delays["retrograde_delay"]
+    there, back = (values.get(f"{way}_delay", 0.0) for way in ("anterograde", "retrograde"))
     return fires, values["cv"] / speed, speed * there, speed * back, speed
 
 

@@ -44,7 +44,7 @@ from fascicle.study.population import Posterior
 from fascicle.study.target_comparison import Network
 
 RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
-PACINGS = ("his-pacing", "left-bundle-pacing", "biventricular-pacing")
+PACINGS = ("his-pacing", "left-bundle-branch-pacing", "biventricular-pacing")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,206 @@
+"""The primitives of scenarios: stimuli, slow conduction, inactive roots, delays, the His bundle.
+
+With a His bundle the roots are joined above the trees: pacing one of them climbs to the bundle and
+comes down the other branch, and a front that enters a tree from the tissue returns by the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+
+from fascicle.core.arrays import Booleans
+from fascicle.core.declared import (
+    CaptureRadius,
+    Delay,
+    FiringTime,
+    Name,
+    Point,
+    Radius,
+    SpeedFactor,
+    Time,
+)
+from fascicle.core.errors import InputError
+from fascicle.core.quantities import SIDES, default_of
+from fascicle.forward.eikonal.activation import HisBundle
+from fascicle.forward.scenario import Beat, Primitive, root_times
+
+FURTHEST_STIMULUS = 5.0  # mm from the tissue or the tree; a stimulus further out is a mistake
+
+
+class Stimulus(Primitive, table="stimulus"):
+    """A pacing or ectopic site: in the myocardium, or in a tree its node nearest to the site."""
+
+    time: Annotated[Time, "when it fires"]
+    position: Annotated[Point | None, "where, within 5 mm of the tissue or the tree"] = None
+    tree: Annotated[Name | None, "the tree whose node it fires; without, the myocardium"] = None
+    site: Annotated[Name | None, "where, by the name of a site, in place of a position"] = None
+    radius: Annotated[CaptureRadius, "what lies within it is captured, too"] = 0.0
+    part: Annotated[Name | None, "part of the tree that is fired, as of `slow_conduction`"] = None
+
+    def __post_init__(self) -> None:
+        if (self.position is None) == (self.site is None):
+            given = "none" if self.site is None else "both"
+            raise InputError(f"give either a position or a site, not {given}")
+        if self.part is not None and self.tree is None:
+            raise InputError(f"part '{self.part}' is given without its tree")
+
+    @property
+    def stimulus_time(self) -> float:
+        """When it fires (ms)."""
+        return self.time
+
+    def apply(self, beat: Beat) -> None:
+        """Fire the myocardium, or the nodes of a tree that it captures."""
+        place = self.position
+        if place is None:
+            assert self.site is not None
+            place = beat.sites.position(self.site)
+        if self.tree is None:
+            beat.stimulate(place, self.time, self.radius)
+            return
+        tree = beat.tree(self.tree)
+        distance = np.linalg.norm(beat.trees[tree].nodes - np.asarray(place), axis=1)
+        if self.part is not None:
+            distance[~beat.part(tree, self.part)] = np.inf
+        nearest = int(distance.argmin())
+        if distance[nearest] > FURTHEST_STIMULUS:
+            raise InputError(
+                f"stimulus at {place}: the nearest node of the {self.tree} tree is "
+                f"{distance[nearest]:.1f} mm away; give a position on it (within "
+                f"{FURTHEST_STIMULUS:g} mm)"
+            )
+        captured = {nearest, *np.flatnonzero(distance <= self.radius).tolist()}
+        beat.node_times += [(tree, node, self.time) for node in sorted(captured)]
+
+
+class SlowConduction(Primitive, table="slow_conduction"):
+    """Segments of a tree that conduct slowly or not at all; overlapping factors multiply."""
+
+    tree: Annotated[Name, '`"lv"`, `"rv"`, or the name of an additional tree']
+    speed: Annotated[SpeedFactor, "factor on the speed; 0 blocks both directions"]
+    part: Annotated[Name | None, '`"bundle"`, `"fascicle 1"`, …; without it the whole tree'] = None
+    centre: Annotated[Point | None, "centre of a sphere: only segments that end in it"] = None
+    radius: Annotated[Radius | None, "its radius"] = None
+
+    def __post_init__(self) -> None:
+        if (self.centre is None) != (self.radius is None):
+            raise InputError("a sphere needs centre and radius")
+
+    @property
+    def blocked(self) -> set[str]:
+        """The part that it blocks."""
+        whole = "tree" if self.centre is None else f"tree at {self.centre}"
+        return {f"{self.tree.upper()} {self.part or whole}"} if self.speed == 0 else set()
+
+    def apply(self, beat: Beat) -> None:
+        """Multiply the speeds of its segments."""
+        tree = beat.tree(self.tree)
+        beat.slow(tree, self._segments(beat, tree), self.speed)
+
+    def _segments(self, beat: Beat, number: int) -> Booleans:
+        tree = beat.trees[number]
+        chosen = tree.parents >= 0  # no segment ends in the root
+        if self.part is not None:
+            chosen &= beat.part(number, self.part)
+        if not chosen.any():
+            raise InputError(
+                f"slow conduction in the {tree.side} tree: its {self.part} has no segment; the "
+                "tree forks at its root"
+            )
+        if self.centre is not None:
+            distance = np.linalg.norm(tree.nodes - np.asarray(self.centre), axis=1)
+            nearest = distance[chosen].min()
+            chosen &= distance <= self.radius
+            if not chosen.any():
+                of_part = f" of its {self.part}" if self.part is not None else ""
+                raise InputError(
+                    f"slow conduction in the {tree.side} tree: no segment{of_part} ends in the "
+                    f"sphere at {self.centre}; the nearest ends {nearest:.1f} mm from its centre"
+                )
+        return chosen
+
+
+class InactiveRoot(Primitive, table="inactive_root"):
+    """A tree whose root does not fire."""
+
+    tree: Annotated[Name, '`"lv"`, `"rv"`, or the name of an additional tree']
+
+    def apply(self, beat: Beat) -> None:
+        """Let its root not fire."""
+        beat.inactive.add(beat.tree(self.tree))
+
+
+class JunctionDelays(Primitive, table="delay", once=True):
+    """Delays of all junctions, in place of the network's; inf blocks that direction."""
+
+    anterograde: Annotated[Delay | None, "from tree to myocardium"] = None
+    retrograde: Annotated[Delay | None, "from myocardium to tree"] = None
+
+    def apply(self, beat: Beat) -> None:
+        """Take the place of the network's delays."""
+        for direction in self.key_names():
+            if getattr(self, direction) is not None:
+                beat.delays[f"{direction}_delay"] = getattr(self, direction)
+
+
+class His(Primitive, table="his", once=True):
+    """A His bundle, whose branches join the roots of the heart's two trees and conduct both ways.
+
+    The branch to the root that fires first takes the network's ``his_time``, the other one longer
+    by the root time; so the intrinsic beat is the same with it as without.
+    """
+
+    time: Annotated[
+        FiringTime | None, "when it fires, inf: not at all; without, so that the first root is at 0"
+    ] = None
+    root_time: Annotated[Time | None, "t_RV − t_LV in place of the network's (ms)"] = None
+    left: Annotated[SpeedFactor, "factor on the speed of its left branch; 0 blocks it"] = 1.0
+    right: Annotated[SpeedFactor, "the same of its right branch"] = 1.0
+
+    @property
+    def stimulus_time(self) -> float | None:
+        """When it is paced (ms); None if it is not."""
+        return self.time if self.time is not None and np.isfinite(self.time) else None
+
+    @property
+    def blocked(self) -> set[str]:
+        """The bundle branches that it blocks."""
+        factors = {"left": self.left, "right": self.right}
+        return {f"the {side} bundle branch" for side, factor in factors.items() if factor == 0}
+
+    def apply(self, beat: Beat) -> None:
+        """Join the roots of the heart's own trees."""
+        names = [tree.side for tree in beat.trees]
+        if tuple(names[:2]) != SIDES:
+            raise InputError(
+                f"His bundle: it joins the trees {' and '.join(SIDES)}; known: {', '.join(names)}"
+            )
+        own = beat.roots[:2] if self.root_time is None else root_times(self.root_time)
+        roots, his = self.conducted(own, beat.values.get("his_time", default_of("his_time")))
+        others = [np.inf] * (len(beat.trees) - 2)
+        beat.roots[:2], beat.his = roots, replace(his, branches=[*his.branches, *others])
+
+    def conducted(self, roots: Sequence[float], nearest: float) -> tuple[list[float], HisBundle]:
+        """When it fires the left and the right root (ms), and what joins them.
+
+        Parameters
+        ----------
+        roots : sequence of float
+            When the left and the right root fire without it (ms).
+        nearest : float
+            From it to the root that fires first (ms).
+        """
+        fires = min(roots) - nearest if self.time is None else self.time
+        down, branches = [], []
+        for time, factor in zip(roots, (self.left, self.right), strict=True):
+            usual = nearest + time - min(roots)
+            takes = usual / factor if factor > 0 else np.inf
+            # not fires + takes, which differs from the root's own time in the last digit
+            own = time + (takes - usual)
+            down.append(own if self.time is None else self.time + takes)
+            branches.append(takes)
+        return down, HisBundle(fires, branches)

@@ -1,0 +1,46 @@
+"""Each example of docs/extending.md runs as it stands, in fewer than 40 lines."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from fascicle.forward.scenario import PRIMITIVES
+
+PAGE = Path(__file__).parents[1] / "docs" / "extending.md"
+SECTIONS = re.split(r"^## ", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+CODE = {
+    section.partition("\n")[0]: "\n".join(re.findall(r"```python\n(.*?)```", section, re.DOTALL))
+    for section in SECTIONS
+}
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """The names that an example leaves."""
+    monkeypatch.chdir(tmp_path)
+
+    def execute(section: str) -> dict[str, object]:
+        names: dict[str, object] = {"__name__": "example"}
+        exec(compile(CODE[section], f"{PAGE}, {section}", "exec", dont_inherit=True), names)
+        return names
+
+    return execute
+
+
+@pytest.mark.parametrize("section", CODE)
+def test_under_forty_lines(section):
+    assert 5 < CODE[section].count("\n") < 40
+
+
+def test_action_potential(run):
+    peaks = run("Action potential")["peaks"]
+    assert 0.5 < peaks[2.0] < peaks[1.0] < 5.0
+
+
+def test_scenario_primitive(run):
+    duration = run("Scenario primitive")["duration"]
+    del PRIMITIVES["distal_disease"]
+    assert duration["intrinsic"] + 5 < duration["distal"] < 300
