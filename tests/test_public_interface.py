@@ -67,6 +67,7 @@ ALSO = {
 # Of the numbers and texts of these `test_an_answer_or_one_line` tries more
 TRIED_ABOVE = {
     "Stimulus", "SlowConduction", "His", "Region", "GrowthRules", "TargetOptions", "FitSettings",
+    "GrowthTerm", "Quantity",  # made by programmers, as docs/extending.md shows
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {

@@ -5,6 +5,7 @@ from .core.files import outside_allowed as outside_allowed
 from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
+from .core.quantities import Quantity as Quantity
 from .forward.cable.action_potential_table import read_action_potential as read_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
@@ -30,6 +31,7 @@ from .prediction.comparison import compare as compare
 from .prediction.predicted import Predicted as Predicted
 from .prediction.scenarios import predict as predict
 from .purkinje.growth import GrowthRules as GrowthRules
+from .purkinje.growth import GrowthTerm as GrowthTerm
 from .purkinje.tree import InvalidTree as InvalidTree
 from .purkinje.tree import PurkinjeTree as PurkinjeTree
 from .recording.pipeline import analyse as analyse

@@ -129,7 +129,7 @@ def test_a_blocked_junction_is_possible():
     ("owner", "wrong"),
     [
         *((GrowthRules, {name: value}) for name, value in {
-            "branch_length": math.nan, "segments": 1.5, "repulsion": -0.1, "generations": 10**6,
+            "branch_length": math.nan, "segments": 1.5, "generations": 10**6,
             "clearance": "0.9", "branch_angle": math.inf,
         }.items()),
         *((Conduction, {name: value}) for name, value in {

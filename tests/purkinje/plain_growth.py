@@ -109,12 +109,12 @@ def grow_plainly(chart, seed, bundle, fascicles, angles, rules):
         tips.append((lay(fork, heading, length, k + 1), heading))
     label = len(tips) + 1
     for _ in range(rules.generations):
-        tips, label = sprout(surface, tree, tips, label, step, rules)
+        tips, label = grow_generation(surface, tree, tips, label, step, rules)
     positions = [surface.position(p, t) for p, t in zip(tree.disk, tree.triangle, strict=True)]
     return tree, np.array(positions)
 
 
-def sprout(surface, tree, tips, label, step, rules):
+def grow_generation(surface, tree, tips, label, step, rules):
     """One generation; returns the tips that lived, with headings, and the next free label."""
     ends, headings, alive = [], [], []
     for tip, heading in tips:
@@ -134,7 +134,9 @@ def sprout(surface, tree, tips, label, step, rules):
                 this_round = sister[segment:]
                 near, distance = nearest_but(surface, tree, point, t, own | set(this_round))
                 heading = heading / np.linalg.norm(surface.jacobian[t] @ heading)
-                heading = heading + rules.repulsion * (point - tree.disk[near]) / distance
+                heading = (
+                    heading + rules.numbers["repulsion"] * (point - tree.disk[near]) / distance
+                )
             try:
                 point, t = surface.walk(point, t, heading, step)
             except LeftError:

@@ -176,7 +176,7 @@ def fork_on_a_plane(repulsion):
         metric=np.tile([scale**2, 0.0, scale**2], (2, 1)),
     )
     seed = Seed(np.array([-0.2, 0.0]), 1, np.array([1.0, 0.0]))
-    rules = GrowthRules(generations=1, repulsion=repulsion)
+    rules = GrowthRules(generations=1).with_values({"repulsion": repulsion})
     tree = grow_tree("lv", chart, seed, 15.0, [5.0], [0.0], rules)
     return [tree.nodes[tree.labels == label, :2] for label in (2, 3)]
 

@@ -202,7 +202,8 @@ def declare(known: Quantity) -> None:
     """Add a quantity to the model: parameters, options and settings files may then name it.
 
     `Quantity.apply` says what it does to the conduction of the tissue; `Quantity.changes` must be
-    ``Changes.TIMES`` where that is `alpha` alone, else ``Changes.TISSUE``.
+    ``Changes.TIMES`` where that is `alpha` alone, else ``Changes.TISSUE``. What a
+    `fascicle.GrowthTerm` takes has ``Changes.TREES`` and is declared by that.
 
     Raises
     ------
@@ -211,7 +212,8 @@ def declare(known: Quantity) -> None:
     """
     if QUANTITIES.get(known.name, known) != known or known.name in GROUPS:
         raise ValueRefusedError(f"parameter '{known.name}' is taken; choose another name")
-    if known.apply is None or known.changes not in (Changes.TIMES, Changes.TISSUE):
+    is_applied = known.apply is not None and known.changes in (Changes.TIMES, Changes.TISSUE)
+    if known.changes is not Changes.TREES and not is_applied:
         raise ValueRefusedError(
             f"parameter '{known.name}' changes nothing; give `apply`, and what it changes: "
             "Changes.TIMES or Changes.TISSUE"

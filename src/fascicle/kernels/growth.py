@@ -1,26 +1,88 @@
 """Growth of a Purkinje tree in the disk: straight walks, nearest nodes, branching.
 
 Positions are disk coordinates plus the triangle they lie in, (u, v, triangle); lengths are physical
-(mm). All directions are vectors (a, b) of the disk.
-
-Charts and seeds are those of `fascicle.purkinje`, named tuples of arrays.
+(mm). All directions are vectors (a, b) of the disk. Charts and seeds are those of
+`fascicle.purkinje`, named tuples of arrays.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
+from numba.extending import register_jitable
+from numpy.typing import NDArray
 
-from fascicle.kernels.arrays import NODE, Tree
 from fascicle.kernels.jit import allocating_kernel, kernel
 
-GROWN = -1  # status: the tree is complete
-TOO_LARGE = -2  # status: it has more nodes, or ends, than any heart
+GROWN, TOO_LARGE = -1, -2  # status of a complete tree, and of one larger than that of any heart
+MOST_NODES = 200_000  # of a tree: a hundred times those of a heart; more take minutes
+MOST_ENDS = 20_000  # of a generation; each end becomes a junction, with rays to the tissue
 GRID = 64  # cells per side of the hash that finds nearest nodes
-MOST_NODES = 200_000  # a hundred times those of a heart; more take minutes
-MOST_SPROUTS = 20_000  # of a generation; each end becomes a junction, with rays to the tissue
-ROOM = 8192  # nodes there is room for before the array must grow
-DIAMETER = 2.0  # of the disk: nothing in it is further away
-SOME_LEFT = 1e-300  # mm; what is left of a walk that meets the base on its last step
+
+# What the search for the nearest node reads of a node lies together: one cache line, not five
+NODE = np.dtype(
+    [
+        ("u", np.float64),
+        ("v", np.float64),
+        ("branch", np.int32),  # number of the branch it belongs to
+        ("following", np.int32),  # next node in the same cell of the hash, or -1
+        ("parent", np.int32),  # node before it, -1 at the root
+        ("triangle", np.int32),
+        ("length", np.float64),  # of the segment to its parent (mm)
+    ]
+)
+
+
+class Rules(NamedTuple):
+    """Numbers of `fascicle.purkinje.growth.GrowthRules`, with `step` = l_b/N_s (mm)."""
+
+    step: float
+    segments: int
+    generations: int
+    branch_angle: float
+    clearance: float
+
+
+class Tree(NamedTuple):
+    """A tree that grows: nodes and room for more, how many there are, and the hash.
+
+    In each cell of the hash, shape (GRID, GRID), stands a node from which `following` leads to the
+    others, or -1.
+    """
+
+    nodes: NDArray[np.void]
+    size: int
+    head: NDArray[np.int32]
+
+
+@register_jitable
+def repulsion(tip, nearest, metric, values):
+    """w∇d_CP of equation 1 of the paper, the gradient of the distance to the nearest node.
+
+    Parameters
+    ----------
+    tip : tuple of 4 floats
+        The end of a branch (u, v) in the disk, and its heading (a, b), of unit length in the
+        metric.
+    nearest : tuple of 3 floats
+        The nearest node (u, v) that does not belong to the branch itself, and how far it is (mm);
+        inf if there is none.
+    metric : tuple of 3 floats
+        G₁₁, G₁₂, G₂₂ (mm²) where the tip is: (a, b) has the length √(G₁₁a² + 2G₁₂ab + G₂₂b²) mm.
+    values : (1,) array
+        Values of the term's parameters: here the weight w.
+
+    Returns
+    -------
+    a, b : float
+        What is added to the heading.
+    """
+    u, v, distance = nearest
+    return values[0] * (tip[0] - u) / distance, values[0] * (tip[1] - v) / distance
 
 
 @kernel(inline="always")
@@ -76,7 +138,7 @@ def walk(u, v, triangle, a, b, length, chart):
             return u, v, triangle, 0.0
         length -= nearest * speed
         if neighbours[triangle, exit_edge] < 0:
-            return u, v, triangle, max(length, SOME_LEFT)
+            return u, v, triangle, max(length, 1e-300)  # not 0: the walk met the base
         triangle = neighbours[triangle, exit_edge]
 
 
@@ -108,9 +170,9 @@ def _nearest(point, kin, nearest, nodes, head, metric):
     start, own, sister, unseen = kin
     best, best_square = nearest
     g11, g12, g22 = metric[triangle, 0], metric[triangle, 1], metric[triangle, 2]
-    # the box around the ellipse of that distance
+    # the box around the ellipse of that distance, which the disk bounds
     reach = best_square / (g11 * g22 - g12 * g12)
-    du, dv = min(math.sqrt(reach * g22), DIAMETER), min(math.sqrt(reach * g11), DIAMETER)
+    du, dv = min(math.sqrt(reach * g22), 2.0), min(math.sqrt(reach * g11), 2.0)
     for i in range(_cell(u - du), _cell(u + du) + 1):
         for j in range(_cell(v - dv), _cell(v + dv) + 1):
             k = head[i, j]
@@ -124,10 +186,9 @@ def _nearest(point, kin, nearest, nodes, head, metric):
     return best, best_square
 
 
-@allocating_kernel(inline="always")
-def _append(tree, point, parent, length, branch):
-    """Write the next node and enter it into the hash; returns the tree."""
-    nodes, n, head = tree
+@kernel()
+def _write(nodes, n, head, point, parent, length, branch):
+    """Write node n and enter it into the hash."""
     u, v, triangle = point
     node = nodes[n]
     node.u, node.v, node.triangle = u, v, triangle
@@ -135,7 +196,6 @@ def _append(tree, point, parent, length, branch):
     i, j = _cell(u), _cell(v)
     node.following = head[i, j]
     head[i, j] = n
-    return Tree(nodes, n + 1, head)
 
 
 @allocating_kernel()
@@ -156,19 +216,18 @@ def _lay(start, heading, length, step, branch, tree, chart):
     Returns the tree, the last node of the stretch (on the base, if it meets that) and what could
     not be laid (mm).
     """
-    tree = _with_room(tree, int(length / step) + 2)
+    nodes, size, head = _with_room(tree, int(length / step) + 2)
     a, b = heading
-    last, left = start, length
-    while left > 0.0:
+    last, left, missing = start, length, 0.0
+    while left > 0.0 and missing == 0.0:
         mm = min(step, left)
-        end = tree.nodes[last]
-        u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, mm, chart)
-        tree = _append(tree, (u, v, triangle), last, mm - missing, branch)
-        last = tree.size - 1
+        u, v, triangle, missing = walk(
+            nodes[last].u, nodes[last].v, nodes[last].triangle, a, b, mm, chart
+        )
+        _write(nodes, size, head, (u, v, triangle), last, mm - missing, branch)
+        last, size = size, size + 1
         left -= mm
-        if missing > 0.0:
-            return tree, last, left + missing
-    return tree, last, 0.0
+    return Tree(nodes, size, head), last, left + missing if missing > 0.0 else 0.0
 
 
 @kernel(inline="always")
@@ -178,29 +237,11 @@ def _turned(heading, angle):
     return c * heading[0] - s * heading[1], s * heading[0] + c * heading[1]
 
 
-@kernel(inline="always")
-def _steered(point, heading, nearest, repulsion, nodes, metric):
-    """Unit vector d plus w∇d_CP, the gradient of the distance to the nearest node.
-
-    Equation 1 of the paper, but for the normalisation, which `walk` does.
-    """
-    u, v, triangle = point
-    a, b = heading
-    best, square = nearest
-    scale = _norm(metric, triangle, a, b)
-    a, b = a / scale, b / scale
-    if best >= 0 and square > 0.0:
-        distance = math.sqrt(square)
-        a += repulsion * (u - nodes[best].u) / distance
-        b += repulsion * (v - nodes[best].v) / distance
-    return a, b
-
-
 @kernel()
-def _steered_by(point, kin, beside, nodes, head, metric):
-    """The node that repels a branch, and its squared distance (mm²).
+def _nearest_to_branch(point, kin, beside, nodes, head, metric):
+    """The node from which d_CP in equation 1 of the paper counts, and its squared distance (mm²).
 
-    As d_CP in equation 1 of the paper, it is the nearest of all but the branch itself and its
+    It is the nearest of all but the branch itself and its
     start, and of the sister's nodes those laid in earlier rounds: the sister that moves second must
     not see more of the first than the first sees of it, or left and right would differ. `beside` is
     the end of the sister.
@@ -217,105 +258,130 @@ def _steered_by(point, kin, beside, nodes, head, metric):
 
 
 @allocating_kernel()
-def _grow_generation(tips, heading, label, rules, tree, chart):
-    """Grow one generation: two branches from every tip, advanced a segment at a time in step.
-
-    Branches are numbered from `label` on. Returns the tree, and the tips and headings of the
-    branches that lived.
-    """
-    metric, step = chart.metric, rules.step
-    count = 2 * len(tips)
+def _fork(tips, heading, angle):
+    """Two branches from every tip: where they end, their headings, and that they live."""
     end = np.repeat(tips, 2)
-    toward = np.empty((count, 2))
-    for k in range(count):
-        angle = rules.branch_angle if k % 2 == 0 else -rules.branch_angle
-        toward[k] = _turned(heading[k // 2], angle)
-    alive = np.ones(count, np.bool_)
-    too_near = (rules.clearance * step) ** 2
-    for segment in range(rules.segments):
-        tree = _with_room(tree, count)
-        nodes, head, round_start = tree.nodes, tree.head, tree.size
-        for k in range(count):
-            if not alive[k]:
-                continue
-            # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
-            start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
-            point = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
-            a, b = toward[k, 0], toward[k, 1]
-            if segment > 0:
-                kin = start, own, sister, round_start
-                near = _steered_by(point, kin, end[k ^ 1], nodes, head, metric)
-                a, b = _steered(point, (a, b), near, rules.repulsion, nodes, metric)
-            u, v, t, missing = walk(point[0], point[1], point[2], a, b, step, chart)
-            if missing > 0.0:
-                alive[k] = False
-                continue
-            # no node of the sister stops a branch: they begin nearer to each other than that
-            kin = start, own, sister, 0
-            _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
-            if square < too_near:
-                alive[k] = False
-                continue
-            tree = _append(tree, (u, v, t), end[k], step, own)
-            end[k] = tree.size - 1
-            toward[k, 0], toward[k, 1] = a, b
-    return tree, end[alive], toward[alive]
+    toward = np.empty((len(end), 2))
+    for k in range(len(end)):
+        toward[k] = _turned(heading[k // 2], angle if k % 2 == 0 else -angle)
+    return end, toward, np.ones(len(end), np.bool_)
+
+
+@kernel()
+def _surroundings(end, beside, a, b, kin, round_start, nodes, head, metric):
+    """What a term is given of the branch that ends in node `end`, whose sister ends in `beside`."""
+    u, v, t = nodes[end].u, nodes[end].v, nodes[end].triangle
+    kin = kin[0], kin[1], kin[2], round_start
+    best, square = _nearest_to_branch((u, v, t), kin, beside, nodes, head, metric)
+    scale = _norm(metric, t, a, b)
+    near = 0.0, 0.0, np.inf
+    if best >= 0 and square > 0.0:
+        near = nodes[best].u, nodes[best].v, math.sqrt(square)
+    return (u, v, a / scale, b / scale), near, (metric[t, 0], metric[t, 1], metric[t, 2])
+
+
+@kernel()
+def _ahead(end, a, b, kin, rules, nodes, head, chart):
+    """Where a segment from node `end` along (a, b) ends, and whether it may be laid.
+
+    It may not if it would leave the endocardium or come too near a node. No node of the sister
+    stops a branch: they begin nearer to each other than that.
+    """
+    u, v, t = nodes[end].u, nodes[end].v, nodes[end].triangle
+    u, v, t, missing = walk(u, v, t, a, b, rules.step, chart)
+    square, too_near = 0.0, (rules.clearance * rules.step) ** 2
+    if missing == 0.0:
+        kin = kin[0], kin[1], kin[2], 0
+        _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, chart.metric)
+    return (u, v, t), missing == 0.0 and square >= too_near
 
 
 @allocating_kernel()
-def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, chart):
-    """Grow one tree.
+def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
+    """Lay the bundle and the fascicles.
+
+    Returns which stretch left the endocardium, or GROWN; how much of it could not be laid (mm); the
+    tree; and the last node and the heading of each fascicle.
+    """
+    fascicles = len(fascicle_lengths)
+    tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
+    tree = Tree(np.empty(8192, NODE), 1, np.full((GRID, GRID), -1, np.int32))
+    _write(tree.nodes, 0, tree.head, (seed.point[0], seed.point[1], seed.triangle), -1, 0.0, 0)
+    bundle = seed.heading[0], seed.heading[1]
+    tree, fork, missing = _lay(0, bundle, bundle_length, step, 0, tree, chart)
+    if missing > 0.0:
+        return 0, missing, tree, tips, heading
+    for f in range(fascicles):
+        along = _turned(bundle, fascicle_angles[f])
+        tree, tips[f], missing = _lay(fork, along, fascicle_lengths[f], step, f + 1, tree, chart)
+        if missing > 0.0:
+            return f + 1, missing, tree, tips, heading
+        heading[f] = along
+    return GROWN, 0.0, tree, tips, heading
+
+
+def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
+    """Compile growth with a term in its direction.
 
     Parameters
     ----------
-    seed : fascicle.purkinje.growth.Seed
-        Where the bundle starts.
-    bundle_length : float
-        Length of the bundle (mm).
-    fascicle_lengths, fascicle_angles : (f,) arrays
-        Length (mm) of each fascicle and its angle to the bundle (rad).
-    rules : Rules
-        What is held fixed.
-    chart : Chart
-        The endocardium's map to the disk.
+    term : function
+        What is added to the direction of a branch at every segment; called as `repulsion` is.
+    cache : bool
+        Whether what is compiled is kept on disk. Numba would not see that a term has changed.
 
     Returns
     -------
-    status : int
-        GROWN, TOO_LARGE, or which stretch left the endocardium: 0 the bundle, k fascicle k.
-    missing : float
-        How much of that stretch could not be laid (mm).
-    nodes : array of NODE
-        One row a node; parents come before their children. The last is where a stretch that left
-        the endocardium met the base.
+    function
+        ``grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, values, chart)``, of
+        `fascicle.purkinje.growth.Seed`, length of the bundle (mm), (f,) arrays of lengths (mm) of
+        the fascicles and of their angles to the bundle (rad), `Rules`, (k,) array of the values of
+        the term's parameters, and `Chart`. It gives a status: GROWN, TOO_LARGE, or which stretch
+        left the endocardium, 0 the bundle, k fascicle k; how much of that could not be laid (mm);
+        and the nodes, an array of NODE in which parents come before their children, the last being
+        where a stretch that left the endocardium met the base.
     """
-    tree = Tree(np.empty(ROOM, NODE), 0, np.full((GRID, GRID), -1, np.int32))
-    tree = _append(tree, (seed.point[0], seed.point[1], seed.triangle), -1, 0.0, 0)
-    bundle = seed.heading[0], seed.heading[1]
-    tree, fork, missing = _lay(0, bundle, bundle_length, rules.step, 0, tree, chart)
-    if missing > 0.0:
-        return 0, missing, tree.nodes[: tree.size]
 
-    fascicles = len(fascicle_lengths)
-    tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
-    for f in range(fascicles):
-        along = _turned(bundle, fascicle_angles[f])
-        length = fascicle_lengths[f]
-        tree, tips[f], missing = _lay(fork, along, length, rules.step, f + 1, tree, chart)
-        if missing > 0.0:
-            return f + 1, missing, tree.nodes[: tree.size]
-        heading[f] = along
+    @njit(cache=cache, nogil=True)
+    def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, values, chart):
+        status, missing, tree, tips, heading = _trunk(
+            seed, bundle_length, fascicle_lengths, fascicle_angles, rules.step, chart
+        )
+        label = len(tips) + 1  # of the first branch of a generation
+        for _ in range(rules.generations if status == GROWN else 0):
+            count = 2 * len(tips)
+            if tree.size > MOST_NODES or count > MOST_ENDS:
+                status = TOO_LARGE
+                break
+            end, toward, alive = _fork(tips, heading, rules.branch_angle)
+            for segment in range(rules.segments):
+                nodes, round_start, head = _with_room(tree, count)
+                size = round_start
+                for k in range(count):
+                    if not alive[k]:
+                        continue
+                    # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
+                    kin = tips[k // 2], label + k, label + (k ^ 1)
+                    a, b = toward[k, 0], toward[k, 1]
+                    if segment > 0:
+                        tip, near, here = _surroundings(
+                            end[k], end[k ^ 1], a, b, kin, round_start, nodes, head, chart.metric
+                        )
+                        more = term(tip, near, here, values)
+                        a, b = tip[2] + more[0], tip[3] + more[1]
+                    point, alive[k] = _ahead(end[k], a, b, kin, rules, nodes, head, chart)
+                    if alive[k]:
+                        _write(nodes, size, head, point, end[k], rules.step, kin[1])
+                        end[k], toward[k, 0], toward[k, 1] = size, a, b
+                        size += 1
+                tree = Tree(nodes, size, head)
+            tips, heading = end[alive], toward[alive]
+            label += count
+            if len(tips) == 0:
+                break
+        return status, missing, tree.nodes[: tree.size]
 
-    label = fascicles + 1
-    for _ in range(rules.generations):
-        sprouts = 2 * len(tips)
-        if tree.size > MOST_NODES or sprouts > MOST_SPROUTS:
-            return TOO_LARGE, 0.0, tree.nodes[: tree.size]
-        tree, tips, heading = _grow_generation(tips, heading, label, rules, tree, chart)
-        label += sprouts
-        if len(tips) == 0:
-            break
-    return GROWN, 0.0, tree.nodes[: tree.size]
+    return grow
 
 
 @allocating_kernel()

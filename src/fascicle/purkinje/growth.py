@@ -2,22 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import check, checked, default_of, fascicles, quantity
+from fascicle.core.quantities import (
+    Quantity,
+    check,
+    checked,
+    declare,
+    default_of,
+    fascicles,
+    quantity,
+)
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
-from fascicle.kernels.arrays import Rules
 from fascicle.mesh.measures import unit
 from fascicle.purkinje.chart import Chart
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
+
+Pair = tuple[float, float]
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class GrowthTerm:
+    """A term in the direction of growth: d ← normalise(d + term), at every segment of a branch.
+
+    Attributes
+    ----------
+    function : function
+        Called as ``function(tip, nearest, metric, values)``; `fascicle.kernels.growth.repulsion`,
+        the term of the paper, says with what, and what it gives. Numba compiles it; it may call
+        that one, and functions under `numba.njit`.
+    parameters : tuple of Quantity
+        What it depends on. From then on they can be given to simulations like any other quantity.
+    values : tuple of float, optional
+        Of these; their defaults if not given.
+    """
+
+    function: Callable[[tuple[float, float, float, float], Triple, Triple, Floats], Pair]
+    parameters: tuple[Quantity, ...] = ()
+    values: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for parameter in self.parameters:
+            declare(parameter)
+        if not self.values:
+            values = tuple(float(parameter.default or 0.0) for parameter in self.parameters)
+            object.__setattr__(self, "values", values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return GrowthTerm, (self.function, self.parameters, self.values)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Values by the names of the parameters."""
+        return {p.name: v for p, v in zip(self.parameters, self.values, strict=True)}
+
+    def with_values(self, values: Mapping[str, float]) -> GrowthTerm:
+        """The same with other values of the parameters that are among these."""
+        changed = checked({name: values.get(name, v) for name, v in self.numbers.items()})
+        return replace(self, values=tuple(changed.values()))
+
+
+REPULSION = GrowthTerm(growth.repulsion, (quantity("repulsion"),))
+
+
+@cache
+def _grow(term: Callable[..., Pair]) -> Any:
+    """Growth by a term; Numba keeps that of the built-in one on disk."""
+    if term is growth.repulsion:
+        return growth.make_grow(term, cache=True)
+    return growth.make_grow(register_jitable(term), cache=False)
 
 
 @dataclass(frozen=True)
@@ -30,8 +94,6 @@ class GrowthRules:
         Length of a branch (mm).
     segments : int
         Segments a branch is laid in.
-    repulsion : float
-        Weight w of the direction away from the nearest node, the sister branch's included.
     branch_angle : float
         Angle between a branch and its parent (rad).
     generations : int
@@ -39,6 +101,9 @@ class GrowthRules:
     clearance : float
         A branch stops nearer than this many segments to a node that is neither its own nor its
         sister's.
+    term : GrowthTerm
+        What is added to the direction of growth; by default w = 0.1 times the direction away from
+        the nearest node, the sister branch's included.
 
     Raises
     ------
@@ -48,24 +113,28 @@ class GrowthRules:
 
     branch_length: float = default_of("branch_length")
     segments: int = int(default_of("segments"))
-    repulsion: float = default_of("repulsion")
     branch_angle: float = default_of("branch_angle")
     generations: int = int(default_of("generations"))
     clearance: float = default_of("clearance")
+    term: GrowthTerm = field(default=REPULSION)
 
     def __post_init__(self) -> None:
-        checked({field.name: getattr(self, field.name) for field in fields(self)})
+        checked(self.numbers)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All quantities, those of the term included."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "term"}
+        return own | self.term.numbers
 
     def with_values(self, values: Mapping[str, float]) -> GrowthRules:
         """The same with other values of the quantities in `values` that concern it."""
         changes: dict[str, Any] = {
-            field.name: int(values[field.name])
-            if quantity(field.name).is_integer
-            else values[field.name]
-            for field in fields(self)
-            if field.name in values
+            name: int(values[name]) if quantity(name).is_integer else values[name]
+            for name in self.numbers.keys() - self.term.numbers.keys()
+            if name in values
         }
-        return replace(self, **changes)
+        return replace(self, **changes, term=self.term.with_values(values))
 
 
 class Seed(NamedTuple):
@@ -84,26 +153,22 @@ def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
     InputError
         If root and direction are one vertex, or the heading points out of the endocardium.
     """
-    side = endocardium.side.upper()
-    point = chart.points[endocardium.root]
-    offset = chart.points[endocardium.direction] - point
-    if not offset.any():
-        raise InputError(
-            f"{side} seeds: root and direction are the same vertex ({endocardium.root}); "
-            "give two different ones"
-        )
-    heading = unit(offset)
-    for triangle in np.flatnonzero((chart.triangles == endocardium.root).any(axis=1)):
-        corner = int(np.flatnonzero(chart.triangles[triangle] == endocardium.root)[0])
-        first, second = (
-            chart.points[chart.triangles[triangle, (corner + k) % 3]] - point for k in (1, 2)
-        )
-        # the heading lies between the two edges that leave the root, counter-clockwise
-        if _cross(first, heading) >= 0 and _cross(heading, second) >= 0:
-            return Seed(point, int(triangle), heading)
+    root, direction = endocardium.root, endocardium.direction
+    point = chart.points[root]
+    offset = chart.points[direction] - point
+    if offset.any():
+        heading = unit(offset)
+        for triangle in np.flatnonzero((chart.triangles == root).any(axis=1)):
+            corner = int(np.flatnonzero(chart.triangles[triangle] == root)[0])
+            first, second = (
+                chart.points[chart.triangles[triangle, (corner + k) % 3]] - point for k in (1, 2)
+            )
+            # the heading lies between the two edges that leave the root, counter-clockwise
+            if _cross(first, heading) >= 0 and _cross(heading, second) >= 0:
+                return Seed(point, int(triangle), heading)
     raise InputError(
-        f"{side} seeds: from root {endocardium.root} the direction vertex "
-        f"{endocardium.direction} lies outside the endocardium; choose one towards the apex"
+        f"{endocardium.side.upper()} seeds: from root {root} the direction vertex {direction} is "
+        "the same or lies outside the endocardium; choose one towards the apex"
     )
 
 
@@ -123,7 +188,7 @@ def grow_tree(
     """Grow a tree: bundle, fascicles from its end, then generations of branches.
 
     Each segment obeys d ← normalise(d + w∇d_CP(x)), x ← x + (l_b/N_s)·d (equation 1 of the
-    paper), with unit vectors and distances of the endocardium's own metric.
+    paper), with unit vectors and distances of the endocardium's own metric, or with another term.
 
     Parameters
     ----------
@@ -161,25 +226,25 @@ def grow_tree(
     for known, values in ((length, (bundle_length, *fascicle_lengths)), (angle, fascicle_angles)):
         for value in values:
             check(known, value)
-    status, missing, grown = growth.grow(
+    status, missing, grown = _grow(rules.term.function)(
         seed,
         float(bundle_length),
         np.asarray(fascicle_lengths, float),
         np.asarray(fascicle_angles, float),
-        Rules(
+        growth.Rules(
             step=float(rules.branch_length / rules.segments),
             segments=int(rules.segments),
             generations=int(rules.generations),
-            repulsion=float(rules.repulsion),
             branch_angle=float(rules.branch_angle),
             clearance=float(rules.clearance),
         ),
+        np.array(rules.term.values, float),
         chart,
     )
     if status == growth.TOO_LARGE:
         raise InputError(
             f"the {side.upper()} tree grows to more than {growth.MOST_NODES} nodes, or "
-            f"{growth.MOST_SPROUTS} ends at a time; choose fewer generations or segments, a larger "
+            f"{growth.MOST_ENDS} ends at a time; choose fewer generations or segments, a larger "
             "clearance or longer branches"
         )
     if status == growth.GROWN:
@@ -190,14 +255,11 @@ def grow_tree(
 
 def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeTree:
     """The tree of nodes, an array of NODE, that were grown in a chart."""
-    return PurkinjeTree(
-        side,
-        growth.lift(nodes, chart),
-        nodes["parent"].astype(np.int64),
-        nodes["length"].copy(),
-        nodes["branch"].astype(np.int64),
-        nodes["triangle"].astype(np.int64),
+    parents, labels, triangles = (
+        nodes[name].astype(np.int64) for name in ("parent", "branch", "triangle")
     )
+    lengths = nodes["length"].copy()
+    return PurkinjeTree(side, growth.lift(nodes, chart), parents, lengths, labels, triangles)
 
 
 def tree_outside(
@@ -205,16 +267,7 @@ def tree_outside(
 ) -> InvalidTree:
     """The outcome where a stretch leaves the endocardium.
 
-    Parameters
-    ----------
-    side, branch, wanted
-        See `InvalidTree`.
-    missing : float
-        How much of it could not be laid (mm).
-    end : (1,) array of NODE
-        Where it met the base.
-    chart : Chart
-        In which it was grown.
+    `missing` mm of the branch were not laid, and `end`, of shape (1,), is where it met the base.
     """
     position = tuple(growth.lift(end, chart)[0].tolist())
     return InvalidTree(side, branch, wanted - missing, wanted, position)
@@ -225,12 +278,8 @@ def grow_from_parameters(
 ) -> PurkinjeTree | InvalidTree:
     """Grow one side's tree from named parameters, with as many fascicles as they name.
 
-    Parameters
-    ----------
-    side, chart, seed, rules
-        See `grow_tree`.
-    parameters : mapping of name to float
-        Lengths (mm) and angles (rad) of both sides, named as in `fascicle.core.parameters`.
+    As `grow_tree`; lengths (mm) and angles (rad) of both sides are named as in
+    `fascicle.core.parameters`.
     """
     numbers = range(1, fascicles(side, parameters) + 1)
     return grow_tree(

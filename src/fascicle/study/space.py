@@ -163,4 +163,4 @@ def growth_and_conduction(heart: Heart) -> dict[str, Any]:
     numbers = asdict(conduction)
     del numbers["regions"]
     regions = {f"of {region.name}": region.conductivity for region in conduction.regions}
-    return {"growth": asdict(GrowthRules()), "conduction": numbers | regions}
+    return {"growth": GrowthRules().numbers, "conduction": numbers | regions}

@@ -20,7 +20,7 @@ from fascicle.forward.ecg.electrocardiogram import STEP, leads_from_independent
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.scenario import root_times
 from fascicle.forward.simulation import Signals, SimulatedBeat
-from fascicle.kernels.growth import GROWN
+from fascicle.kernels.growth import GROWN, repulsion
 from fascicle.purkinje.growth import tree_of_nodes, tree_outside
 from fascicle.purkinje.tree import InvalidTree
 
@@ -59,6 +59,8 @@ class GpuBackend:
 
     def refusal(self, model: ForwardModel, names: Iterable[str]) -> str:
         """Why a model with other values of these quantities is not simulated; empty if it is."""
+        if model.rules.term.function is not repulsion:
+            return "the card does not know the growth rule"
         for name in names:
             if quantity(name).changes in (Changes.TISSUE, Changes.BODY):
                 return f"parameter '{name}' changes {quantity(name).changes}"
@@ -132,7 +134,7 @@ def _plan(model: ForwardModel, side: str, values: Mapping[str, float]) -> NDArra
         angle = values[f"{side}_fascicle_angle_{k + 1}"]
         plan["fascicle"][k] = values[f"{side}_fascicle_length_{k + 1}"]
         plan["cosine"][k], plan["sine"][k] = math.cos(angle), math.sin(angle)
-    plan["step"], plan["repulsion"] = step, rules.repulsion
+    plan["step"], (plan["repulsion"],) = step, rules.term.values
     plan["too_near"] = (rules.clearance * step) ** 2
     plan["branch_cosine"] = math.cos(rules.branch_angle)
     plan["branch_sine"] = math.sin(rules.branch_angle)

@@ -25,8 +25,9 @@ from fascicle.forward.device.source import (
 )
 from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
-from fascicle.kernels.arrays import CORNERS, NODE
+from fascicle.kernels.arrays import CORNERS
 from fascicle.kernels.channels import CHANNELS
+from fascicle.kernels.growth import NODE
 
 # Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
 # processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.

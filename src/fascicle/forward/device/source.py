@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.kernels.arrays import NODE
+from fascicle.kernels.growth import NODE
 
 Bytes = NDArray[np.uint8]
 

@@ -1,0 +1,60 @@
+"""The examples of docs/extending.md that concern the forward model."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.core.quantities import QUANTITIES
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
+
+
+@pytest.fixture
+def example(tmp_path, monkeypatch):
+    """Run the example of a section; its names."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(section):
+        text = PAGE.read_text(encoding="utf-8").split(f"\n## {section}\n")[1].split("\n## ")[0]
+        (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+        assert code.count("\n") < 40
+        names = {"__name__": "example"}
+        exec(compile(code, PAGE, "exec"), names)
+        return names
+
+    return run
+
+
+def test_an_action_potential_from_a_table(example):
+    peaks = example("Action potential")["peaks"]
+    assert 0.5 < peaks[2.0] < peaks[1.0] < 5.0
+
+
+def test_a_growth_rule(example, default_model, monkeypatch, emulated):
+    """Without its own term it is the built-in one; a card leaves it to the processor."""
+    from fascicle.forward.device.backend import GpuBackend
+
+    monkeypatch.setitem(QUANTITIES, "apical_attraction", None)  # as it was, afterwards
+    del QUANTITIES["apical_attraction"]
+    names = example("Growth rule")
+    plain = {**fascicle.EXAMPLE_PARAMETERS, "apical_attraction": 0.0}
+    for found, expected in zip(
+        names["model"].grow(plain), default_model.grow(fascicle.EXAMPLE_PARAMETERS), strict=True
+    ):
+        np.testing.assert_array_equal(found.nodes, expected.nodes)
+    assert names["nodes"][0.0] != names["nodes"][0.2]
+    assert "growth rule" in GpuBackend.on(emulated, 1).refusal(names["model"], [])
+
+
+def test_the_values_of_a_growth_rule_are_checked():
+    rules = fascicle.GrowthRules()
+    assert rules.with_values({"repulsion": 0.3}).term.values == (0.3,)
+    assert pickle.loads(pickle.dumps(rules)) == rules
+    with pytest.raises(fascicle.InputError, match="repulsion"):
+        rules.with_values({"repulsion": 11.0})
