@@ -114,7 +114,7 @@ def test_recordings_that_will_not_do(tmp_path, target_refused, run, outside, opt
 
 def test_files_that_are_no_recordings(tmp_path, target_refused):
     target_refused(tmp_path / "none.csv", "none.csv: no such file; check")
-    target_refused(tmp_path, tmp_path, "is a folder; give one recording file")
+    target_refused(tmp_path, tmp_path, "is not an ordinary file; give one recording file")
     for name, words in (("a.txt", "; "), ("a.xml", "; "), ("a", "; give")):
         (tmp_path / name).write_text("hello\n")
         target_refused(tmp_path / name, name, words)

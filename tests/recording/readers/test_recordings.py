@@ -13,7 +13,7 @@ import pytest
 from pydicom.data import get_testdata_file
 from refusals import refused
 
-from fascicle.core.leads import LEADS
+from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers.formats import (
     READERS,
     Reader,
@@ -21,7 +21,7 @@ from fascicle.recording.readers.formats import (
     reader_of,
     register_reader,
 )
-from fascicle.recording.readers.read import read_recording
+from fascicle.recording.readers.read import Channel, RawRecording, read_recording
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 
@@ -130,6 +130,65 @@ def test_the_example_of_the_documentation(readers, monkeypatch, tmp_path, dicom)
     refused(Path("a.lab"), "damaged, truncated or unusual laboratory file")
     Path("a.lab2").write_bytes(b"lab")
     refused(Path("a.lab2"), "laboratory (.lab)")
+
+
+class TestChecks:
+    """What is checked once, whatever the format."""
+
+    @pytest.fixture
+    def path(self, readers, tmp_path):
+        """A file whose reader finds what `found` says."""
+        register_reader(Reader("any", (".any",), lambda path, _: self.raw(**self.found)))
+        (tmp_path / "a.any").write_bytes(b"x")
+        self.found = {}
+        return tmp_path / "a.any"
+
+    def raw(self, units=("mV",) * 12, names=LEADS, rate=500.0, lengths=(1000,) * 12, start=0):
+        signal = lead_matrix() @ np.sin(np.arange(1, 10)[:, None] * np.arange(1000) / 200)
+        signal[6, :start] = np.nan
+        channels = [
+            Channel(name, row[:length], unit, gain=200)
+            for name, row, length, unit in zip(names, signal, lengths, units, strict=True)
+        ]
+        return RawRecording(channels, rate)
+
+    def test_what_the_user_says(self, path):
+        expected = read_recording(path).signal
+        assert read_recording(path, unit="MV", sampling_rate=500).sampling_rate == 500
+        refused(path, "lead I is in 'mV', --unit says 'uV'", unit="uV")
+        refused(path, "is 500 Hz", "says 1000 Hz", sampling_rate=1000)
+        self.found = {"units": [None] * 12, "rate": None}
+        refused(path, "no sampling rate in the file", "--sampling-rate")
+        refused(path, "unknown unit of lead I (the file names none)", sampling_rate=400)
+        recording = read_recording(path, unit="uV", sampling_rate=400)
+        assert recording.signal == pytest.approx(1e-3 * expected)
+        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 2e5))
+        assert recording.provenance["choice_unit"] == "uV"
+
+    @pytest.mark.parametrize(
+        ("found", "words"),
+        [
+            ({"units": ["adc"] * 12}, ["unknown unit of lead I ('adc')"]),
+            ({"names": [*LEADS[:11], "V5"]}, ["lead V5 is there twice ('V5' and 'V5')"]),
+            ({"names": ["I", *"xyzuv", *LEADS[6:]]}, ["lead II missing (found: I, V1"]),
+            ({"names": [*LEADS[:6], "-V1", *LEADS[7:]]}, ["lead V1 missing", "--leads I,II,III"]),
+            ({"lengths": [*[1000] * 11, 990]}, ["lead V6 has 990 samples, lead I 1000"]),
+            ({"lengths": [100] * 12}, ["0.20 s long"]),
+            ({"rate": 0.5}, ["0.5 Hz"]),
+            ({"start": 3}, ["lead V1 lacks 3 samples (first: sample 0"]),
+        ],
+    )
+    def test_refusals(self, path, found, words):
+        self.found = found
+        refused(path, *words)
+
+    def test_limb_leads_follow_from_two(self, path):
+        expected = read_recording(path).signal
+        self.found = {"names": ["I", "II", *"xyzu", *LEADS[6:]]}
+        recording = read_recording(path)
+        assert recording.signal == pytest.approx(expected, abs=1e-12)
+        assert recording.derived == ("III", "aVR", "aVL", "aVF")
+        assert recording.ignored == ("x", "y", "z", "u")
 
 
 def test_a_reader_of_the_same_name_takes_the_place(readers, tmp_path):

@@ -5,9 +5,7 @@ from __future__ import annotations
 import edfio
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
-from refusals import fuzzing, outcome, refused
+from refusals import refused
 
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers.read import read_recording
@@ -108,19 +106,6 @@ class TestRead:
             patch(path, field(UNIT, number, 12), "µV")
         assert read_recording(path).signal == pytest.approx(signal, abs=DIGIT)
 
-    def test_user_says_the_unit_where_the_file_does_not(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal, physical_dimension=""))
-        refused(path, "unknown unit of lead I", "--unit")
-        recording = read_recording(path, unit="uV")
-        assert recording.signal == pytest.approx(signal, abs=DIGIT)
-        assert recording.digits_per_millivolt == pytest.approx(np.full(12, 1 / DIGIT))
-
-    def test_user_and_file_must_agree(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal))
-        refused(path, "'uV'", "'mV'", unit="mV")
-        refused(path, "500 Hz", "250 Hz", sampling_rate=250)
-        assert read_recording(path, unit="µV", sampling_rate=500).sampling_rate == 500
-
     @pytest.mark.parametrize(
         ("text", "filters"),
         [
@@ -159,19 +144,6 @@ class TestRead:
 
 
 class TestRefused:
-    def test_leads_at_two_rates(self, tmp_path, signal):
-        path = write(
-            tmp_path / "a.edf",
-            [*signals(signal[:11], LEADS[:11]), *signals(signal[11:, ::2], ["V6"], rate=250)],
-        )
-        refused(path, "lead V6 has 500 samples", "one rate")
-
-    def test_no_lead_or_twice_the_same(self, tmp_path, signal):
-        refused(write(tmp_path / "a.edf", signals(signal[:2], ["EEG Fpz", "EMG"])))
-        labels = ["V1", "ECG V1"]
-        path = write(tmp_path / "b.edf", [*signals(signal), *signals(signal[:2], labels)])
-        refused(path, "lead V1 is there twice")
-
     def test_interrupted(self, tmp_path, signal):
         path = write(tmp_path / "a.edf", signals(signal), [edfio.EdfAnnotation(0, None, "x")])
         patch(path, 192, "EDF+D", 5)
@@ -203,12 +175,6 @@ class TestRefused:
         refused(path, word)
         refused(path, word, unit="uV")
 
-    def test_calibration_of_other_signals_does_not_matter(self, tmp_path, signal):
-        breath = edfio.EdfSignal(np.zeros(50), 25, label="Resp")
-        path = write(tmp_path / "a.edf", [*signals(signal), breath])
-        patch(path, field(DIGITAL_MAX, 12, 13), "-32768")
-        assert read_recording(path).signal == pytest.approx(signal, abs=DIGIT)
-
     @pytest.mark.parametrize("cut", [1, 7000, 23000])
     def test_truncated(self, tmp_path, signal, cut):
         path = write(tmp_path / "a.edf", signals(signal))
@@ -232,28 +198,3 @@ class TestRefused:
         for number in range(12):
             patch(path, field(LABEL, number, 12, 16), f"x\n{number}", 16)
         refused(path)
-
-
-fuzz = fuzzing(60)
-flips = st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), max_size=12)
-
-
-@pytest.mark.slow
-class TestFuzz:
-    @fuzz
-    @given(flips=flips, keep=st.one_of(st.just(1.0), st.floats(0, 1)))
-    @example(flips=[], keep=1.0)
-    def test_damaged_files(self, tmp_path, signal, flips, keep):
-        path = write(tmp_path / "a.edf", signals(signal), [edfio.EdfAnnotation(0, None, "x")])
-        content = bytearray(path.read_bytes())
-        for place, byte in flips:
-            content[place] = byte
-        recording = outcome(path, bytes(content[: round(keep * len(content))]))
-        if not flips and keep == 1:
-            assert recording is not None
-
-    @fuzz
-    @given(content=st.binary(max_size=4000), header=st.booleans())
-    def test_arbitrary_bytes(self, tmp_path, content, header):
-        mark = b"0       " if header else b""
-        assert outcome(tmp_path / "a.edf", mark + content) is None

@@ -7,18 +7,16 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from refusals import fuzzing, refused
+from refusals import refused
 
-from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS, lead_matrix
 from fascicle.recording.readers.read import read_recording
 
 RATE, N = 500, 2000
 IN_MV = [f"{lead}_mV" for lead in LEADS]
-fuzz = fuzzing(30, HealthCheck.too_slow)
 
 
 def waves(n=N, rate=RATE):
@@ -107,23 +105,6 @@ class TestUnits:
         in_uv = read_recording(path, unit="uV", sampling_rate=RATE)
         assert_allclose(in_uv.signal, signal / 1e3, rtol=0, atol=1e-12)
 
-    def test_that_disagree(self, tmp_path, signal):
-        refused(
-            save(table(signal), tmp_path / "a.csv"),
-            "lead I is in 'mV', --unit says 'uV'",
-            unit="uV",
-        )
-        path = save(table(signal, IN_MV), tmp_path / "b.csv")
-        refused(path, "lead I is in 'mV'", unit="uV")
-        assert read_recording(path, unit="millivolt").signal[0] == pytest.approx(signal[0])
-
-    def test_unknown(self, tmp_path, signal):
-        path = save(table(signal, [f"{lead} [adc]" for lead in LEADS]), tmp_path / "a.csv")
-        refused(path, "unknown unit of lead I ('adc')")
-        refused(path, "'adc'", unit="mV")
-        path = save(table(signal, [lead.lower() for lead in LEADS]), tmp_path / "b.csv")
-        refused(path, "unknown unit of lead I (the file names none)")
-
 
 class TestNumbers:
     @pytest.mark.parametrize("separator", [";", "\t"])
@@ -133,16 +114,12 @@ class TestNumbers:
         assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
         assert recording.sampling_rate == 500
 
-    def test_decimal_commas_between_commas(self, tmp_path, signal):
+    def test_decimal_commas_that_are_not_clear(self, tmp_path, signal):
         text = text_of(table(signal, IN_MV, "time_s"), sep=";", decimal=",")
         refused(write(tmp_path / "a.csv", text.replace(";", ",")), "decimal commas by semicolons")
-        quoted = text_of(table(signal, IN_MV, "time_s").map(lambda x: f"{x:.5f}".replace(".", ",")))
-        refused(write(tmp_path / "b.csv", quoted), "decimal mark")
-
-    def test_both_decimal_marks(self, tmp_path, signal):
         frame = table(signal, IN_MV).astype(str)
         frame["V6_mV"] = frame["V6_mV"].str.replace(".", ",")
-        refused(save(frame, tmp_path / "a.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
+        refused(save(frame, tmp_path / "b.csv", sep=";"), "column 'V6_mV' holds", "decimal mark")
 
     def test_a_comment_column_with_commas_does_not_make_decimal_commas(self, tmp_path, signal):
         frame = table(signal, IN_MV).assign(note="sinus, normal")
@@ -185,12 +162,6 @@ class TestNumbers:
         assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
         assert recording.ignored == ("remark", "beat")
 
-    def test_separators_at_line_ends_and_line_of_excel(self, tmp_path, signal):
-        text = text_of(table(signal, IN_MV), sep=";").replace("\n", ";\n")
-        recording = read_recording(write(tmp_path / "a.csv", text))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
-        refused(write(tmp_path / "b.csv", f"sep=;\n{text}"), "not a readable table")
-
     def test_cells_beyond_the_header_and_open_quotes(self, tmp_path, signal):
         lines = text_of(table(signal, IN_MV)).splitlines()
         longer = "\n".join([lines[0], *(f"{line},1" for line in lines[1:])])
@@ -198,42 +169,6 @@ class TestNumbers:
         lines = text_of(table(signal, IN_MV).assign(note="x")).splitlines()
         lines[5], lines[9] = lines[5][:-1] + '"', lines[9] + '"'
         refused(write(tmp_path / "b.csv", "\n".join(lines)), "quotation mark")
-
-
-class TestLeads:
-    def test_order_spelling_separator_and_extra_columns(self, tmp_path, signal):
-        spelt = [
-            "di", "DII", "d3", "AVR", "avl", "Lead aVF", "c1", "v2", "V3", "v4", "MDC_ECG_LEAD_V5",
-            "V6",
-        ]  # fmt: skip
-        frame = table(signal, [f"{name}_mV" for name in spelt])
-        frame = frame[[frame.columns[0], *frame.columns[:0:-1]]].assign(note_mV=1.0)
-        recording = read_recording(save(frame, tmp_path / "a.csv", sep=";"))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
-        assert recording.ignored == ("note_mV",)
-
-    def test_limb_leads_follow_from_two(self, tmp_path, signal):
-        frame = table(signal, IN_MV).drop(columns=["III_mV", "aVR_mV", "aVL_mV", "aVF_mV"])
-        recording = read_recording(save(frame, tmp_path / "a.csv"))
-        assert_allclose(recording.signal, signal, rtol=0, atol=1e-12)
-        assert recording.derived == ("III", "aVR", "aVL", "aVF")
-
-    def test_missing_leads_are_named(self, tmp_path, signal):
-        frame = table(signal, IN_MV)[["time_ms", "I_mV", *IN_MV[6:]]].drop(columns="V2_mV")
-        refused(save(frame, tmp_path / "a.csv"), "leads II, V2 missing", "found: I, V1, V3")
-
-    def test_inverted_lead_is_not_the_lead(self, tmp_path, signal):
-        names = [name.replace("V1", "-V1") for name in IN_MV]
-        refused(save(table(signal, names), tmp_path / "a.csv"), "lead V1 missing")
-
-    def test_twice_the_same_lead(self, tmp_path, signal):
-        frame = table(signal, IN_MV)
-        refused(save(frame.assign(v1_uV=1.0), tmp_path / "a.csv"), "lead V1 is there twice")
-        # pandas reads and writes a second V1_mV by this name
-        path = save(frame.assign(**{"V1_mV.1": 1.0}), tmp_path / "b.csv")
-        refused(path, "lead V1 is there twice")
-        lines = path.read_text().replace("V1_mV.1", "V1_mV")
-        refused(write(tmp_path / "c.csv", lines), "lead V1 is there twice")
 
 
 class TestTimes:
@@ -299,8 +234,6 @@ class TestTimes:
     def test_rounded_too_much(self, tmp_path, signal):
         frame = table(signal, IN_MV, "time_s").round({"time_s": 2})
         refused(save(frame, tmp_path / "a.csv"), "not evenly", "with more digits")
-        frame = table(waves(rate=1024), IN_MV, "time_s", 1024).round({"time_s": 3})
-        refused(save(frame, tmp_path / "b.csv"), "not evenly", "with more digits")
 
     def test_uneven(self, tmp_path, signal):
         path = save(table(signal).drop(index=range(90, 95)), tmp_path / "a.csv")
@@ -311,21 +244,10 @@ class TestTimes:
         frame.loc[7, "time_ms"] = np.nan
         refused(save(frame, tmp_path / "d.csv"), "times in the column 'time_ms' are missing")
 
-    def test_two_time_columns_must_agree(self, tmp_path, signal):
-        frame = table(signal).assign(time_s=np.arange(N) / 500)
-        assert read_recording(save(frame, tmp_path / "a.csv"), unit="mV").sampling_rate == 500
-        frame["time_s"] *= 2
-        refused(save(frame, tmp_path / "b.csv"), "500 Hz in the column 'time_ms', 250 Hz")
-
     def test_of_a_clock_are_refused(self, tmp_path, signal):
         frame = table(signal, IN_MV, "Time")
         frame["Time"] = [f"09:59:{x:06.3f}" for x in np.arange(N) / 500]
         refused(save(frame, tmp_path / "a.csv"), "column 'Time' holds '09:59:00.000' in row 1")
-
-    def test_too_long(self, tmp_path):
-        rows = "\n".join(f"{4 * k},0.5" for k in range(500_000))
-        path = write(tmp_path / "a.csv", f"time_ms,I_mV\n{rows}")
-        refused(path, "recording is 2000 s long", leads=["I"])
 
 
 def paper(signal, rhythm="II_rhythm_mV"):
@@ -424,16 +346,14 @@ class TestPaper:
 
     def test_long_format_that_cannot_be_used(self, tmp_path):
         frame = long_format(paper(waves(self.N), None))
-        refused(save(frame[frame["Lead"] != "V4"], tmp_path / "a.csv"), "lead V4 missing")
-        path = save(frame.rename(columns={"Voltage (mV)": "value"}), tmp_path / "b.csv")
+        path = save(frame.rename(columns={"Voltage (mV)": "value"}), tmp_path / "a.csv")
         refused(path, "unknown unit of lead I")
         assert read_recording(path, unit="uV").recorded.all()
         far = frame.copy()
         far.loc[far["Lead"] == "V6", "time_s"] += 1e9
-        refused(save(far, tmp_path / "c.csv"), "memory")
-        gap = frame.drop(index=400)
-        refused(save(gap, tmp_path / "d.csv"), "not evenly spaced")
-        refused(save(frame.assign(Lead="spam"), tmp_path / "e.csv"), "no lead in the column 'Lead'")
+        refused(save(far, tmp_path / "b.csv"), "memory")
+        refused(save(frame.drop(index=400), tmp_path / "c.csv"), "not evenly spaced")
+        refused(save(frame.assign(Lead="spam"), tmp_path / "d.csv"), "no lead in the column 'Lead'")
 
 
 class TestNoTables:
@@ -457,64 +377,17 @@ class TestNoTables:
         refused(path)
         refused(path, sampling_rate=500.0, unit="mV")
 
-    def test_zero_bytes_and_endless_lines_in_the_middle(self, tmp_path, signal):
-        text = text_of(table(signal))
-        refused(write(tmp_path / "a.csv", text[:9000] + "\0" + text[9000:]))
-        refused(write(tmp_path / "b.csv", text + "0" * 100_000 + text), "cell")
-
-    @fuzz
-    @given(
-        text=st.text(max_size=300) | st.text(alphabet="IV123aVRtime_smu,;\t\n .-'\"#", max_size=300)
-    )
-    def test_any_text(self, tmp_path, text):
-        path = tmp_path / "a.csv"
-        path.write_bytes(text.encode("utf-8", errors="surrogatepass"))
-        with pytest.raises(InputError) as info:
-            read_recording(path, sampling_rate=500, unit="mV")
-        assert len(str(info.value).splitlines()) == 1
-
-    @fuzz
-    @given(data=st.data())
-    def test_damaged_tables(self, tmp_path, data):
-        """What is still read has the rate and finite samples; the rest is refused in one line."""
-        frame = data.draw(st.sampled_from(damaged_from()))
-        content = bytearray(frame)
-        for _ in range(data.draw(st.integers(1, 4))):
-            at = data.draw(st.integers(0, len(content) - 1) | st.integers(0, 120))
-            junk = data.draw(
-                st.binary(max_size=3) | st.sampled_from([b",", b"\n", b'"', b"#", b"'"])
-            )
-            content[at : at + data.draw(st.sampled_from([0, 1, 5, 2000]))] = junk
-        path = tmp_path / "a.csv"
-        path.write_bytes(bytes(content))
-        try:
-            recording = read_recording(path, leads=["I", "V1"])
-        except InputError:
-            refused(path, leads=["I", "V1"])
-        else:
-            assert recording.sampling_rate == pytest.approx(500, rel=3e-3)
-
-
-def damaged_from():
-    """Small tables of the kinds that are read, as bytes."""
-    signal = waves(800).round(3)
-    frame = table(signal, IN_MV, "time_s").iloc[:, [0, 1, 7]]
-    wide = text_of(frame)
-    quoted = frame.to_csv(index=False, quoting=2).replace('"', "'")
-    return [
-        wide.encode(),
-        text_of(frame, sep=";", decimal=",").encode("latin-1"),
-        quoted.encode(),
-        text_of(long_format(frame)).encode(),
-        wide.encode("utf-16"),
-    ]
-
 
 SPELT = {lead: [lead, lead.upper(), lead.lower(), f"Lead {lead}", f"MDC_ECG_LEAD_{lead}"]
          for lead in LEADS}  # fmt: skip
 
 
-@fuzz
+@settings(
+    max_examples=30,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(data=st.data())
 def test_however_it_is_written_the_signal_is_the_same(tmp_path, data):
     signal = waves(1000)
