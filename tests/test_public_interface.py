@@ -59,20 +59,19 @@ ALSO = {
     ("Scenario", "source"): {"text", "nul"},
     ("Scenario", "description"): {"none", "text", "nul"},
     ("Scenario", "reference"): {"none", "text", "nul"},
-    ("Scenario", "anterograde_delay"): {"whole"},
-    ("Scenario", "retrograde_delay"): {"whole"},
     ("ForwardModel.activate", "root_time"): {"whole", "number", "pair"},
     ("ForwardModel.activate", "cv"): {"whole"},
 }
 # Of the numbers and texts of these `test_an_answer_or_one_line` tries more
 TRIED_ABOVE = {
-    "Stimulus", "SlowConduction", "His", "Region", "GrowthRules", "TargetOptions", "FitSettings",
+    "Stimulus", "SlowConduction", "InactiveRoot", "JunctionDelays", "His", "Region", "GrowthRules",
+    "TargetOptions", "FitSettings",
     "GrowthTerm", "Quantity",  # made by programmers, as docs/extending.md shows
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
-    "Comparison", "Heart", "InputError", "InvalidTree", "Predicted", "PurkinjeTree", "Simulation",
-    "SimulatedBeat",
+    "Beat", "Comparison", "Heart", "InputError", "InvalidTree", "Predicted", "Primitive",
+    "PurkinjeTree", "Simulation", "SimulatedBeat",
 }  # fmt: skip
 
 

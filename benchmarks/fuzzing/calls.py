@@ -32,7 +32,8 @@ def built(kind: type, **given: Any) -> Call:
     names = [field.name for field in fields(kind) if field.init and field.name not in KEPT]
 
     def make(rng: np.random.Generator) -> Any:
-        spoilt = rng.choice(names, size=rng.integers(1, 3), replace=False)
+        number = rng.integers(1, min(2, len(names)) + 1)
+        spoilt = rng.choice(names, size=number, replace=False)
         return kind(**given | {name: VALUES[rng.integers(len(VALUES))] for name in spoilt})
 
     return make
@@ -81,6 +82,8 @@ def _space(rng: np.random.Generator) -> Any:
 CALLS: dict[str, Call] = {
     "Stimulus()": built(fascicle.Stimulus, time=0.0, position=(0.0, 0.0, 0.0)),
     "SlowConduction()": built(fascicle.SlowConduction, tree="lv", speed=0.5),
+    "InactiveRoot()": built(fascicle.InactiveRoot, tree="lv"),
+    "JunctionDelays()": built(fascicle.JunctionDelays),
     "His()": built(fascicle.His),
     "Region()": built(fascicle.Region, conductivity=0.5, label=1),
     "Conduction()": built(fascicle.Conduction),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import NoneType
 from typing import TypeVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from fascicle.core.arrays import Booleans, Floats, Integers
 from fascicle.core.declared import Table
 from fascicle.core.errors import InputError
 from fascicle.core.quantities import SIDES, check, quantity
-from fascicle.core.ranges import check_items, within
+from fascicle.core.ranges import check_items, check_kind, shown, within
 from fascicle.forward.eikonal.activation import HisBundle
 from fascicle.heart.sites import Sites
 from fascicle.purkinje.tree import PurkinjeTree
@@ -205,8 +206,12 @@ class Scenario:
         if len(self.primitives) > 1000:  # rays from each to every vertex take their time
             raise InputError(f"{len(self.primitives)} stimuli and the like; give 1000 at most")
         check_items(self.trees, tuple, "trees", "pairs (fascicle.PurkinjeTree, time)")
-        for tree, time in self.trees:
-            within("time", time, f"time of the tree '{tree.side}'")
+        for pair in self.trees:
+            if len(pair) != 2 or not isinstance(pair[0], PurkinjeTree):
+                raise InputError(f"trees: {shown(pair)} was given; give (PurkinjeTree, time)")
+            within("time", pair[1], f"time of the tree '{pair[0].side}'")
+        for name in ("source", "description", "reference"):
+            check_kind(getattr(self, name), (str, NoneType), f"{name} of a scenario", "a text")
 
     def of(self, kind: type[Kind]) -> list[Kind]:
         """Its primitives of a kind."""
