@@ -40,10 +40,9 @@ def assemble_heart(
 
     Parameters
     ----------
-    mesh : MeshFile
-        Tetrahedra, their regions and sheets if it has them, and the fibres too if `fibres` is None.
-    fibres : MeshFile or None
-        The file that holds the fibres, per point or per tetrahedron.
+    mesh, fibres : MeshFile
+        Tetrahedra, with their regions and sheets if it has them; fibres per point or tetrahedron,
+        in the same file if None.
     surfaces : dict of side to MeshFile
         Endocardia; triangles with a cell array ``valve`` that is not 0 span a valve opening.
     seeds : dict of side to (root, direction)

@@ -16,12 +16,7 @@ from fascicle.core.ranges import check_position, shown
 
 
 def read_electrodes(path: Path | str) -> Floats:
-    """Read the nine electrode positions.
-
-    Returns
-    -------
-    (9, 3) array
-        In the order of `fascicle.core.leads.ELECTRODES` (mm).
+    """Read the positions (9, 3) of `fascicle.core.leads.ELECTRODES`, in that order (mm).
 
     Raises
     ------

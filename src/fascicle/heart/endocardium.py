@@ -142,11 +142,6 @@ def seeded_endocardia(
         What to call each in an error, and the surfaces as in `septal_seeds`.
     chosen : mapping of side to (root, direction)
         Each the number of a vertex, a position (mm), or None to have it found.
-
-    Raises
-    ------
-    InputError
-        If a seed is not on the endocardium, or both are one.
     """
     seeded = []
     for side, other in (("lv", "rv"), ("rv", "lv")):

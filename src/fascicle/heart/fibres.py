@@ -98,11 +98,9 @@ class Fibres:
     outward, longitudinal : (m, 3) arrays
         Across the wall, out of the ventricle (in the septum: the left one), and along it towards
         the base; unit vectors, orthogonal.
-    depth : (m,) array
-        In the wall: 0 on the endocardium, 1 on the epicardium; in the septum, 0 on the left, 1 on
-        the right.
-    wall : (m,) array
-        A `Wall` for each.
+    depth, wall : (m,) arrays
+        0 on the endocardium, 1 on the epicardium; in the septum, 0 on the left, 1 on the right. And
+        a `Wall` for each.
     """
 
     fibre: Floats
@@ -120,22 +118,11 @@ def rule_based_fibres(
 
     With e_t out of the ventricle, e_l towards the base and orthogonal to e_t, and e_c = e_l × e_t,
 
-        f = cos α e_c + sin α e_l,    s = cos β (cos α e_l − sin α e_c) − sin β e_t.
+        f = cos α e_c + sin α e_l,    s = cos β (cos α e_l − sin α e_c) − sin β e_t,
 
-    Parameters
-    ----------
-    mesh : LabelledMesh
-        The myocardium. The right ventricle may be missing. Where openings of the great arteries
-        are labelled, fibres turn towards them on the endocardium and around them outside.
-    angles : FibreAngles, optional
-        α and β on the surfaces; the published ones when not given.
-    progress : callable, optional
-        Called with how many of how many steps are done.
-
-    Raises
-    ------
-    InputError
-        When the surface lacks a label that the rule needs.
+    with the published α and β on the surfaces if no angles are given. The right ventricle may be
+    missing. Where openings of the great arteries are labelled, fibres turn towards them on the
+    endocardium and around them outside. An error if the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
     for what, labels in (
@@ -185,20 +172,14 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
 
 
 def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
-    """Direction to the base, and how far into an outflow tract each tetrahedron lies.
+    """Direction to the base (m, 3), and how far into an outflow tract each tetrahedron lies (m,).
 
     The direction to the base is the gradient of the potential that is 1 on all that is basal, the
     arterial openings among it, and 0 at the two ends of the LV's apex (`lv_apex`). The part h of
     that potential that is due to the arterial openings alone gives the outflow tracts: they are
     where h exceeds one half, so where their opening rather than the rest of the base is at hand,
-    and the measure (2h − 1)² rises to 1 at the opening. Doste et al. 2019 (Int J Numer Methods
-    Biomed Eng 35:e3185) use such a potential between the two openings of each ventricle.
-
-    Returns
-    -------
-    (m, 3) and (m,) arrays
-        Towards the base, of any length; and 0 outside the outflow tracts to 1 at the openings of
-        the great arteries (0 everywhere when these have no label).
+    and the measure (2h − 1)² rises to 1 at the opening; it is 0 everywhere where none is labelled.
+    Doste et al. 2019 use such a potential between the two openings of each ventricle.
     """
     apex = lv_apex(mesh)
     basal = np.setdiff1d(space.on(mesh.having(*BASAL)), apex)

@@ -199,14 +199,7 @@ def _read_lead_fields(mesh: MeshFile) -> Floats:
 
 
 def read_torso(path: Path, heart_vertices: Floats) -> Torso:
-    """Read the torso around a heart's vertices (n, 3) (mm) from a file of `write_heart`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, has no or unknown tissues, is of another heart, or has inverted
-        tetrahedra.
-    """
+    """Read the torso around a heart's vertices (n, 3) (mm); refuse a damaged or another one."""
     mesh = read_mesh(path, "torso")
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     tissues = mesh.cell_data[TETRAHEDRON].get("tissue", np.empty(0))
@@ -237,17 +230,8 @@ def _tissues() -> str:
 def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse a folder that a heart cannot be written to, before the work of building it.
 
-    Parameters
-    ----------
-    folder : Path
-        May be a heart folder already; its files are then replaced.
-    inputs : iterable of Path
-        Files that the heart is made of, which must not be among them.
-
-    Raises
-    ------
-    InputError
-        If a file that is not part of a heart would be lost, or nothing can be written there.
+    One that holds a file that is not part of a heart, or one of the inputs that it is made of. A
+    heart folder's own files are replaced.
     """
     check_folder(folder)
     for path in inputs:

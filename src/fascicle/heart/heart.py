@@ -33,14 +33,8 @@ class TorsoTissue(IntEnum):
 class Torso:
     """A conforming mesh of everything outside the myocardium.
 
-    Attributes
-    ----------
-    vertices : (k, 3) array
-        Positions (mm). The first ones are all vertices of the heart, in its order.
-    tetrahedra : (m, 4) array
-        Vertex indices, positively oriented; the myocardium's own are not among them.
-    tissues : (m,) array
-        A `TorsoTissue` for each.
+    Vertices (k, 3) (mm), of which the first are all those of the heart, in its order; tetrahedra
+    (m, 4), positively oriented, without the myocardium's own; and a `TorsoTissue` for each (m,).
     """
 
     vertices: Floats
@@ -52,14 +46,9 @@ class Torso:
 
 @dataclass(frozen=True)
 class LeadFields:
-    """Lead fields at the heart's vertices, and what they were computed from.
+    """Lead fields (9, n) at the heart's vertices (kΩ), up to a constant, and their origin.
 
-    Attributes
-    ----------
-    values : (9, n) array
-        Potential for unit current through each electrode (kΩ), up to a constant.
-    key, torso : str
-        `fascicle.torso.lead_fields.key_of` heart and conduction, and `torso_key` of the torso.
+    `key` is `fascicle.torso.lead_fields.key_of` heart and conduction, `torso` is `torso_key`.
     """
 
     values: Floats

@@ -117,7 +117,7 @@ def whole_numbers(source: str, values: NDArray[Any]) -> Integers:
 
 
 def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int, str]) -> Integers:
-    """Label that each number means: the caller's, that of its group's name, or the `Label` itself.
+    """Label (k,) that each number (k,) means: the caller's, that of its group's name, or its own.
 
     Parameters
     ----------
@@ -130,16 +130,6 @@ def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int,
         by no other number.
     groups : mapping of int to str
         Names of physical groups by their number.
-
-    Returns
-    -------
-    (k,) array
-        A `Label` each.
-
-    Raises
-    ------
-    InputError
-        If one means no label.
     """
     free = [label for label in Label if label not in names.values()]  # that mean themselves
 

@@ -62,15 +62,8 @@ class _Labelled:
 class LabelledSurface(_Labelled):
     """The boundary of the ventricular myocardium.
 
-    Attributes
-    ----------
-    vertices, triangles : (n, 3) and (m, 3) arrays
-        Positions (mm) and vertex indices, counter-clockwise seen from outside the tissue
-        (normals leave the tissue).
-    labels : (m,) array
-        A `Label` for each triangle.
-    name : str
-        What to call it in messages; usually the file.
+    Vertices (n, 3) (mm); triangles (m, 3), counter-clockwise seen from outside the tissue; a
+    `Label` for each (m,); and what to call it in messages, usually the file.
     """
 
     vertices: Floats
@@ -83,14 +76,8 @@ class LabelledSurface(_Labelled):
 class LabelledMesh(_Labelled):
     """Tetrahedra of the ventricular myocardium and its labelled boundary, in register.
 
-    Attributes
-    ----------
-    vertices, triangles, labels, name
-        The boundary, as in `LabelledSurface`; vertices (mm) are those of the tetrahedra.
-    tetrahedra : (m, 4) array
-        Vertex indices, positively oriented.
-    regions : (m,) array, optional
-        A label for each tetrahedron (scar, for one).
+    Vertices (n, 3) (mm); tetrahedra (m, 4), positively oriented; the boundary as in
+    `LabelledSurface`; and perhaps a region's label for each tetrahedron (m,), scar for one.
     """
 
     vertices: Floats

@@ -109,24 +109,10 @@ def quadratic_space(vertices: Floats, tetrahedra: Integers) -> QuadraticSpace:
 
 
 def solve_laplace(space: QuadraticSpace, fixed: Integers, values: Floats) -> Floats:
-    """Solve ∇²u = 0, u given at some nodes, no flux through the rest of the boundary.
+    """Solve ∇²u = 0 for u (p, size), given at some nodes (k,), no flux through the other boundary.
 
     Conjugate gradients, preconditioned by multigrid: quadratic functions, then linear ones on the
-    same mesh, then algebraic (smoothed aggregation).
-
-    Parameters
-    ----------
-    space : QuadraticSpace
-        Where to look for u.
-    fixed : (k,) array
-        Nodes where u is given, each once.
-    values : (p, k) array
-        What it is there, for each of p problems.
-
-    Returns
-    -------
-    (p, size) array
-        u at all nodes.
+    same mesh, then algebraic (smoothed aggregation). `values` (p, k) are u there in each problem.
     """
     free = np.setdiff1d(np.arange(space.size), fixed)
     rows = space.stiffness[free]

@@ -87,13 +87,7 @@ def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
 
 
 def check_on_skin(name: str, distances: Floats) -> None:
-    """Refuse electrodes from a file `name` of which one is more than `FARTHEST` from the skin.
-
-    Raises
-    ------
-    InputError
-        If one of the distances (9,) (mm) is.
-    """
+    """Refuse electrodes, from `name`, at distances (9,) (mm) from the skin beyond `FARTHEST`."""
     worst = int(np.argmax(distances))
     if distances[worst] > FARTHEST:
         raise InputError(
@@ -105,17 +99,12 @@ def check_on_skin(name: str, distances: Floats) -> None:
 
 
 def check_not_mirrored(name: str, heart: Heart) -> None:
-    """Refuse a heart whose RV lies to the left of or behind the LV, as its electrodes see it.
+    """Refuse a heart, called `name`, whose RV lies left of or behind the LV for its electrodes.
 
     In a healthy chest the RV lies to the right and in front of the LV, each by two thirds of their
     distance; the limits leave room for any rotation of the heart about its long axis that is seen.
     Where limb and chest electrodes contradict each other on what is left, it is they that are
     wrong; `electrode_warnings` says so, and nothing is refused.
-
-    Raises
-    ------
-    InputError
-        If the heart, called `name`, is mirrored.
     """
     limbs, chest = _leftwards(heart.electrodes)
     if limbs @ chest <= 0:
@@ -133,13 +122,7 @@ def check_not_mirrored(name: str, heart: Heart) -> None:
 
 
 def check_not_exchanged(name: str, heart: Heart) -> None:
-    """Refuse electrodes of which two have each other's name, where a torso is to be fitted to them.
-
-    Raises
-    ------
-    InputError
-        As `electrode_warnings` words it.
-    """
+    """Refuse electrodes, from `name`, of which two have each other's name."""
     for warning in _order_warnings(heart):
         raise InputError(f"{name}: {warning}")
 

@@ -36,10 +36,8 @@ class BodyFrame:
 
     Attributes
     ----------
-    rotation : (3, 3) array
-        Its columns are the body's axes x, y and z in the heart's coordinates.
-    origin : (3,) array
-        The body frame's origin in the heart's coordinates (mm).
+    rotation, origin : (3, 3) and (3,) arrays
+        Columns: the body's axes in the heart's coordinates; and the body frame's origin there (mm).
     """
 
     rotation: Floats
@@ -112,24 +110,12 @@ def default_position(body: BodySize) -> Floats:
 
 
 def body_frame(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") -> BodyFrame:
-    """Lay the axes of an idealised body around a heart, which itself stays where it is.
+    """Lay the axes of an idealised body around a heart (mm), which itself stays where it is.
 
-    Parameters
-    ----------
-    mesh : LabelledMesh
-        The heart (mm).
-    body : BodySize
-        What the body is scaled by.
-    pose : {"standard", "ras", "lps"}
-        Whether the body's axes follow from the heart's, which are given the standard angles, or
-        are those of the image that the heart comes from: NIfTI's RAS+ counts to the right, to the
-        front and up, DICOM's LPS+ to the left, to the back and up.
-
-    Raises
-    ------
-    InputError
-        If the pose is unknown, or is that of an image and the heart's apex then points two of
-        three wrong ways: up, to the right, to the back.
+    In the "standard" pose they follow from the heart's axes, which are given the standard angles.
+    In "ras" and "lps" they are those of the image that the heart comes from: NIfTI's RAS+ counts to
+    the right, to the front and up, DICOM's LPS+ to the left, to the back and up; an error if the
+    apex then points where none does.
     """
     if pose == "standard":
         rotation = heart_axes(*endocardial_surfaces(mesh)) @ standard_axes().T

@@ -72,16 +72,10 @@ MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips
 def idealised_torso(
     mesh: LabelledMesh, body: BodySize | None = None, pose: Pose = "standard"
 ) -> TorsoSurfaces:
-    """Put an idealised adult torso around a heart, which stays where it is.
+    """Put an idealised adult torso around a heart (mm), which stays where it is.
 
-    Parameters
-    ----------
-    mesh : LabelledMesh
-        The heart (mm).
-    body : BodySize, optional
-        Height, weight and girth; those of a standard adult if not given.
-    pose : {"standard", "ras", "lps"}
-        Where the body's axes come from, see `fascicle.torso.heart_pose.body_frame`.
+    The body is a standard adult's if it is not given; the pose is that of
+    `fascicle.torso.heart_pose.body_frame`.
 
     Raises
     ------
@@ -109,7 +103,7 @@ def fitted_torso(
     mesh : LabelledMesh
         The heart (mm).
     electrodes : (9, 3) array
-        In the heart's coordinates (mm), in the order of `fascicle.core.leads.ELECTRODES`.
+        In the heart's coordinates (mm).
     name : str
         What to call them in an error.
     known : mapping of name to float
@@ -117,12 +111,6 @@ def fitted_torso(
     pose : {"standard", "ras", "lps"}
         Whether the body's axes follow from the electrodes, or are those of the image that the heart
         comes from; both are tilted a little where that fits better.
-
-    Raises
-    ------
-    InputError
-        As `idealised_torso`; if electrodes and heart are not in one frame, or an electrode is far
-        from the skin of any adult.
     """
     standard = BodySize()
     if pose == "standard":
@@ -187,16 +175,11 @@ class FittedTrunk:
 
     Attributes
     ----------
-    body : BodySize
-        Its measures.
-    frame : BodyFrame
-        Where it lies around the heart.
-    electrodes : (9, 3) array
-        As given, in the body frame (mm).
-    sites : (9, 3) array
-        The standard sites on this trunk, before it was deformed, likewise.
-    on_skin : (9, 3) array
-        Points of the skin, before it was deformed, that the deformation puts at the electrodes.
+    body, frame : BodySize, BodyFrame
+        Its measures, and where it lies around the heart.
+    electrodes, sites, on_skin : (9, 3) arrays
+        Electrodes as given, standard sites on the trunk before it was deformed, and points of that
+        skin that the deformation puts at the electrodes; in the body frame (mm).
     """
 
     body: BodySize
@@ -234,7 +217,7 @@ def fit_trunk(
     rotation: Floats,
     known: Mapping[str, float],
 ) -> FittedTrunk:
-    """Find the most probable trunk for electrodes and heart.
+    """Find the most probable trunk for electrodes (9, 3) and points (n, 3) of the heart's surface.
 
     Nonlinear least squares for tilt (3,), position (3,) and measures, all in standard deviations.
 
@@ -242,22 +225,12 @@ def fit_trunk(
     ----------
     name : str
         What to call the electrodes in an error.
-    electrodes : (9, 3) array
-        In the heart's coordinates (mm), in the order of `fascicle.core.leads.ELECTRODES`.
-    heart : (n, 3) array
-        Points of the heart's surface (mm).
-    centroid : (3,) array
-        Of the myocardium, in the heart's coordinates (mm).
+    electrodes, heart, centroid : (9, 3), (n, 3) and (3,) arrays
+        With the myocardium's centroid, in the heart's coordinates (mm).
     rotation : (3, 3) array
-        Its columns are the body's axes in the heart's coordinates; they are tilted a little.
+        Its columns are the body's axes there; they are tilted a little.
     known : mapping of name to float
         Measures of the person, arguments of `BodySize`, which are kept.
-
-    Raises
-    ------
-    InputError
-        If the heart is nowhere near its place among the electrodes, or an electrode is far from any
-        adult's skin.
     """
     hull = heart[ConvexHull(heart).vertices]
     given = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())

@@ -36,14 +36,13 @@ MM_PER_CM = 10.0
 
 @dataclass(frozen=True)
 class Contacts:
-    """Where the electrodes touch the skin.
+    """Where electrodes touch the skin.
 
     Attributes
     ----------
-    triangles : (e, 3) array
-        Vertices of the triangle of the skin that each touches.
-    weights : (e, 3) array
-        Barycentric coordinates in it, which are also the shares of the current.
+    triangles, weights : (e, 3) and (e, 3) arrays
+        Vertices of the triangle of the skin that each touches, and barycentric coordinates in it,
+        which are also the shares of the current.
     moved : (e,) array
         Distance (mm) from the electrode as given.
     """
@@ -64,13 +63,8 @@ def resolve_lead_fields(
 ) -> LeadFields | None:
     """Lead fields of a heart: its own where they are up to date, else those of its torso.
 
-    None where the volume conductor is unbounded. `progress` is called with how many of how many
-    electrodes are done.
-
-    Raises
-    ------
-    InputError
-        If the lead fields are not those of this heart, and there is no torso to compute others in.
+    None where the volume conductor is unbounded; an error if they are another heart's, and there is
+    no torso to compute others in.
     """
     torso = heart.torso
     if is_up_to_date(heart, conduction) or (torso is None and heart.lead_fields is None):
@@ -117,26 +111,12 @@ def key_of(heart: Heart, conduction: Conduction) -> str:
 def lead_fields(
     heart: Heart, torso: Torso, conduction: Conduction, progress: StageProgress = no_progress
 ) -> Floats:
-    """Lead fields of the heart's electrodes, at the heart's vertices.
+    """Lead fields (9, n) of the heart's electrodes, at the heart's vertices (mV/µA, that is kΩ).
 
-    Scar (`Conduction.regions`) does not count: tissue that does not activate still conducts
-    extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of it here.
-
-    Parameters
-    ----------
-    heart, torso : Heart, Torso
-        The myocardium and what is around it, in one frame.
-    conduction : Conduction
-        Conductivities of all of them.
-    progress : callable, optional
-        Called with how many of how many electrodes are done.
-
-    Returns
-    -------
-    (9, n) array
-        Z at the heart's vertices (mV/µA, that is kΩ), electrodes in the order of
-        `fascicle.core.leads.ELECTRODES`. The nine sum to zero at every vertex: each is for unit
-        current that leaves through all nine alike, which no lead notices.
+    The nine sum to zero at every vertex: each is for unit current that leaves through all nine
+    alike, which no lead notices. Scar (`Conduction.regions`) does not count: tissue that does not
+    activate still conducts extracellularly, and nothing better than the intact Gᵢ + Gₑ is known of
+    it here. `progress` is called with how many of how many electrodes are done.
 
     Raises
     ------
@@ -219,7 +199,7 @@ def solve_neumann(
     progress: StageProgress = no_progress,
     most_iterations: int = 500,
 ) -> Floats:
-    """Potentials for currents into the vertices of an insulated conductor.
+    """Potentials (e, n) (mV), each of mean zero, for currents into an insulated conductor.
 
     Conjugate gradients, preconditioned by smoothed aggregation (Vaněk, Mandel and Brezina,
     Computing 56, 1996, 179-196). The conductor is grounded at one vertex: the system is then
@@ -236,16 +216,6 @@ def solve_neumann(
         Called with how many of how many rows are done.
     most_iterations : int
         Good meshes of 300,000 vertices take 30.
-
-    Returns
-    -------
-    (e, n) array
-        Potentials (mV), each of mean zero.
-
-    Raises
-    ------
-    InputError
-        If the mesh falls into pieces, or has elements so bad that the solver gets stuck.
     """
     pieces, _ = connected_components(stiffness, directed=False)
     if pieces > 1:

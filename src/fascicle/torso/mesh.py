@@ -23,35 +23,17 @@ def mesh_torso(
     lungs: Sequence[Surface] = (),
     progress: StageProgress = no_progress,
 ) -> Torso:
-    """Fill the space between myocardium, lungs and skin with tetrahedra.
+    """Fill the space between myocardium, lungs and skin; the vertices begin with the heart's.
 
     No triangle of any of these surfaces is changed, so the result continues the heart's own mesh.
     Tetrahedra are blood if their centre is enclosed by an endocardium and a lid over each of its
-    openings: if the surface's winding number there is above one half (Jacobson, Kavan and
-    Sorkine-Hornung 2013, ACM Trans Graph 32:33). The lid itself is no surface of the mesh: where
-    blood ends is known no better than to the size of the tetrahedra there, and the edge of a real
-    heart's opening is too rough to hold a lid that nowhere cuts the tissue.
+    openings: if the surface's winding number there is above one half (Jacobson, Kavan and Sorkine-
+    Hornung 2013, ACM Trans Graph 32:33). The lid itself is no surface of the mesh: where blood ends
+    is known no better than to the size of the tetrahedra there, and the edge of a real heart's
+    opening is too rough to hold a lid that nowhere cuts the tissue.
 
-    Parameters
-    ----------
-    mesh : LabelledMesh
-        The heart (mm).
-    skin : Surface
-        Closed surface around it (mm).
-    lungs : sequence of Surface
-        Closed surfaces between the two (mm); see `fascicle.torso.surfaces.check_within`.
-    progress : callable, optional
-        Called with how many of how many steps are done.
-
-    Returns
-    -------
-    Torso
-        Its vertices begin with the heart's.
-
-    Raises
-    ------
-    InputError
-        If the surfaces leave a space that cannot be meshed.
+    Surfaces are those that `fascicle.torso.surfaces.check_within` accepts; `progress` is called
+    with how many of how many steps are done.
     """
     progress(0, 2)
     body, first_lung = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow

@@ -55,17 +55,14 @@ class Surface(NamedTuple):
 
 @dataclass(frozen=True)
 class TorsoSurfaces:
-    """The surfaces around a heart, in the heart's coordinates.
+    """Closed surfaces around a heart, in the heart's coordinates (mm).
 
     Attributes
     ----------
-    skin : Surface
-        Closed surface of the trunk (mm).
-    lungs : tuple of Surface
-        Closed surfaces within it (mm): left, right.
+    skin, lungs : Surface and tuple of Surface
+        The trunk's, and within it the left and the right lung's.
     electrodes : (9, 3) array, optional
-        Positions on the skin (mm), in the order of `fascicle.core.leads.ELECTRODES`; those of a
-        torso of the user's own are not known.
+        Positions on the skin; those of a torso of the user's own are not known.
     """
 
     skin: Surface
@@ -91,20 +88,11 @@ def remeshed(surface: Surface, edge: float) -> Surface:
 def read_torso_surfaces(
     skin: Path | str, lungs: Sequence[Path | str], mesh: LabelledMesh
 ) -> TorsoSurfaces:
-    """Read the user's own torso.
+    """Read the user's own torso: closed skin around the heart, and lungs, in its coordinates (mm).
 
     Surfaces are welded (STL repeats every point), turned outwards, and remeshed if they are far
     finer than a torso needs. Of a mesh of tetrahedra only the outer surface is used: labels of its
     organs are not, give the lungs as files of their own.
-
-    Parameters
-    ----------
-    skin : path
-        Surface of the torso, closed, in the heart's coordinates (mm); any format of `read_mesh`.
-    lungs : sequence of path
-        Surfaces of the lungs, likewise.
-    mesh : LabelledMesh
-        The heart that they must enclose.
 
     Raises
     ------
@@ -146,22 +134,11 @@ def _read_surface(path: Path, purpose: str, edge: float, most: int = 20_000) -> 
 def check_within(
     mesh: LabelledMesh, skin: Surface, lungs: Sequence[Surface] = (), names: Sequence[str] = ()
 ) -> None:
-    """Refuse surfaces between which no tetrahedra fit.
+    """Refuse surfaces of heart, skin and lungs between which no tetrahedra fit.
 
-    Parameters
-    ----------
-    mesh : LabelledMesh
-        The heart (mm).
-    skin, lungs : Surface and sequence of Surface
-        The torso's (mm).
-    names : sequence of str
-        What to call skin and lungs in an error, where they come from files.
-
-    Raises
-    ------
-    InputError
-        If the torso is not in mm, a surface is open, crosses itself or has triangles turned the
-        wrong way, heart or lungs reach out of the torso, or heart and lungs or two lungs overlap.
+    One that is not in mm, open, crosses itself or has triangles turned the wrong way, reaches out
+    of the torso, or overlaps another. `names` are those of skin and lungs, where they are from
+    files.
     """
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):

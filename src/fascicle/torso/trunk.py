@@ -76,24 +76,17 @@ CAGE = np.array(
 
 @dataclass(frozen=True)
 class BodySize:
-    """What an adult trunk is scaled by.
+    """What an adult trunk is scaled by; an error if a value is not one of an adult.
 
     Attributes
     ----------
-    height : float
-        Standing height (m).
-    weight : float
-        Body weight (kg).
+    height, weight : float
+        Standing height (m) and body weight (kg).
     chest : float, optional
         Girth of the chest at the level of the nipples (cm); from height and weight if not given.
     depth, shoulders, hips : float
         Factors on the standard adult's depth by width of the chest, and on the width of shoulders
         and hips.
-
-    Raises
-    ------
-    InputError
-        If a value is not one of an adult.
     """
 
     height: float = 1.70
@@ -252,23 +245,9 @@ def lungs_of(
 ) -> tuple[Surface, Surface]:
     """Left and right lung in the body frame (mm).
 
-    Parameters
-    ----------
-    name : str
-        What to call the heart in an error.
-    body : BodySize
-        What the trunk is scaled by.
-    excluded : Surface
-        The `exclusion_hull`, in the body frame (mm).
-    undeformed : callable
-        Where points of the body frame lie in the trunk as it was before it was deformed.
-    smallest : float
-        Volume (litres) below which a lung is none.
-
-    Raises
-    ------
-    InputError
-        If the heart leaves no room for one.
+    They keep clear of the surface `excluded` (`exclusion_hull`); `undeformed` says where points lie
+    in the trunk as it was before it was deformed. An error, which calls the heart `name`, if one of
+    them would have less than the `smallest` volume (litres).
     """
     lungs = []
     for side, dome_level in (("left", 0.710), ("right", 0.717)):  # of the diaphragm's top

@@ -32,13 +32,7 @@ LEAST_COMPRESSION = 0.1
 
 @dataclass(frozen=True)
 class InvalidBody:
-    """A body that cannot be: an expected outcome of a search, not an error.
-
-    Attributes
-    ----------
-    reason : str
-        Why, in one line.
-    """
+    """A body that cannot be, and why, in one line: an outcome of a search, not an error."""
 
     reason: str
 
@@ -50,7 +44,7 @@ class BodyState:
     Attributes
     ----------
     geometry : (7,) array
-        The heart's displacement to the left, back and up (mm), its rotation vector along the same
+        The heart's shift to the left, posteriorly and up (mm), its rotation vector along the same
         axes (rad), and the factor on the trunk.
     ratios : (3,) array
         Factors on the conductivities of body, lung and blood over that on the myocardium's.
@@ -102,16 +96,8 @@ def body_axes(electrodes: Floats) -> Floats:
 class SkinMotion:
     """How the skin moves around a heart that stays: x → c + Rᵀ(s(x − c) − t).
 
-    Attributes
-    ----------
-    centroid : (3,) array
-        c, of the heart (mm).
-    rotation : (3, 3) array
-        R, of the heart about c.
-    shift : (3,) array
-        t: the heart's displacement in the chest (mm).
-    size : float
-        s: factor on the trunk about c.
+    For the heart's centroid c (mm), its rotation R about c and its shift t in the chest (mm), and
+    the factor s on the trunk about c.
     """
 
     centroid: Floats
@@ -138,16 +124,9 @@ class SkinMotion:
 
 @dataclass(frozen=True)
 class Morph:
-    """The map at some points: the centres of the torso's tetrahedra.
+    """The map at some points (m, 3), the centres of the torso's tetrahedra (mm).
 
-    Attributes
-    ----------
-    centres : (m, 3) array
-        Where (mm).
-    share : (m,) array
-        w: 0 in the heart's convex hull, 1 on the skin.
-    slope : (m, 3) array
-        ∇w (1/mm).
+    With the share w (m,), 0 in the heart's convex hull and 1 on the skin, and its slope ∇w (m, 3).
     """
 
     centres: Floats
@@ -164,19 +143,9 @@ class Morph:
         )
 
     def determinants(self, motion: SkinMotion) -> Floats:
-        """|J| (m,): what becomes of volumes, at or below 0 where heart and skin touch.
-
-        For J = M + a⊗∇w with M = I + wL it is |M| + ∇w·adj(M)a, a polynomial in w.
-        """
-        away, linear = motion(self.centres) - self.centres, motion.strain
-        trace, square = np.trace(linear), linear @ linear
-        minors = (trace**2 - np.trace(square)) / 2
-        adjugate = square - trace * linear + minors * np.eye(3)
-        w = self.share
-        constant = 1 + w * (trace + w * (minors + w * np.linalg.det(linear)))
-        first = away @ (trace * np.eye(3) - linear).T
-        moved = away + w[:, None] * (first + w[:, None] * (away @ adjugate.T))
-        return np.asarray(constant + np.einsum("mi,mi->m", self.slope, moved))
+        """|J| (m,): what becomes of volumes, at or below 0 where heart and skin touch."""
+        columns = np.moveaxis(self.jacobians(motion), 2, 0)
+        return np.asarray(np.einsum("mi,mi->m", columns[0], np.cross(columns[1], columns[2])))
 
     def of(self, chosen: Integers | Booleans | slice) -> Morph:
         """The same for some of the points."""

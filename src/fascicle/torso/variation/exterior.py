@@ -29,18 +29,10 @@ Preconditioner = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Exterior:
-    """The outside of a heart's hull.
+    """The outside of a heart's hull, for B (s, k) on the hull's surface, the `values`.
 
-    Attributes
-    ----------
-    conductor : Conductor
-        Heart, torso and electrodes.
-    values : (s, k) array
-        B on the hull's surface.
-    contacts : Contacts
-        Places of electrodes on the skin.
-    tolerance : float
-        Residual of the potentials outside, relative.
+    And for the places of electrodes on the skin; with a relative tolerance for the potentials
+    outside.
     """
 
     conductor: Conductor
@@ -75,16 +67,8 @@ class Exterior:
 class Part(NamedTuple):
     """Some tetrahedra of a conductor, with vertices numbered among themselves.
 
-    Attributes
-    ----------
-    used : (n,) array
-        Their numbers in the whole mesh.
-    points : (n, 3) array
-        Vertices (mm).
-    corners : (m, 4) array
-        Tetrahedra.
-    on_surface : (n,) array
-        Which vertices lie on the hull's surface.
+    Numbers (n,) of the vertices used in the whole mesh, their points (n, 3) (mm), the corners (m,
+    4) of the tetrahedra, and which vertices lie on the hull's surface (n,).
     """
 
     used: Integers
@@ -163,27 +147,10 @@ def block_cg(
     tolerance: float,
     most: int,
 ) -> Floats:
-    """Preconditioned conjugate gradients for several right-hand sides in step.
+    """Conjugate gradients, preconditioned, for several right-hand sides (n, c) in step.
 
-    Products with all columns at once cost a fraction of as many products with one.
-
-    Parameters
-    ----------
-    stiffness : (n, n) sparse matrix
-        Symmetric, positive definite (1/kΩ).
-    precondition : callable
-        Applies a symmetric positive definite operator to columns (n, c).
-    currents : (n, c) array
-        Right-hand sides (µA).
-    tolerance : float
-        Largest residual, relative to the right-hand side.
-    most : int
-        Iterations after which the potentials are taken as they stand.
-
-    Returns
-    -------
-    (n, c) array
-        Potentials (mV).
+    Products with all columns at once cost a fraction of as many products with one. It ends when all
+    residuals are below the tolerance, relative to the right-hand side, or after so many iterations.
     """
     potential = np.zeros_like(currents)
     residual = currents.copy()

@@ -168,23 +168,9 @@ def electrode_places(
 ) -> Contacts:
     """Contacts of the limb electrodes, then of V1 to V6 at every place of a grid along the skin.
 
-    From where an electrode is, it goes up or down along the skin first, then horizontally.
-
-    Parameters
-    ----------
-    vertices : (n, 3) array
-        The mesh (mm).
-    skin : (t, 3) array
-        Triangles of the skin.
-    electrodes : (9, 3) array
-        Positions (mm).
-    axes : (3, 3) array
-        Directions to the left, back and up.
-
-    Returns
-    -------
-    Contacts
-        3 + 6 · len(LEFT) · len(UP) of them: by electrode, then to the left, then up.
+    From where an electrode is, it goes up or down along the skin (t, 3) first, then horizontally;
+    `axes` (3, 3) point to the left, back and up. There are 3 + 6 · len(LEFT) · len(UP) of them: by
+    electrode, then to the left, then up.
     """
     vertex_normals = np.zeros_like(vertices)  # weighted by areas
     for corner in skin.T:

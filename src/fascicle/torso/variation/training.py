@@ -40,14 +40,8 @@ T = TypeVar("T")
 class Effort:
     """How closely a response follows the body.
 
-    Attributes
-    ----------
-    mode_bodies, modes : int
-        Bodies solved for all electrodes, and modes kept of their fields.
-    outer_bodies : int
-        Bodies between which the outside is interpolated.
-    patterns : int
-        Functions kept of the places on the skin.
+    Bodies solved for all electrodes, modes kept of their fields, bodies between which the outside
+    is interpolated, and functions kept of the places on the skin.
     """
 
     mode_bodies: int = 30
@@ -78,18 +72,10 @@ def build_response(
     progress: StageProgress = no_progress,
     effort: Effort | None = None,
 ) -> BodyResponse:
-    """Learn how the lead fields depend on the body.
+    """Learn how the lead fields of a conductor depend on the body.
 
-    Parameters
-    ----------
-    conductor : Conductor
-        Heart, torso and electrodes.
-    rng : numpy.random.Generator
-        Which bodies are solved.
-    progress : callable, optional
-        Called with how many of how many steps are done.
-    effort : Effort, optional
-        How many bodies, modes and patterns.
+    `progress` is called with how many of how many steps are done; the random bodies are the same
+    for a generator of the same seed.
     """
     effort = effort if effort is not None else Effort()
     heart, torso = conductor.heart, conductor.torso
