@@ -25,7 +25,6 @@ import fascicle
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.parameters import EXAMPLE_PARAMETERS, read_parameters
 from fascicle.core.quantities import BODY, QUANTITIES
-from fascicle.forward.body import torso_made_again
 from fascicle.forward.ecg.electrocardiogram import STEP, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.loss import align
@@ -34,6 +33,7 @@ from fascicle.recording.window import qrs_window
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure, save
 from fascicle.torso.lead_fields import assemble_stiffness
+from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import BodyState, Conductor, InvalidBody, build_conductor
 from fascicle.torso.variation.response import electrode_places
 from fascicle.torso.variation.training import currents, solve_body
@@ -248,7 +248,7 @@ def main() -> None:
     response = model.body(BODY).response
     print(f"{heart.name}: response in {time.perf_counter() - begin:.0f} s (little if it was kept), "
           f"{len(response.modes)} modes, {len(response.bodies)} bodies")  # fmt: skip
-    torso = heart.torso if heart.torso is not None else torso_made_again(heart)
+    torso = torso_of(heart)
     conductor = build_conductor(heart, torso, model.conduction)
     bodies, possible = random_values(conductor, arguments.bodies, arguments.scale)
     print(f"{len(bodies)} random bodies; {100 * (1 - possible):.0f} % of those drawn impossible")

@@ -185,13 +185,6 @@ class TestMovedConductor:
         np.testing.assert_allclose(slope[outside], 1 / 60.0, rtol=0.25)
         assert (morph.share[radius < 35] == 0).all()
 
-    def test_what_becomes_of_volumes(self, conductor):
-        """As a polynomial, against the determinants themselves."""
-        moved = {"heart_posterior": -18.0, "heart_rotation_left": 0.3, "chest_size": 0.9}
-        motion = conductor.motion(state(moved))
-        expected = np.linalg.det(conductor.morph.jacobians(motion))
-        np.testing.assert_allclose(conductor.morph.determinants(motion), expected, atol=1e-12)
-
 
 def test_near_field_is_that_of_an_insulated_plane(conductor):
     """Far from the hull its projection is an almost constant gradient, 2/(4πσr²)."""

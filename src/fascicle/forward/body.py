@@ -20,14 +20,10 @@ from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_w
 from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.preparation import READ_ERRORS, cache_file
 from fascicle.heart.conduction import Conduction
-from fascicle.heart.heart import Heart, Torso
-from fascicle.heart.labelled_surface import labelled_mesh
+from fascicle.heart.heart import Heart
 from fascicle.kernels.channels import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
-from fascicle.torso.electrode_sites import FARTHEST
-from fascicle.torso.idealised import idealised_torso
-from fascicle.torso.lead_fields import place_electrodes
-from fascicle.torso.mesh import mesh_torso
+from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidBody, build_conductor
 from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response
@@ -146,32 +142,11 @@ def prepare_response(
 
 
 def _build(heart: Heart, conduction: Conduction, progress: Progress | None) -> BodyResponse:
-    torso = heart.torso if heart.torso is not None else torso_made_again(heart, progress)
+    torso = torso_of(heart, stage_progress(progress, "torso", ONCE))
     conductor = build_conductor(heart, torso, conduction)
     return build_response(
         conductor, np.random.default_rng(SEED), stage_progress(progress, STAGE, ONCE)
     )
-
-
-def torso_made_again(heart: Heart, progress: Progress | None = None) -> Torso:
-    """The idealised torso of a heart that carries its lead fields without it.
-
-    Raises
-    ------
-    InputError
-        If the heart's electrodes are not on it: then it was another torso.
-    """
-    mesh = labelled_mesh(heart)
-    surfaces = idealised_torso(mesh)
-    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso", ONCE))
-    whole = np.concatenate([heart.tetrahedra, torso.tetrahedra])
-    distance = place_electrodes(torso.vertices, whole, heart.electrodes).moved.max()
-    if distance > FARTHEST:
-        raise InputError(
-            f"{heart.name}: its torso is not in the folder, and electrodes are {distance:.0f} mm "
-            "from the skin of the standard one; build the heart again with its torso"
-        )
-    return torso
 
 
 def write_response(path: Path, response: BodyResponse) -> None:

@@ -35,12 +35,11 @@ def read_electrodes(path: Path | str) -> Floats:
     positions: dict[str, list[float]] = {}
     for name, values in rows:
         electrode = known.get(name.strip().upper())
-        if electrode is None:
-            raise InputError(
-                f"{path}: unknown electrode {name!r}; the nine are {', '.join(ELECTRODES)}"
-            )
-        if electrode in positions:
-            raise InputError(f"{path}: electrode {electrode} is given twice; keep one")
+        if electrode is None or electrode in positions:
+            fault = f"unknown electrode {name!r}; the nine are {', '.join(ELECTRODES)}"
+            if electrode is not None:
+                fault = f"electrode {electrode} is given twice; keep one"
+            raise InputError(f"{path}: {fault}")
         positions[electrode] = _position(path, electrode, values)
     missing = [name for name in ELECTRODES if name not in positions]
     if missing:

@@ -9,12 +9,38 @@ import numpy as np
 
 from fascicle.core.errors import InputError
 from fascicle.core.progress import StageProgress, no_progress
-from fascicle.heart.heart import Torso, TorsoTissue
-from fascicle.heart.labelled_surface import Label, LabelledMesh
+from fascicle.heart.heart import Heart, Torso, TorsoTissue
+from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
 from fascicle.mesh.measures import signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, tetrahedralise
 from fascicle.mesh.topology import boundary_loops, fan, without_unused_vertices
+from fascicle.torso.electrode_sites import FARTHEST
+from fascicle.torso.idealised import idealised_torso
+from fascicle.torso.lead_fields import place_electrodes
 from fascicle.torso.surfaces import Surface
+
+
+def torso_of(heart: Heart, progress: StageProgress = no_progress) -> Torso:
+    """A heart's torso, or the standard one of a heart that carries its lead fields without it.
+
+    Raises
+    ------
+    InputError
+        If the heart's electrodes are not on the standard one: then it was another torso.
+    """
+    if heart.torso is not None:
+        return heart.torso
+    mesh = labelled_mesh(heart)
+    surfaces = idealised_torso(mesh)
+    torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, progress)
+    tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+    distance = place_electrodes(torso.vertices, tetrahedra, heart.electrodes).moved.max()
+    if distance > FARTHEST:
+        raise InputError(
+            f"{heart.name}: its torso is not in the folder, and electrodes are {distance:.0f} mm "
+            "from the skin of the standard one; build the heart again with its torso"
+        )
+    return torso
 
 
 def mesh_torso(
