@@ -13,7 +13,6 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.primitives import Stimulus
-from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.heart.sites import LAYERS, LEFT_SITES, RIGHT, RIGHT_SITES, SEGMENTS, Sites
 
 
@@ -199,28 +198,3 @@ class TestInScenarios:
             fired[part] = int(np.argmin(paced.coupled.trees[0]))
         assert paced.trees[0].parts["bundle"][fired["bundle"]]
         assert not paced.trees[0].parts["bundle"][fired[None]]
-
-    def test_they_come_back_from_a_file(self, tmp_path):
-        scenario = case(
-            (
-                Stimulus(0.0, site="apex epicardium", radius=3.0),
-                Stimulus(1.0, (1.0, 2.0, 3.0), "lv"),
-            )
-        )
-        path = tmp_path / "case.toml"
-        path.write_text(scenario_text(scenario))
-        assert read_scenario(path)[0] == scenario
-
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ("time = 0", "case.toml: stimulus 1: give either a position or a site"),
-            ("time = 0\nsite = 3", "stimulus 1: 'site' is 3; give a text"),
-            ("time = 0\nsite = 'rv apex'\nradius = 50", "radius' is 50; .* 0 to 20 mm"),
-        ],
-    )
-    def test_wrong_files_are_refused(self, text, message, tmp_path):
-        path = tmp_path / "case.toml"
-        path.write_text(f"[[stimulus]]\n{text}\n")
-        with pytest.raises(InputError, match=message):
-            read_scenario(path)

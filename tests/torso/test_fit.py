@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.electrodes import read_electrodes, write_electrodes
+from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.torso.electrode_sites import check_not_exchanged, distances_to_skin
-from fascicle.torso.heart_pose import axes_of_electrodes, body_frame, default_position
+from fascicle.torso.heart_pose import body_frame, default_position
 from fascicle.torso.idealised import fit_trunk, fitted_torso, leaving
 from fascicle.torso.trunk import BodySize, outside_trunk
 
@@ -76,12 +75,6 @@ def test_the_deformation_puts_the_skin_at_the_electrodes_and_folds_nothing(mesh)
     assert np.linalg.det(np.stack(columns, axis=2) / 0.2).min() > 0.3
 
 
-def test_axes_follow_the_electrodes(mesh):
-    standard = leaving(outside_trunk(BodySize()), BodySize())
-    turned = standard @ TURN.T + [30, -50, 900]
-    np.testing.assert_allclose(axes_of_electrodes(turned, standard), TURN, atol=1e-12)
-
-
 def test_torso_turns_with_heart_and_electrodes(mesh):
     electrodes = sites(mesh, BodySize(1.8, 80))
     one, fitted = fitted_torso(mesh, electrodes, "e.csv", {})
@@ -128,14 +121,6 @@ def test_exchanged_electrodes(default_heart, mesh, order, message):
     check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes))
     with pytest.raises(InputError, match=message):
         check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes[order]))
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("centimetres", 0.1), ("metres", 0.001)])
-def test_electrodes_in_other_units(default_heart, mesh, tmp_path, unit, factor):
-    file = tmp_path / "e.csv"
-    write_electrodes(file, factor * sites(mesh, BodySize()))
-    with pytest.raises(InputError, match=rf"e\.csv .*seems to be in {unit}; multiply"):
-        in_torso(default_heart, mesh, TorsoOptions(electrodes=file))
 
 
 def test_a_living_subject(data_folder):

@@ -94,20 +94,6 @@ class TestReference:
         )
         assert np.abs(slope - differences).max() < 1e-7 * np.abs(slope).max()
 
-    @pytest.mark.parametrize("interface", RADII[:2])
-    def test_the_series_carries_current_across_interfaces(self, interface):
-        sigma, electrode, step = [6.0, 0.5, 2.0], np.array([0.0, 0.0, RADIUS]), 1e-3
-        directions = rim_points(10, 1.0)
-
-        def field(r):
-            return concentric(r * directions, electrode, RADII, sigma)
-
-        k = RADII.index(interface)
-        inside = 3 * field(interface) - 4 * field(interface - step) + field(interface - 2 * step)
-        just = interface + 1e-9
-        outside = -3 * field(just) + 4 * field(just + step) - field(just + 2 * step)
-        assert sigma[k] * inside == pytest.approx(sigma[k + 1] * outside, rel=1e-3)
-
 
 class TestDipoles:
     """Potentials of eccentric dipoles on six electrodes, by reciprocity."""

@@ -16,7 +16,6 @@ from fascicle.heart.fibres import (
     Wall,
     apex_to_base,
     by_rule,
-    lv_apex,
     rule_based_fibres,
     wall_potentials,
 )
@@ -146,12 +145,6 @@ def test_fibres_of_a_spheroid_are_those_of_its_own_coordinates(spheroid):
     assert error[nu > np.radians(20)].max() < 5  # but for the apex, where there is no direction
 
 
-def test_a_spheroid_has_the_prescribed_angles_at_its_surfaces(spheroid):
-    _, _, fibres = spheroid
-    assert angle_at(fibres, Wall.LV, 0) == pytest.approx(60, abs=2)
-    assert angle_at(fibres, Wall.LV, 1) == pytest.approx(-60, abs=2)
-
-
 def test_fibres_are_a_right_handed_helix_inside_and_a_left_handed_one_outside(spheroid):
     _, mesh, fibres = spheroid
     x = mesh.vertices[mesh.tetrahedra].mean(axis=1)
@@ -183,16 +176,6 @@ def test_each_wall_of_a_heart_has_the_prescribed_angles(biventricular, wall, inn
     assert angle_at(fibres, wall, 1) == pytest.approx(outer, abs=2)
 
 
-def test_the_angle_falls_monotonely_through_each_wall(biventricular):
-    _, fibres = biventricular
-    angle = helix_angle(fibres)
-    for wall in Wall:
-        here = fibres.wall == wall
-        layer = np.digitize(fibres.depth[here], np.linspace(0, 1, 9))
-        medians = [np.median(angle[here][layer == k]) for k in np.unique(layer)]
-        assert np.all(np.diff(medians) < 0)
-
-
 def test_neighbours_differ_by_what_the_rule_turns_but_along_the_junctions(biventricular):
     mesh, fibres = biventricular
     pairs, angle = steps(fibres.fibre, mesh.tetrahedra)
@@ -218,13 +201,6 @@ def test_the_rv_has_angles_of_its_own(laplace):
     assert abs(angle_at(fibres, Wall.SEPTUM, 1)) == pytest.approx(90, abs=2)
 
 
-def test_the_apex_is_that_of_the_left_ventricle(spheroid):
-    shape, mesh, _ = spheroid
-    inner, outer = shape.walls
-    expected = [[0, 0, -shape.focus * np.cosh(xi)] for xi in (inner, outer)]
-    np.testing.assert_allclose(mesh.vertices[lv_apex(mesh)], expected, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("missing", "named"),
     [
@@ -238,16 +214,6 @@ def test_a_missing_label_is_named(missing, named):
     mesh = replace(mesh, labels=np.where(mesh.labels == missing, 0, mesh.labels))
     with pytest.raises(InputError, match=f"slab: no boundary triangle is labelled as {named}"):
         rule_based_fibres(mesh)
-
-
-def test_progress_is_told_to_the_end():
-    reported: list[tuple[int, int]] = []
-    rule_based_fibres(
-        slab(thickness=8, layers=2), progress=lambda done, total: reported.append((done, total))
-    )
-    assert reported[0][0] == 0
-    assert reported[-1][0] == reported[-1][1]
-    assert [done for done, _ in reported] == sorted(done for done, _ in reported)
 
 
 def test_fibres_of_the_rv_turn_towards_a_labelled_pulmonary_opening(laplace, biventricular):

@@ -67,15 +67,6 @@ def test_no_flux_passes_a_side_where_nothing_is_given():
     np.testing.assert_allclose(solution, nodes[:, 2], atol=1e-5)
 
 
-def test_the_nodes_of_a_triangle_are_its_corners_and_the_middles_of_its_sides():
-    space = cube(2)
-    triangle = space.tetrahedra[:1, :3]
-    x = space.vertices[triangle[0]]
-    expected = np.concatenate([x, (x + np.roll(x, 1, axis=0)) / 2])
-    found = nodes_of(space)[space.on(triangle)]
-    assert sorted(map(tuple, found)) == sorted(map(tuple, expected))
-
-
 def test_the_stiffness_agrees_with_scikit_fem():
     import skfem
     from skfem.models.poisson import laplace
