@@ -189,15 +189,6 @@ def test_one_cavity_is_refused_with_its_volume():
     refused(left_alone, r"one cavity \(8[4-9](\.\d)? ml\) found")
 
 
-def test_three_cavities_are_refused():
-    def many(points):
-        block = np.abs(points - [-19, 0, -40]) - [58, 38, 40]
-        wells = [-ellipsoid(points, [x, 0, 0], [15, 30, 60]) for x in (-57, -19, 19)]
-        return np.max([block.max(axis=-1), *wells], axis=0)
-
-    refused(many, r"3 cavities \(\d+(\.\d)?, \d+(\.\d)?, \d+(\.\d)? ml\) found")
-
-
 def test_cavities_closed_at_the_base_are_refused():
     def shut(points):
         lv = -ellipsoid(points, [5, 0, -20], [20, 20, 30])

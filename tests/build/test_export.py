@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from shapes import read_labelled_mesh
 from fascicle.build.export import export_heart
 from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
-from fascicle.heart.electrodes import read_electrodes, write_electrodes
+from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.heart import LeadFields
 from fascicle.heart.labelled_surface import NEEDED, labelled_mesh
 from fascicle.mesh.formats.mesh_file import GROUP, TETRAHEDRON, TRIANGLE
@@ -110,15 +109,6 @@ def test_opencarp_takes_trees(tmp_path, heart):
     read = read_tree(tmp_path / "carp" / "lv_tree.pts", "lv", tree.nodes[0])
     assert np.abs(read.lengths - tree.lengths).max() < 1e-9
     assert len(read_opencarp_mesh(tmp_path / "carp" / "heart").points) == 125
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".json"])
-def test_electrodes_come_back(tmp_path, heart, suffix):
-    path = tmp_path / f"electrodes{suffix}"
-    write_electrodes(path, heart.electrodes)
-    np.testing.assert_array_equal(read_electrodes(path), heart.electrodes)
-    if suffix == ".json":
-        assert list(json.loads(path.read_text())) == list(ELECTRODES)
 
 
 @pytest.mark.parametrize(

@@ -161,15 +161,3 @@ def test_base_without_holes_and_crowded_edge(coarse):
     fin = np.array([[*triangles[0, :2], triangles[len(triangles) // 2, 2]]])
     crowded = vertices, np.vstack([triangles, fin])
     refused({**coarse, RV: crowded}, "RV endocardium: 1 of .* more than two triangles")
-
-
-def test_rims_that_cross_leave_no_room_for_a_base(coarse):
-    vertices, triangles = coarse[RV]
-    rim = igl.boundary_loop_all(triangles)[0]
-    moved = vertices.copy()
-    middle = moved[rim].mean(axis=0)
-    far = rim[np.argmax(np.linalg.norm(moved[rim] - middle, axis=1))]
-    moved[far] += 0.5 * (moved[far] - middle)
-    refused(
-        {**coarse, RV: (moved, triangles)}, "seen from the base, the boundary loop of", base=False
-    )

@@ -126,16 +126,6 @@ def test_a_file_of_labels_must_fit(tmp_path):
         read_labelled_surface(path, labels_file=labels)
 
 
-def test_arrays_that_are_no_labels(tmp_path):
-    path = written(tmp_path / "heart.vtp", height=ventricles().vertices[:, 2])
-    with pytest.raises(InputError, match=r"no labels: .*\(arrays: height\)"):
-        read_labelled_surface(path)
-    with pytest.raises(InputError, match="must hold one whole number"):
-        read_labelled_surface(path, array="height")
-    with pytest.raises(InputError, match="no array 'class'"):
-        read_labelled_surface(path, array="class")
-
-
 def test_labels_of_points_of_the_mean_heart(data_folder):
     surface = read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM):

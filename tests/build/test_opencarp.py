@@ -136,7 +136,7 @@ def test_a_tree_without_lengths_takes_them_from_its_ends(folder, tree):
         ("heart.pts", "2\n1 2 3\nnan 5 6\n", "not finite (first: 'nan 5 6')"),
         ("heart.pts", b"125\n\x80\xff\n", "not a text file"),
         ("heart.elem", "1\nTt 0 1 2 125 1\n", "1 indices are out of range (first: 125)"),
-        ("heart.elem", "1\nTt 0 1 2 3.5 1\n", "3.5 stands where a whole number should"),
+        ("heart.elem", "1\nTt 0 1 2 3.5 1\n", "3.5 is not a whole number"),
         ("heart.elem", "1\nT4 0 1 2 3 1\n", "unknown element type 'T4'"),
         ("heart.elem", "1\nTt 0 1 2\n", "need 1 with 4 or 5"),
         ("heart.lon", "3\n1 0 0\n", "the first line is '3'"),

@@ -44,7 +44,7 @@ class TestEndocardium:
         faces = [[3, *t] for t in cup[1][2:].tolist()] + [[4, 0, 1, 2, 3]]
         mesh = pv.PolyData(cup[0], np.concatenate(faces))
         file = materials.save("some.vtp", mesh)
-        import_refused(file, "besides", "1 Quad", "; make", lv_endocardium=file)
+        import_refused(file, "but also other cells", "1 Quad", "; make", lv_endocardium=file)
 
     def test_closed(self, refuse, cup):
         points, triangles = cup

@@ -112,7 +112,9 @@ class TestTetrahedra:
             materials.points,
         )
         file = materials.save("mixed.vtu", mesh)
-        import_refused(file, "besides 3072 tetrahedra", "1 Pyramid", "; make", mesh=file)
+        import_refused(
+            file, "3072 tetrahedra, but also other cells", "1 Pyramid", "; make", mesh=file
+        )
 
     def test_zero_volume(self, materials, import_refused):
         spoilt = materials.tetrahedra.copy()

@@ -15,13 +15,7 @@ from fascicle.mesh.measures import (
     triangle_areas,
 )
 from fascicle.mesh.quality import intersections, self_intersections
-from fascicle.mesh.topology import (
-    TETRAHEDRON_FACES,
-    boundary_loops,
-    directed_edges,
-    fan,
-    unique_edges,
-)
+from fascicle.mesh.topology import TETRAHEDRON_FACES, directed_edges, unique_edges
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # of a cube
 AWAY = CORNER + np.array([7.0, -3, 2])
@@ -47,16 +41,6 @@ def test_volumes_of_the_corner_of_a_cube():
     assert enclosed_volume(AWAY, FACES[1:]) == pytest.approx(1 / 6)  # a flat opening adds nothing
     assert triangle_areas(AWAY, FACES) == pytest.approx([np.sqrt(3) / 2, 0.5, 0.5, 0.5])
     assert mean_edge_length(AWAY, FACES) == pytest.approx((1 + np.sqrt(2)) / 2)
-
-
-def test_a_fan_closes_an_opening():
-    opened = FACES[1:]
-    (loop,) = boundary_loops(opened)
-    closed = np.concatenate([opened, fan(loop, 4)])
-    vertices = np.concatenate([CORNER, CORNER[1:].mean(axis=0, keepdims=True)])
-    assert unique_edges(closed)[1].tolist() == [2] * 9
-    assert closed_volume(vertices, closed) == pytest.approx(1 / 6)
-    assert len({tuple(edge) for edge in directed_edges(closed).tolist()}) == 18
 
 
 def test_barycentric_coordinates_are_one_at_their_corner():

@@ -48,7 +48,7 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
-        Trees to write beside the heart; openCARP only.
+        Trees to write with the heart; openCARP only.
     """
     suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
     if kind not in suffixes:
@@ -126,8 +126,8 @@ def write_opencarp(
     There are ``<stem>.pts``, ``<stem>.elem`` (tags are the regions; 1 without any), ``<stem>.lon``
     (fibres, and sheets if the heart has them) and ``electrodes.csv`` (mm). The boundary is
     in ``<stem>_lv_endo``, ``_rv_endo``, ``_epi`` and ``_base``, each as ``.surf`` and ``.vtx``. An
-    endocardium that is no part of the mesh is ``<stem>_lv_endocardium.pts`` and ``.elem`` besides,
-    with triangles of its own, less what spans a valve opening.
+    endocardium whose vertices are not the mesh's is also in ``<stem>_lv_endocardium.pts`` and
+    ``.elem``, without the triangles that span a valve opening.
     Trees are written as ``lv_tree`` and ``rv_tree``; see `fascicle.purkinje.tree_files`.
     """
     regions = heart.regions

@@ -159,12 +159,12 @@ def labelled_tetrahedra(
 
     The labels come from
 
-    - triangles beside the tetrahedra with a cell array ``label`` (or ``class``, ``surface``, ...)
+    - triangles of the same file with a cell array ``label`` (or ``class``, ``surface``, ...)
       of `Label` numbers: VTK, VTU;
     - such a point array on the boundary's points; a triangle gets the label of most of its corners
       (ties: the endocardia, then the epicardium, then the base);
     - physical groups of triangles, by name or number: Gmsh;
-    - ``.surf`` files, or else ``.vtx`` files, beside the mesh with names like
+    - ``.surf`` files, or else ``.vtx`` files, in the mesh's folder with names like
       ``<stem>_lv_endo.surf``: openCARP.
 
     Parameters
@@ -236,12 +236,12 @@ def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
 def label_boundary(
     mesh: MeshFile, boundary: Integers, array: str | None, names: Names
 ) -> Integers | None:
-    """Label each triangle (b, 3) of the boundary by what the mesh's file, or files beside it, say.
+    """Label each triangle (b, 3) of the boundary by the mesh's file, or others in its folder.
 
     None if nothing is labelled.
     """
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
-        found = _from_files_beside(mesh, boundary, names)
+        found = _from_surface_files(mesh, boundary, names)
     else:
         found = _from_array(mesh, boundary, array, names)
     if found is None:
@@ -279,7 +279,7 @@ def _from_array(
     return found.source, _on_boundary(found.source, mesh.cells[TRIANGLE][given], labels, boundary)
 
 
-def _from_files_beside(
+def _from_surface_files(
     mesh: MeshFile, boundary: Integers, names: Names
 ) -> tuple[str, Integers] | None:
     """Source and labels (b,) of the boundary's triangles by `.surf` files, or else `.vtx` files."""

@@ -16,7 +16,7 @@ from fascicle.mesh.topology import boundary_triangles, components_of, places_in,
 def repaired_edges(anatomy: Anatomy) -> Anatomy:
     """Separate tetrahedra that have nothing but an edge in common, where few edges are so.
 
-    In such an edge four or more triangles of the boundary meet, so that the boundary is no surface.
+    In such an edge four or more triangles of the boundary meet, and the boundary is not a surface.
     Each group of tetrahedra around the edge, linked by faces, gets a middle of the edge of its own,
     drawn a little into the group, and its tetrahedra are halved there: no tissue is removed, and
     the groups stay joined at the edge's ends. Fibres, sheets, regions and labels are those of the

@@ -37,7 +37,7 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
     source : Source
         The files.
     edge_length : float
-        Of the tetrahedra (mm); a mesh of the user's own stays as it is.
+        Of the tetrahedra (mm); a mesh of the user's own does not change.
     progress : Progress, optional
         Progress callback.
     """

@@ -34,7 +34,7 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
 
     Repeated vertices and triangles, triangles without an area, holes with a boundary of at most
     20 mm, triangles facing the wrong way and small components of labels are repaired. Where parts
-    cut through one another, the surface is drawn anew around what lies within.
+    cut through one another, it is replaced by the surface of what lies within.
 
     Afterwards it is closed, in one piece, does not cut itself, and faces outwards.
     """

@@ -58,7 +58,7 @@ def signed_volumes(vertices: Floats, tetrahedra: Integers) -> Floats:
 
 
 def solid_centroid(vertices: Floats, tetrahedra: Integers) -> Floats:
-    """Centroid of a body of tetrahedra; (3,)."""
+    """Centroid (3,) of tetrahedra, by volume."""
     centres, volumes = vertices[tetrahedra].mean(axis=1), signed_volumes(vertices, tetrahedra)
     return np.asarray(np.average(centres, axis=0, weights=volumes))
 

@@ -69,7 +69,7 @@ class MeshFile:
             )
         if self.others and kind != LINE:
             raise InputError(
-                f"{self.path}: besides {len(cells)} {name} there are other cells ({others}); "
+                f"{self.path}: {len(cells)} {name}, but also other cells ({others}); "
                 f"make the whole mesh of {name}"
             )
         return cells

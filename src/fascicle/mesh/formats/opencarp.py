@@ -111,7 +111,7 @@ def _read_directions(path: Path, count: int) -> dict[str, Floats]:
 
 
 def read_surf(path: Path, points: int) -> Integers:
-    """Read the triangles (k, 3) of a `.surf` file beside a mesh of so many points."""
+    """Read the triangles (k, 3) of a `.surf` file, for a mesh of so many points."""
     lines = _counted_lines(path, "surface")
     bad = next((row for row, line in enumerate(lines) if line.split()[:1] != ["Tr"]), None)
     if bad is not None:
@@ -196,9 +196,7 @@ def _indices(
     # beyond 2^53 not every whole number is a float, and no index is so large
     bad = np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))
     if len(bad):
-        raise InputError(
-            f"{path}: {table[tuple(bad[0])]:g} stands where a whole number should; correct it"
-        )
+        raise InputError(f"{path}: {table[tuple(bad[0])]:g} is not a whole number; correct it")
     numbers = table.astype(np.int64)
     nodes = numbers[:, :corners]
     outside = nodes[(nodes < 0) | (nodes >= (np.inf if points is None else points))]
