@@ -7,7 +7,8 @@
 Truths are drawn from the prior. Each gives a recording as the likelihood believes recordings to be:
 the simulated ECG times a gain, with a discrepancy (its size is log-uniform from half to all of
 the signal, its correlation that of the likelihood), ten beats with noise of 0.03 mV, and QRS marks
-that are off. A whole fit with default settings follows, but with `--bank` networks. Where the truth
+that are off. A whole fit with default settings follows, but with `--prior-simulations`
+networks. Where the truth
 lies among the draws is kept (`truth-0007.json`), so that the same command goes on where it stopped,
 or adds truths.
 
@@ -33,7 +34,8 @@ the ranks' distribution from a uniform one, and what 95 % of calibrated methods 
 quantities together; TARP (P. Lemos et al., "Sampling-based accuracy testing of posterior estimators
 for general inference", ICML 2023); how many fits converged, and how often which alarm rang. The
 figure (`calibration.png`) shows the ranks with the simultaneous band (T. Säilynoja et al.,
-"Graphical test for discrete uniformity", Stat. Comput. 32, 2022). A bank of the heart is made first
+"Graphical test for discrete uniformity", Stat. Comput. 32, 2022). The prior of the heart is
+simulated first
 if there is none.
 """
 
@@ -76,13 +78,13 @@ from fascicle.study.evaluations import Database, Journal
 from fascicle.study.likelihood import PriorKnowledge, likelihood_of, prior_knowledge
 from fascicle.study.population import Population, Posterior
 from fascicle.study.predictive import predict_recording
-from fascicle.study.prior_simulations import PriorSimulations, make_bank
+from fascicle.study.prior_simulations import PriorSimulations, simulate_prior
 from fascicle.study.settings import FitSettings, Method
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
+from fascicle.study.statements import fit_acceptable
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
-from fascicle.study.verdict import explained
 from fascicle.torso.variation.conductor import InvalidBody
 
 LEVELS = (0.5, 0.8, 0.9)
@@ -236,12 +238,12 @@ def predictions(simulation: Simulation, together: Simulation, axis: np.ndarray) 
 
 @lru_cache(1)
 def prepared(heart_path: str, gain_sd: float, method: Method) -> tuple[Any, ...]:
-    """Heart, model, prior, bank, and what networks of the prior tell, once a process."""
+    """Heart, model, prior, its simulations, and what networks of the prior tell, once a process."""
     threadpool_limits(1)
     heart = fascicle.load_heart(heart_path)
     model = ForwardModel(heart)
     space, fixed = study_space(method, {}, heart)
-    bank = PriorSimulations.beside(heart, space, fixed)
+    stored = PriorSimulations.of(heart, space, fixed)
     # any target serves: what the prior tells depends on its leads, and on the length of its QRS
     rng = np.random.default_rng(0)
     _, some = truth_of(model, space, fixed, rng)
@@ -250,7 +252,7 @@ def prepared(heart_path: str, gain_sd: float, method: Method) -> tuple[Any, ...]
     known = prior_knowledge(PointSimulator(model, space, fixed), target, None, rng)
     centred = heart.vertices - heart.vertices.mean(axis=0)
     axis = centred @ np.linalg.svd(centred[::50], full_matrices=False)[2][0]
-    return model, space, fixed, bank, known, axis
+    return model, space, fixed, stored, known, axis
 
 
 def fitted(
@@ -269,10 +271,10 @@ def fitted(
 def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, Any]:
     """Make a truth, fit it, and say where it lies among the draws."""
     begun = time.perf_counter()
-    settings = FitSettings(bank=given.bank, method=given.method)
+    settings = FitSettings(prior_simulations=given.prior_simulations, method=given.method)
     of_paper = settings.method == "paper"
     gain_sd = 0.0 if of_paper else settings.gain_sd
-    model, space, fixed, bank, known, axis = prepared(heart, gain_sd, settings.method)
+    model, space, fixed, stored, known, axis = prepared(heart, gain_sd, settings.method)
     rng = np.random.default_rng([1, number])
     true = (model, space, fixed) if given.physics == "same" else other_physics(heart, rng)
     point, simulation = truth_of(true[0], true[1], true[2], rng)
@@ -285,7 +287,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         noise = None if given.noise is None else residuals(read_target(given.noise))
         target = recorded(simulation, known, gain_sd, rng, given.physics == "same", noise)
         likelihood = likelihood_of(target, known, gain_sd)
-        simulator = PointSimulator(model, space, fixed, prior=bank)
+        simulator = PointSimulator(model, space, fixed, prior=stored)
         recording = TargetComparison(target, likelihood=likelihood, free_gain=True)
     population = fitted(simulator, recording, settings, number)
     result: dict[str, Any] = {"networks": len(population)}
@@ -301,7 +303,7 @@ def one_truth(heart: str, number: int, given: argparse.Namespace) -> dict[str, A
         checks = predict_recording(target, likelihood, networks, rng).checks
         result |= {
             "converged": population.converged,
-            "explained": explained(checks),
+            "explained": fit_acceptable(checks),
             "left": checks.share,
             "disagreeing": checks.disagreeing,
             "evaluations": population.evaluations.tolist(),
@@ -439,7 +441,7 @@ def _draw(ranks: dict[str, np.ndarray], band: float, path: Path) -> None:
 
 def identify(given: argparse.Namespace, path: Path) -> None:
     """Write what the truths are made with, or refuse to mix them with others."""
-    names = ("heart", "bank", "physics", "method", "noise")
+    names = ("heart", "prior_simulations", "physics", "method", "noise")
     made_with = {name: str(getattr(given, name)) for name in names}
     if not path.exists():
         write_text(path, json.dumps(made_with, indent=1) + "\n")
@@ -458,7 +460,11 @@ def main() -> None:
     parser.add_argument("--heart", required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truths", type=int, default=100)
-    parser.add_argument("--bank", type=int, default=FitSettings.model_fields["bank"].default)
+    parser.add_argument(
+        "--prior-simulations",
+        type=int,
+        default=FitSettings.model_fields["prior_simulations"].default,
+    )
     parser.add_argument("--physics", choices=("same", "other"), default="same")
     parser.add_argument("--method", choices=("posterior", "paper"), default="posterior")
     parser.add_argument("--noise", type=Path, help="target whose beats differ as recorded ones do")
@@ -468,7 +474,7 @@ def main() -> None:
     identify(given, given.out / "settings.json")
     with TerminalProgress() as progress:
         if given.method == "posterior":
-            make_bank(given.heart, given.bank, progress=progress)
+            simulate_prior(given.heart, given.prior_simulations, progress=progress)
         if given.physics == "other" and fascicle.load_heart(given.heart).torso is not None:
             model = ForwardModel(fascicle.load_heart(given.heart), progress=progress)
             model.body(OF_THE_BODY)  # kept on disk, where each process finds it

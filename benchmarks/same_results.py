@@ -42,7 +42,7 @@ def commands(data: Path) -> Iterator[list[str]]:
     surface = data / "hearts" / "cobiveco-geo1" / "heart.vtp"
     yield ["heart", "build", str(surface), "--edge-length", "2", "--out", "heart"]
     target = "target0.nc"
-    posterior = ["--evaluations", "400", "--bank", "200"]
+    posterior = ["--evaluations", "400", "--prior-simulations", "200"]
     yield ["fit", "default", target, *FIT, *posterior, "--out", "posterior"]
     paper = ["--method", "paper", "--initial", "30", "--steps", "10", "--samples", "3"]
     yield ["fit", "default", target, *FIT, *paper, "--draws", "20000", "--out", "paper"]

@@ -98,9 +98,10 @@ def measure(path: Path, parameters: dict[str, float]) -> dict[str, float]:
     """Time and memory of the forward run on a prepared heart; for a process of its own."""
     from fascicle.forward.cable.template import default_template
     from fascicle.forward.model import ForwardModel
-    from fascicle.forward.preparation import load
+    from fascicle.forward.preparation import from_arrays
 
-    heart, prepared = load(path, default_template())
+    with np.load(path) as arrays:
+        heart, prepared = from_arrays(arrays, default_template())
     model = ForwardModel(heart, prepared=prepared)
     new = networks(parameters)
     model.simulate(next(new))
@@ -130,7 +131,7 @@ def _seconds(work: Callable[[], object]) -> float:
 def sizes(heart: Heart, parameters: dict[str, float], million: bool) -> None:
     """Print a row a mesh."""
     from fascicle.forward.model import ForwardModel
-    from fascicle.forward.preparation import save
+    from fascicle.forward.preparation import as_arrays
 
     print(
         f"{'vertices':>10}{'tetrahedra':>12}{'prepare, s':>12}{'forward, s':>12}"
@@ -151,7 +152,7 @@ def sizes(heart: Heart, parameters: dict[str, float], million: bool) -> None:
             begin = time.perf_counter()
             model = ForwardModel(mesh)
             took = time.perf_counter() - begin
-            save(path, model.prepared, mesh)
+            np.savez(path, **as_arrays(model.prepared, mesh))
             del model
             command = [sys.executable, "-m", "benchmarks.scaling", "--measure", str(path)]
             done = subprocess.run(

@@ -36,7 +36,7 @@ from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
 NETWORKS = 200  # that are timed
-BANK, EVALUATIONS = 8000, 10_000  # of a fit
+PRIOR, EVALUATIONS = 8000, 10_000  # of a fit
 WORKERS = (1, 2, 16, 64, 256, 1024)
 THREADS_TIMED, CALL, ITEMS = 32, 1000, 10_000  # threads of idle workers; items a call, and in all
 PATIENTS, THREADS = 256, 16
@@ -68,7 +68,7 @@ def network_seconds(simulator: PointSimulator, comparison: TargetComparison) -> 
 @one_thread
 def thinking_seconds(dimension: int) -> list[float]:
     """Seconds that a run of the sampler thinks after each round, on a rugged posterior."""
-    prior = prior_points(dimension, BANK)[::RUNS]
+    prior = prior_points(dimension, PRIOR)[::RUNS]
     each = EVALUATIONS // RUNS
     run = sampling(np.random.default_rng(0), prior, effective=each, most=each)
     points, seconds = next(run), []
@@ -127,7 +127,7 @@ def round_seconds(seconds: np.ndarray, workers: int, rate: float) -> float:
 def fit_seconds(seconds: np.ndarray, thinking: float, workers: int, rate: float) -> float:
     """How long a fit takes (s), a round of its two runs after the other."""
     rng, total, size = np.random.default_rng(0), 0.0, RUNS * BATCH
-    for count in (BANK, *[size] * (EVALUATIONS // size)):
+    for count in (PRIOR, *[size] * (EVALUATIONS // size)):
         total += round_seconds(rng.choice(seconds, count), workers, rate) + RUNS * thinking
     return total
 
@@ -143,7 +143,7 @@ def cohort_seconds(of_a_fit: float, workers: int) -> float:
 
 def table(seconds: np.ndarray, thinking: float, rate: float) -> None:
     """Print how long a fit takes and how busy workers are, with and without a scheduler."""
-    work = (BANK + EVALUATIONS) * seconds.mean()
+    work = (PRIOR + EVALUATIONS) * seconds.mean()
     print(f"{'workers':>8} {'fit':>9} {'efficiency':>11} {'if jobs left at once':>21}")
     for workers in WORKERS:
         taken = [fit_seconds(seconds, thinking, workers, each) for each in (rate, np.inf)]

@@ -3,8 +3,8 @@
     python -m benchmarks.stages HEART [--networks 50] [--against CHECKOUT]
 
 HEART is a heart's folder, or `default`. Networks are drawn from the prior of a posterior, as those
-of a bank are. Times are processor time of one thread, medians over the networks, each the least of
-`REPEATS` runs.
+of prior simulations are. Times are processor time of one thread, medians over the networks, each
+the least of `REPEATS` runs.
 
 With --against, the same networks are simulated by the code in another checkout of this repository,
 too, in a process beside this one's: network by network in turn, so that both see the same state of

@@ -163,7 +163,7 @@ def write_figures(
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
     reference = EcgGroup("reference", "beat", time_axis, target.qrs_beats, BLUE)
     found = EcgGroup("networks", "network", time_axis, predicted, VERMILION)
-    save(ecg_figure([reference, found], fitted.networks_called), folder / "ecg.png")
+    save(ecg_figure([reference, found], fitted.statements.networks_called), folder / "ecg.png")
     pairs = pair_figure(space, population.values, population.best, truth)
     save(pairs, folder / "pairs.png")
     trees = {"truth": true} | {f"{k}": n.simulation for k, n in enumerate(networks)}
@@ -183,7 +183,7 @@ def experiment(
             model.heart, target, folder / "study", method="paper", seed=seed, progress=progress,
             **budget,
         )  # fmt: skip
-    print(f"\n{name} truth, seed {seed}: {fitted.networks_called}"
+    print(f"\n{name} truth, seed {seed}: {fitted.statements.networks_called}"
           f" ({time.process_time() - begin:.0f} s of CPU time)")  # fmt: skip
     fired = ", ".join(
         f"{by.sum()} of {len(by)} ({tree.side.upper()})"

@@ -40,9 +40,9 @@ WRONG: dict[str, Any] = {
 # the name of a file that is not there.
 ALSO = {
     ("ForwardModel", "heart"): {"heart"},
-    ("make_bank", "heart"): {"heart"},
-    ("make_bank", "networks"): {"whole"},
-    ("make_bank", "workers"): {"whole"},
+    ("simulate_prior", "heart"): {"heart"},
+    ("simulate_prior", "networks"): {"whole"},
+    ("simulate_prior", "workers"): {"whole"},
     ("fit", "heart"): {"heart"},
     ("fit", "out"): {"text"},
     ("report", "out"): {"text"},
@@ -71,7 +71,7 @@ TRIED_ABOVE = {
 # What the program itself makes, and what it raises
 MADE = {
     "Beat", "Comparison", "Heart", "InputError", "InvalidTree", "Predicted", "Primitive",
-    "PurkinjeTree", "Simulation", "SimulatedBeat",
+    "PurkinjeTree", "Replicate", "Simulation", "SimulatedBeat",
 }  # fmt: skip
 
 
@@ -133,7 +133,7 @@ def right(study, predicted, recording, default_heart, default_model):
         "read_action_potential": (fascicle.read_action_potential, {"path": "u.csv"}),
         "read_target": (fascicle.read_target, {"path": study.folder / "target.nc"}),
         "report": (fascicle.report, dict(fitted)),
-        "make_bank": (fascicle.make_bank, {"heart": default_heart}),
+        "simulate_prior": (fascicle.simulate_prior, {"heart": default_heart}),
         "Cluster": (fascicle.Cluster, {"address": "tcp://localhost:1"}),
         "GpuBackend": (fascicle.GpuBackend, {"device": "cuda"}),
         "cohort": (fascicle.cohort, {"table": "patients.csv", "out": "new"}),
@@ -162,7 +162,7 @@ FUNCTIONS = [
     "outside_allowed", "example_parameters", "ForwardModel", "ForwardModel.simulate",
     "ForwardModel.activate", "ForwardModel.simulate_many", "ForwardModel.grow", "Scenario",
     "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
-    "read_recording", "read_target", "report", "make_bank", "Cluster", "ExecutorPool", "fit",
+    "read_recording", "read_target", "report", "simulate_prior", "Cluster", "ExecutorPool", "fit",
     "load_study", "GpuBackend", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
     "plot.activation_spread", "read_action_potential",
     "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",

@@ -9,6 +9,7 @@ from .core.quantities import Quantity as Quantity
 from .forward.cable.action_potential_table import read_action_potential as read_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
+from .forward.likelihood import Replicate as Replicate
 from .forward.model import ForwardModel as ForwardModel
 from .forward.primitives import His as His
 from .forward.primitives import InactiveRoot as InactiveRoot
@@ -44,7 +45,7 @@ from .study.cluster import Cluster as Cluster
 from .study.fit import fit as fit
 from .study.fit import load_study as load_study
 from .study.pool import ExecutorPool as ExecutorPool
-from .study.prior_simulations import make_bank as make_bank
+from .study.prior_simulations import simulate_prior as simulate_prior
 from .study.settings import FitSettings as FitSettings
 
 __version__: str

@@ -25,7 +25,7 @@ from fascicle.prediction.index_names import COMPARED, INDICES
 COMMANDS = (
     "simulate", "target", "parameters", "fit", "predict", "compare", "sweep", "scenarios", "report",
     "cohort", "template", "demo", "heart build", "heart import", "heart check", "heart refine",
-    "heart bank", "heart export", "study show", "study compare",
+    "heart simulate-prior", "heart export", "study show", "study compare",
 )  # fmt: skip
 STAMP = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d "
 
@@ -41,7 +41,8 @@ def test_the_options_of_every_command(run, monkeypatch, command):
 @pytest.mark.parametrize(
     "asked",
     ["fit default t.nc --out o", "predict . --out o", "compare . his-pacing intrinsic",
-     "sweep . biventricular-pacing --out o --delay=-10:10:10", "report .", "heart bank default"],
+     "sweep . biventricular-pacing --out o --delay=-10:10:10", "report .",
+     "heart simulate-prior default"],
 )  # fmt: skip
 def test_what_simulates_many_networks_may_do_so_on_a_cluster(refused, asked):
     refused([*asked.split(), "--scheduler", "here"], "'here' is no address of a Dask scheduler")

@@ -12,7 +12,7 @@ from fascicle.core.parameters import NETWORK_SPACE
 from fascicle.core.quantities import QUANTITIES
 from fascicle.study.study import Study
 
-SMALL = ("--evaluations", 200, "--bank", 100, "--effective", 20)
+SMALL = ("--evaluations", 200, "--prior-simulations", 100, "--effective", 20)
 PAPER = ("--method", "paper", "--initial", 8, "--steps", 2, "--samples", 2, "--draws", 2000,
          "--rounds", 1)  # fmt: skip
 
@@ -122,7 +122,10 @@ class TestFit:
             (["--method", "paper", "--free", "gain", "--free-gain"], "leave --free-gain out"),
             (["--fix", "region_1_conductivity=0"], "no labels"),
             (["--settings", "none.toml"], "none.toml"),
-            (["--method", "paper", "--bank", 900], "'bank' is 900: the method 'paper' has no such"),
+            (
+                ["--method", "paper", "--prior-simulations", 900],
+                "'prior_simulations' is 900: the method 'paper' has no such",
+            ),
             (["--steps", 5], "'steps' is 5: the method 'posterior' has no such setting"),
         ],
     )

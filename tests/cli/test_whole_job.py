@@ -26,12 +26,11 @@ from fascicle.forward.loss import align
 from fascicle.heart.sites import SEGMENTS
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
-from fascicle.study.caution import NOT_CONVERGED
 from fascicle.study.fit import load_study
-from fascicle.study.results import _posterior_summary
+from fascicle.study.statements import Caution
 from fascicle.study.target_comparison import evaluate
 
-BUDGET = {"evaluations": 200, "bank": 100, "effective": 20, "workers": 2}
+BUDGET = {"evaluations": 200, "prior_simulations": 100, "effective": 20, "workers": 2}
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +81,11 @@ def test_study_folder_holds_what_is_promised(study):
     assert summary["qrs_duration_ms"] != summary["global_qrs_duration_ms"]
     found = agreement(target, study.networks()).content()
     assert {name: summary[name] for name in found} == found
-    assert summary["what_the_ecg_says"] == {}  # nothing, of what has not converged
+    assert summary["statements"] == study.statements.content()
+    assert summary["statements"]["parameters"] == []  # nothing, of what has not converged
     agreeing = replace(study, population=replace(study.population, converged=True))
-    said = _posterior_summary(agreeing)["what_the_ecg_says"]
-    assert set(said) == set(posterior.posterior.data_vars)
+    said = agreeing.statements.parameters
+    assert {each.name for each in said} == set(posterior.posterior.data_vars)
     assert -8 < summary["explained_by_a_network"] < 1
     assert {"V1", "window QRS duration", "axis"} <= set(summary["probabilities_under_the_model"])
 
@@ -190,7 +190,7 @@ def test_predict(study, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     names = ["intrinsic", "his-pacing", "slow-left", "biventricular-pacing"]
     _, caution, head, *rows = printed.splitlines()
-    assert caution.split(maxsplit=1) == ["caution", NOT_CONVERGED.text]
+    assert caution.split(maxsplit=1) == ["caution", Caution.NOT_CONVERGED.text]
     assert [row.split()[0] for row in rows[:4]] == names
     assert "window QRS duration (ms)   global QRS duration (ms)   total activation time" in head
     table = pd.read_csv(tmp_path / "p" / "indices.csv")
@@ -198,7 +198,7 @@ def test_predict(study, tmp_path, monkeypatch, capsys):
     assert len(table) == len(names) * len(study.population)
     assert table["qrs_duration_ms"].between(30, 250).all()
     summary = json.loads((tmp_path / "p" / "summary.json").read_text())
-    assert summary["caution"] == NOT_CONVERGED.text
+    assert summary["caution"] == Caution.NOT_CONVERGED.text
     assert summary["slow-left"]["description"] == "a slow branch"
     assert summary["intrinsic"]["qrs_duration_ms"]["change"]["95 %"] == 0
     assert sum(summary["his-pacing"]["latest_segment"].values()) == pytest.approx(1, abs=0.01)
@@ -233,7 +233,7 @@ def test_compare(study, monkeypatch, capsys):
     asked = ["compare", study.folder, "his-pacing", "left-bundle-branch-block"]
     assert run(monkeypatch, *asked, "--threshold", "2") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split(maxsplit=1) == ["caution", NOT_CONVERGED.text]
+    assert lines[1].split(maxsplit=1) == ["caution", Caution.NOT_CONVERGED.text]
     assert (
         lines[2] == f"his-pacing against left-bundle-branch-block, {len(study.population)} networks"
     )
@@ -298,7 +298,7 @@ def test_report(study, monkeypatch, capsys):
     assert page == (study.folder / "report.html").resolve().as_uri()
     assert pyplot.get_fignums() == [], "figures of a report are no business of pyplot"
     text = (study.folder / "report.html").read_text()
-    assert html.unescape(text).count(NOT_CONVERGED.text) >= 8  # headings and figures
+    assert html.unescape(text).count(Caution.NOT_CONVERGED.text) >= 8  # headings and figures
     assert study.verdict in html.unescape(text)
     assert len(text) < 5_000_000
     assert not re.search(r"(src|href)=.https?:", text), "nothing is loaded from elsewhere"

@@ -19,7 +19,7 @@ def test_simulate_and_pace():
 @pytest.mark.slow
 def test_learn_and_predict(capsys):
     found = runpy.run_path(str(EXAMPLES / "learn_and_predict.py"))
-    assert "NOT EXPLAINED" in found["study"].verdict
+    assert "poor fit" in found["study"].verdict
     assert found["page"].stat().st_size > 500_000
     assert "probability to be faster 1.00" in capsys.readouterr().out
     assert found["low"] > 0

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import fascicle
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import BODY, QUANTITIES
-from fascicle.forward.body import read_response, write_response
 from fascicle.torso.lead_fields import is_up_to_date, lead_fields
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidBody
@@ -106,8 +106,9 @@ class TestModel:
 
     def test_files(self, model, tmp_path):
         response = model.body(["heart_up"]).response
-        write_response(tmp_path / "it.npz", response)
-        again = read_response(tmp_path / "it.npz").arrays()
+        cache = ArrayCache(tmp_path, "body")
+        cache.write("it", response.arrays())
+        again = cache.read("it")
         for name, value in response.arrays().items():
             np.testing.assert_array_equal(again[name], value)
 

@@ -180,7 +180,7 @@ class TestWithoutCache:
     def test_a_file_that_another_process_takes_away(self, heart, built, monkeypatch):
         """Between listing and looking at it."""
         prepare(heart, Conduction(), Upstroke())
-        gone = heart.folder / DISPOSABLE / "gone.npz"
+        gone = heart.folder / DISPOSABLE / "prepared-gone.npz"
         gone.symlink_to(heart.folder / "nowhere.npz")
         prepare(heart, Conduction(alpha=0.06), Upstroke())
         assert len(built) == 2
@@ -272,7 +272,7 @@ class TestCompilation:
 def test_a_copy_of_a_heart_is_not_prepared_again(built, heart, tmp_path):
     conduction, template = Conduction(), Upstroke()
     first = prepare(heart, conduction, template)
-    (kept(heart)[0].parent / ".half.npz").write_text("being written")
+    (kept(heart)[0].parent / ".prepared-half.npz").write_text("being written")
     copied = replace(heart, folder=tmp_path / "copy")
     copied.folder.mkdir()
     preparation.share_prepared(heart, copied.folder)

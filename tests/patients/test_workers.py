@@ -19,7 +19,12 @@ from tests.dask_processes import LOST, a_scheduler, a_worker_of
 
 distributed = pytest.importorskip("distributed")
 # so that a worker can be killed within
-LONGER = {"method": "posterior", "effective": "20", "evaluations": "200", "bank": "100"}
+LONGER = {
+    "method": "posterior",
+    "effective": "20",
+    "evaluations": "200",
+    "prior_simulations": "100",
+}
 
 
 @pytest.fixture(scope="module")

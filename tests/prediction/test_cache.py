@@ -10,7 +10,6 @@ import pytest
 
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.model import ForwardModel
-from fascicle.prediction.cache import FOLDER
 from fascicle.prediction.comparison import compare
 from fascicle.prediction.scenarios import predict
 from fascicle.study.fitted import FittedStudy
@@ -110,7 +109,9 @@ def test_those_of_another_population_are_not_taken_and_are_removed(study, activa
     assert not np.array_equal(
         before["intrinsic"].beats[0].activation, after["intrinsic"].beats[0].activation
     )
-    assert len(list((study.folder / FOLDER).iterdir())) == 2  # the intrinsic beat and the pacing
+    assert (
+        len(list((study.folder / "predictions").iterdir())) == 2
+    )  # the intrinsic beat and the pacing
 
 
 def test_other_gains_are_another_population(study):
@@ -134,7 +135,7 @@ def test_what_another_forward_model_has_left_is_made_anew(study, activated, monk
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_damaged_files_are_none(study, activated, share):
     first = predict(study, "his-pacing")
-    for file in (study.folder / FOLDER).iterdir():
+    for file in (study.folder / "predictions").iterdir():
         content = file.read_bytes()
         file.write_bytes(content[: int(share * len(content))])
     activated.clear()
@@ -144,7 +145,7 @@ def test_damaged_files_are_none(study, activated, share):
 
 def test_files_with_arrays_of_other_sizes_are_none(study, activated):
     first = predict(study, "his-pacing")
-    for file in (study.folder / FOLDER).iterdir():
+    for file in (study.folder / "predictions").iterdir():
         with np.load(file) as content:
             arrays = {name: content[name] for name in content.files}
         np.savez(file, **(arrays | {"lengths": arrays["lengths"][:1]}))

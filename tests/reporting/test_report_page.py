@@ -18,10 +18,9 @@ from fascicle.reporting.page.answers import answers
 from fascicle.reporting.page.page import Picture, _safe, _template
 from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene
 from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
-from fascicle.study.caution import NOT_CONVERGED, NOT_EXPLAINED
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
-from fascicle.study.verdict import Statement
+from fascicle.study.statements import Caution, Kind, ParameterStatement, ResultWarning, Statements
 
 SPACE = ParameterSpace(
     (Parameter("root_time", "ms", -75.0, 50.0), Parameter("cv", "mm/ms", 2.0, 4.0))
@@ -41,14 +40,16 @@ def study(*, converged=True, share=0.2, disagreeing=None, paper=False):
         values, np.ones(40), {}, 0.1, np.zeros((40, 1)), np.array([-5.0, -5.1]),
         np.array([150.0, 160.0]), np.array([1000.0, 1000.0]), {"cv": 0.1}, converged,
     )  # fmt: skip
-    return SimpleNamespace(
+    found = SimpleNamespace(
         population=population,
         of_the_paper=paper,
+        settings=SimpleNamespace(method="paper" if paper else "posterior"),
         checks=Checks(share, disagreeing or {"V1": 0.5}),
-        verdict="the verdict",
-        warnings=["a warning"],
         simulator=SimpleNamespace(space=SPACE),
     )
+    found.statements = Statements(found)
+    found.statements.__dict__["warnings"] = (ResultWarning(Kind.GAIN, "a warning"),)
+    return found
 
 
 OWN, FASTER, MIXED = (
@@ -93,13 +94,13 @@ class TestAnswers:
             in said.meaning[1]
         )
         assert "the least. V2 cannot be theirs." in said.meaning[1]
-        assert said.caution is NOT_EXPLAINED
+        assert said.caution is Caution.POOR_FIT
         assert said.predicted[0].startswith("by a model that does not fit: global QRS duration")
 
     def test_of_one_that_has_not_converged(self):
         said = answers(study(converged=False), {"intrinsic": OWN, "a": FASTER})
         assert not said.trustworthy
-        assert said.caution is NOT_CONVERGED
+        assert said.caution is Caution.NOT_CONVERGED
         _, faster = said.predicted
         assert faster.startswith("not to be relied on: global QRS duration 108 (")
         assert "is shorter" not in faster
@@ -217,7 +218,11 @@ class TestScene:
 
 def page(**values):
     """The page with these values, of which the rest are empty."""
-    rest = {"verdict": "", "caution": None, "undetermined": [Statement("cv", "mm/ms", *[3.0] * 4)]}
+    rest = {
+        "verdict": "",
+        "caution": None,
+        "undetermined": [ParameterStatement("cv", "mm/ms", *[3.0] * 4)],
+    }
     said = SimpleNamespace(**(rest | values))
     pictures = {name: Picture("", name) for name in ("ecg", "indices", "priors", "pairs")}
     pictures |= {name: Picture("", name, of_networks=False) for name in ("recording", "heart")}
@@ -225,18 +230,18 @@ def page(**values):
 
 
 def test_everything_that_cannot_be_relied_on_is_marked():
-    text = page(caution=NOT_CONVERGED)
+    text = page(caution=Caution.NOT_CONVERGED)
     for section in ("ecg", "heart", "pacing", "parameters"):
         content = re.search(f'<section id="{section}" class="doubted">(.*?)</section>', text, re.S)[
             1
         ]
-        assert NOT_CONVERGED.text in re.search("<h2>(.*?)</h2>", content)[1]
+        assert Caution.NOT_CONVERGED.text in re.search("<h2>(.*?)</h2>", content)[1]
     for name in ("ecg", "indices", "priors", "pairs"):
         (above,) = re.findall(f'<figure>(.*?)<img src="" alt="{name}">', text)
-        assert NOT_CONVERGED.text in above
+        assert Caution.NOT_CONVERGED.text in above
     assert '<ul class="doubted"><li><b>a</b>' in text
     inputs = text[text.index('<section id="inputs"') :]
-    assert NOT_CONVERGED.text not in inputs
+    assert Caution.NOT_CONVERGED.text not in inputs
 
 
 def test_nothing_is_marked_where_all_is_well():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from fascicle.forward.device import batch
 from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.primitives import His
-from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.study import SAME_LOSS
 from fascicle.study.target_comparison import evaluate, networks
 
@@ -47,7 +47,7 @@ def test_evaluations(backend, simulator, recordings, points, expected):
 def test_what_is_stored_is_not_simulated(
     backend, simulator, recordings, points, expected, tmp_path
 ):
-    prior = PriorSimulations(tmp_path)
+    prior = SimpleNamespace()
     known = {points[k].tobytes(): next(simulator.signals([points[k]])) for k in (1, 4)}
     prior.get = lambda point: known.get(point.tobytes())
     found = evaluated(replace(simulator, prior=prior), recordings, points, backend)
@@ -96,7 +96,7 @@ def test_the_command_says_in_one_line_what_is_missing(tmp_path, monkeypatch, cap
 @pytest.mark.slow
 def test_a_fit_on_a_card_is_opened_without_one(backend, recordings, tmp_path):
     """What threads find again is close enough to what the card found."""
-    settings = {"effective": 20, "evaluations": 400, "bank": 200}
+    settings = {"effective": 20, "evaluations": 400, "prior_simulations": 200}
     fitted = fascicle.fit(
         "default", recordings[0].target, tmp_path / "study", backend=backend, **settings
     )

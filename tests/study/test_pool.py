@@ -14,6 +14,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +27,6 @@ from fascicle.core.shared_files import read_shared, write_shared
 from fascicle.forward import model as model_module
 from fascicle.forward.primitives import His
 from fascicle.study.pool import ExecutorPool, Pool, Threads, parts
-from fascicle.study.prior_simulations import PriorSimulations
 from fascicle.study.target_comparison import evaluate, networks
 from tests.dask_processes import LOST, a_scheduler, a_worker_of
 
@@ -85,7 +85,7 @@ class Counting(Pool):
 def test_what_is_stored_is_not_sent(simulator, recordings, points, expected, tmp_path):
     """In order, whether it is there or not; a paced beat is not stored."""
     known = {point.tobytes(): next(simulator.signals([point])) for point in points[2:5]}
-    prior = PriorSimulations(tmp_path)
+    prior = SimpleNamespace()
     prior.get = lambda point: known.get(point.tobytes())
     pool = Counting()
     here = replace(simulator, prior=prior)
@@ -116,14 +116,14 @@ def test_parts_are_as_many_as_workers_need_and_a_scheduler_passes(count, workers
 def test_threads_of_a_worker_read_one_heart(simulator, tmp_path, monkeypatch):
     file = write_shared(tmp_path / "model", simulator.model)
     reads = []
-    load = model_module.load
+    load = model_module.from_arrays
 
     def slowly(*args):
         reads.append(args)
         time.sleep(0.2)
         return load(*args)
 
-    monkeypatch.setattr(model_module, "load", slowly)
+    monkeypatch.setattr(model_module, "from_arrays", slowly)
     with ThreadPoolExecutor(4) as threads:
         models = list(threads.map(lambda _: read_shared(file), range(4)))
     assert len(reads) == 1
@@ -364,7 +364,7 @@ def test_a_fit_on_a_cluster_is_that_of_one_machine(cluster, problem, tmp_path):
     from fascicle.recording.target_files import write_target
 
     write_target(problem.target, tmp_path / "target.nc")
-    small = ["--effective", "20", "--evaluations", "400", "--bank", "200"]
+    small = ["--effective", "20", "--evaluations", "400", "--prior-simulations", "200"]
     found = []
     for name, more in (("here", []), ("there", ["--scheduler", cluster.scheduler_address])):
         folder = tmp_path / name

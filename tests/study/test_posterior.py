@@ -14,21 +14,20 @@ from fascicle.study.evaluations import Stage
 from fascicle.study.population import Posterior
 from fascicle.study.population_files import read_checks, read_population, write_population
 from fascicle.study.predictive import Checks, Prediction
-from fascicle.study.study import Study
-from fascicle.study.verdict import (
-    explained,
+from fascicle.study.statements import (
+    Caution,
+    Statements,
+    correlated,
     how_to_go_on,
     prediction_statement,
-    statements,
-    trade_offs,
-    verdict,
 )
+from fascicle.study.study import Study
 from tests.study.test_study_folder import make_config
 
 SPACE = ParameterSpace(
     (Parameter("cv", "mm/ms", 2.0, 4.0), Parameter("root_time", "ms", -75.0, 50.0))
 )
-SMALL = {"method": "posterior", "bank": 400, "effective": 60, "evaluations": 8000}
+SMALL = {"method": "posterior", "prior_simulations": 400, "effective": 60, "evaluations": 8000}
 
 
 def objective(points):
@@ -126,16 +125,19 @@ def test_another_likelihood_is_refused(tmp_path):
 
 
 def test_too_few_evaluations_have_not_converged(tmp_path):
-    config = make_config(**SMALL | {"bank": 100, "evaluations": 1000, "effective": 2000})
+    config = make_config(
+        **SMALL | {"prior_simulations": 100, "evaluations": 1000, "effective": 2000}
+    )
     posterior = Study.create_or_resume(tmp_path, config).run(objective)
-    said = verdict(posterior, Checks(0.1, {}))
+    checks = Checks(0.1, {})
     assert re.fullmatch(
-        r"NOT CONVERGED \(\d+ effective draws\); explained: a network explains 99% of the QRS", said
+        r"NOT CONVERGED \(\d+ effective draws\); fit acceptable: 99% of the QRS explained",
+        said_of(posterior, checks).verdict,
     )
     apart = replace(posterior, log_evidences=np.array([-3.0, -5.0]), means_apart={"cv": 0.7})
     assert (
-        " draws, log evidence -3.0 and -5.0 of two runs, means of cv 0.7 standard deviations apart)"
-        in verdict(apart, Checks(0.1, {}))
+        " draws, log evidence -3.0 and -5.0 of two runs, mean difference of cv 0.7 SD)"
+        in said_of(apart, checks).verdict
     )
 
 
@@ -148,7 +150,10 @@ class TestHowToGoOn:
             evaluations=np.array([12_000.0, 12_000.0]),
         )
         said = how_to_go_on(slow, 300, 24_000)
-        assert "60 of 300 effective draws after 24000 evaluations beside the bank" in said
+        assert (
+            "60 of 300 effective draws after 24000 evaluations in addition to those of the prior"
+            in said
+        )
         assert "--evaluations 180000 goes on" in said  # 12,000 / 20 * 300
 
     def test_with_twice_as_many_where_they_are_nearly_there(self, done):
@@ -166,7 +171,7 @@ class TestHowToGoOn:
 
     def test_it_is_enough(self, tmp_path):
         """What is advised to a fit with too few evaluations lets it converge."""
-        few = SMALL | {"bank": 400, "evaluations": 1000, "effective": 900}
+        few = SMALL | {"prior_simulations": 400, "evaluations": 1000, "effective": 900}
         study = Study.create_or_resume(tmp_path, make_config(**few))
         said = how_to_go_on(study.run(objective), 900, 1000)
         enough = int(said.split("--evaluations ")[1].split()[0])
@@ -177,36 +182,58 @@ class TestHowToGoOn:
         assert how_to_go_on(done[1], 60, 8000) == ""
 
 
-def test_what_disagrees_is_named(done):
-    checks = Checks(0.1, {"V1": 0.002, "V2": 0.3, "axis": 0.001})
-    assert not explained(checks)
-    assert verdict(done[1], checks) == (
-        "converged; NOT EXPLAINED: a network explains 99% of the QRS, and V1, axis disagree"
+def said_of(posterior, checks=None):
+    settings = SimpleNamespace(method="posterior", effective=60, evaluations=8000)
+    simulator = SimpleNamespace(space=SPACE)
+    return Statements(
+        SimpleNamespace(population=posterior, checks=checks, settings=settings, simulator=simulator)
     )
-    assert verdict(done[1], Checks(0.6, {})).endswith(
-        "NOT EXPLAINED: a network explains 64% of the QRS, less than 88%"
-    )
-    assert not explained(Checks(0.5, {}))
-    assert explained(Checks(0.2, {"V1": 0.5}))
 
 
-def test_what_the_ecg_determines(done):
-    cv, root_time = statements(done[1], SPACE)
-    assert not cv.determined
-    assert str(cv).startswith("the ECG does not determine this (")
-    assert root_time.determined
+@pytest.mark.parametrize(
+    ("checks", "words", "caution"),
+    [
+        (Checks(0.2, {"V1": 0.5}), "fit acceptable: 96% of the QRS explained", None),
+        (
+            Checks(0.1, {"V1": 0.002, "V2": 0.3, "axis": 0.001}),
+            "poor fit: 99% of the QRS explained, V1, axis disagree",
+            Caution.POOR_FIT,
+        ),
+        (Checks(0.6, {}), "poor fit: 64% of the QRS explained, less than 88%", Caution.POOR_FIT),
+    ],
+)
+def test_verdict_and_caution(done, checks, words, caution):
+    said = said_of(done[1], checks)
+    assert said.verdict == f"converged; {words}"
+    assert said.caution is caution
+    assert said.acceptable == (caution is None)
+    apart = said_of(replace(done[1], converged=False), checks)
+    assert apart.caution is Caution.NOT_CONVERGED  # the worse of the two
+    assert apart.parameters == apart.correlated == ()
+
+
+def test_the_paper_s_population_needs_no_caution():
+    assert said_of(SimpleNamespace()).caution is None
+
+
+def test_what_the_ecg_constrains(done):
+    cv, root_time = said_of(done[1]).parameters
+    assert not cv.constrained
+    assert str(cv).endswith("), not identifiable from the ECG")
+    assert root_time.constrained
     assert root_time.contraction > 0.98
     assert (root_time.upper - root_time.lower) / 2 == pytest.approx(1.645 * 2.5, rel=0.35)
-    assert "the ECG determines this to ±" in str(root_time)
-    assert trade_offs(done[1]) == []
+    assert re.fullmatch(
+        r"-3\d\.\d ms \(90 % CrI -4\d\.\d–-3\d\.\d\), constrained by the ECG", str(root_time)
+    )
+    assert said_of(done[1]).correlated == ()
 
 
-def test_what_the_first_recording_alone_determines(done):
+def test_what_the_first_recording_alone_constrains(done):
     alone = {"cv": np.linspace(1.0, 4.0, 100), "root_time": np.linspace(-60.0, 0.0, 100)}
-    cv, root_time = map(str, statements(replace(done[1], first_alone=alone), SPACE))
-    assert ", by the first recording alone ±27 ms (" in root_time
-    assert "does not determine this (±" in cv
-    assert "alone ±1.4 mm/ms; " in cv
+    cv, root_time = map(str, said_of(replace(done[1], first_alone=alone)).parameters)
+    assert "; first recording alone ±27 ms)" in root_time
+    assert "; first recording alone ±1.4 mm/ms)" in cv
 
 
 def test_a_second_recording_narrows_what_the_first_leaves(tmp_path):
@@ -238,16 +265,18 @@ def test_a_second_recording_narrows_what_the_first_leaves(tmp_path):
     assert middle == pytest.approx(0.6, abs=0.03)
 
 
-def test_what_the_ecg_determines_of_a_prediction():
+def test_what_the_ecg_constrains_of_a_prediction():
     prior = np.random.default_rng(0).normal(150, 20, 60)
-    assert prediction_statement(0.3 * prior, prior).startswith("the ECG determines this to ±")
-    assert prediction_statement(prior, prior).startswith("the ECG does not determine this (±")
+    assert prediction_statement(0.3 * prior, prior).endswith(", constrained by the ECG")
+    assert prediction_statement(prior, prior).endswith(", not identifiable from the ECG")
 
 
-def test_parameters_that_trade_off():
+def test_strongly_correlated_parameters():
     values = np.random.default_rng(0).random(100)
     pair = SimpleNamespace(values={"a": values, "b": -values, "c": np.roll(values, 50)})
-    assert trade_offs(pair) == [("a", "b", pytest.approx(-1))]
+    (found,) = correlated(pair)
+    assert (found.first, found.second) == ("a", "b")
+    assert found.rank_correlation == pytest.approx(-1)
 
 
 def test_the_file_is_whole_inference_data(done, tmp_path):

@@ -23,7 +23,7 @@ from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison, evaluate
 
-SMALL = {"bank": 100, "evaluations": 300, "effective": 20, "workers": 2}
+SMALL = {"prior_simulations": 100, "evaluations": 300, "effective": 20, "workers": 2}
 EVERYTHING = case(
     stimuli=(Stimulus(3.5, (1.0, -2.0, 3.0)), Stimulus(0.0, (0.0, 0.0, 1e-3), "rv")),
     slow=(

@@ -184,7 +184,7 @@ app.command(name="parameters")(every_command(parameters_command))
         "method",
         "effective",
         "evaluations",
-        "bank",
+        "prior_simulations",
         "gain_sd",
         "seed",
         "workers",
@@ -337,7 +337,6 @@ def compare(
     from fascicle.prediction.comparison import PACED
     from fascicle.prediction.index_names import check_index
     from fascicle.prediction.scenarios import predict as predict_scenarios
-    from fascicle.study.caution import caution_text
     from fascicle.study.fit import load_study
 
     check_index(index)
@@ -351,7 +350,7 @@ def compare(
     names, parameters = list(wanted), fitted.population.values
     print_comparison(names, predicted, index, threshold, parameters)
     found = comparison_result(names, predicted, index, threshold, parameters)
-    return {"verdict": fitted.verdict, "caution": caution_text(fitted)} | found
+    return {"verdict": fitted.verdict, "caution": fitted.statements.caution_text} | found
 
 
 @app.command()

@@ -221,9 +221,9 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     return found | {"forward_run_ms": dict(zip(("before", "after"), costs, strict=True))}
 
 
-@heart_app.command("bank")
+@heart_app.command("simulate-prior")
 @every_command
-def heart_bank(
+def heart_simulate_prior(
     heart: HeartArgument,
     networks: Annotated[
         int | None,
@@ -238,18 +238,18 @@ def heart_bank(
 ) -> Result:
     """Simulate networks of the prior once, so that fits of this heart are done sooner.
 
-    The bank is kept in the heart's folder and serves every recording, as long as the fit learns the
+    They are kept in the heart's folder and serve every recording, as long as the fit learns the
     usual parameters with their usual ranges. Interrupt it whenever you like: the same command goes
     on where it stopped, and a larger number adds to what is there.
     """
     from fascicle.cli.output import TerminalProgress
-    from fascicle.study.prior_simulations import make_bank
+    from fascicle.study.prior_simulations import simulate_prior
 
     with TerminalProgress() as progress:
         pool = pool_at(scheduler, progress)
-        folder = make_bank(heart, networks, workers=workers, progress=progress, pool=pool)
-    print(f"bank in {folder}")
-    return {"bank": folder}
+        folder = simulate_prior(heart, networks, workers=workers, progress=progress, pool=pool)
+    print(f"prior simulations in {folder}")
+    return {"prior_simulations": folder}
 
 
 @heart_app.command("export")

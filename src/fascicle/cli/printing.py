@@ -107,12 +107,14 @@ def _print_agreement(summary: Mapping[str, Any]) -> None:
 
 def _evaluations(fitted: FittedStudy) -> str:
     count, config = len(fitted.study.records()), fitted.study.config
-    return f"{count}" if fitted.of_the_paper else f"{count}, {config.bank} of them of the prior"
+    return (
+        f"{count}"
+        if fitted.of_the_paper
+        else f"{count}, {config.prior_simulations} of them of the prior"
+    )
 
 
 def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
-    from fascicle.study.verdict import statements, trade_offs
-
     one, other = posterior.log_evidences
     print(f"log evidence           {one:.1f} and {other:.1f} in two runs")
     print(f"effective sample       {posterior.effective.sum():.0f}")
@@ -121,10 +123,10 @@ def _print_posterior(posterior: Posterior, fitted: FittedStudy) -> None:
         return
     if len(fitted.recordings) > 1 and posterior.first_alone is None:
         print("first recording alone  not converged: what the others add cannot be said")
-    for statement in statements(posterior, fitted.simulator.space):
+    for statement in fitted.statements.parameters:
         print(f"{statement.name:<22} {statement}")
-    for first, second, correlation in trade_offs(posterior):
-        print(f"{first} and {second} are strongly correlated (rank correlation {correlation:.2f})")
+    for pair in fitted.statements.correlated:
+        print(pair)
 
 
 def _print_population(population: Population) -> None:
@@ -143,10 +145,8 @@ def _print_population(population: Population) -> None:
 
 def print_verdict(fitted: FittedStudy) -> None:
     """Print whether to trust a study, and what to bear in mind of every number that follows."""
-    from fascicle.study.caution import caution_text
-
     print(f"result                 {fitted.verdict}")
-    text = caution_text(fitted)
+    text = fitted.statements.caution_text
     if text is not None:
         print(f"caution                {text}")
 
@@ -161,7 +161,7 @@ def print_prediction(
     import numpy as np
 
     from fascicle.reporting.names import MEASURES, index_label, index_name
-    from fascicle.study.verdict import prediction_statement
+    from fascicle.study.statements import prediction_statement
 
     shown = ("qrs_duration", "global_qrs_duration", "total_activation_time")
     heads = [f"{index_label(index):<27}" for index in shown]

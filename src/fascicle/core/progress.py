@@ -24,11 +24,11 @@ class Progress(Protocol):
     """Progress callback of a run with several stages.
 
     The stages of a posterior are "prior" (networks of the prior), "stored" (evaluations of an
-    earlier run that are gone through again) and "sampling", whose total is a maximum; that of a
-    bank is "bank"; those of the paper's method "initial", "optimisation", "rejection" (networks
-    accepted), and within it "draws" (uniform draws of a round). Before them come "compilation" and
-    "preparation" of a large heart, after them "networks"; "workers" while a cluster has none
-    or does not answer.
+    earlier run that are gone through again) and "sampling", whose total is a maximum; that of
+    `simulate_prior` is "prior simulations"; those of the paper's method "initial", "optimisation",
+    "rejection" (networks accepted), and within it "draws" (uniform draws of a round). Before them
+    come "compilation" and "preparation" of a large heart, after them "networks"; "workers" while a
+    cluster has none or does not answer.
     """
 
     def __call__(self, stage: str, done: int, total: int, message: str) -> None:

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path
 from fascicle.core.leads import INDEPENDENT_ROWS, lead_matrix
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.core.threads import one_thread
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, channel_weights
 from fascicle.forward.ecg.lead_field import nodal_gradients
-from fascicle.forward.preparation import READ_ERRORS, cache_file
+from fascicle.forward.preparation import heart_cache
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.kernels.channels import CHANNELS
@@ -28,7 +26,6 @@ from fascicle.torso.variation.conductor import InvalidBody, build_conductor
 from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response
 
-FORMAT = 2  # of the files; another number makes them again
 STAGE, ONCE = "body", "once per heart"
 SEED = 0  # of the bodies that are solved: the same in every run
 
@@ -130,14 +127,16 @@ def prepare_response(
             f"parameter '{wanted[0]}': {heart.name} has no torso; build the heart again with one "
             "(fascicle heart build), or leave the parameter out"
         )
-    path = cache_file(heart, conduction, FORMAT, "body")
-    if path is not None:
-        with suppress(*READ_ERRORS):
-            return read_response(path)
+    found = heart_cache(heart, conduction, "body")
+    if found is None:
+        return _build(heart, conduction, progress)
+    cache, key = found
+    arrays = cache.read(key)
+    if arrays is not None:
+        with suppress(TypeError):  # of another layout
+            return BodyResponse(**arrays)
     response = _build(heart, conduction, progress)
-    if path is not None:
-        with suppress(OSError, InputError):  # a full disk: only the cache is lost
-            write_response(path, response)
+    cache.keep(key, response.arrays())
     return response
 
 
@@ -147,15 +146,3 @@ def _build(heart: Heart, conduction: Conduction, progress: Progress | None) -> B
     return build_response(
         conductor, np.random.default_rng(SEED), stage_progress(progress, STAGE, ONCE)
     )
-
-
-def write_response(path: Path, response: BodyResponse) -> None:
-    """Write a response as NPZ, whole or not at all."""
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **response.arrays())
-
-
-def read_response(path: Path) -> BodyResponse:
-    """Read what `write_response` wrote."""
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-        return BodyResponse(**{name: file[name] for name in file.files})

@@ -28,7 +28,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -48,6 +48,7 @@ MARGIN = 40  # samples (ms) of silence on either side of the QRS
 SHARES = np.geomspace(0.5, 1.0, 8)  # of the recorded QRS (root mean square): the discrepancy's
 
 
+@runtime_checkable
 class Likelihood(Protocol):
     """What a likelihood of one recording offers; `fascicle.fit` takes any object that has these."""
 

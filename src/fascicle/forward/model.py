@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
@@ -32,7 +31,7 @@ from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
 from fascicle.forward.eikonal.activation import Coupling, attach, solve
 from fascicle.forward.eikonal.myocardium import Myocardium, build_myocardium
-from fascicle.forward.preparation import Prepared, load, prepare, save
+from fascicle.forward.preparation import Prepared, as_arrays, from_arrays, prepare
 from fascicle.forward.primitives import FURTHEST_STIMULUS
 from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, SimulatedBeat, Simulation, check_activation
@@ -400,22 +399,21 @@ class ForwardModel:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Send it to another process with all that is prepared."""
-        content = BytesIO()
-        save(content, self.prepared, self.heart)
+        arrays = as_arrays(self.prepared, self.heart)
         response = None if self._body is None else self._body.response
         settings = self.conduction, self.rules, self.action_potential
-        return _received, (content.getvalue(), response, *settings)
+        return _received, (arrays, response, *settings)
 
 
 def _received(
-    content: bytes,
+    arrays: Mapping[str, Any],
     response: BodyResponse | None,
     conduction: Conduction,
     rules: GrowthRules,
     action_potential: ActionPotential,
 ) -> ForwardModel:
     """Make of what `ForwardModel.__reduce__` has sent the model again."""
-    heart, prepared = load(BytesIO(content), action_potential)
+    heart, prepared = from_arrays(arrays, action_potential)
     model = ForwardModel(heart, conduction, rules, action_potential, prepared)
     if response is not None:
         model.use_body(response)

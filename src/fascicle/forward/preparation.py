@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import zipfile
 from collections import defaultdict
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
-from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE, atomic_path
+from fascicle.core.files import DISPOSABLE
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.forward.ecg.electrocardiogram import (
     ActionPotential,
@@ -35,9 +33,7 @@ from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import Seed, find_seed
 from fascicle.torso.lead_fields import resolve_lead_fields
 
-FORMAT = 11  # of the files; another number makes them again
 ONCE = "once per heart"
-READ_ERRORS = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 KEPT = 4  # files in a heart's cache; the oldest go
 
 
@@ -79,40 +75,24 @@ def prepare(
     progress : Progress, optional
         Progress callback for what takes a while.
     """
-    path = cache_file(heart, conduction, FORMAT, "npz")
-    if path is None:
+    found = heart_cache(heart, conduction, "prepared")
+    if found is None:
         return build(heart, conduction, action_potential, progress)
-    try:
-        return load(path, action_potential, heart)[1]
-    except READ_ERRORS:
-        prepared = build(heart, conduction, action_potential, progress)  # not there, or damaged
-    # somebody else's cache, a full disk, or another process tidying up: only this cache is lost
-    with suppress(OSError, InputError):
-        with atomic_path(path) as temporary:
-            save(temporary, prepared)
-        kept = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-        for old in kept[:-KEPT]:
-            old.unlink(missing_ok=True)
+    cache, key = found
+    arrays = cache.read(key)
+    if arrays is not None:
+        with suppress(KeyError, TypeError, ValueError):  # of another layout
+            return from_arrays(arrays, action_potential, heart)[1]
+    prepared = build(heart, conduction, action_potential, progress)
+    cache.keep(key, as_arrays(prepared), most=KEPT)
     return prepared
 
 
-def cache_file(heart: Heart, conduction: Conduction, form: int, ending: str) -> Path | None:
-    """Where what depends on heart and conduction is kept; None if the folder cannot be written to.
-
-    Parameters
-    ----------
-    heart, conduction : Heart, Conduction
-        Their content is the key, with the version of this package.
-    form : int
-        Of the file's format; another number makes it again.
-    ending : str
-        Of its name.
-    """
+def heart_cache(heart: Heart, conduction: Conduction, kind: str) -> tuple[ArrayCache, str] | None:
+    """Cache and key of what depends on heart and conduction; None where nothing can be written."""
     if heart.folder is None or not os.access(heart.folder, os.W_OK):
         return None
-    content = f"{version('fascicle')} {form} {heart.digest} {conduction}"
-    key = hashlib.sha256(content.encode()).hexdigest()[:32]
-    return heart.folder / DISPOSABLE / f"{key}.{ending}"
+    return ArrayCache(heart.folder / DISPOSABLE, kind), f"{heart.digest} {conduction}"
 
 
 def share_prepared(heart: Heart, copy: Path) -> None:
@@ -172,8 +152,8 @@ def _seeds(heart: Heart, charts: dict[str, Chart]) -> dict[str, Seed]:
     return {e.side: find_seed(e, charts[e.side]) for e in heart.endocardia}
 
 
-def save(file: Path | BinaryIO, prepared: Prepared, heart: Heart | None = None) -> None:
-    """Write an NPZ file of the arrays, and those of the heart if it is given."""
+def as_arrays(prepared: Prepared, heart: Heart | None = None) -> dict[str, Any]:
+    """Give the arrays by name, and those of the heart if it is given."""
     myocardium = prepared.myocardium
     parts = {
         "mesh": myocardium.mesh._asdict(),
@@ -190,24 +170,22 @@ def save(file: Path | BinaryIO, prepared: Prepared, heart: Heart | None = None) 
         for e in heart.endocardia:
             surface = _attributes(e, "vertices", "triangles", "root", "direction")
             parts[f"{e.side} endocardium"] = surface
-    arrays = {f"{part}.{n}": value for part, values in parts.items() for n, value in values.items()}
-    np.savez(file, allow_pickle=False, **arrays)
+    return {f"{part}.{n}": value for part, values in parts.items() for n, value in values.items()}
 
 
 def _attributes(part: object, *names: str) -> dict[str, Any]:
     return {name: getattr(part, name) for name in names}
 
 
-def load(
-    file: Path | BinaryIO, action_potential: ActionPotential, heart: Heart | None = None
+def from_arrays(
+    arrays: Mapping[str, Any], action_potential: ActionPotential, heart: Heart | None = None
 ) -> tuple[Heart, Prepared]:
-    """Read what `save` wrote; the heart, if it was not written, is as given."""
+    """Put together what `as_arrays` took apart; the heart, if it is not there, is as given."""
     parts: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-    with np.load(file, allow_pickle=False) as content:
-        for key in content.files:
-            part, name = key.split(".")
-            value = aligned(content[key]) if name == "solver" else content[key]
-            parts[part][name] = value if value.ndim else value.item()
+    for key, array in arrays.items():
+        part, name = key.split(".")
+        value = aligned(array) if name == "solver" else np.asarray(array)
+        parts[part][name] = value if value.ndim else value.item()
     if heart is None:
         lv, rv = (Endocardium(side, **parts[f"{side} endocardium"]) for side in ("lv", "rv"))
         heart = Heart(lv=lv, rv=rv, **parts["heart"])

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from fascicle.core.files import write_text
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.verdict import INTERVAL, explained, statements
+from fascicle.study.statements import INTERVAL
 
 
 class Status(StrEnum):
@@ -118,7 +118,7 @@ class Outcome(BaseModel):
             status=Status.FITTED,
             verdict=fitted.verdict,
             converged=summary.get("converged"),
-            explained=explained(fitted.checks) if fitted.checks is not None else None,
+            explained=fitted.statements.acceptable,
             explained_power=summary["explained_power"]["all"],
             explained_by_a_network=summary.get("explained_by_a_network"),
             best_loss_mV2=fitted.population.best_loss,
@@ -139,13 +139,11 @@ def _said(fitted: FittedStudy) -> dict[str, Said]:
             lower, median, upper = np.percentile(values, [INTERVAL[0], 50, INTERVAL[1]])
             found[name] = Said(unit=units[name], median=median, lower=lower, upper=upper)
         return found
-    if not population.converged:
-        return {}
     return {
         s.name: Said(
-            unit=s.unit, median=s.median, lower=s.lower, upper=s.upper, determined=s.determined
+            unit=s.unit, median=s.median, lower=s.lower, upper=s.upper, determined=s.constrained
         )
-        for s in statements(population, space)
+        for s in fitted.statements.parameters
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.core.files import atomic_path
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import complete
 from fascicle.forward.model import ForwardModel
@@ -23,10 +22,6 @@ from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import RINGING, Predicted, PredictedBeat
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.study.fitted import FittedStudy
-
-FOLDER = "predictions"  # in a study's
-FORMAT = 1  # of the files; raised when what they hold changes
-DIGITS = 12  # of the names by content
 
 # Arrays of a file
 NAMES = {"leads", "filtered", "lengths", "activation", "captured", "tree_times", "indices"}
@@ -53,28 +48,27 @@ class PredictionCache:
     @classmethod
     def of(cls, fitted: FittedStudy) -> PredictionCache:
         """Name those of a study."""
-        digest = hashlib.sha256(f"{FORMAT} {fitted.study.config.model_dump_json()}".encode())
+        digest = hashlib.sha256(fitted.study.config.model_dump_json().encode())
         gains = fitted.gains if fitted.gains is not None else np.empty(0)
         for values in (*fitted.population.values.values(), gains):
             digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         return cls(fitted, digest.hexdigest())
 
+    @property
+    def _cache(self) -> ArrayCache:
+        return ArrayCache(self.fitted.folder / "predictions", self.population[:12])
+
     def file(self, scenario: Scenario) -> Path:
         """The file of a scenario without trees of its own."""
-        name = hashlib.sha256(scenario_text(scenario).encode()).hexdigest()[:DIGITS]
-        return self.fitted.folder / FOLDER / f"{self._own}-{name}.npz"
-
-    @property
-    def _own(self) -> str:
-        """What names of files of this population begin with."""
-        return self.population[:DIGITS]
+        return self._cache.file(scenario_text(scenario))
 
     def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
         """Read what there is of scenarios; a file that is damaged is none."""
         files = {
             name: arrays
             for name, scenario in scenarios.items()
-            if not scenario.trees and (arrays := _load(self.file(scenario))) is not None
+            if not scenario.trees
+            and (arrays := self._cache.read(scenario_text(scenario))) is not None
         }
         trees = self._trees() if files else []
         return {
@@ -91,17 +85,15 @@ class PredictionCache:
         predicted : mapping of name to Predicted
             What scenarios do in all networks of the study.
         """
-        folder = self.fitted.folder / FOLDER
+        folder = self._cache.folder
         if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
             return  # a study that may only be read is simulated again each time
-        folder.mkdir(exist_ok=True)
         for file in folder.glob("*.npz"):
-            if not file.name.startswith(self._own):  # of the study before it went on
+            if not file.name.startswith(self._cache.kind):  # of the study before it went on
                 file.unlink()
         for found in predicted.values():
             if not found.scenario.trees:
-                with atomic_path(self.file(found.scenario)) as temporary:
-                    np.savez(temporary, allow_pickle=False, **_arrays(found))
+                self._cache.write(scenario_text(found.scenario), _arrays(found))
 
     def _trees(self) -> Trees:
         """The heart's own trees in every network, grown again: that takes a few ms each."""
@@ -116,15 +108,6 @@ def _grown(parameters: Mapping[str, float], model: ForwardModel) -> tuple[Purkin
     if isinstance(trees, InvalidTree):
         raise RuntimeError(f"a network of the population is impossible: {trees.reason}")
     return trees
-
-
-def _load(file: Path) -> Arrays | None:
-    """The arrays of a file, if it is there and whole."""
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
-            return {name: content[name] for name in content.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None
 
 
 def _arrays(found: Predicted) -> dict[str, NDArray[Any]]:

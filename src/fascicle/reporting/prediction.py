@@ -31,7 +31,6 @@ from fascicle.reporting.scenario import (
     spread_figure,
 )
 from fascicle.study.activation_maps import since_first
-from fascicle.study.caution import caution_text
 from fascicle.study.fitted import FittedStudy
 
 INTERVAL = (5, 50, 95)  # percentiles
@@ -66,7 +65,11 @@ def write_prediction(
         Called after each scenario.
     """
     report = stage_progress(progress, "pictures")
-    heart, own, caution = fitted.simulator.model.heart, predicted[INTRINSIC], caution_text(fitted)
+    heart, own, caution = (
+        fitted.simulator.model.heart,
+        predicted[INTRINSIC],
+        fitted.statements.caution_text,
+    )
     with atomic_folder(out, disposable=_pictures(predicted)) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
         said = {"verdict": fitted.verdict, "caution": caution}

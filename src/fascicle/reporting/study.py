@@ -102,7 +102,9 @@ def drawings(
             "What was thought before (grey lines) and the networks (orange).",
         ),
         "pairs": Drawing(
-            pair_figure(space, population.values, population.best, title=fitted.networks_called),
+            pair_figure(
+                space, population.values, population.best, title=fitted.statements.networks_called
+            ),
             "Pairs of parameters on the whole ranges of their priors.",
         ),
         "convergence": Drawing(

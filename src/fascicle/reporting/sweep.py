@@ -25,7 +25,6 @@ from fascicle.reporting.figures import new_figure, save
 from fascicle.reporting.fitted_text import INCH, wrapped
 from fascicle.reporting.names import index_label, index_name
 from fascicle.reporting.prediction import index_table
-from fascicle.study.caution import caution_text
 from fascicle.study.fitted import FittedStudy
 
 SIZE, EYE = (5.6, 3.6), (4.6, 4.2)  # inch
@@ -59,7 +58,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
     medians = [round(float(np.nanmedian(each)), 2) for each in values.values()]
     content: dict[str, Any] = {
         "verdict": fitted.verdict,
-        "caution": caution_text(fitted),
+        "caution": fitted.statements.caution_text,
         "networks": len(next(iter(values.values()))),
         "index": index,
         "medians": dict(zip(named, medians, strict=True)),

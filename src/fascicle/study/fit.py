@@ -99,7 +99,8 @@ def fit(
         "Extending fascicle" shows how to write one.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
-        `fewest_junctions`; of the posterior `effective`, `evaluations`, `bank`, `gain_sd`; of the
+        `fewest_junctions`; of the posterior `effective`, `evaluations`, `prior_simulations`,
+        `gain_sd`; of the
         paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`, `free_gain`,
         `tolerance`, `draws`, `refit_after`, `rounds`.
 
@@ -123,25 +124,30 @@ def fit(
     check_pool(pool)
     check_kind(backend, (Backend, NoneType), "backend", "one such as fascicle.GpuBackend()")
     check_kind(parameters, (Mapping, NoneType), "parameters", "a dict of names to values")
+    likelihoods = None
+    if likelihood is not None:
+        count = len(target) if isinstance(target, list) else 1
+        likelihoods = _given_likelihoods(likelihood, count, checked.method)
     folder = as_path(out, "out")
     check_study_folder(folder)
     refuse_held(folder)
     with shown_progress(progress) as shown:
         inputs = read_inputs(heart, target, parameters or {}, checked)
-        if likelihood is not None:
-            inputs = replace(inputs, likelihoods=_given_likelihoods(likelihood, inputs))
+        inputs = replace(inputs, likelihoods=likelihoods)
         return fit_inputs(inputs, folder, shown, pool, backend)
 
 
 def _given_likelihoods(
-    given: Likelihood | Sequence[Likelihood], inputs: Inputs
+    given: Likelihood | Sequence[Likelihood], recordings: int, method: str
 ) -> Sequence[Likelihood]:
     """One likelihood for each recording."""
-    each = given if isinstance(given, Sequence) else [given]
-    if inputs.config.method == "paper" or len(each) != len(inputs.recordings):
+    each: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
+    for one in each:
+        check_kind(one, Likelihood, "likelihood", "an object that has the methods of Likelihood")
+    if method == "paper" or len(each) != recordings:
         raise InputError(
-            f"{len(each)} likelihood(s) for {len(inputs.recordings)} recording(s) by the method "
-            f"'{inputs.config.method}'; give one for each, to the method 'posterior'"
+            f"{len(each)} likelihood(s) for {recordings} recording(s) by the method '{method}'; "
+            "give one for each, to the method 'posterior'"
         )
     return each
 
@@ -305,7 +311,7 @@ def _likelihoods(
 def _prior(simulator: PointSimulator) -> PriorSimulations | None:
     """The heart's prior simulations, if there are any and they are of this forward model."""
     model, space, fixed = simulator.model, simulator.space, simulator.fixed
-    prior = PriorSimulations.beside(model.heart, space, fixed)
+    prior = PriorSimulations.of(model.heart, space, fixed)
     if prior is None or not len(prior):
         return None
     prior.check(model, space, fixed)

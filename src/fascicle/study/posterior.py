@@ -111,7 +111,7 @@ class PosteriorFit:
                 sampling(
                     self._rng(number, recordings),
                     # every second network of the prior: the runs have nothing in common
-                    prior_points(len(self.space), self.settings.bank)[number::RUNS],
+                    prior_points(len(self.space), self.settings.prior_simulations)[number::RUNS],
                     effective=-(-self.settings.effective // RUNS),
                     most=each,
                     begun=begun[number],
@@ -140,7 +140,7 @@ class PosteriorFit:
     @property
     def _phase(self) -> int:
         """Evaluations at most until the first recording is done."""
-        return self.settings.bank + self.settings.evaluations
+        return self.settings.prior_simulations + self.settings.evaluations
 
 
 class _Status:

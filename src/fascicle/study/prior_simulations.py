@@ -1,25 +1,26 @@
-"""A bank of simulations: networks of the prior, for any recording of a heart to compare with.
+"""Prior simulations: networks of the prior, for any recording of a heart to be compared with.
 
 Every posterior begins with the same networks (`prior_points`); to simulate them takes most of the
-time of a fit, and depends on the heart alone. A bank keeps their ECGs with the heart, in parts that
-are written whole or not at all, so that making one may be interrupted at any time.
+time of a fit, and depends on the heart alone. Their ECGs are kept with the heart, in parts that are
+written whole or not at all, so that the simulation may be interrupted at any time.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
-import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISPOSABLE, atomic_path
+from fascicle.core.files import DISPOSABLE
 from fascicle.core.leads import LEADS
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.progress import Lines, Progress, shown_progress, stage_progress
@@ -34,56 +35,57 @@ from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import growth_and_conduction, study_space
 
-FORMAT = 1
 PART = 500  # networks in a file
-SEED = 20240  # the networks of the prior are the same in every study
-SAME = 1e-4  # mV; stored leads have single precision
+Arrays = dict[str, NDArray[Any]]
 
 
 def prior_points(dimension: int, count: int) -> Floats:
     """The first `count` networks of the prior, (count, dimension), in the unit cube."""
-    parts = range(-(-count // PART))
-    return np.concatenate([_part(dimension, number) for number in parts])[:count]
+    return np.concatenate([_part(dimension, k) for k in range(-(-count // PART))])[:count]
 
 
 def _part(dimension: int, number: int) -> Floats:
-    return np.random.default_rng([SEED, number]).random((PART, dimension))
+    # the networks of the prior are the same in every study
+    return np.random.default_rng([20240, number]).random((PART, dimension))
 
 
+def signals_of(
+    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
+) -> Signals | str:
+    """What of parameters in a scenario is compared with recordings, or why they give no network."""
+    outcome = model.simulate(*item)
+    return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
+
+
+@dataclass(frozen=True)
 class PriorSimulations:
     """The stored simulations of one forward model and prior.
 
     Attributes
     ----------
-    folder : Path
+    cache : ArrayCache
+        In the heart's folder.
+    content : str
+        What they depend on.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    cache: ArrayCache
+    content: str
 
     @classmethod
-    def beside(
+    def of(
         cls, heart: Heart, space: ParameterSpace, fixed: Mapping[str, float]
     ) -> PriorSimulations | None:
-        """Name the bank of a heart; None for a heart without a folder of its own.
-
-        Parameters
-        ----------
-        heart : Heart
-            Its content, not its place, says which simulations are meant.
-        space, fixed : ParameterSpace, mapping
-            What is learnt and what is fixed.
-        """
+        """Those of a heart, what is learnt and what is fixed; None for a heart without a folder."""
         if heart.folder is None:
             return None
         held = sorted(growth_and_conduction(heart).items())
-        text = f"{FORMAT} {heart.digest} {space.parameters} {sorted(fixed.items())} {held}"
-        key = hashlib.sha256(text.encode()).hexdigest()[:16]
-        return cls(heart.folder / DISPOSABLE / f"bank-{key}")
+        content = f"{heart.digest} {space.parameters} {sorted(fixed.items())} {held}"
+        return cls(ArrayCache(heart.folder / DISPOSABLE, "prior"), content)
 
     def file(self, number: int) -> Path:
         """The file of a part."""
-        return self.folder / f"networks-{number:04d}.npz"
+        return self.cache.file(f"{self.content} {number}")
 
     def __len__(self) -> int:
         """Networks that are there."""
@@ -96,35 +98,20 @@ class PriorSimulations:
         """Store the outcomes of a part's networks: what each gives, or why it is none."""
         found = [o if isinstance(o, Signals) else None for o in outcomes]
         signals = [s.leads if s else np.empty((len(LEADS), 0)) for s in found]
-        reasons = ["" if isinstance(o, Signals) else o for o in outcomes]
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with atomic_path(self.file(number)) as temporary:
-            np.savez_compressed(
-                temporary,
-                allow_pickle=False,
-                leads=np.concatenate(signals, axis=1).astype(np.float32),
-                ends=np.cumsum([signal.shape[1] for signal in signals]),
-                first=np.array([s.first_activation if s else np.nan for s in found]),
-                junctions=np.array([s.junctions if s else (0, 0) for s in found]),
-                reasons=np.array(reasons),
-            )
-
-    def __contains__(self, point: Floats) -> bool:
-        return point.tobytes() in self._places(len(point))
+        arrays = {
+            "leads": np.concatenate(signals, axis=1).astype(np.float32),
+            "ends": np.cumsum([signal.shape[1] for signal in signals]),
+            "first": np.array([s.first_activation if s else np.nan for s in found]),
+            "junctions": np.array([s.junctions if s else (0, 0) for s in found]),
+            "reasons": np.array(["" if isinstance(o, Signals) else o for o in outcomes]),
+        }
+        self.cache.write(f"{self.content} {number}", arrays, compress=True)
 
     def get(self, point: Floats) -> Signals | str | None:
-        """What a network gives, or why it is none; None if it is not here.
-
-        Parameters
-        ----------
-        point : (d,) array
-            In the unit cube.
-        """
-        place = self._places(len(point)).get(point.tobytes())
-        if place is None:
+        """What a point (d,) gives, or why it gives no network; None if it is not here."""
+        part, k = self._places(len(point)).get(point.tobytes(), (None, 0))
+        if part is None:
             return None
-        number, k = place
-        part = self._parts[number]
         if part["reasons"][k]:
             return str(part["reasons"][k])
         start = int(part["ends"][k - 1]) if k else 0
@@ -132,33 +119,23 @@ class PriorSimulations:
         junctions = tuple(int(n) for n in part["junctions"][k])
         return Signals(leads, float(part["first"][k]), junctions)
 
-    def _places(self, dimension: int) -> dict[bytes, tuple[int, int]]:
+    def _places(self, dimension: int) -> dict[bytes, tuple[Arrays, int]]:
+        """Part, and place in it, of every point."""
         if not self._known:
-            for number in range(len(self._parts)):
+            for number in range(len(self) // PART):
+                part = self.cache.read(f"{self.content} {number}")
+                if part is None:
+                    raise InputError(
+                        f"{self.file(number)}: damaged; delete it, and 'fascicle heart "
+                        "simulate-prior' makes it again"
+                    )
                 for k, point in enumerate(_part(dimension, number)):
-                    self._known[point.tobytes()] = number, k
+                    self._known[point.tobytes()] = part, k
         return self._known
 
     @cached_property
-    def _known(self) -> dict[bytes, tuple[int, int]]:
+    def _known(self) -> dict[bytes, tuple[Arrays, int]]:
         return {}
-
-    @cached_property
-    def _parts(self) -> list[dict[str, Any]]:
-        return [self._read(number) for number in range(len(self) // PART)]
-
-    def _read(self, number: int) -> dict[str, Any]:
-        try:
-            with (
-                self.file(number).open("rb") as stream,
-                np.load(stream, allow_pickle=False) as file,
-            ):
-                return {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(
-                f"{self.file(number)}: not a part of a bank ({error}); delete it, and "
-                "'fascicle heart bank' makes it again"
-            ) from error
 
     def check(self, model: ForwardModel, space: ParameterSpace, fixed: Mapping[str, float]) -> None:
         """Simulate its first network again.
@@ -171,29 +148,21 @@ class PriorSimulations:
         for point in _part(len(space), 0):
             stored = self.get(point)
             if isinstance(stored, Signals):
-                outcome = model.simulate({**fixed, **space.from_unit(point)})
-                if not (isinstance(outcome, Simulation) and _same(stored, outcome)):
+                now = signals_of(({**fixed, **space.from_unit(point)}, None), model)
+                # mV; stored leads have single precision
+                if (
+                    isinstance(now, str)
+                    or now.leads.shape != stored.leads.shape
+                    or not np.allclose(stored.leads, now.leads, atol=1e-4)
+                ):
                     raise InputError(
-                        f"{self.folder}: a bank of another forward model; delete it, and 'fascicle "
-                        "heart bank' makes it again"
+                        f"{self.cache.folder}: prior simulations of another forward model; delete "
+                        "it, and 'fascicle heart simulate-prior' makes them again"
                     )
                 return
 
 
-def _same(stored: Signals, simulation: Simulation) -> bool:
-    leads = simulation.leads
-    return stored.leads.shape == leads.shape and bool(np.allclose(stored.leads, leads, atol=SAME))
-
-
-def signals_of(
-    item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
-) -> Signals | str:
-    """What of parameters in a scenario is compared with recordings, or why they give no network."""
-    outcome = model.simulate(*item)
-    return Signals.of(outcome) if isinstance(outcome, Simulation) else outcome.reason
-
-
-def make_bank(
+def simulate_prior(
     heart: Heart | Path | str,
     networks: int | None = None,
     *,
@@ -210,7 +179,7 @@ def make_bank(
     heart : Heart or path
         The heart, its folder, or ``"default"``.
     networks : int, optional
-        How many; by default as many as a fit begins with (`fascicle.FitSettings.bank`).
+        How many; by default as many as a fit begins with.
     workers : int, optional
         Simulations that run at the same time; by default one a core.
     progress : Progress, "lines" or None
@@ -221,7 +190,7 @@ def make_bank(
     Returns
     -------
     Path
-        Folder of the bank.
+        Folder that holds them.
 
     Raises
     ------
@@ -230,27 +199,28 @@ def make_bank(
     """
     check_pool(pool)
     heart = as_heart(heart)
-    count = FitSettings.model_fields["bank"].default if networks is None else networks
+    default = FitSettings.model_fields["prior_simulations"].default
+    count = default if networks is None else networks
     check_count(count, "networks")
     if workers is not None:
         check_count(workers, "workers")
     space, fixed = study_space("posterior", {}, heart)
-    bank = PriorSimulations.beside(heart, space, fixed)
-    if bank is None or not os.access(str(heart.folder), os.W_OK):
+    stored = PriorSimulations.of(heart, space, fixed)
+    if stored is None or not os.access(str(heart.folder), os.W_OK):
         raise InputError(f"{heart.folder or heart.name}: cannot be written to; copy the heart")
     with shown_progress(progress) as shown:
         if shown is not None:
             compile_kernels(shown)
         model = ForwardModel(heart, progress=shown)
-        bank.check(model, space, fixed)
-        report = stage_progress(shown, "bank")
+        stored.check(model, space, fixed)
+        report = stage_progress(shown, "prior simulations")
         pool = pool or Threads(workers or os.cpu_count() or 1)
-        for number in range(len(bank) // PART, -(-count // PART)):
-            outcomes: list[Signals | str] = []
+        for number in range(len(stored) // PART, -(-count // PART)):
             points = _part(len(space), number)
-            networks_of_part = [({**fixed, **space.from_unit(point)}, None) for point in points]
-            for outcome in pool.map(signals_of, networks_of_part, model):
+            items = [({**fixed, **space.from_unit(point)}, None) for point in points]
+            outcomes: list[Signals | str] = []
+            for outcome in pool.map(signals_of, items, model):
                 outcomes.append(outcome)
                 report(number * PART + len(outcomes), -(-count // PART) * PART)
-            bank.add(number, outcomes)
-    return bank.folder
+            stored.add(number, outcomes)
+    return stored.cache.folder

@@ -17,12 +17,12 @@ from fascicle.purkinje.tree_files import write_tree
 from fascicle.study.activation_maps import activation_maps, since_first
 from fascicle.study.agreement import Agreement
 from fascicle.study.evaluations import Stage
-from fascicle.study.fitted import FittedStudy, has_few_junctions
+from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import RESULT, Posterior
 from fascicle.study.population_files import write_population
 from fascicle.study.predictive import Prediction
+from fascicle.study.statements import explained_share, has_few_junctions
 from fascicle.study.target_comparison import Network
-from fascicle.study.verdict import explained_share, statements, trade_offs
 
 TREES_WRITTEN = 30  # networks whose trees are written; the parameters of all are
 
@@ -77,7 +77,8 @@ def write_results(
         space,
         [recording.target for recording in fitted.recordings],
         predictions or predicted,
-        {"networks_are": fitted.networks_called, "verdict": fitted.verdict} | _provenance(fitted),
+        {"networks_are": fitted.statements.networks_called, "verdict": fitted.verdict}
+        | _provenance(fitted),
     )
 
 
@@ -127,14 +128,15 @@ def _summary(
     records, population = fitted.study.records(), fitted.population
     return {
         "verdict": fitted.verdict,
-        "networks_are": fitted.networks_called,
+        "converged": fitted.statements.converged,
+        "networks_are": fitted.statements.networks_called,
         "heart": fitted.simulator.model.heart.name,
         "recording": _sources(fitted),
         "evaluations": len(records),
         "infeasible_evaluations": sum(not r.evaluation.feasible for r in records),
         "best_loss_mV2": population.best_loss,
         "null_loss_mV2": fitted.null_loss,
-        "warnings": fitted.warnings,
+        "statements": fitted.statements.content(),
         "fixed_parameters": dict(fitted.simulator.fixed),
         "best_parameters": dict(population.best),
         "networks_accepted": len(population),
@@ -157,18 +159,13 @@ def _summary(
 
 
 def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
-    """What only a posterior has; of one that has not converged nothing is said of parameters."""
-    posterior, space = fitted.population, fitted.simulator.space
+    """What only a posterior has."""
+    posterior = fitted.population
     assert isinstance(posterior, Posterior)
-    said = statements(posterior, space) if posterior.converged else []
-    traded = trade_offs(posterior) if posterior.converged else []
     return {
-        "converged": posterior.converged,
         "log_evidences": posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),
         "standard_deviations_between_runs": dict(posterior.means_apart),
         "explained_by_a_network": explained_share(fitted.checks) if fitted.checks else None,
         "probabilities_under_the_model": dict(fitted.checks.probabilities) if fitted.checks else {},
-        "what_the_ecg_says": {s.name: str(s) for s in said},
-        "trade_offs": [[a, b, round(value, 2)] for a, b, value in traded],
     }

@@ -12,7 +12,7 @@ from fascicle.core.ranges import shown
 
 Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
-OF_THE_POSTERIOR = ("effective", "evaluations", "bank", "gain_sd")
+OF_THE_POSTERIOR = ("effective", "evaluations", "prior_simulations", "gain_sd")
 OF_THE_PAPER = (
     "samples",
     "tolerance",
@@ -81,15 +81,15 @@ class FitSettings(BaseModel):
         default=24_000,
         ge=200,
         le=10_000_000,
-        description="Simulations at most, beside those of the bank; where they are too few, the "
-        "result says so.",
+        description="Simulations at most, in addition to those of the prior; where they are too "
+        "few, the result says so.",
     )
-    bank: int = Field(
+    prior_simulations: int = Field(
         default=8000,
         ge=100,
         le=1_000_000,
-        description="Networks of the prior to begin with. 'fascicle heart bank' simulates them "
-        "once for all recordings of a heart.",
+        description="Networks of the prior to begin with. 'fascicle heart simulate-prior' makes "
+        "them once for all recordings of a heart.",
     )
     gain_sd: float = Field(
         default=0.3,

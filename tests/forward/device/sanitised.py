@@ -8,7 +8,6 @@ The first two are written by `test_races`; the rest compiles the kernels.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 from emulated import RANDOM, Emulated
@@ -16,11 +15,12 @@ from emulated import RANDOM, Emulated
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.model import ForwardModel
-from fascicle.forward.preparation import load
+from fascicle.forward.preparation import from_arrays
 
 if __name__ == "__main__":
     model, written, *options = sys.argv[1:]
-    heart, prepared = load(Path(model), default_template())
+    with np.load(model) as arrays:
+        heart, prepared = from_arrays(arrays, default_template())
     with np.load(written) as file:
         names, values, expected = file["names"], file["values"], file["activation"]
     model = ForwardModel(heart, prepared=prepared)

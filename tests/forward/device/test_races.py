@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from emulated import drawn
 
-from fascicle.forward.preparation import save
+from fascicle.forward.preparation import as_arrays
 
 HERE = Path(__file__).resolve().parent
 
@@ -26,7 +26,8 @@ SANITISERS = {
 def written(default_model, tmp_path_factory):
     """A model, two networks, and their activation."""
     folder = tmp_path_factory.mktemp("model")
-    save(folder / "model.npz", default_model.prepared, default_model.heart)
+    arrays = as_arrays(default_model.prepared, default_model.heart)
+    np.savez(folder / "model.npz", **arrays)
     networks = drawn(2)
     np.savez(
         folder / "networks.npz",

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.files import atomic_path, user_cache
+from fascicle.core.files import user_cache
 from fascicle.forward.cable import cell, measures, propagation
 from fascicle.forward.cable.measures import max_upstroke
 from fascicle.forward.cable.propagation import CableRun, simulate_cable
@@ -200,26 +198,18 @@ def stored_template(cell: str) -> CableTemplate:
     cell : str
         ``"endocardial"``, ``"midmyocardial"`` or ``"epicardial"``.
     """
-    path = user_cache() / f"template-{_key(cell)}.npz"
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return CableTemplate(cell, file["times"], file["potentials"], float(file["speed"]))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        made = template_of(simulate_cable(cell), cell)  # not there, or damaged
-    # a full disk, or no place to write to
-    with suppress(OSError, InputError), atomic_path(path) as temporary:
-        np.savez(
-            temporary,
-            allow_pickle=False,
-            times=made.times,
-            potentials=made.potentials,
-            speed=made.speed,
-        )
+    cache, key = ArrayCache(user_cache(), "template"), _key(cell)
+    stored = cache.read(key)
+    if stored is not None:
+        return CableTemplate(cell, stored["times"], stored["potentials"], float(stored["speed"]))
+    made = template_of(simulate_cable(cell), cell)
+    arrays = {"times": made.times, "potentials": made.potentials, "speed": made.speed}
+    cache.keep(key, arrays)
     return made
 
 
 def _key(cell: str) -> str:
-    content = hashlib.sha256(f"{version('fascicle')} {cell}".encode())
+    content = hashlib.sha256(cell.encode())
     for source in SOURCES:
         content.update(source.read_bytes())
-    return content.hexdigest()[:32]
+    return content.hexdigest()

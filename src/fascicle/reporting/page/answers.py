@@ -12,16 +12,13 @@ from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
 from fascicle.reporting.names import index_name, parameter_name
-from fascicle.study.caution import Caution, caution
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.population import Posterior
-from fascicle.study.verdict import (
+from fascicle.study.statements import (
     LEAST_EXPLAINED,
-    Statement,
-    explained,
+    Caution,
+    ParameterStatement,
     explained_share,
-    statements,
-    trade_offs,
+    fit_acceptable,
 )
 
 LIKELY = 0.9  # probability from which on one scenario is called better
@@ -43,7 +40,7 @@ class Answers:
         What the verdict means, in whole sentences.
     warnings : list of str
         What must be known first.
-    determined, undetermined : list of Statement
+    determined, undetermined : list of ParameterStatement
         What the ECG says of the parameters, and of which it says little.
     traded : list of str
         Parameters that are strongly correlated.
@@ -56,8 +53,8 @@ class Answers:
     caution: Caution | None
     meaning: list[str]
     warnings: list[str]
-    determined: list[Statement]
-    undetermined: list[Statement]
+    determined: list[ParameterStatement]
+    undetermined: list[ParameterStatement]
     traded: list[str]
     predicted: list[str]
 
@@ -76,30 +73,22 @@ def answers(
     against : str
         That of them which the others are compared with, if not the intrinsic beat.
     """
-    population, converged = fitted.population, False
-    known: list[Statement] = []
-    traded: list[str] = []
-    if isinstance(population, Posterior):
-        converged = population.converged
-        if converged:
-            known = statements(population, fitted.simulator.space)
-            traded = [
-                f"{parameter_name(a)} and {parameter_name(b)} are strongly correlated (rank "
-                f"correlation {r:.2f})"
-                for a, b, r in trade_offs(population)
-            ]
-    believed = converged and fitted.checks is not None and explained(fitted.checks)
-    warned = caution(fitted)
+    said = fitted.statements
+    traded = [
+        f"{parameter_name(pair.first)} and {parameter_name(pair.second)} are strongly correlated "
+        f"in the posterior (rank correlation {pair.rank_correlation:.2f})"
+        for pair in said.correlated
+    ]
     return Answers(
-        fitted.verdict,
-        believed,
-        warned,
-        _meaning(fitted, converged=converged),
-        fitted.warnings,
-        [statement for statement in known if statement.determined],
-        [statement for statement in known if not statement.determined],
+        said.verdict,
+        bool(said.converged and said.acceptable),
+        said.caution,
+        _meaning(fitted, converged=bool(said.converged)),
+        [warning.text for warning in said.warnings],
+        [statement for statement in said.parameters if statement.constrained],
+        [statement for statement in said.parameters if not statement.constrained],
         traded,
-        [_prediction(name, predicted, against, warned) for name in predicted],
+        [_prediction(name, predicted, against, said.caution) for name in predicted],
     )
 
 
@@ -123,7 +112,7 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
     if checks is None:
         return said
     each = f"{explained_share(checks):.0%}"
-    if explained(checks):
+    if fit_acceptable(checks):
         said.append(
             f"A network explains {each} of the QRS (median), and none of the independent leads "
             "stands out, nor the window QRS duration or the axis."

@@ -37,7 +37,6 @@ from fascicle.reporting.page.inputs import digests, held, learnt, recordings, se
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figures
 from fascicle.study.agreement import Agreement
-from fascicle.study.caution import caution_text
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
@@ -188,7 +187,10 @@ def write_report(
         "viewer": _file("viewer.js"),
     }
     write_text(out, _template().render(content))
-    return [out, *write_figures(drawn, out.parent / "figures", figures, caution_text(fitted))]
+    return [
+        out,
+        *write_figures(drawn, out.parent / "figures", figures, fitted.statements.caution_text),
+    ]
 
 
 def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> dict[str, Any]:
@@ -232,9 +234,9 @@ def _convergence(fitted: FittedStudy) -> list[str]:
         return [f"{count} evaluations; the least mismatch is {population.best_loss:.3f} mV²."]
     one, other = population.log_evidences
     name, apart = max(population.means_apart.items(), key=lambda item: item[1])
-    bank, effective = fitted.study.config.bank, population.effective.sum()
+    prior, effective = fitted.study.config.prior_simulations, population.effective.sum()
     return [
-        f"{count} evaluations in two runs, {bank} of them of the prior; effective sample "
+        f"{count} evaluations in two runs, {prior} of them of the prior; effective sample "
         f"{effective:.0f}.",
         f"Log evidence {one:.1f} and {other:.1f}. The means of {parameter_name(name)} are "
         f"furthest apart: {apart:.2f} standard deviations, where 0.5 is allowed.",

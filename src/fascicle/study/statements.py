@@ -1,0 +1,531 @@
+"""What a result says of itself: verdict, caution, warnings, and what the ECG says of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from enum import Enum, StrEnum
+from functools import cached_property
+from itertools import combinations
+from typing import Any, Protocol
+
+import numpy as np
+
+from fascicle.core.arrays import Floats
+from fascicle.core.leads import LEADS
+from fascicle.core.parameters import Parameter
+from fascicle.core.quantities import region_labels
+from fascicle.inference.evaluation import Evaluation
+from fascicle.inference.importance_sampling import EVIDENCE_APART, MEANS_APART
+from fascicle.purkinje.tree import FEW_JUNCTIONS
+from fascicle.study.agreement import pearson
+from fascicle.study.population import Population, Posterior
+from fascicle.study.predictive import Checks
+from fascicle.study.settings import FitSettings
+from fascicle.study.simulator import PointSimulator
+from fascicle.study.target_comparison import Network, TargetComparison
+
+MOST_LEFT = 0.35  # of the signal (root mean square): an eighth of its energy is not the model's
+LEAST_EXPLAINED = 1 - MOST_LEFT**2  # of its energy
+INTERVAL = (5, 95)  # percentiles of a 90 % credible interval
+
+
+class Result(Protocol):
+    """What statements are made of: a `fascicle.study.fitted.FittedStudy`."""
+
+    @property
+    def settings(self) -> FitSettings:
+        """Of the fit."""
+
+    @property
+    def population(self) -> Population:
+        """The networks."""
+
+    @property
+    def checks(self) -> Checks | None:
+        """Of a posterior against its recordings."""
+
+    @property
+    def simulator(self) -> PointSimulator:
+        """Heart, and what is learnt."""
+
+    @property
+    def recordings(self) -> tuple[TargetComparison, ...]:
+        """What was recorded."""
+
+    @property
+    def best_network(self) -> Network:
+        """With the least mismatch."""
+
+    @property
+    def candidates(self) -> list[Evaluation]:
+        """What was tried for a population of the paper's method."""
+
+    @property
+    def explained(self) -> float:
+        """Share of the energy of the QRS that the best network explains."""
+
+    def best_in(self, recording: int) -> Network:
+        """The best network in the scenario of a recording."""
+
+
+class Caution(Enum):
+    """Why numbers are not to be taken for facts: for sentences, and for tables and figures."""
+
+    NOT_CONVERGED = "not to be relied on", "not to be relied on: the fit has not converged"
+    POOR_FIT = (
+        "by a model that does not fit",
+        "intervals are those of a model that does not fit the ECG",
+    )
+
+    @property
+    def brief(self) -> str:
+        """What a sentence begins with."""
+        return self.value[0]
+
+    @property
+    def text(self) -> str:
+        """What stands above tables and figures, and in files."""
+        return self.value[1]
+
+
+class Kind(StrEnum):
+    """What a warning is about."""
+
+    POOR_FIT = "poor fit"
+    NOT_CONVERGED = "not converged"
+    LEADS = "leads"
+    GAIN = "gain"
+    FEW_NETWORKS = "few networks"
+    FEW_BEATS = "few beats"
+    NOT_THE_MINIMUM = "not the minimum"
+    NO_TORSO = "no torso"
+    REGIONS = "regions"
+    END_OF_RANGE = "end of range"
+    FEW_JUNCTIONS = "few junctions"
+    OUTSIDE_QRS = "outside the QRS"
+
+
+@dataclass(frozen=True)
+class ResultWarning:
+    """What a reader of a result must know first."""
+
+    kind: Kind
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class ParameterStatement:
+    """What the ECG says of one parameter.
+
+    Attributes
+    ----------
+    name, unit : str
+    median, lower, upper : float
+        Of the posterior; `lower` and `upper` bound its 90 % credible interval.
+    contraction : float
+        1 less the posterior's variance over the prior's, in shares of the prior; 0 to 1.
+    first_alone : float, optional
+        Of several recordings, half of the 90 % interval that the first alone leaves.
+    """
+
+    name: str
+    unit: str
+    median: float
+    lower: float
+    upper: float
+    contraction: float
+    first_alone: float | None = None
+
+    @property
+    def constrained(self) -> bool:
+        """Whether the ECG constrains it: it leaves half of the prior's variance at most."""
+        return self.contraction >= 0.5
+
+    def __str__(self) -> str:
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        alone = ""
+        if self.first_alone is not None:
+            alone = f"; first recording alone ±{self.first_alone:.2g}{unit}"
+        how = "constrained by" if self.constrained else "not identifiable from"
+        return (
+            f"{self.median:.3g}{unit} (90 % CrI {self.lower:.3g}–{self.upper:.3g}{alone}), "
+            f"{how} the ECG"
+        )
+
+
+@dataclass(frozen=True)
+class Correlated:
+    """Two parameters that are strongly correlated in the posterior, with their rank correlation."""
+
+    first: str
+    second: str
+    rank_correlation: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.first} and {self.second} are strongly correlated in the posterior (rank "
+            f"correlation {self.rank_correlation:.2f})"
+        )
+
+
+class Statements:
+    """All that a result says of itself.
+
+    Parameters
+    ----------
+    result : Result
+        A fitted study.
+    """
+
+    def __init__(self, result: Result) -> None:
+        self._result = result
+
+    @property
+    def verdict(self) -> str:
+        """What the networks are, and whether to trust them, in one line."""
+        population, checks = self._result.population, self._result.checks
+        if isinstance(population, Posterior) and checks is not None:
+            return f"{_convergence(population)}; {_fit(checks)}"
+        return self.networks_called
+
+    @property
+    def networks_called(self) -> str:
+        """How many networks there are, and what they are."""
+        count = f"{len(self._result.population)} networks"
+        paper = self._result.settings.method == "paper"
+        return f"{count}, a population and not a posterior" if paper else count
+
+    @property
+    def converged(self) -> bool | None:
+        """Whether both runs of a posterior ended, and agree; None without a posterior."""
+        population = self._result.population
+        return population.converged if isinstance(population, Posterior) else None
+
+    @property
+    def acceptable(self) -> bool | None:
+        """Whether the recordings look like what the networks predict; None without checks."""
+        return None if self._result.checks is None else fit_acceptable(self._result.checks)
+
+    @property
+    def caution(self) -> Caution | None:
+        """What to say with every number; None of a posterior that can be relied on.
+
+        The population of the paper's method is no posterior, which its verdict says: also None.
+        """
+        if self.converged is None:
+            return None
+        if not self.converged:
+            return Caution.NOT_CONVERGED
+        return Caution.POOR_FIT if self.acceptable is False else None
+
+    @property
+    def caution_text(self) -> str | None:
+        """`Caution.text`, or None."""
+        return None if self.caution is None else self.caution.text
+
+    @cached_property
+    def parameters(self) -> tuple[ParameterStatement, ...]:
+        """What the ECG says of every parameter; nothing where the runs do not agree."""
+        posterior = self._result.population
+        if not isinstance(posterior, Posterior) or not posterior.converged:
+            return ()
+        alone = posterior.first_alone or {}
+        return tuple(
+            _statement(p, posterior.values[p.name], alone.get(p.name))
+            for p in self._result.simulator.space.parameters
+        )
+
+    @cached_property
+    def correlated(self) -> tuple[Correlated, ...]:
+        """Pairs of parameters whose rank correlation is beyond 0.7; none of what is not agreed."""
+        posterior = self._result.population
+        if not isinstance(posterior, Posterior) or not posterior.converged:
+            return ()
+        return correlated(posterior)
+
+    @cached_property
+    def warnings(self) -> tuple[ResultWarning, ...]:
+        """What a reader of the result must know first."""
+        return tuple(ResultWarning(kind, text) for kind, text in _warnings(self._result) if text)
+
+    def content(self) -> dict[str, Any]:
+        """All of it for JSON."""
+        return {
+            "verdict": self.verdict,
+            "caution": self.caution_text,
+            "converged": self.converged,
+            "fit_acceptable": self.acceptable,
+            "warnings": [asdict(warning) for warning in self.warnings],
+            "parameters": [
+                asdict(each) | {"constrained": each.constrained} for each in self.parameters
+            ],
+            "strongly_correlated": [asdict(pair) for pair in self.correlated],
+        }
+
+
+def fit_acceptable(checks: Checks) -> bool:
+    """Whether recordings look like what networks predict."""
+    return checks.share <= MOST_LEFT and not checks.disagreeing
+
+
+def explained_share(checks: Checks) -> float:
+    """Share of the energy of the QRS that a network explains (median); 0 of an ECG that is zero."""
+    return 1 - checks.share**2
+
+
+def _convergence(posterior: Posterior) -> str:
+    if posterior.converged:
+        return "converged"
+    one, other = posterior.log_evidences
+    name, apart = max(posterior.means_apart.items(), key=lambda item: item[1])
+    why = [f"{posterior.effective.sum():.0f} effective draws"]
+    if abs(one - other) > EVIDENCE_APART:
+        why.append(f"log evidence {one:.1f} and {other:.1f} of two runs")
+    if apart > MEANS_APART:
+        why.append(f"mean difference of {name} {apart:.1f} SD")
+    return f"NOT CONVERGED ({', '.join(why)})"
+
+
+def _fit(checks: Checks) -> str:
+    each = f"{explained_share(checks):.0%} of the QRS explained"
+    if fit_acceptable(checks):
+        return f"fit acceptable: {each}"
+    little = f", less than {LEAST_EXPLAINED:.0%}" if checks.share > MOST_LEFT else ""
+    rare = f", {', '.join(checks.disagreeing)} disagree" if checks.disagreeing else ""
+    return f"poor fit: {each}{little}{rare}"
+
+
+def _statement(
+    parameter: Parameter, values: Floats, first_alone: Floats | None
+) -> ParameterStatement:
+    left = float(np.var(parameter.to_unit(values)) * 12)  # a uniform share has variance 1/12
+    median, lower, upper = (float(np.percentile(values, share)) for share in (50, *INTERVAL))
+    before = None if first_alone is None else _half_width(first_alone)
+    return ParameterStatement(
+        parameter.name, parameter.unit, median, lower, upper, 1 - min(left, 1), before
+    )
+
+
+def _half_width(values: Floats) -> float:
+    """Half of the 90 % interval of draws (n,)."""
+    return float(np.diff(np.percentile(values, INTERVAL))[0]) / 2
+
+
+def correlated(posterior: Population) -> tuple[Correlated, ...]:
+    """Pairs of parameters whose rank correlation is 0.7 or more."""
+    from scipy.stats import spearmanr
+
+    names: Sequence[str] = list(posterior.values)
+    found = (
+        Correlated(a, b, float(spearmanr(posterior.values[a], posterior.values[b]).statistic))
+        for a, b in combinations(names, 2)
+    )
+    return tuple(pair for pair in found if abs(pair.rank_correlation) >= 0.7)
+
+
+def prediction_statement(values: Floats, prior: Floats) -> str:
+    """Say whether the ECG constrains a prediction (ms): of networks (n,), and of the prior (m,)."""
+    constrained = np.var(values) <= 0.5 * np.var(prior)
+    how = "constrained by" if constrained else "not identifiable from"
+    return (
+        f"90 % CrI ±{_half_width(values):.0f} ms (prior ±{_half_width(prior):.0f} ms), "
+        f"{how} the ECG"
+    )
+
+
+def has_few_junctions(network: Network) -> bool:
+    """Whether a tree of a network has so few junctions that it hardly is one."""
+    return any(len(tree.junctions) < FEW_JUNCTIONS for tree in network.simulation.trees)
+
+
+def _warnings(result: Result) -> Iterator[tuple[Kind, str]]:
+    poor = _poor_fit(result)
+    yield Kind.POOR_FIT, poor
+    if isinstance(result.population, Posterior) and not poor:  # else to go on would not help
+        settings = result.settings
+        more = how_to_go_on(result.population, settings.effective, settings.evaluations)
+        yield Kind.NOT_CONVERGED, more
+    yield Kind.LEADS, _poor_leads(result)
+    yield Kind.GAIN, _unusual_gain(result)
+    if result.settings.method == "paper":
+        yield from _of_the_paper(result)
+    heart = result.simulator.model.heart
+    if heart.torso is None and heart.lead_fields is None:
+        yield (
+            Kind.NO_TORSO,
+            "the heart has no torso, and in the unbounded conductor the ratios of the leads are "
+            "wrong (each 0.1 to 0.8 of what a torso makes of it); 'fascicle heart build' and "
+            "'heart import --torso idealised' make one",
+        )
+    yield Kind.REGIONS, _regions_taken_as_healthy(result)
+    yield Kind.END_OF_RANGE, _at_end_of_range(result)
+    best = result.best_network
+    if has_few_junctions(best):
+        trees = best.simulation.trees
+        counts = ", ".join(f"{len(tree.junctions)} ({tree.side.upper()})" for tree in trees)
+        yield (
+            Kind.FEW_JUNCTIONS,
+            f"the best network has {counts} junctions, where {FEW_JUNCTIONS} to hundreds a side "
+            f"are usual; --fewest-junctions {FEW_JUNCTIONS} leaves such networks out",
+        )
+    if best.under_qrs < 0.9:  # of the energy of a simulated ECG; more lies there in good fits
+        yield (
+            Kind.OUTSIDE_QRS,
+            f"only {best.under_qrs:.0%} of the best network's ECG lies under the recorded QRS; is "
+            "the QRS window right?",
+        )
+
+
+def _poor_fit(result: Result) -> str:
+    """Warn of networks that are not the patient's; empty if they may be."""
+    if result.settings.method == "paper":
+        if result.explained >= 0.5:  # of the QRS; less is not the patient's network
+            return ""
+        return (
+            f"the best network explains {max(result.explained, 0):.0%} of the recorded QRS: "
+            "heart, torso or ECG do not fit together; look at its size (--free-gain) and speed "
+            "(--free alpha) before you believe anything below"
+        )
+    if result.checks is None or fit_acceptable(result.checks):
+        return ""
+    return (
+        "no network of this heart and torso gives this recording, however long the fit goes on: "
+        "check that they are of one person, the electrodes, and the leads; docs/posterior.md, "
+        "'When a fit fails', says what to try"
+    )
+
+
+def how_to_go_on(posterior: Posterior, effective: int, evaluations: int) -> str:
+    """Say with which settings a fit whose runs do not agree goes on; empty if they agree.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Of two runs.
+    effective, evaluations : int
+        The settings of both together.
+    """
+    if posterior.converged:
+        return ""
+    if posterior.evaluations.sum() < evaluations:
+        return (
+            f"both runs have their {effective} effective draws, but do not agree: the same command "
+            f"with --effective {2 * effective} goes on where they stopped"
+        )
+    # the effective sample grows with the evaluations, of the slower run, too
+    slowest = float((posterior.evaluations / posterior.effective).max())
+    enough = max(slowest * effective, 2 * posterior.evaluations.sum())
+    step = 10 ** max(0, int(np.log10(enough)) - 1)  # two digits and zeros
+    return (
+        f"the runs have {posterior.effective.sum():.0f} of {effective} effective draws after "
+        f"{posterior.evaluations.sum():.0f} evaluations in addition to those of the prior: the "
+        f"same command with --evaluations {int(step * np.ceil(enough / step))} goes on where they "
+        "stopped, and at this rate that is enough"
+    )
+
+
+def _poor_leads(result: Result) -> str:
+    """Warn of compared leads whose shape the best network does not have."""
+    least = 0.7  # correlation; below, less than half of a lead (0.7²) is explained
+    poor = []
+    for number, each in enumerate(result.recordings):
+        predicted = result.best_in(number).predicted[:, each.target.qrs_samples]
+        of = f" of recording {number + 1}" if len(result.recordings) > 1 else ""
+        for lead in np.flatnonzero(each.compared):
+            value = pearson(each.target.qrs[lead], predicted[lead])
+            if value < least:
+                poor.append(f"{LEADS[lead]}{of} ({value:.2f})")
+    if not poor:
+        return ""
+    return (
+        f"the best network does not explain {', '.join(poor)}: the correlation of its QRS with the "
+        f"recorded one is below {least}; check these electrodes and the heart's pose"
+    )
+
+
+def _unusual_gain(result: Result) -> str:
+    """Warn of a gain, free or learnt, that the volume conductor does not explain."""
+    best = result.best_network
+    gain = best.gain * best.parameters.get("gain", 1.0)
+    if 0.5 <= gain <= 2.0:  # hearts, torsos and contacts differ by less
+        return ""
+    return (
+        f"the best network's ECG had to be scaled by {gain:.2g}, where 0.5 to 2.0 is usual; check "
+        "the torso, the conductivities and the units of the ECG"
+    )
+
+
+def _of_the_paper(result: Result) -> Iterator[tuple[Kind, str]]:
+    """Warnings about the paper's rule of acceptance."""
+    count, wanted, tried = len(result.population), result.settings.samples, result.candidates
+    if count < wanted:
+        yield (
+            Kind.FEW_NETWORKS,
+            f"{count} of {wanted} networks were accepted of {len(tried)} candidates, and the "
+            "method ends there: too few to show how different they can be; the beats vary too "
+            "little for its rule (--tolerance), or the search was too short (--steps, --rounds)",
+        )
+    beats = len(result.recordings[0].target.beats)
+    if beats < 30:
+        yield (
+            Kind.FEW_BEATS,
+            f"the recording has {beats} beat{'s' * (beats > 1)}: the rule of acceptance, total "
+            "variation between densities of the beats' errors, rests on too few below 30",
+        )
+    better = sum(e.feasible and e.loss < result.population.best_loss for e in tried)
+    if better:
+        yield (
+            Kind.NOT_THE_MINIMUM,
+            f"{better} of {len(tried)} candidates match better than the network that all were "
+            "compared with: the optimisation has not found the minimum (--steps)",
+        )
+
+
+def _regions_taken_as_healthy(result: Result) -> str:
+    """Warn of labelled regions of which nothing is said."""
+    model, simulator = result.simulator.model, result.simulator
+    if model.heart.regions is None:
+        return ""
+    own = {region.label for region in model.conduction.regions}
+    learnt = region_labels((*simulator.space.names, *simulator.fixed))
+    there = {int(label) for label in np.unique(model.heart.regions)}
+    healthy = sorted(there - own - learnt.keys() - {0})  # 0 is ordinary tissue
+    if not healthy:
+        return ""
+    return (
+        f"regions {', '.join(map(str, healthy))} of the heart count as healthy; say "
+        f"otherwise in its heart.toml, or by --fix region_{healthy[0]}_conductivity=0"
+    )
+
+
+def _at_end_of_range(result: Result) -> str:
+    """Warn of parameters that were stopped by their ranges, not found."""
+    space, population = result.simulator.space, result.population
+    crowded = {}  # 40 % of the networks in an outer tenth of the prior
+    for parameter in space.parameters:
+        shares = parameter.to_unit(population.values.get(parameter.name, np.empty(0)))
+        for end, inside in (("lowest", shares < 0.1), ("highest", shares > 0.9)):
+            if len(shares) and inside.mean() >= 0.4:
+                crowded[parameter.name] = f"{inside.mean():.0%} in the {end} tenth"
+    best = space.to_unit(population.best)
+    stopped = [
+        name
+        for name, share in zip(space.names, best, strict=True)
+        if min(share, 1 - share) < 0.01 and name not in crowded
+    ]
+    found = []
+    if stopped:
+        found.append(f"the best network lies at the end of the range of {', '.join(stopped)}")
+    if crowded:
+        ends = ", ".join(f"{name} ({where})" for name, where in crowded.items())
+        found.append(f"networks crowd at an end of the range of {ends}")
+    if not found:
+        return ""
+    return (
+        f"{'; '.join(found)}: what they say of that is the range's, or makes up for another fault "
+        "of heart and torso"
+    )
