@@ -114,9 +114,9 @@ def _target(path: Path) -> Any:
 
 
 def _result(path: Path) -> Any:
-    from fascicle.study.population_files import read_checks, read_gains, read_population
+    from fascicle.study.population import read_checks, read_population
 
-    return read_population(path), read_checks(path), read_gains(path)
+    return read_population(path), read_checks(path)
 
 
 def _study(path: Path) -> Any:

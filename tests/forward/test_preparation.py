@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.references import Upstroke
+from fascicle.core.array_cache import ArrayCache
 from fascicle.core.errors import InputError
 from fascicle.core.files import DISPOSABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
@@ -173,7 +174,7 @@ class TestWithoutCache:
         def fail(*_):
             raise error
 
-        monkeypatch.setattr(preparation, "save", fail)
+        monkeypatch.setattr(ArrayCache, "write", fail)
         prepared = prepare(heart, Conduction(), Upstroke())
         assert_same(prepared, preparation.build(heart, Conduction(), Upstroke()))
 

@@ -11,8 +11,7 @@ from fascicle.core.errors import InputError
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study.evaluations import Stage
-from fascicle.study.population import Posterior
-from fascicle.study.population_files import read_checks, read_population, write_population
+from fascicle.study.population import Posterior, read_checks, read_population, write_population
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.statements import (
     Caution,
@@ -308,4 +307,4 @@ def test_the_file_is_whole_inference_data(done, tmp_path):
     assert again.means_apart == pytest.approx(posterior.means_apart)
     for name in ("losses", "log_likelihoods", "log_evidences", "effective", "evaluations"):
         assert getattr(again, name) == pytest.approx(getattr(posterior, name))
-    assert read_checks(path) == checks
+    assert read_checks(path)[0] == checks

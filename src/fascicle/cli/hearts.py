@@ -286,7 +286,7 @@ def _write_and_check(
 
 def _forward_run_time(heart: Heart, progress: Progress) -> float | None:
     from fascicle.forward.compile_kernels import compile_kernels
-    from fascicle.forward.cost import forward_run_time
+    from fascicle.forward.example import forward_run_time
     from fascicle.forward.model import ForwardModel
 
     compile_kernels(progress)

@@ -28,8 +28,7 @@ from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import likelihood_of, prior_knowledge
 from fascicle.study.lock import refuse_held, study_lock
 from fascicle.study.pool import Pool, Threads, check_pool
-from fascicle.study.population import RESULT
-from fascicle.study.population_files import read_checks, read_gains, read_population
+from fascicle.study.population import RESULT, read_checks, read_population
 from fascicle.study.predictive import Checks, predict_recording
 from fascicle.study.prior_simulations import PriorSimulations, prior_points
 from fascicle.study.recordings import (
@@ -388,8 +387,7 @@ def load_study(
     with shown_progress(progress) as shown:
         simulator, compared = _simulated_and_compared(study.config, heart, recordings, pool, shown)
     study.check_objective(partial(evaluate, simulator, compared))
-    checks, gains = read_checks(result), read_gains(result)
-    return FittedStudy(study, simulator, compared, population, checks, gains)
+    return FittedStudy(study, simulator, compared, population, *read_checks(result))
 
 
 def _simulated_and_compared(

@@ -1,22 +1,36 @@
-"""The networks that a study finds, and their file."""
+"""The networks that a study finds, and their file: ArviZ InferenceData."""
 
 from __future__ import annotations
 
+import json
+import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_path
+from fascicle.core.leads import LEADS
+from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
 from fascicle.inference.abc import Accepted
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.importance_sampling import RunAgreement, State
+from fascicle.recording.target import Target
+from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.settings import Method
+
+Item = TypeVar("Item")
 
 # The file that holds the networks, called what it is
 RESULT: dict[Method, str] = {"paper": "population.nc", "posterior": "posterior.nc"}
+FIRST_ALONE = "posterior_first_alone"  # group of that file
 
 
 @dataclass(frozen=True)
@@ -119,21 +133,7 @@ class Posterior(Population):
         ends: Sequence[State],
         agreed: RunAgreement,
     ) -> Posterior:
-        """Name the parameters of draws.
-
-        Parameters
-        ----------
-        space : ParameterSpace
-            The d parameters.
-        draws : sequence of Evaluation
-            As many of each run.
-        best : Evaluation
-            The one with the least mismatch of all.
-        ends : sequence of State
-            Of each run.
-        agreed : RunAgreement
-            Between them.
-        """
+        """Name the parameters of draws, as many of each run, and of the best of all evaluations."""
         return cls(
             _named(space, draws),
             np.array([draw.loss for draw in draws]),
@@ -151,3 +151,210 @@ class Posterior(Population):
 def _named(space: ParameterSpace, evaluations: Sequence[Evaluation]) -> dict[str, Floats]:
     named = [space.from_unit(evaluation.point) for evaluation in evaluations]
     return {name: np.array([values[name] for values in named]) for name in space.names}
+
+
+def write_population(
+    path: Path,
+    population: Population,
+    space: ParameterSpace,
+    targets: Sequence[Target],
+    predicted: Floats | Sequence[Prediction],
+    attributes: Mapping[str, Any],
+) -> None:
+    """Write the networks as ArviZ InferenceData, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The netCDF file.
+    population : Population
+        The n networks. Of a posterior, each run of the sampler is a chain.
+    space : ParameterSpace
+        Units and priors of the parameters.
+    targets : sequence of Target
+        The recorded beats, as observed data. Variables of all but the first end in their numbers:
+        ``ecg_2``.
+    predicted : (n, 12, n_time) array or sequence of Prediction
+        The networks' ECGs aligned with the target's time (mV); of a posterior with the noise, too,
+        and of each recording.
+    attributes : mapping
+        Of the file: what the networks are, and where they come from.
+    """
+    with warnings.catch_warnings():  # announces its next major version at every import
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz as az
+        import xarray as xr
+
+    groups = _groups(population, predicted)
+    chains = 2 if isinstance(population, Posterior) else 1
+    split = {
+        group: {name: v.reshape(chains, -1, *v.shape[1:]) for name, v in variables.items()}
+        for group, variables in groups.items()
+    }
+    if isinstance(population, Posterior):  # draws of the prior, for comparison
+        shares = np.random.default_rng(0).random((1000, len(space)))
+        split["prior"] = {
+            p.name: p.from_unit(share)[None]
+            for p, share in zip(space.parameters, shares.T, strict=True)
+        }
+    with warnings.catch_warnings():  # nothing accepted is no mistake in the shape of the arrays
+        warnings.filterwarnings("ignore", "More chains")
+        data = az.from_dict(
+            **split,
+            observed_data={
+                f"{name}{end}": values
+                for end, target in _numbered(targets)
+                for name, values in (("ecg", target.mean), ("beats", target.beats))
+            },
+            coords={"lead": list(LEADS)} | {f"time{e}": t.time for e, t in _numbered(targets)},
+            dims={
+                f"{name}{end}": [*first, "lead", f"time{end}"]
+                for end, _ in _numbered(targets)
+                for name, first in (("ecg", []), ("ecg_model", []), ("beats", [f"beat{end}"]))
+            },
+        )
+    data.attrs.update(attributes)
+    for parameter in space.parameters:
+        data.posterior[parameter.name].attrs = {
+            "units": parameter.unit,
+            "prior_lower": parameter.lower,
+            "prior_upper": parameter.upper,
+            "prior": parameter.prior,
+            **{
+                f"prior_{name}": value
+                for name in ("median", "sd")
+                if (value := getattr(parameter, name)) is not None
+            },
+            "best": population.best[parameter.name],
+        }
+        if isinstance(population, Posterior):
+            apart = population.means_apart[parameter.name]
+            data.posterior[parameter.name].attrs["means_apart"] = apart
+    _describe(data, population)
+    if not isinstance(predicted, np.ndarray):
+        checks = Checks.joined([each.checks for each in predicted])
+        data.sample_stats.attrs["discrepancy_over_signal"] = checks.share
+        probabilities = json.dumps(dict(checks.probabilities))
+        data.sample_stats.attrs["probabilities_under_the_model"] = probabilities
+    if isinstance(population, Posterior) and population.first_alone is not None:
+        alone = {name: ("draw", values) for name, values in population.first_alone.items()}
+        data.sample_stats.attrs[FIRST_ALONE] = 1
+        data.add_groups({FIRST_ALONE: xr.Dataset(alone)}, warn_on_custom_groups=False)
+    with atomic_path(path) as temporary:
+        data.to_netcdf(str(temporary), engine="h5netcdf")
+
+
+def _numbered(items: Sequence[Item]) -> list[tuple[str, Item]]:
+    """Each with what the names of its variables end in."""
+    return [(f"_{k}" if k > 1 else "", item) for k, item in enumerate(items, 1)]
+
+
+def _groups(
+    population: Population, predicted: Floats | Sequence[Prediction]
+) -> dict[str, dict[str, Floats]]:
+    """Arrays (n, ...) by group and name."""
+    groups = {
+        "posterior": dict(population.values),
+        "sample_stats": {"loss": population.losses},
+        "posterior_predictive": {},
+    }
+    if isinstance(predicted, np.ndarray):
+        groups["posterior_predictive"] = {"ecg": predicted}
+        predicted = ()
+    for end, prediction in _numbered(predicted):
+        groups["posterior_predictive"] |= {
+            f"ecg{end}": prediction.noisy.astype(np.float32),
+            f"ecg_model{end}": prediction.ecg.astype(np.float32),
+        }
+        groups["sample_stats"] |= {
+            f"gain{end}": prediction.gains,
+            f"onset_shift{end}": prediction.shifts,
+            f"discrepancy{end}": prediction.discrepancies,
+        }
+    if isinstance(population, PaperPopulation):
+        groups["sample_stats"]["distance"] = population.distances
+    if isinstance(population, Posterior):
+        groups["log_likelihood"] = {
+            f"ecg{end}": values for end, values in _numbered(list(population.log_likelihoods.T))
+        }
+    return groups
+
+
+def _describe(data: Any, population: Population) -> None:
+    """Units, and what holds for the whole sample."""
+    units = {"loss": "mV2", "onset_shift": "ms", "discrepancy": "mV", "gain": "1"}
+    stats = data.sample_stats
+    for name in stats.data_vars:
+        unit = units.get(re.sub(r"_\d+$", "", str(name)))
+        if unit is not None:
+            stats[name].attrs["units"] = unit
+    stats.attrs["best_loss"] = population.best_loss
+    if isinstance(population, Posterior):
+        stats.attrs["converged"] = int(population.converged)
+        for name in ("log_evidences", "effective", "evaluations"):
+            stats.attrs[name] = getattr(population, name)
+    for group in (data.posterior_predictive, data.observed_data):
+        for name in group.data_vars:
+            group[name].attrs["units"] = "mV"
+        for name in group.coords:
+            if str(name).startswith("time"):
+                group[name].attrs.update(units="ms", long_name="time from the R peak")
+
+
+def read_population(path: Path) -> Population:
+    """Read networks written by `write_population`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds something else.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; finish the study with 'fascicle fit'")
+    try:
+        posterior, stats = load_netcdf(path, "posterior"), load_netcdf(path, "sample_stats")
+        names = [str(name) for name in posterior.data_vars]
+        values = {name: posterior[name].to_numpy().ravel() for name in names}
+        losses = stats["loss"].to_numpy().ravel()
+        best = {name: float(posterior[name].attrs["best"]) for name in names}
+        best_loss = float(stats.attrs["best_loss"])
+        if "distance" in stats:
+            distances = stats["distance"].to_numpy().ravel()
+            return PaperPopulation(values, losses, best, best_loss, distances)
+        logs = load_netcdf(path, "log_likelihood")
+        numbered = _numbered(list(logs.data_vars))
+        alone = None
+        if FIRST_ALONE in stats.attrs:
+            stored = load_netcdf(path, FIRST_ALONE)
+            alone = {str(name): each.to_numpy() for name, each in stored.data_vars.items()}
+        return Posterior(
+            values,
+            losses,
+            best,
+            best_loss,
+            np.stack([logs[f"ecg{end}"].to_numpy().ravel() for end, _ in numbered], axis=1),
+            log_evidences=np.asarray(stats.attrs["log_evidences"]),
+            effective=np.asarray(stats.attrs["effective"]),
+            evaluations=np.asarray(stats.attrs["evaluations"]),
+            means_apart={name: float(posterior[name].attrs["means_apart"]) for name in names},
+            converged=bool(stats.attrs["converged"]),
+            first_alone=alone,
+        )
+    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(
+            f"{path}: not a readable result ({first}); run 'fascicle fit' again to rewrite it"
+        ) from None
+
+
+def read_checks(path: Path) -> tuple[Checks | None, Floats | None]:
+    """How a posterior compares with its recordings, and its gains (n,) for the first of them.
+
+    None of a population of the paper's method.
+    """
+    stats = load_netcdf(path, "sample_stats")
+    gains = stats["gain"].to_numpy().ravel() if "gain" in stats else None
+    if "discrepancy_over_signal" not in stats.attrs:
+        return None, gains
+    probabilities = json.loads(stats.attrs["probabilities_under_the_model"])
+    return Checks(float(stats.attrs["discrepancy_over_signal"]), probabilities), gains

@@ -18,8 +18,7 @@ from fascicle.study.activation_maps import activation_maps, since_first
 from fascicle.study.agreement import Agreement
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
-from fascicle.study.population import RESULT, Posterior
-from fascicle.study.population_files import write_population
+from fascicle.study.population import RESULT, Posterior, write_population
 from fascicle.study.predictive import Prediction
 from fascicle.study.statements import explained_share, has_few_junctions
 from fascicle.study.target_comparison import Network

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -86,6 +87,10 @@ class TargetComparison:
     fewest_junctions: int = 0
 
     __repr__ = short_repr
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Send the fields alone: other layouts of derived arrays would round otherwise."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __call__(self, point: Floats, signals: Signals | str) -> Evaluation:
         """Compare what a point (d,) gives with the mean beat and with every beat."""

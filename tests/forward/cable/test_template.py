@@ -165,7 +165,7 @@ def test_unwritable_cache_is_done_without(folder, template, monkeypatch, tmp_pat
 def test_key_changes_with_version_and_code(folder, template, monkeypatch, tmp_path):
     cache, made = folder
     stored_template("endocardial")
-    monkeypatch.setattr(module, "version", lambda _: "0.0.0")
+    monkeypatch.setattr("fascicle.core.array_cache.version", lambda _: "0.0.0")
     stored_template("endocardial")
     source = tmp_path / "other.py"
     source.write_text("G_NA = 15.0")
