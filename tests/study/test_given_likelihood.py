@@ -35,5 +35,5 @@ def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
 
 
 def test_what_is_no_likelihood_is_refused(target, tmp_path):
-    with pytest.raises(InputError, match=r"likelihood is 5\.0"):
+    with pytest.raises(InputError, match="likelihood is 5"):
         fascicle.fit("default", target, tmp_path / "s", likelihood=[5.0])

@@ -14,9 +14,6 @@ from fascicle.recording.target import Target
 from fascicle.study.predictive import frontal_axis
 from fascicle.study.target_comparison import Network
 
-INTERVAL = (5, 50, 95)  # percentiles
-OVER_ALL = "all"
-
 
 @dataclass(frozen=True)
 class Agreement:
@@ -43,7 +40,7 @@ class Agreement:
 
     def percentiles(self, name: str) -> tuple[float, float, float]:
         """5th percentile, median and 95th over the networks of what `recorded` holds."""
-        low, middle, high = np.percentile(self.predicted[name], INTERVAL)
+        low, middle, high = np.percentile(self.predicted[name], (5, 50, 95))
         return float(low), float(middle), float(high)
 
     def content(self) -> dict[str, Any]:
@@ -54,7 +51,7 @@ class Agreement:
                 lead: round(float(v), 6) if np.isfinite(v) else None
                 for lead, v in zip(LEADS, values, strict=True)
             }
-            return found | {OVER_ALL: round(over_all, 6)}
+            return found | {"all": round(over_all, 6)}
 
         content: dict[str, Any] = {
             "explained_power": by_lead(self.explained, self.explained_over_all),

@@ -99,9 +99,8 @@ def fit(
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `prior_simulations`,
-        `gain_sd`; of the
-        paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`, `free_gain`,
-        `tolerance`, `draws`, `refit_after`, `rounds`.
+        `gain_sd`; of the paper's method `initial`, `steps`, `refit_every`, `samples`, `leads`,
+        `free_gain`, `tolerance`, `draws`, `refit_after`, `rounds`.
 
     Returns
     -------
@@ -177,16 +176,14 @@ def read_inputs(
     parameters: Mapping[str, Any],
     settings: FitSettings,
 ) -> Inputs:
-    """Read what `fit` is given, and settle what is learnt; it says what is what.
-
-    Raises
-    ------
-    InputError
-        If something of it cannot be used.
-    """
+    """Read what `fit` is given, and settle what is learnt; it says what is what."""
     heart = as_heart(heart)
     recordings = given_recordings(target)
-    _check_method(settings.method, recordings)
+    if settings.method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
+        raise InputError(
+            "the method 'paper' fits one recording of an intrinsic beat; give one without a "
+            "scenario, or use the method 'posterior'"
+        )
     space, fixed = study_space(settings.method, parameters, heart)
     if settings.free_gain and ("gain" in space.names or "gain" in fixed):
         raise InputError("the gain is a parameter and free of its own; leave --free-gain out")
@@ -208,17 +205,7 @@ def fit_inputs(
     pool: Pool | None = None,
     backend: Backend | None = None,
 ) -> FittedStudy:
-    """Do what is left of a study in its folder, and write its results.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        What it is of.
-    folder : Path
-        Where it is, or is to be.
-    progress, pool, backend
-        As for `fit`, which says what is raised, too.
-    """
+    """Do what is left of a study in its folder, and write its results."""
     heart, config = inputs.heart, inputs.config
     simulator, recordings = _simulated_and_compared(
         config, heart, inputs.recordings, pool, progress, backend
@@ -259,15 +246,6 @@ def _completed(fitted: FittedStudy, progress: Progress | None) -> FittedStudy:
     return fitted
 
 
-def _check_method(method: str, recordings: Sequence[Recorded]) -> None:
-    """The paper's method knows one intrinsic beat."""
-    if method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
-        raise InputError(
-            "the method 'paper' fits one recording of an intrinsic beat; give one without a "
-            "scenario, or use the method 'posterior'"
-        )
-
-
 def _check_scenarios(simulator: PointSimulator, recordings: Sequence[TargetComparison]) -> None:
     """Refuse a scenario that does not fit the heart, with the first network of the prior."""
     for each in recordings:
@@ -300,11 +278,10 @@ def _likelihoods(
 ) -> list[Likelihood]:
     """The built-in likelihood of each recording."""
     rng, gain_sd = np.random.default_rng([config.seed, PRIOR]), _gain_sd(config)
-    found: list[Likelihood] = []
-    for each in recordings:
-        known = prior_knowledge(simulator, each.target, each.scenario, rng, progress)
-        found.append(likelihood_of(each.target, known, gain_sd))
-    return found
+    known = (prior_knowledge(simulator, r.target, r.scenario, rng, progress) for r in recordings)
+    return [
+        likelihood_of(r.target, each, gain_sd) for r, each in zip(recordings, known, strict=True)
+    ]
 
 
 def _prior(simulator: PointSimulator) -> PriorSimulations | None:
@@ -324,20 +301,7 @@ def _gain_sd(config: StudyConfig) -> float:
 
 
 def as_study(given: GivenStudy, progress: Progress | Lines | None = None) -> FittedStudy:
-    """A study as it was given, or read from its folder by `load_study`.
-
-    Parameters
-    ----------
-    given : FittedStudy or path
-        The study.
-    progress : Progress, "lines" or None
-        Called while a large heart is prepared.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or the folder cannot be used.
-    """
+    """A study as it was given, or read from its folder by `load_study`."""
     if isinstance(given, FittedStudy):
         return given
     folder = as_path(given, "study", "a fitted study, or the path of its folder")

@@ -88,11 +88,6 @@ def prior_knowledge(
         Draws the networks.
     progress : Progress, optional
         Called as networks are simulated.
-
-    Raises
-    ------
-    InputError
-        If hardly any network of the prior fits the heart.
     """
     count, rows = 100, independent_rows(target.used)
     points = rng.random((count, len(simulator.space)))

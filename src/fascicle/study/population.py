@@ -302,13 +302,7 @@ def _describe(data: Any, population: Population) -> None:
 
 
 def read_population(path: Path) -> Population:
-    """Read networks written by `write_population`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or holds something else.
-    """
+    """Read networks written by `write_population`."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; finish the study with 'fascicle fit'")
     try:

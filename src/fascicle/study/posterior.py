@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -86,7 +86,7 @@ class PosteriorFit:
     ) -> list[SamplingRun]:
         """Make the runs; how each goes depends on its number and on the seed alone."""
         each = self.settings.evaluations // RUNS
-        said = _Status(recordings, self.recordings, self.settings.effective)
+        states: dict[int, State] = {}  # where each run stands
         # what a run before this one might have done; its points are asked for again, and are there
         done = [0 if begun[0] is None else self._phase - sum(len(r.points) for r in begun if r)]
 
@@ -97,7 +97,7 @@ class PosteriorFit:
                 if again:
                     self._report_stored(done[0] + count)
                 else:
-                    self._report(done[0] + count, str(said))
+                    self._report(done[0] + count, self._status(states, recordings))
 
             found = self.journal.evaluate(Stage.SAMPLING, list(points), 100, report)
             done[0] += len(points)
@@ -115,12 +115,26 @@ class PosteriorFit:
                     effective=-(-self.settings.effective // RUNS),
                     most=each,
                     begun=begun[number],
-                    progress=partial(said.hear, number),
+                    progress=partial(states.__setitem__, number),
                 )
                 for number in range(RUNS)
             ),
         )
         return runs
+
+    def _status(self, states: Mapping[int, State], recordings: int) -> str:
+        """What is said of the runs while they go on."""
+        said = f"{RUNS} runs"
+        if self.recordings > 1:
+            said += ", first recording alone" if recordings == 1 else ", all recordings"
+        if not states:
+            return said
+        evidences = " and ".join(f"{state.log_evidence:.1f}" for state in states.values())
+        effective = sum(state.effective for state in states.values())
+        return (
+            f"{said}, log evidence {evidences}, effective sample about {effective:.0f} of "
+            f"{self.settings.effective}"
+        )
 
     def _report_stored(self, done: int) -> None:
         """A stage of its own: it says nothing of how long new evaluations take."""
@@ -141,28 +155,3 @@ class PosteriorFit:
     def _phase(self) -> int:
         """Evaluations at most until the first recording is done."""
         return self.settings.prior_simulations + self.settings.evaluations
-
-
-class _Status:
-    """What is said of the runs while they go on."""
-
-    def __init__(self, recordings: int, of: int, wanted: int) -> None:
-        self.wanted = wanted
-        self.begin = f"{RUNS} runs"
-        if of > 1:
-            self.begin += ", first recording alone" if recordings == 1 else ", all recordings"
-        self.states: dict[int, State] = {}
-
-    def hear(self, number: int, state: State) -> None:
-        """Take note of where a run stands."""
-        self.states[number] = state
-
-    def __str__(self) -> str:
-        if not self.states:
-            return self.begin
-        evidences = " and ".join(f"{state.log_evidence:.1f}" for state in self.states.values())
-        effective = sum(state.effective for state in self.states.values())
-        return (
-            f"{self.begin}, log evidence {evidences}, effective sample about "
-            f"{effective:.0f} of {self.wanted}"
-        )

@@ -138,13 +138,7 @@ class PriorSimulations:
         return {}
 
     def check(self, model: ForwardModel, space: ParameterSpace, fixed: Mapping[str, float]) -> None:
-        """Simulate its first network again.
-
-        Raises
-        ------
-        InputError
-            If it is not that of the forward model.
-        """
+        """Simulate its first network again."""
         for point in _part(len(space), 0):
             stored = self.get(point)
             if isinstance(stored, Signals):

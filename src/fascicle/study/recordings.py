@@ -31,13 +31,7 @@ def digests(recorded: Recorded) -> tuple[str, str]:
 
 
 def given_recordings(given: Given | list[Given]) -> list[Recorded]:
-    """Read what is not read yet; a list is of several recordings.
-
-    Raises
-    ------
-    InputError
-        If there is none, or a file cannot be used.
-    """
+    """Read what is not read yet; a list is of several recordings."""
     several = list(given) if isinstance(given, list) else [given]
     if not several:
         raise InputError("no target is given; make one with 'fascicle target'")

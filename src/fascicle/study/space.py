@@ -55,11 +55,6 @@ def study_space(
         What is learnt.
     fixed : dict of name to float
         What is not, and differs from the defaults; the heart's own values are the heart's.
-
-    Raises
-    ------
-    InputError
-        If a quantity is unknown or impossible, its prior is none, or nothing is left to learn.
     """
     chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
     numbers = {
@@ -82,13 +77,7 @@ def study_space(
 
 
 def without_groups(wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """The same with each group of quantities that is free written out.
-
-    Raises
-    ------
-    InputError
-        If a group is anything but free.
-    """
+    """The same with each group of quantities that is free written out."""
     whole: dict[str, Any] = {}
     for name, value in wanted.items():
         if name in GROUPS:
@@ -135,13 +124,7 @@ def _check_fascicles(names: set[str], counts: Mapping[str, int]) -> None:
 
 
 def read_settings(path: Path | str) -> dict[str, Any]:
-    """Read a settings file: settings of the fit, and a table ``[parameters]``.
-
-    Raises
-    ------
-    InputError
-        If it is missing or not TOML, or something in it is unknown or impossible.
-    """
+    """Read a settings file: settings of the fit, and a table ``[parameters]``."""
     path = Path(path)
     check_file(path, (".toml",), "settings")
     values = read_toml(path, "write lines like 'steps = 100'")

@@ -34,39 +34,22 @@ class Result(Protocol):
     """What statements are made of: a `fascicle.study.fitted.FittedStudy`."""
 
     @property
-    def settings(self) -> FitSettings:
-        """Of the fit."""
-
+    def settings(self) -> FitSettings: ...  # noqa: D102
     @property
-    def population(self) -> Population:
-        """The networks."""
-
+    def population(self) -> Population: ...  # noqa: D102
     @property
-    def checks(self) -> Checks | None:
-        """Of a posterior against its recordings."""
-
+    def checks(self) -> Checks | None: ...  # noqa: D102
     @property
-    def simulator(self) -> PointSimulator:
-        """Heart, and what is learnt."""
-
+    def simulator(self) -> PointSimulator: ...  # noqa: D102
     @property
-    def recordings(self) -> tuple[TargetComparison, ...]:
-        """What was recorded."""
-
+    def recordings(self) -> tuple[TargetComparison, ...]: ...  # noqa: D102
     @property
-    def best_network(self) -> Network:
-        """With the least mismatch."""
-
+    def best_network(self) -> Network: ...  # noqa: D102
     @property
-    def candidates(self) -> list[Evaluation]:
-        """What was tried for a population of the paper's method."""
-
+    def candidates(self) -> list[Evaluation]: ...  # noqa: D102
     @property
-    def explained(self) -> float:
-        """Share of the energy of the QRS that the best network explains."""
-
-    def best_in(self, recording: int) -> Network:
-        """The best network in the scenario of a recording."""
+    def explained(self) -> float: ...  # noqa: D102
+    def best_in(self, recording: int) -> Network: ...  # noqa: D102
 
 
 class Caution(Enum):

@@ -112,12 +112,6 @@ class Study:
             What it is, or is to be.
         progress : Progress, optional
             Called if the database was damaged, and was moved aside.
-
-        Raises
-        ------
-        InputError
-            If the folder holds something else, a study with other settings, or one that another
-            process works on.
         """
         check_study_folder(folder)
         with study_lock(folder):
@@ -165,12 +159,6 @@ class Study:
             Must give the same result for the same point whenever it is asked.
         progress : Progress, optional
             Called after every batch of evaluations.
-
-        Raises
-        ------
-        InputError
-            If the objective is not that of the stored evaluations, or another process works on the
-            study.
         """
         with study_lock(self.folder):
             self.check_objective(objective)
@@ -185,13 +173,7 @@ class Study:
             return posterior.PosteriorFit(config, space, journal, recordings, progress).run()
 
     def check_objective(self, objective: Objective) -> None:
-        """Refuse another forward model than that of the stored evaluations.
-
-        Raises
-        ------
-        InputError
-            If it gives other losses or likelihoods at the points that are tried again.
-        """
+        """Refuse another forward model than that of the stored evaluations."""
         stored = [record.evaluation for record in self.records()]
         again = stored[:: max(1, len(stored) // CHECKED)][:CHECKED]
         if not again:
@@ -221,13 +203,7 @@ class Study:
 
 
 def check_study_folder(folder: Path) -> None:
-    """Refuse a folder that is no study and cannot become one.
-
-    Raises
-    ------
-    InputError
-        If it holds something else, or is a file.
-    """
+    """Refuse a folder that is no study and cannot become one."""
     if not folder.exists():
         return
     try:
@@ -243,13 +219,7 @@ def check_study_folder(folder: Path) -> None:
 
 
 def is_finished(folder: Path, config: StudyConfig) -> bool:
-    """Whether the study of a configuration is in a folder, and finished.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something else, or a study with other settings.
-    """
+    """Whether the study of a configuration is in a folder, and finished."""
     check_study_folder(folder)
     if not (folder / CONFIGURATION).exists():
         return False
@@ -323,11 +293,6 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
         For the message.
     there, now : StudyConfig
         The stored one, and the one that is asked for; `MAY_CHANGE` does not count.
-
-    Raises
-    ------
-    InputError
-        Naming the first few settings that differ.
     """
     before, after = _identity(there), _identity(now)
     different = [
