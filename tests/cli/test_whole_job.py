@@ -241,8 +241,8 @@ def test_compare(study, monkeypatch, capsys):
     assert {"window QRS duration", "global QRS duration"} <= shown.keys()
     assert shown["LV activation time"] > 0.9
     assert all(0 <= probability <= 1 for probability in shown.values())
-    assert lines[-2].startswith("total activation time: a gain of more than 2 ms has probability ")
-    assert lines[-1].endswith("of so few independent networks")
+    assert lines[-2].startswith("total activation time: P(reduction > 2 ms) = ")
+    assert lines[-1].endswith("too few independent networks")
     assert run(monkeypatch, *asked, "--index", "speed") == 2
     error = capsys.readouterr()
     assert error.out == ""

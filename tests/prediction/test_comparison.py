@@ -25,7 +25,7 @@ def test_counts_networks():
     a = predicted(qrs_duration=[100.0, 110.0, 120.0, 130.0])
     b = predicted(qrs_duration=[112.0, 115.0, 120.0, 125.0])
     found = compare(a, b, "qrs_duration")
-    np.testing.assert_array_equal(found.gains, [12, 5, 0, -5])
+    np.testing.assert_array_equal(found.reductions, [12, 5, 0, -5])
     assert found.unit == "ms"
     assert found.probability() == (2 + 0.5) / 4
     assert found.probability(10.0) == 0.25
@@ -34,10 +34,10 @@ def test_counts_networks():
     assert found.standard_error(-100.0) > 0  # all agree, and yet they are few
     assert found.median == 2.5
     assert found.interval == pytest.approx(np.percentile([12, 5, 0, -5], [5, 95]))
-    assert str(found) == "2 ms (-4 to 11)"
+    assert str(found) == "2 ms (90 % CrI -4 to 11)"
     same = predicted(qrs_duration=[100.2, 99.9])
     assert str(compare(same, predicted(qrs_duration=[100.0, 99.8]), "qrs_duration")) == (
-        "0 ms (0 to 0)"
+        "0 ms (90 % CrI 0 to 0)"
     )
     assert compare(b, a, "qrs_duration").probability() == 1 - found.probability()
 
@@ -63,7 +63,7 @@ def test_a_pacing_without_the_block_it_is_compared_with():
     found = {name: replace(predicted(), scenario=each) for name, each in scenarios.items()}
     said = missing_blocks("pacing", found, "block")
     assert said.startswith(
-        "block blocks LV fascicle 1 and the left bundle branch, and pacing does not: its gain is"
+        "block blocks LV fascicle 1 and the left bundle branch, and pacing does not: what it"
     )
     assert "block blocks LV fascicle 1, and half" in missing_blocks("half", found, "block")
     for name in ("his", "intrinsic", "blocked", "block"):
@@ -115,7 +115,7 @@ def test_what_few_independent_networks_are_worth():
 
 def test_a_delay_is_as_bad_either_way():
     a, b = predicted(lv_rv_delay=[-10.0, 5.0]), predicted(lv_rv_delay=[30.0, -40.0])
-    np.testing.assert_array_equal(compare(a, b, "lv_rv_delay").gains, [20, 35])
+    np.testing.assert_array_equal(compare(a, b, "lv_rv_delay").reductions, [20, 35])
 
 
 def test_says_what_leaves_it_open():

@@ -73,18 +73,18 @@ class TestAnswers:
             "global QRS duration 135 (122 to 148) ms, window QRS duration 115 (102 to 128) ms, "
             "total activation time 115 ("
         )
-        assert "is shorter than that of the intrinsic beat, by 28 ms (21 to 34)" in faster
-        assert "probability to be shorter 1.00" in faster
-        assert "is open" in mixed
-        assert "probability to be shorter 0.50" in mixed
+        assert "shortened against the intrinsic beat by 28 ms (90 % CrI 21 to 34)" in faster
+        assert "P(shorter) = 1.00" in faster
+        assert "neither surely shorter nor longer" in mixed
+        assert "P(shorter) = 0.50" in mixed
         (_, slower) = answers(study(), {"intrinsic": FASTER, "a": OWN}).predicted
-        assert "is longer than that of the intrinsic beat, by 28 ms (21 to 34)" in slower
+        assert "prolonged against the intrinsic beat by 28 ms (90 % CrI 21 to 34)" in slower
         found = {"intrinsic": FASTER, "block": OWN, "a": FASTER}
         own, block, paced = answers(study(), found, "block").predicted
         assert own.endswith("ms.")
         assert block.endswith("ms.")
-        assert "is shorter than that of block, by 28 ms (21 to 34)" in paced
-        assert "probability to be shorter 0.00" in slower
+        assert "shortened against block by 28 ms (90 % CrI 21 to 34)" in paced
+        assert "P(shorter) = 0.00" in slower
 
     def test_of_one_that_does_not_explain(self):
         said = answers(study(share=0.6, disagreeing={"V2": 0.001}), {"intrinsic": OWN})
@@ -103,9 +103,9 @@ class TestAnswers:
         assert said.caution is Caution.NOT_CONVERGED
         _, faster = said.predicted
         assert faster.startswith("not to be relied on: global QRS duration 108 (")
-        assert "is shorter" not in faster
+        assert "Activation shortened" not in faster
         assert faster.endswith(
-            "; gain against the intrinsic beat 28 ms (21 to 34); probability to be shorter 1.00."
+            "shortened against the intrinsic beat by 28 ms (90 % CrI 21 to 34); P(shorter) = 1.00."
         )
         assert "no number below can be relied on" in said.meaning[0]
         assert not said.determined
@@ -118,7 +118,7 @@ class TestAnswers:
 
 
 def kept(simulation):
-    return PredictedBeat.of(simulation, *2 * [simulation.leads], simulation.coupled.captured)
+    return PredictedBeat.of(simulation, simulation.leads, simulation.leads)
 
 
 @pytest.fixture(scope="module")

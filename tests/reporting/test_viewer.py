@@ -34,7 +34,7 @@ def content(default_heart, default_model):
     for name, his in (("intrinsic", His()), ("block", His(left=0.0))):
         scenario = case(his=his, description=f"<b>{name}</b>")
         simulation = default_model.simulate(EXAMPLE_PARAMETERS, scenario)
-        beat = PredictedBeat.of(simulation, *2 * [simulation.leads], simulation.coupled.captured)
+        beat = PredictedBeat.of(simulation, simulation.leads, simulation.leads)
         faster = replace(beat, activation=beat.activation / 2)
         totals = {"total_activation_time": np.array([100.0, 50.0])}
         found[name] = Predicted(scenario, [beat, faster], totals)

@@ -28,8 +28,8 @@ from fascicle.cli.printing import (
     print_comparison,
     print_demo,
     print_fit,
-    print_gains,
     print_prediction,
+    print_reductions,
     print_simulation,
     print_sweep,
     print_template,
@@ -320,14 +320,14 @@ def compare(
     first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
     second: Annotated[str, typer.Argument(help="The one it is compared with.")],
     index: Annotated[
-        str, typer.Option(help=f"Index whose gain is explained; less is better: {INDEX_NAMES}.")
+        str, typer.Option(help=f"Index whose spread is explained; less is better: {INDEX_NAMES}.")
     ] = "total_activation_time",
     threshold: Annotated[
         float, typer.Option(help="Gain that matters, in the unit of the index.")
     ] = 0.0,
     scheduler: SchedulerOption = None,
 ) -> Result:
-    """Say how probably one scenario is better than another, by how much, and what leaves it open.
+    """Say how probably one scenario is better than another, by how much, and why.
 
     Every network of the population decides for itself; 'intrinsic' is the intrinsic beat. All
     indices are shown, since they may disagree.
@@ -528,7 +528,7 @@ def demo(
     print_analysis(analysis)
     print_fit(fitted, written_summary(out / "study"))
     print_prediction(predicted)
-    print_gains(predicted, BLOCK)
+    print_reductions(predicted, BLOCK)
     print_demo(out)
     parts = ("study", "pacings")
     return {"folder": out, "page": out / "report.html"} | {

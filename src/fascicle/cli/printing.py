@@ -195,15 +195,15 @@ def _print_capture(predicted: Mapping[str, Predicted]) -> None:
                 )
 
 
-def print_gains(predicted: Mapping[str, Predicted], against: str) -> None:
-    """Print what the scenarios after one gain against it in total activation time."""
+def print_reductions(predicted: Mapping[str, Predicted], against: str) -> None:
+    """Print by how much scenarios shorten the total activation time of one before them."""
     from fascicle.prediction.comparison import compare
 
     names = list(predicted)
     print(f"total activation time against {against}:")
     for name in names[names.index(against) + 1 :]:
-        gain = compare(predicted[name], predicted[against], "total_activation_time")
-        print(f"  {name:<30} gain {gain}; probability to be shorter {gain.probability():.2f}")
+        found = compare(predicted[name], predicted[against], "total_activation_time")
+        print(f"  {name:<30} shortened by {found}; P(shorter) = {found.probability():.2f}")
 
 
 def print_comparison(
@@ -223,23 +223,23 @@ def print_comparison(
     for said in _undone(names, predicted):
         print(f"warning: {said}")
     print(f"{' against '.join(names)}, {len(one.beats)} networks")
-    print(f"{'less is better':<24}{'probability':<14}{'median gain (90 % of the networks)'}")
+    print(f"{'less is better':<24}{'P(less)':<14}median reduction")
     for name in COMPARED:
         found = compare(one, other, name)
         print(f"{index_name(name):<24}{found.probability():<14.2f}{found}")
     chosen = compare(one, other, index)
     print(
-        f"{index_name(index)}: a gain of more than {threshold:g} {chosen.unit} has probability "
+        f"{index_name(index)}: P(reduction > {threshold:g} {chosen.unit}) = "
         f"{chosen.probability(threshold):.2f} ± {chosen.standard_error(threshold):.2f}"
     )
-    open_by = [
+    explained_by = [
         f"{name} {share:.0%}" for name, share in chosen.variance_explained_by(parameters)[:3]
     ]
-    if not open_by:
-        print("what leaves it open cannot be said of so few independent networks")
+    if not explained_by:
+        print("variance explained by the parameters: too few independent networks")
         return
-    print(f"what leaves it open goes with {', '.join(open_by)} (each alone, of the variance)")
-    print("what a further measurement alone would take away of that:")
+    print(f"variance explained by {', '.join(explained_by)} (each alone)")
+    print("value of a further measurement, as the share of the variance that it removes:")
     for scenario, what, share in chosen.value_of_measurement(predicted):
         error = f"±{MEASURABLE[scenario, what]:.2g} {INDICES[what]}"
         print(f"  {share:4.0%}  {index_name(what)} of {scenario}, measured to {error}")

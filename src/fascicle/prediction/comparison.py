@@ -1,4 +1,4 @@
-"""Which of two scenarios is better, how probably, by how much, and what leaves it open."""
+"""Which of two scenarios is better, how probably, by how much, and what explains the spread."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def missing_blocks(name: str, predicted: Mapping[str, Predicted], against: str) 
     if not missing or not pacing.of(Stimulus):
         return ""
     return (
-        f"{against} blocks {' and '.join(missing)}, and {name} does not: its gain is also that of "
-        "having no block; give the pacing the block, too (docs/predictions.md, 'Blocks')"
+        f"{against} blocks {' and '.join(missing)}, and {name} does not: what it shortens is "
+        "also due to the missing block; give the pacing the block, too (see docs/predictions.md)"
     )
 
 
@@ -62,7 +62,7 @@ class Comparison:
     ----------
     index, unit : str
         One of `COMPARED`, and its unit.
-    gains : (n,) array
+    reductions : (n,) array
         By how much the first scenario's index is less than the second's.
     effective : float
         How many independent networks the n are worth, at most n.
@@ -70,15 +70,15 @@ class Comparison:
 
     index: str
     unit: str
-    gains: Floats
+    reductions: Floats
     effective: float
 
     __repr__ = short_repr
 
     def probability(self, threshold: float = 0.0) -> float:
-        """How probable it is that the first gains more than a threshold; of ties, half counts."""
+        """Probability that the reduction exceeds a threshold; a tie counts half."""
         threshold = within("threshold", threshold, "threshold")
-        more, same = self.gains > threshold, self.gains == threshold
+        more, same = self.reductions > threshold, self.reductions == threshold
         return float(more.mean() + same.mean() / 2)
 
     def standard_error(self, threshold: float = 0.0) -> float:
@@ -89,23 +89,23 @@ class Comparison:
 
     @property
     def median(self) -> float:
-        """Median gain."""
-        return float(np.median(self.gains))
+        """Median reduction."""
+        return float(np.median(self.reductions))
 
     @property
     def interval(self) -> tuple[float, float]:
-        """5th and 95th percentile of the gain."""
-        low, high = np.percentile(self.gains, INTERVAL)
+        """5th and 95th percentile of the reduction."""
+        low, high = np.percentile(self.reductions, INTERVAL)
         return float(low), float(high)
 
     def __str__(self) -> str:
-        """Median gain with its interval, such as ``6 ms (-11 to 22)``."""
+        """Median reduction with its interval, such as ``6 ms (90 % CrI -11 to 22)``."""
         numbers = np.round([self.median, *self.interval]) + 0.0  # no minus before a 0
         middle, low, high = (f"{number:.0f}" for number in numbers)
-        return f"{middle} {self.unit} ({low} to {high})"
+        return f"{middle} {self.unit} (90 % CrI {low} to {high})"
 
     def variance_explained_by(self, parameters: Mapping[str, Floats]) -> list[tuple[str, float]]:
-        """Share of the gain's variance, in ranks, that each parameter alone goes with.
+        """Share of the reduction's variance, in ranks, that each parameter alone explains.
 
         Squared rank correlations, adjusted for how few networks there are, the largest first; none
         of fewer than `FEWEST` independent ones. Of parameters that are strongly correlated each has
@@ -124,10 +124,10 @@ class Comparison:
     def value_of_measurement(
         self, predicted: Mapping[str, Predicted]
     ) -> list[tuple[str, str, float]]:
-        """Share of the gain's variance, in ranks, that a further measurement would take away.
+        """Share of the reduction's variance, in ranks, that a further measurement would remove.
 
-        The squared rank correlation of what is measured with the gain, less what the error of the
-        measurement leaves of it.
+        The squared rank correlation of what is measured with the reduction, less what the error of
+        the measurement leaves of it.
 
         Parameters
         ----------
@@ -148,8 +148,8 @@ class Comparison:
         return sorted(found, key=lambda item: -item[2])
 
     def _explained_by(self, values: Floats) -> float:
-        """Squared rank correlation with the gain, less what as many numbers have by chance."""
-        left = 1 - _rank_correlation(values, self.gains) ** 2
+        """Squared rank correlation with the reduction, less what as many numbers have by chance."""
+        left = 1 - _rank_correlation(values, self.reductions) ** 2
         return max(0.0, 1 - left * (self.effective - 1) / (self.effective - 2))
 
 

@@ -130,7 +130,7 @@ def _meaning(fitted: FittedStudy, *, converged: bool) -> list[str]:
 def _prediction(
     name: str, predicted: Mapping[str, Predicted], against: str, warned: Caution | None
 ) -> str:
-    """QRS durations and total activation time of a scenario, and what it gains."""
+    """QRS durations and total activation time of a scenario, and what it shortens."""
     found, other = predicted[name], predicted[against]
     beat = "the intrinsic beat" if against == INTRINSIC else against
     said = ("global_qrs_duration", "qrs_duration", "total_activation_time")
@@ -142,17 +142,17 @@ def _prediction(
     if undone := missing_blocks(name, predicted, against):
         sentence = f"{sentence}. Take care: {undone}"
     pairs = (found, other), (other, found)
-    gain, loss = (compare(*pair, "total_activation_time") for pair in pairs)
-    better = gain.probability()
+    shorter, longer = (compare(*pair, "total_activation_time") for pair in pairs)
+    better = shorter.probability()
     if warned is not None:  # nothing is called shorter or longer
-        return f"{sentence}; gain against {beat} {gain}; probability to be shorter {better:.2f}."
+        return f"{sentence}; shortened against {beat} by {shorter}; P(shorter) = {better:.2f}."
     likely = "shorter" if better >= LIKELY else "longer" if better <= 1 - LIKELY else "open"
     verb = {
-        "shorter": f"The activation is shorter than that of {beat}, by {gain}",
-        "longer": f"The activation is longer than that of {beat}, by {loss}",
-        "open": f"Whether the activation is shorter than that of {beat} is open: gain {gain}",
+        "shorter": f"Activation shortened against {beat} by {shorter}",
+        "longer": f"Activation prolonged against {beat} by {longer}",
+        "open": f"Activation against {beat} neither surely shorter nor longer: {shorter}",
     }[likely]
-    return f"{sentence}. {verb}; probability to be shorter {better:.2f}."
+    return f"{sentence}. {verb}; P(shorter) = {better:.2f}."
 
 
 def _interval(values: Floats) -> str:
