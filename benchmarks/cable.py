@@ -18,14 +18,13 @@ import numpy as np
 
 from benchmarks.references import Upstroke
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.cable.cell import CELLS
-from fascicle.forward.cable.measures import max_upstroke
-from fascicle.forward.cable.propagation import simulate_cable
-from fascicle.forward.cable.template import DEFAULT_CELL, CableTemplate, template_of
+from fascicle.forward.cable.cable import max_upstroke, simulate_cable
+from fascicle.forward.cable.template import CableTemplate, template_of
 from fascicle.forward.ecg.electrocardiogram import ActionPotential
 from fascicle.forward.model import ForwardModel
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import load_heart
+from fascicle.kernels.ten_tusscher import CELLS
 
 CHANGES: dict[str, dict[str, float]] = {
     "defaults": {},
@@ -48,8 +47,8 @@ def print_settings() -> None:
     print(f"{'':<14}{'speed':>9}{'upstroke':>10}{'U, largest':>12}{'after 2 ms':>12}")
     baseline = None
     for name, change in CHANGES.items():
-        run = simulate_cable(DEFAULT_CELL, **change)
-        potential = template_of(run, DEFAULT_CELL)(TIMES)
+        run = simulate_cable(CELLS["endocardial"], **change)
+        potential = template_of(run, "endocardial")(TIMES)
         baseline = potential if baseline is None else baseline
         difference = np.abs(potential - baseline)
         print(
@@ -79,7 +78,7 @@ def print_ecgs() -> None:
 
     show("tanh, 1 ms", Upstroke(), None)
     for cell in CELLS:
-        template: CableTemplate = template_of(simulate_cable(cell), cell, LONGEST)
+        template: CableTemplate = template_of(simulate_cable(CELLS[cell]), cell, LONGEST)
         longest = None
         for until in UNTIL:
             cut = replace(template, until=until)

@@ -66,7 +66,7 @@ ALSO = {
 TRIED_ABOVE = {
     "Stimulus", "SlowConduction", "InactiveRoot", "JunctionDelays", "His", "Region", "GrowthRules",
     "TargetOptions", "FitSettings",
-    "GrowthTerm", "Quantity",  # made by programmers, as docs/extending.md shows
+    "GrowthTerm", "Quantity", "CellModel",  # made by programmers, as docs/extending.md shows
 }  # fmt: skip
 # What the program itself makes, and what it raises
 MADE = {
@@ -130,6 +130,10 @@ def right(study, predicted, recording, default_heart, default_model):
         "analyse": (fascicle.analyse, {"recording": recording}),
         "make_target": (fascicle.make_target, {"recording": recording}),
         "read_recording": (fascicle.read_recording, {"path": demo_recording()}),
+        "cell_action_potential": (
+            fascicle.cell_action_potential,
+            {"cell": fascicle.CellModel("none", lambda *given: None, (0.0,), ())},
+        ),
         "read_action_potential": (fascicle.read_action_potential, {"path": "u.csv"}),
         "read_target": (fascicle.read_target, {"path": study.folder / "target.nc"}),
         "report": (fascicle.report, dict(fitted)),
@@ -164,7 +168,7 @@ FUNCTIONS = [
     "Conduction", "read_scenarios", "load_heart", "compare", "predict", "analyse", "make_target",
     "read_recording", "read_target", "report", "simulate_prior", "Cluster", "ExecutorPool", "fit",
     "load_study", "GpuBackend", "cohort", "plot.ecg", "plot.scenario_ecg", "plot.activation",
-    "plot.activation_spread", "read_action_potential",
+    "plot.activation_spread", "read_action_potential", "cell_action_potential",
     "plot.indices", "plot.pairs", "plot.priors", "plot.convergence", "plot.target",
 ]  # fmt: skip
 

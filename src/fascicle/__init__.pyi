@@ -7,6 +7,7 @@ from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
 from .core.quantities import Quantity as Quantity
 from .forward.cable.action_potential_table import read_action_potential as read_action_potential
+from .forward.cable.template import cell_action_potential as cell_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
 from .forward.likelihood import Replicate as Replicate
@@ -26,6 +27,7 @@ from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
 from .heart.folder import load_heart as load_heart
 from .heart.heart import Heart as Heart
+from .kernels.cable import CellModel as CellModel
 from .patients.cohort import cohort as cohort
 from .prediction.comparison import Comparison as Comparison
 from .prediction.comparison import compare as compare

@@ -36,6 +36,15 @@ def test_an_action_potential_from_a_table(example):
     assert 0.5 < peaks[2.0] < peaks[1.0] < 5.0
 
 
+def test_a_cell_model(example):
+    """Its upstroke is slower than the built-in one's, and so is its front."""
+    names = example("Cell model")
+    potential = names["potential"]
+    assert 0.1 < potential.speed < 0.78
+    assert np.ptp(potential.potentials) == pytest.approx(105.0, abs=8.0)
+    assert 0.2 < float(abs(names["beat"].ecg).max()) < 5.0
+
+
 def test_a_growth_rule(example, default_model, monkeypatch, emulated):
     """Without its own term it is the built-in one; a card leaves it to the processor."""
     from fascicle.forward.device.backend import GpuBackend

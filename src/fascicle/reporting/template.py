@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fascicle.core.progress import Progress
-from fascicle.forward.cable.cell import CELLS
-from fascicle.forward.cable.measures import duration, max_upstroke
+from fascicle.forward.cable.cable import duration, max_upstroke
 from fascicle.forward.cable.template import CableTemplate, default_template, stored_template
+from fascicle.kernels.ten_tusscher import CELLS
 from fascicle.reporting import style
 from fascicle.reporting.figures import new_figure
 

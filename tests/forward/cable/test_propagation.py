@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from fascicle.core.errors import InputError
-from fascicle.forward.cable.cell import CELLS, STIMULUS, simulate_cell
-from fascicle.forward.cable.measures import max_upstroke
-from fascicle.forward.cable.propagation import DIFFUSIVITY, simulate_cable
-from fascicle.kernels import ten_tusscher
+from fascicle.forward.cable.cable import STIMULUS, max_upstroke, simulate_cable, simulate_cell
+from fascicle.kernels.cable import cable_of
+from fascicle.kernels.ten_tusscher import CELLS
+
+EPICARDIAL = CELLS["epicardial"]
+DIFFUSIVITY = 0.154  # mm²/ms
 
 
 def passage(spacing, step, diffusivity=DIFFUSIVITY, length=12.0):
     """Until the front has left, after two beats."""
-    return simulate_cable("epicardial", diffusivity, length, 30.0, spacing, step, beats=2)
+    return simulate_cable(EPICARDIAL, diffusivity, length, 30.0, spacing, step, beats=2)
 
 
 def published_scheme_speed(spacing, step, length=20.0):
@@ -23,17 +25,17 @@ def published_scheme_speed(spacing, step, length=20.0):
     λ = 0 makes the kernel advance the cells without diffusion.
     """
     n = round(length / spacing) + 1
-    state = np.tile(simulate_cell("epicardial", beats=2).state, (n, 1))
+    state = np.tile(simulate_cell(EPICARDIAL, beats=2).state, (n, 1))
     fired = np.full(n, np.nan)
     for k in range(round(30.0 / step)):
-        v = state[:, ten_tusscher.V].copy()
+        v = state[:, 0].copy()
         stimulus = STIMULUS, int(k * step < 2.0), round(1.5 / spacing)
-        constants = CELLS["epicardial"].constants
-        ten_tusscher.run_cable(state, constants, stimulus, 0.0, step, 1, np.array([0]))
+        constants, run = np.array(EPICARDIAL.constants), cable_of(EPICARDIAL.advance, keep=True)
+        run(state, constants, stimulus, 0.0, step, 1, np.array([0]))
         edged = np.pad(v, 1, mode="reflect")
-        state[:, ten_tusscher.V] += DIFFUSIVITY * step / spacing**2 * np.diff(edged, 2)
-        crossing = np.isnan(fired) & (state[:, ten_tusscher.V] >= -40.0)
-        share = (-40.0 - v) / (state[:, ten_tusscher.V] - v)
+        state[:, 0] += DIFFUSIVITY * step / spacing**2 * np.diff(edged, 2)
+        crossing = np.isnan(fired) & (state[:, 0] >= -40.0)
+        share = (-40.0 - v) / (state[:, 0] - v)
         fired[crossing] = (k + share[crossing]) * step
     first, last = n // 3, 2 * n // 3
     return (last - first) * spacing / (fired[last] - fired[first])
@@ -81,7 +83,7 @@ def test_speed_goes_with_the_root_of_diffusivity_and_the_time_course_stays():
 
 def test_a_front_that_does_not_arrive_is_an_error():
     with pytest.raises(InputError, match="no front at its end"):
-        simulate_cable("epicardial", 1e-5, 8.0, 40.0, 0.5, 0.02, beats=1)
+        simulate_cable(EPICARDIAL, 1e-5, 8.0, 40.0, 0.5, 0.02, beats=1)
 
 
 @pytest.mark.parametrize(
@@ -89,4 +91,4 @@ def test_a_front_that_does_not_arrive_is_an_error():
 )
 def test_wrong_input_is_named(wrong):
     with pytest.raises(InputError, match="cable of"):
-        simulate_cable("epicardial", **wrong)
+        simulate_cable(EPICARDIAL, **wrong)

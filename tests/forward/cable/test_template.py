@@ -12,22 +12,16 @@ from fascicle.core.errors import InputError
 from fascicle.core.files import CACHE_VARIABLE
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.cable import template as module
-from fascicle.forward.cable.measures import max_upstroke
-from fascicle.forward.cable.propagation import simulate_cable
-from fascicle.forward.cable.template import (
-    BEFORE,
-    TAPER,
-    CableTemplate,
-    stored_template,
-    template_of,
-)
+from fascicle.forward.cable.cable import max_upstroke, simulate_cable
+from fascicle.forward.cable.template import TAPER, CableTemplate, stored_template, template_of
 from fascicle.forward.ecg.electrocardiogram import bin_response
+from fascicle.kernels.ten_tusscher import CELLS
 
 
 @pytest.fixture(scope="module")
 def template():
     """Endocardial, from a shorter and coarser cable than the default's."""
-    run = simulate_cable("endocardial", length=10.0, duration=450.0, spacing=0.1, step=0.02)
+    run = simulate_cable(CELLS["endocardial"], length=10.0, duration=450.0, spacing=0.1, step=0.02)
     return template_of(run, "endocardial")
 
 
@@ -37,7 +31,7 @@ def folder(tmp_path, monkeypatch, template):
     made = []
 
     def make(cell):
-        made.append(cell)
+        made.append(cell.name)
         return template
 
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
@@ -64,7 +58,7 @@ def test_template_is_the_record_between_its_windows(template):
 
 def test_template_stays_outside_its_span_and_has_no_kink(template):
     begin, end = template.span
-    assert (begin, end) == (-BEFORE, 60.0)
+    assert (begin, end) == (-4.0, 60.0)
     for edge, outside in ((begin, -1000.0), (end, 1000.0)):
         assert template(np.array([outside]))[0] == template(np.array([edge]))[0]
     time = np.arange(end - 2 * TAPER, end + 1, 0.05)

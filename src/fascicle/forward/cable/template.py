@@ -14,21 +14,20 @@ from fascicle.core.array_cache import ArrayCache
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.files import user_cache
-from fascicle.forward.cable import cell, measures, propagation
-from fascicle.forward.cable.measures import max_upstroke
-from fascicle.forward.cable.propagation import CableRun, simulate_cable
+from fascicle.core.ranges import check_kind
+from fascicle.forward.cable import cable as cable_module
+from fascicle.forward.cable.cable import CableRun, max_upstroke, simulate_cable
+from fascicle.kernels import cable as kernels
 from fascicle.kernels import ten_tusscher
+from fascicle.kernels.cable import CellModel
+from fascicle.kernels.ten_tusscher import CELLS
 
 # All the code that decides the content of a template, for the names of its files
-MODULES = (ten_tusscher, cell, measures, propagation)
-SOURCES = [Path(__file__), *(Path(str(module.__file__)) for module in MODULES)]
-
-DEFAULT_CELL = "endocardial"
-BEFORE = 4.0  # ms before the upstroke; the foot of the front is then below 1e-6 of the rise
-OPENING = 0.5  # ms over which the window lets U′ in
+SOURCES = [
+    Path(__file__),
+    *(Path(str(module.__file__)) for module in (ten_tusscher, kernels, cable_module)),
+]
 UNTIL = 60.0  # ms after the upstroke
-FROM = (-5.0, -2.0, 3.0, 15.0, 100.0)  # ms from which a record is kept every so many ms:
-EVERY = (5.0, 0.05, 0.02, 0.05, 0.5, 2.0)
 TAPER = 10.0  # ms over which the window fades U′ out
 
 
@@ -77,7 +76,7 @@ class CableTemplate:
     @property
     def span(self) -> tuple[float, float]:
         """See `ActionPotential`."""
-        return -BEFORE, self.until
+        return -4.0, self.until  # the foot of the front is below 1e-6 of the rise before
 
     def __call__(self, time: Floats) -> Floats:
         """See `ActionPotential`."""
@@ -119,12 +118,10 @@ class CableTemplate:
         begin, end = self.span
         inside = self.times[(self.times > begin) & (self.times < end)]
         knots = np.concatenate([[begin], inside, [end]])
-        node, weight = np.polynomial.legendre.leggauss(
-            3
-        )  # exact: U′ is quadratic, the window cubic
+        node, weight = np.polynomial.legendre.leggauss(3)  # U′ is quadratic, the window cubic
         width = np.diff(knots)
         at = knots[:-1, None] + width[:, None] * (node + 1) / 2
-        opened = _smoothstep((at - begin) / OPENING)
+        opened = _smoothstep((at - begin) / 0.5)  # ms
         window = opened * _smoothstep((end - at) / TAPER)
         rise = (self._record(at, 1) * window) @ weight * width / 2
         values = self._record(begin) + np.concatenate([[0.0], np.cumsum(rise)])
@@ -137,31 +134,48 @@ def _smoothstep(x: Floats) -> Floats:
     return np.asarray(x * x * (3.0 - 2.0 * x))
 
 
-def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate:
-    """Cut the template out of a cable's record.
+def cell_action_potential(cell: CellModel, **settings: float) -> CableTemplate:
+    """The action potential of the ECG from a front in a cable of cells, for `ForwardModel`.
+
+    Takes seconds to minutes.
 
     Parameters
     ----------
-    run : CableRun
-        The record.
-    cell : str
-        Type of its cells.
-    until : float
-        When U stops (ms after the maximum upstroke).
+    cell : CellModel
+        The model of the cells.
+    **settings
+        Of `fascicle.forward.cable.cable.simulate_cable`: `diffusivity`, `length`, `duration`,
+        `spacing`, `step`, `beats`.
+
+    Returns
+    -------
+    CableTemplate
+        U (mV) as a function of the time since activation (ms), until 60 ms after the upstroke.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range, or no front arrives at the end of the cable.
+    """
+    check_kind(cell, CellModel, "cell", "a fascicle.CellModel")
+    return template_of(simulate_cable(cell, **settings), cell.name)  # type: ignore[arg-type]
+
+
+def template_of(run: CableRun, cell: str, until: float = UNTIL) -> CableTemplate:
+    """Cut the template out of a cable's record, until so long after the maximum upstroke (ms).
+
+    The record is kept in steps that are short near the upstroke, so that it is small enough to go
+    along with every task.
     """
     times = run.time - max_upstroke(run.time, run.potential)[1]
-    kept = _thinned(times)
-    return CableTemplate(cell, kept, CubicSpline(times, run.potential)(kept), run.speed, until)
-
-
-def _thinned(times: Floats) -> Floats:
-    """Times at which a record is kept, so that it is small enough to go along with every task."""
-    edges = np.clip([-np.inf, *FROM, np.inf], times[0], times[-1])
+    edges = np.clip([-np.inf, -5.0, -2.0, 3.0, 15.0, 100.0, np.inf], times[0], times[-1])
+    steps = (5.0, 0.05, 0.02, 0.05, 0.5, 2.0)  # ms from each of these on
     parts = [
         np.linspace(begin, end, int(np.ceil((end - begin) / step)), endpoint=False)
-        for begin, end, step in zip(edges[:-1], edges[1:], EVERY, strict=True)
+        for begin, end, step in zip(edges[:-1], edges[1:], steps, strict=True)
     ]
-    return np.concatenate([*parts, edges[-1:]])
+    kept = np.concatenate([*parts, edges[-1:]])
+    return CableTemplate(cell, kept, CubicSpline(times, run.potential)(kept), run.speed, until)
 
 
 @cache
@@ -183,26 +197,21 @@ def default_template() -> CableTemplate:
     That U stops at 60 ms changes no lead of the QRS by more than 0.007 mV of 2.36 mV. At 40 ms it
     would be 0.009 mV for this type and 0.033 mV for the others, at 25 ms 0.038 and 0.126 mV.
     """
-    return stored_template(DEFAULT_CELL)
+    return stored_template("endocardial")
 
 
 def stored_template(cell: str) -> CableTemplate:
-    """The template of a cell type, from the cache or else simulated and kept there.
+    """The template of a type of ten Tusscher and Panfilov's cell, from the cache or simulated.
 
     The file lies in `fascicle.core.files.user_cache`; its name is a hash of the code and constants
     that decide the content, and of this package's version. A damaged or unwritable cache only means
-    that it is computed again.
-
-    Parameters
-    ----------
-    cell : str
-        ``"endocardial"``, ``"midmyocardial"`` or ``"epicardial"``.
+    that it is computed again. Types are ``"endocardial"``, ``"midmyocardial"``, ``"epicardial"``.
     """
     cache, key = ArrayCache(user_cache(), "template"), _key(cell)
     stored = cache.read(key)
     if stored is not None:
         return CableTemplate(cell, stored["times"], stored["potentials"], float(stored["speed"]))
-    made = template_of(simulate_cable(cell), cell)
+    made = template_of(simulate_cable(CELLS[cell]), cell)
     arrays = {"times": made.times, "potentials": made.potentials, "speed": made.speed}
     cache.keep(key, arrays)
     return made
