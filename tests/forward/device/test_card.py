@@ -17,6 +17,7 @@ from fascicle.forward.device import card as card_module
 from fascicle.forward.device.backend import GpuBackend
 from fascicle.forward.device.card import OPTIONS, THREADS, card_number
 from fascicle.forward.device.source import source
+from fascicle.forward.primitives import InactiveRoot
 from fascicle.forward.scenario import Scenario
 
 
@@ -86,7 +87,7 @@ def test_simulate_many(crtdemo_model, emulated, monkeypatch):
 def test_what_the_card_does_not_know_is_simulated_here(crtdemo_model, emulated):
     backend = GpuBackend.on(emulated, 5)
     for scenario, more, reason in (
-        (Scenario(silent=("rv",)), {}, "scenario"),
+        (Scenario([InactiveRoot("rv")]), {}, "scenario"),
         (None, {"anisotropy_ratio": 2.0}, "anisotropy_ratio"),
     ):
         networks = [n | more for n in drawn(2)]
