@@ -46,7 +46,7 @@ class TestFiles:
     def test_a_folder(self, materials, import_refused, what):
         path = materials.folder / ("folder.csv" if what == "electrodes" else "folder.vtu")
         path.mkdir()
-        import_refused(path, "not a file", "; give the file itself", **{what: path})
+        import_refused(path, "not a file", "; check the path", **{what: path})
 
     @pytest.mark.parametrize("what", WHAT)
     @pytest.mark.parametrize("suffix", [".txt", "", ".stp"])
@@ -57,10 +57,10 @@ class TestFiles:
 
     @pytest.mark.parametrize("what", WHAT)
     @pytest.mark.parametrize("suffix", [".pkl", ".pickle", ".npy"])
-    def test_pickles_say_how_to_convert(self, materials, import_refused, what, suffix, tmp_path):
+    def test_pickles_are_not_opened(self, materials, import_refused, what, suffix, tmp_path):
         path = materials.folder / f"thing{suffix}"
         path.write_bytes(pickle.dumps(Trap(tmp_path / "sprung")))
-        import_refused(path, "pickle", "never read", "save", "instead", **{what: path})
+        import_refused(path, "cannot read", "use one of", **{what: path})
         assert not (tmp_path / "sprung").exists()
 
     @pytest.mark.parametrize(
@@ -77,12 +77,6 @@ class TestFiles:
         assert not (tmp_path / "sprung").exists()
         pickle.loads(path.read_bytes()).close()
         assert (tmp_path / "sprung").exists()  # the trap does work
-
-    def test_published_electrodes_are_a_pickle(self, data_folder, import_refused):
-        path = data_folder / "hearts" / "crtdemo" / "electrode_pos.pkl"
-        import_refused(
-            "electrode_pos.pkl", "pickle", "save the electrodes as .csv", electrodes=path
-        )
 
 
 class TestTetrahedra:
