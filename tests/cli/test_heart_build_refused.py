@@ -379,7 +379,9 @@ class TestOut:  # told before the work is done, so that the error stands alone
     def test_a_folder_that_is_no_heart(self, refused, mesh, outside):
         (outside / "notes.txt").write_text("mine")
         arguments = ["heart", "build", mesh, *AROUND, "--out", outside]
-        refused(arguments, "holds files and is no heart folder (no heart.toml); give another --out")
+        refused(
+            arguments, "holds files and is not a heart folder (no heart.toml); give another --out"
+        )
         assert [path.name for path in outside.iterdir()] == ["notes.txt"]
 
     def test_a_heart_with_something_else_in_it(self, refused, mesh, outside):

@@ -38,5 +38,5 @@ def test_refused(refused, small_heart, outside):
     refused(refine(small_heart, small_heart), "holds the input heart.toml, which would be lost")
     (outside / "notes").mkdir()
     (outside / "notes" / "a.txt").write_text("mine")
-    refused(refine(small_heart, outside / "notes"), "holds files and is no heart folder")
+    refused(refine(small_heart, outside / "notes"), "holds files and is not a heart folder")
     assert not (outside / "fine").exists()

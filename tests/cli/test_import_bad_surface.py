@@ -266,7 +266,9 @@ class TestOut:
         out = outside / "heart"
         out.mkdir()
         (out / "thesis.tex").write_text("mine")
-        refused(materials.command(out), out, "holds files and is no heart folder", "another --out")
+        refused(
+            materials.command(out), out, "holds files and is not a heart folder", "another --out"
+        )
         assert [p.name for p in out.iterdir()] == ["thesis.tex"]
         assert list(outside.iterdir()) == [out]
 

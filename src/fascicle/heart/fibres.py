@@ -11,7 +11,7 @@ Where this departs from the paper, it is for the flaws known of it:
   reverse, so that no fibre leaves the wall (as Piersanti et al. 2021 do).
 - Each surface has the rule's frame of its own, and in every wall the frames of its two surfaces
   give the same fibre: turning a frame inside out (across and around change sign) and its angle
-  with it leaves the fibre's line as it was. The septum is such a wall: from the LV's angle on its
+  with it leaves the fibre's line unchanged. The septum is such a wall: from the LV's angle on its
   left it passes to the RV's, seen from the RV, on its right, without a step.
 - Where three walls meet the frames disagree, and what is blended is not the frames, by quaternions
   whose nearest equivalent jumps across whole surfaces, but the lines, as tensors f⊗f. The
@@ -242,8 +242,8 @@ def by_rule(
         fibre_tensor += potentials[k, :, None, None] * _lines(fibre)
         sheet_tensor += potentials[k, :, None, None] * _lines(sheet)
     fibre = _principal(fibre_tensor)
-    beside = np.eye(3) - _lines(fibre)
-    sheet = _principal(beside @ sheet_tensor @ beside)
+    across_fibre = np.eye(3) - _lines(fibre)
+    sheet = _principal(across_fibre @ sheet_tensor @ across_fibre)
     wall, depth = wall_and_depth(potentials)
     # row by `Wall`: how out of each surface's ventricle goes with out of the wall's
     sides = np.array([(1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (1.0, -1.0, 0.0)])

@@ -117,7 +117,7 @@ def load_heart(path: Path | str) -> Heart:
     if str(path) == DEFAULT_HEART and not folder.exists():
         with resources.as_file(resources.files("fascicle") / "data" / "default_heart") as packaged:
             heart = load_heart(packaged)
-        cache = user_cache() / "default_heart"  # a package is no place to write to
+        cache = user_cache() / "default_heart"  # a package is not written to
         with suppress(OSError):  # nor is every home; then nothing is kept
             cache.mkdir(parents=True, exist_ok=True)
         return replace(heart, folder=cache)
@@ -176,7 +176,7 @@ def _patient_values(path: Path, values: dict[str, Any], heart: Heart) -> dict[st
         for name in found:
             # all that `Conduction.with_values` looks at; anything else would count for nothing
             if name not in (*SPEEDS, *SPEED, *regions.values()):
-                raise InputError(f"'{name}' is no property of the tissue; leave it out")
+                raise InputError(f"'{name}' is not a property of the tissue; leave it out")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return found
@@ -243,7 +243,7 @@ def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
         return
     if not (folder / MANIFEST).exists():
         raise InputError(
-            f"{folder}: holds files and is no heart folder (no {MANIFEST}); give another --out"
+            f"{folder}: holds files and is not a heart folder (no {MANIFEST}); give another --out"
         )
     check_nothing_lost(folder, _own_files())
 

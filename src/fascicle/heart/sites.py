@@ -234,8 +234,8 @@ class Sites:
         along = np.concatenate([[0.0], np.cumsum(steps)])
         if along[-1] < distance:
             raise InputError(
-                f"the left apex is {along[-1]:.1f} mm from the root of the left tree, and the site "
-                f"{distance:g} mm; give its position (mm)"
+                f"the left apex is {along[-1]:.1f} mm from the root of the left network, and the "
+                f"site {distance:g} mm; give its position (mm)"
             )
         return np.array([np.interp(distance, along, vertices[path, k]) for k in range(3)])
 

@@ -128,7 +128,7 @@ def check_not_exchanged(name: str, heart: Heart) -> None:
 
 
 def electrode_warnings(heart: Heart) -> list[str]:
-    """What is odd about a heart's electrodes: one line each, with what to do."""
+    """Electrodes that seem misplaced or exchanged: one line each, with what to do."""
     return [*_order_warnings(heart), *_distance_warnings(heart)]
 
 

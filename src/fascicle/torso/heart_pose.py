@@ -100,7 +100,7 @@ def standard_axes() -> Floats:
 
 
 def default_position(body: BodySize) -> Floats:
-    """Where the centroid of the myocardium usually lies in the body frame (mm); (3,).
+    """Default position of the myocardium's centroid in the body frame (mm); (3,).
 
     The valves' surface projections put the middle of the LV base half an intercostal space above
     the fourth, and the apex into the fifth, at the midclavicular line; skin to heart: Rahko 2008,
@@ -147,7 +147,7 @@ def apex_direction(rotation: Floats, lv: Surface, rv: Surface) -> tuple[float, f
 
 
 def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
-    """Refuse body axes in which the apex points two of these ways: right, back, up.
+    """Refuse body axes in which the apex points to two of right, back and head.
 
     Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
     one hardly down.

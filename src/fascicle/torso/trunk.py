@@ -39,7 +39,7 @@ from fascicle.torso.surfaces import LUNG_EDGE, SKIN_EDGE, Surface, remeshed, sig
 
 # About the distance (mm) of points (n, 3) to a surface, negative inside
 Outside = Callable[[Floats], Floats]
-# Where points (n, 3) of a deformed body lie in the body as it was before
+# Where points (n, 3) of a deformed trunk lie in the undeformed one
 Deformation = Callable[[Floats], Floats]
 
 SHAPE = ("depth", "shoulders", "hips")
@@ -246,7 +246,7 @@ def lungs_of(
     """Left and right lung in the body frame (mm).
 
     They keep clear of the surface `excluded` (`exclusion_hull`); `undeformed` says where points lie
-    in the trunk as it was before it was deformed. An error, which calls the heart `name`, if one of
+    in the undeformed trunk. An error, which calls the heart `name`, if one of
     them would have less than the `smallest` volume (litres).
     """
     lungs = []
