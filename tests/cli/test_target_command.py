@@ -113,13 +113,13 @@ def test_recordings_that_will_not_do(tmp_path, target_refused, run, outside, opt
 
 
 def test_files_that_are_no_recordings(tmp_path, target_refused):
-    target_refused(tmp_path / "none.csv", "none.csv: no such file; check")
+    target_refused(tmp_path / "none.csv", "none.csv: no such file; give")
     target_refused(tmp_path, tmp_path, "is not an ordinary file; give one recording file")
     for name, words in (("a.txt", "; "), ("a.xml", "; "), ("a", "; give")):
         (tmp_path / name).write_text("hello\n")
         target_refused(tmp_path / name, name, words)
     (tmp_path / "a.pkl").write_bytes(pickle.dumps([1]))
-    target_refused(tmp_path / "a.pkl", "pickle", "never opened, save the recording as CSV")
+    target_refused(tmp_path / "a.pkl", "'.pkl' recordings cannot be read; give")
 
 
 @pytest.mark.parametrize(

@@ -66,12 +66,6 @@ class TestRead:
         expected = [found.data / 1000 for found in edfio.read_edf(path).signals]
         assert read_recording(path).signal == pytest.approx(np.array(expected), abs=1e-14)
 
-    @pytest.mark.parametrize("pattern", ["ECG {}", "EKG {}", "ECG_{}", "ecg  {}", "Lead {}"])
-    def test_labels_of_type_and_sensor(self, tmp_path, signal, pattern):
-        labels = [pattern.format(lead) for lead in LEADS]
-        recording = read_recording(write(tmp_path / "a.edf", signals(signal, labels)))
-        assert recording.signal == pytest.approx(signal, abs=DIGIT)
-
     def test_wilson_reference_and_inverted_lead(self, tmp_path, signal):
         labels = [f"ECG {lead}-WCT" if lead[0] == "V" else lead for lead in LEADS]
         recording = read_recording(write(tmp_path / "a.edf", signals(signal, labels)))
@@ -191,10 +185,3 @@ class TestRefused:
     )  # fmt: skip
     def test_damaged_header(self, tmp_path, signal, offset, text, length):
         refused(patch(write(tmp_path / "a.edf", signals(signal)), offset, text, length))
-
-    def test_line_breaks_of_the_file_stay_out_of_messages(self, tmp_path, signal):
-        path = write(tmp_path / "a.edf", signals(signal))
-        refused(patch(path, field(UNIT, 0, 12), "m\nV"))
-        for number in range(12):
-            patch(path, field(LABEL, number, 12, 16), f"x\n{number}", 16)
-        refused(path)

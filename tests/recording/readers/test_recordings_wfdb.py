@@ -282,10 +282,6 @@ class TestSegments:
         recording = read_recording(path)
         assert recording.signal == pytest.approx(digits() / GAIN, abs=1e-12)
 
-    def test_gap(self, parts):
-        path = self.master(parts, ("s1", 700), ("~", 100), ("s2", 800))
-        refused(path, "lacks 100 samples", "sample 700")
-
     @pytest.mark.parametrize(
         "segments",
         [

@@ -233,7 +233,8 @@ def _wfdb_files(header: Path, is_segment: bool = False) -> list[Path]:
     for name in names:
         if Path(name).name != name or "\\" in name or (has_segments and is_segment):
             raise InputError(
-                f"{header}: names '{printable(name[:40])}', which is no file in its folder"
+                f"{header}: names '{printable(name[:40])}', which is no file in its folder; put "
+                "all files of the record in one folder"
             )
     if not has_segments:
         return sorted(header.with_name(name) for name in names)
