@@ -18,11 +18,11 @@ def fitted(monkeypatch):
     """Fit patients at once: 'bad' has a bad file, 'bug' meets a bug, 'stop' is interrupted."""
 
     def inputs(row):
-        if row.patient == "bad":
+        if row.name == "bad":
             raise InputError("bad.csv: is bad; mend it")
-        if row.patient == "bug":
+        if row.name == "bug":
             raise ZeroDivisionError("one over none")
-        if row.patient == "stop":
+        if row.name == "stop":
             raise KeyboardInterrupt
 
     def is_done(one, inputs):
@@ -30,12 +30,12 @@ def fitted(monkeypatch):
             patient=one.name, status=Status.FITTED, verdict="converged; explained", converged=True,
             explained=True, explained_power=0.9,
         )  # fmt: skip
-        patient.write_outcome(found, one.outcome_file)
+        one.ended(found)
         return True
 
     monkeypatch.setattr(patient, "_inputs", inputs)
     monkeypatch.setattr(patient, "_is_done", is_done)
-    monkeypatch.setattr("fascicle.patients.cohort.check", lambda one: None)
+    monkeypatch.setattr(patient.Patient, "check", lambda one: None)
 
 
 @pytest.fixture

@@ -131,7 +131,7 @@ def test_files_that_are_no_recordings(tmp_path, target_refused):
 def test_rubbish(tmp_path, target_refused, suffix, content):
     path = tmp_path / f"rubbish{suffix}"
     path.write_bytes(content)
-    target_refused(path, path, "; ")
+    target_refused(path, path)
 
 
 @pytest.mark.parametrize("cut", [0.01, 0.3, 0.9, 0.999])
@@ -235,7 +235,7 @@ def test_single_averaged_beat(data_folder, run, outside):
     assert lowpass.frequency == pytest.approx(35.0, abs=1.0)
     assert target.qrs_duration == pytest.approx(88.0, abs=5.0)
     assert re.search(r"^beats +1 used$", ended.out, re.MULTILINE)
-    assert "noise          0.03 mV, as stated" in ended.out
+    assert "noise                  0.03 mV, as stated" in ended.out
     assert [line for line in ended.err.splitlines() if line.startswith("warning")] == [
         "warning: the recorder's low-pass at 35 Hz, estimated from the spectrum, strongly smooths "
         "the QRS (150 Hz are recommended); export the recording unfiltered"
@@ -257,9 +257,9 @@ def hum(signal):
         (("--beats", "3"), "state its noise by --noise"),
         (("--noise", "0.04"), "--noise is for a single beat"),
         (("--noise", "-1", "--beats", "3"), "noise is -1 mV"),
-        (("--leads", "I,II,V9"), "lead 'V9' is unknown"),
-        (("--leads", "V6-V1"), "comes after the last"),
-        (("--invert", "V7"), "lead 'V7' is unknown"),
+        (("--leads", "I,II,V9"), "V9"),
+        (("--leads", "V6-V1"), "V6-V1"),
+        (("--invert", "V7"), "V7"),
         (("--swap", "RA"), "give two names"),
         (("--swap", "RA-V1"), "cannot swap RA-V1"),
         (("--shared-gain",), "leave out --shared-gain"),
@@ -300,9 +300,7 @@ def test_gains_per_lead_are_caught_and_repaired(data_folder, outside, run, targe
 
 def test_out(tmp_path, outside, refused, run):
     recording = table(tmp_path / "rec.csv")
-    refused(
-        ["target", recording, "--out", outside], outside, "is a folder; give the name of a file"
-    )
+    refused(["target", recording, "--out", outside], outside, "no ordinary file")
     (outside / "file").write_text("mine")
     refused(["target", recording, "--out", outside / "file" / "t.nc"], "; choose another place")
     assert [p.name for p in outside.iterdir()] == ["file"]

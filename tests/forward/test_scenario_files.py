@@ -173,7 +173,7 @@ class TestRefusals:
             (TREE.replace("band", "a,b", 1), ["tree 1: 'name' is 'a,b'"]),
             (TREE.replace('"trees/band.vtu"', "3"), ["tree 1: 'file' is 3"]),
             (TREE.replace("trees", "wood"), ["wood/band.vtu: no such file"]),
-            (TREE.replace(".vtu", ".pkl"), ["cannot read '.pkl'"]),
+            (TREE.replace(".vtu", ".pkl"), ["band.pkl"]),
             (
                 TREE.replace("[0, 0, 0]", "[0, 0, -30]"),
                 ["tree 'band': 'root' is [0.0, 0.0, -30.0], 30.0 mm from", "band.vtu"],

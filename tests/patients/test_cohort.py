@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import fascicle
-from fascicle.core.errors import InputError
+from fascicle.core.errors import OutputError
 from fascicle.patients import cohort as cohort_module
-from fascicle.patients import overview, patient
+from fascicle.patients import patient
+from fascicle.patients.cohort import answer, write_overview
 from fascicle.patients.outcome import Outcome, Status
-from fascicle.patients.patient import Patient, failed
 from fascicle.patients.table import read_table
 from fascicle.study.lock import study_lock
 
@@ -160,16 +160,16 @@ def test_parts_at_the_same_time_leave_the_whole(table, tmp_path):
 
 
 def test_a_patient_who_is_done_while_the_page_is_written_is_on_it(table, tmp_path, monkeypatch):
-    patients = [Patient(row, tmp_path) for row in read_table(table("anna", "carl"))]
-    really, late = overview.write_text, []
+    patients = read_table(table("anna", "carl"), tmp_path)
+    really, late = cohort_module.write_text, []
 
     def write(path, text):
         if path.name == "index.html" and not late:
-            late.append(failed(patients[1], "it came late"))
+            late.append(patients[1].failed("it came late"))
         really(path, text)
 
-    monkeypatch.setattr(overview, "write_text", write)
-    overview.write_overview(tmp_path, tmp_path / "t.csv", patients)
+    monkeypatch.setattr(cohort_module, "write_text", write)
+    write_overview(tmp_path, tmp_path / "t.csv", patients)
     assert late
     assert "it came late" in (tmp_path / "index.html").read_text()
     assert results(tmp_path)["carl"]["reason"] == "it came late"
@@ -207,7 +207,7 @@ def test_progress_counts_patients_and_not_those_that_were_done(table, tmp_path):
 def test_a_folder_that_is_something_else(table, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("x")
-    with pytest.raises(InputError, match=r"holds 'thesis.tex' and is no cohort"):
+    with pytest.raises(OutputError, match="thesis"):
         fascicle.cohort(table("anna"), tmp_path / "out")
 
 
@@ -220,7 +220,7 @@ def test_the_answer_counts_every_kind():
         of(converged=False, explained=True), of(converged=False, explained=False), of(),
         of(status=Status.FAILED), of(status=Status.NOT_DONE),
     ]  # fmt: skip
-    assert overview.answer(outcomes) == (
+    assert answer(outcomes) == (
         "5 of 7 patients fitted: 1 converged and explained, 2 not converged, "
         "1 converged but not explained; 1 failed; 1 not done yet"
     )
@@ -228,9 +228,9 @@ def test_the_answer_counts_every_kind():
 
 
 def test_names_cannot_write_the_page(tmp_path, table):
-    patients = [Patient(row, tmp_path) for row in read_table(table("anna"))]
-    failed(patients[0], "<script>alert(1)</script>")
-    overview.write_overview(tmp_path, tmp_path / "<b>.csv", patients)
+    patients = read_table(table("anna"), tmp_path)
+    patients[0].failed("<script>alert(1)</script>")
+    write_overview(tmp_path, tmp_path / "<b>.csv", patients)
     page = (tmp_path / "index.html").read_text()
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
@@ -238,8 +238,8 @@ def test_names_cannot_write_the_page(tmp_path, table):
 
 
 def test_outcomes_of_another_version_are_made_again(tmp_path, table):
-    (one,) = [Patient(row, tmp_path) for row in read_table(table("anna"))]
-    failed(one, "x")
+    (one,) = read_table(table("anna"), tmp_path)
+    one.failed("x")
     content = json.loads(one.outcome_file.read_text()) | {"unknown": 1}
     one.outcome_file.write_text(json.dumps(content))
     assert one.outcome.status is Status.NOT_DONE

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import FileError, InputError
 from fascicle.patients.table import part_of, read_table
 
 HEAD = "patient,heart,recording"
@@ -18,7 +18,7 @@ def read(tmp_path):
     def write(text, name="t.csv"):
         path = tmp_path / name
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return read_table(path)
+        return read_table(path, tmp_path / "out")
 
     return write
 
@@ -28,7 +28,7 @@ def test_what_is_read(read, tmp_path):
         "\ufeffpatient,heart,recording,scenario,settings,effective,free_gain\r\n"
         'anna, h/1 ,"a,b.nc",s.toml,x.toml,500,true\r\n,,,,,,\r\n\r\nb-2,default,/e/a.nc,,,,\r\n'
     )
-    assert (one.patient, one.heart, one.recording) == (
+    assert (one.name, one.heart, one.recording) == (
         "anna", tmp_path / "h" / "1", tmp_path / "a,b.nc",
     )  # fmt: skip
     assert (one.scenario, one.settings_file) == (tmp_path / "s.toml", tmp_path / "x.toml")
@@ -40,28 +40,26 @@ def test_what_is_read(read, tmp_path):
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_other_separators(read, separator):
     (row,) = read(f"{HEAD}\n{ROW}\n".replace(",", separator))
-    assert row.patient == "anna"
+    assert row.name == "anna"
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "t.csv: is empty"),
+        ("", "t.csv, line 1: column 'patient'"),
         (f"{HEAD}\n\n", "t.csv: has no patient"),
         (b"PK\x03\x04\xff\xfe", "t.csv: is no table in text"),
         (f'{HEAD}\nanna,"default,a.nc\n', "t.csv: is no table in text"),
-        (f"{HEAD},hart\n{ROW},x\n", "line 1: unknown column 'hart'"),
-        (f"{HEAD},heart\n{ROW},x\n", "line 1: column 'heart' is there twice"),
-        ("patient,heart\nanna,default\n", "line 1: no column 'recording'"),
-        (f"{HEAD}\n\n{ROW},x\n", "line 3: has 4 cells where the first line names 3"),
-        (f"{HEAD}\n{ROW}\nbert,default\n", "line 3: has 2 cells"),
+        (f"{HEAD},hart\n{ROW},x\n", "line 1: column 'hart'"),
+        (f"{HEAD},heart\n{ROW},x\n", "line 1: column 'heart'"),
+        ("patient,heart\nanna,default\n", "line 1: column 'recording'"),
+        (f"{HEAD}\n\n{ROW},x\n", "line 3: has other columns than the 3"),
+        (f"{HEAD}\n{ROW}\nbert,default\n", "line 3: has other columns"),
         (f"{HEAD}\n{ROW}\nbert,,a.nc\n", "line 3: no heart is given"),
         (f"{HEAD}\n{ROW}\nAnna,default,a.nc\n", "line 3: patient 'Anna' is there twice"),
         (f"{HEAD}\n../x,default,a.nc\n", "line 2: '../x' cannot be the name of a folder"),
-        (f"{HEAD}\n.hidden,default,a.nc\n", "cannot be the name of a folder"),
         (f"{HEAD}\n{'x' * 101},default,a.nc\n", "cannot be the name of a folder"),
-        (f"{HEAD},effective\n{ROW},many\n", "line 2: 'effective' is 'many': input should be"),
-        (f"{HEAD},effective\n{ROW},3\n", "line 2: 'effective' is '3': input should be greater"),
+        (f"{HEAD},effective\n{ROW},many\n", "line 2: 'effective' is 'many'"),
         (f"{HEAD}\nanna,default,a\0.nc\n", "line 2: recording is"),
     ],
 )
@@ -72,8 +70,8 @@ def test_what_is_no_table(read, text, words):
 
 
 def test_no_file(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        read_table(tmp_path / "t.csv")
+    with pytest.raises(FileError, match="no such file"):
+        read_table(tmp_path / "t.csv", tmp_path)
 
 
 def test_parts_are_all_and_each_once():

@@ -7,12 +7,13 @@ import os
 import signal
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 
 import fascicle
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, OutputError
 from fascicle.patients.outcome import Status
 from fascicle.patients.table import read_table
 from tests.dask_processes import LOST, a_scheduler, a_worker_of
@@ -37,23 +38,30 @@ def address():
 
 @pytest.fixture
 def workers(monkeypatch):
+    """Those that are lost, or wait for one another, are tried again soon, and not often."""
     from fascicle.patients import workers
 
-    monkeypatch.setattr(workers, "AGAIN_AFTER", 0.5)
+    soon = partial(workers.fit_on_workers, attempts=3, pause=0.5)
+    monkeypatch.setattr(workers, "fit_on_workers", soon)
     return workers
+
+
+def kill_at_work(client):
+    """Kill the workers that fit a patient now; how many there were."""
+    pids = client.run(os.getpid)
+    busy = [pids[address] for address, tasks in client.processing().items() if tasks]
+    for pid in busy:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return len(busy)
 
 
 def kill_first_at_work(address, folder, killed):
     """Kill the first worker that has stored evaluations of a study."""
-    client = distributed.Client(address, set_as_default=False)
-    holder = folder / ".study.holder"
-    while not (folder / "evaluations.sqlite").exists() or not holder.exists():
+    while not (folder / "evaluations.sqlite").exists():
         time.sleep(0.05)
-    pid = int(holder.read_text().split()[1])
-    assert pid in client.run(os.getpid).values()
-    os.kill(pid, signal.SIGKILL)
-    killed.append(pid)
-    client.close()
+    with distributed.Client(address, set_as_default=False) as client:
+        killed.append(kill_at_work(client))
 
 
 @pytest.mark.slow
@@ -66,14 +74,13 @@ def test_a_worker_that_is_killed_costs_nothing_but_time(address, workers, table,
     killer.start()
     found = fascicle.cohort(path, out, cluster=fascicle.Cluster(address))
     killer.join()
-    assert len(killed) == 1
+    assert killed in ([1], [2])  # bert may be at work, too
     assert {each.patient: str(each.status) for each in found} == {
         "anna": "fitted",
         "bert": "failed",
     }
-    assert not list((out / "patients").glob(".seen-*"))
     assert (study / "report.html").stat().st_size > 1e5
-    row, _ = read_table(path)
+    row, _ = read_table(path, out)
     alone = fascicle.fit("default", row.recording, tmp_path / "here", **row.settings)
     there = fascicle.load_study(study)
     np.testing.assert_array_equal(alone.population.losses, there.population.losses)
@@ -81,18 +88,15 @@ def test_a_worker_that_is_killed_costs_nothing_but_time(address, workers, table,
         np.testing.assert_array_equal(values, there.population.values[key])
 
 
-def test_a_patient_who_loses_every_worker_is_given_up(
-    address, workers, table, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(workers, "ATTEMPTS", 2)
+def test_a_patient_who_loses_every_worker_is_given_up(address, workers, table, tmp_path):
     ended = threading.Event()
 
     def kill():
-        while not ended.is_set():
-            for holder in tmp_path.rglob(".study.holder"):
-                with contextlib.suppress(ProcessLookupError, FileNotFoundError):
-                    os.kill(int(holder.read_text().split()[1]), signal.SIGKILL)
-            time.sleep(0.1)
+        with distributed.Client(address, set_as_default=False) as client:
+            while not ended.is_set():
+                with contextlib.suppress(OSError, KeyError):
+                    kill_at_work(client)
+                time.sleep(0.1)
 
     killer = threading.Thread(target=kill)
     killer.start()
@@ -104,8 +108,8 @@ def test_a_patient_who_loses_every_worker_is_given_up(
         ended.set()
         killer.join()
     assert found.status is Status.FAILED
-    assert "its worker was lost 2 times" in found.reason
-    assert "lost 2 times" in (tmp_path / "out" / "results.csv").read_text()
+    assert "its worker was lost 3 times" in found.reason
+    assert "lost 3 times" in (tmp_path / "out" / "results.csv").read_text()
 
 
 @pytest.mark.slow
@@ -120,19 +124,19 @@ def test_a_fit_for_which_nobody_waits_ends(address, workers, table, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         fascicle.cohort(path, out, cluster=fascicle.Cluster(address), progress=interrupted)
     until = time.monotonic() + 60
-    while (out / "patients" / "anna" / ".study.holder").exists():
-        assert time.monotonic() < until
-        time.sleep(0.1)
+    with distributed.Client(address, set_as_default=False) as client:
+        while any(client.processing().values()):
+            assert time.monotonic() < until
+            time.sleep(0.1)
     assert not (out / "patients" / "anna" / "outcome.json").exists()
     assert not (out / "studies" / "anna" / "population.nc").exists()
     assert "1 not done yet" in (out / "index.html").read_text()
 
 
-def test_a_worker_that_does_not_see_the_folder(tmp_path, workers, monkeypatch):
-    monkeypatch.setattr(workers, "VISIBLE_WITHIN", 0.1)
-    monkeypatch.setattr(workers, "POLL", 0.1)
-    with pytest.raises(InputError, match=r"out: not seen by the worker on .* all workers share"):
-        workers._check_seen(tmp_path / "out" / "patients" / ".seen-1")
+def test_a_worker_that_does_not_see_the_folder(tmp_path, workers, table):
+    (one,) = read_table(table("anna"), tmp_path / "out")
+    with pytest.raises(OutputError, match="out: not seen by the worker on"):
+        workers._check_seen(one, patience=0.1)
 
 
 def test_such_a_worker_stops_all(address, workers, table, tmp_path, monkeypatch):
@@ -163,6 +167,5 @@ def test_a_scheduler_that_is_lost_while_a_patient_is_fitted(table, tmp_path):
         with pytest.raises(InputError, match=LOST):
             fascicle.cohort(table("anna", **LONGER), out, cluster=fascicle.Cluster(address))
         killer.join()
-    assert not list((out / "patients").glob(".seen-*"))
     found = fascicle.cohort(out.parent / "patients.csv", out)
     assert [str(each.status) for each in found] == ["fitted"]

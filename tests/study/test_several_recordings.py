@@ -9,7 +9,7 @@ from builders import case
 from numpy.testing import assert_allclose
 
 import fascicle
-from fascicle.cli.arguments import with_scenario
+from fascicle.cli.options import with_scenario
 from fascicle.core.errors import InputError
 from fascicle.forward.likelihood import QrsLikelihood, cosines, matern, separable
 from fascicle.forward.model import ForwardModel

@@ -7,38 +7,38 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fascicle.cli.arguments import (
-    INDEX_NAMES,
+from fascicle.cli.hearts import heart_app
+from fascicle.cli.interruption import resumable
+from fascicle.cli.options import (
+    FixOption,
     FormatOption,
+    FreeOption,
     HeartArgument,
+    IndexOption,
     OutOption,
     SchedulerOption,
     StudyArgument,
     explicit,
+    fixed_values,
     pool_at,
     settings_options,
+    wanted_parameters,
     with_scenario,
 )
-from fascicle.cli.cohorts import cohort as cohort_command
-from fascicle.cli.hearts import heart_app
-from fascicle.cli.interruption import resumable
-from fascicle.cli.output import Result, every_command
+from fascicle.cli.output import Result, TerminalProgress, every_command, print_row, print_table
 from fascicle.cli.printing import (
     comparison_result,
     print_comparison,
-    print_demo,
     print_fit,
     print_prediction,
     print_reductions,
     print_simulation,
     print_sweep,
-    print_template,
     print_verdict,
 )
-from fascicle.cli.quantities import FixOption, FreeOption, fixed_values, wanted_parameters
-from fascicle.cli.quantities import parameters as parameters_command
 from fascicle.cli.recordings import print_analysis
 from fascicle.cli.recordings import target as target_command
+from fascicle.cli.studies import cohort as cohort_command
 from fascicle.cli.studies import study_app, written_summary
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import within
@@ -136,7 +136,6 @@ def simulate(
     speed = 0.0                    # factor on the speed; 0 blocks
     ```
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.cable.action_potential_table import read_action_potential
     from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
@@ -173,7 +172,6 @@ def simulate(
 
 app.command(name="target")(every_command(target_command))
 app.command(name="cohort")(every_command(cohort_command))
-app.command(name="parameters")(every_command(parameters_command))
 
 
 @app.command()
@@ -245,7 +243,6 @@ def fit(
     endocardial_layer = 1.5
     ```
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.study.fit import fit as run_fit
     from fascicle.study.space import PARAMETERS, read_settings
 
@@ -289,7 +286,6 @@ def predict(
     and more (docs/predictions.md), twelve-lead ECGs as the recorder would have them, activation
     maps. Intervals are those of the networks, so of what the ECG leaves open.
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.scenarios import predict as predict_scenarios
     from fascicle.prediction.scenarios import prior_networks, simulate_scenarios
@@ -319,9 +315,7 @@ def compare(
     study: StudyArgument,
     first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
     second: Annotated[str, typer.Argument(help="The one it is compared with.")],
-    index: Annotated[
-        str, typer.Option(help=f"Index whose spread is explained; less is better: {INDEX_NAMES}.")
-    ] = "total_activation_time",
+    index: IndexOption = "total_activation_time",
     threshold: Annotated[
         float, typer.Option(help="Gain that matters, in the unit of the index.")
     ] = 0.0,
@@ -332,7 +326,6 @@ def compare(
     Every network of the population decides for itself; 'intrinsic' is the intrinsic beat. All
     indices are shown, since they may disagree.
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.comparison import PACED
     from fascicle.prediction.index_names import check_index
@@ -347,9 +340,9 @@ def compare(
         measured = read_scenarios([PACED]) | wanted
         predicted = predict_scenarios(fitted, measured, progress)
     print_verdict(fitted)
-    names, parameters = list(wanted), fitted.population.values
-    print_comparison(names, predicted, index, threshold, parameters)
-    found = comparison_result(names, predicted, index, threshold, parameters)
+    values = fitted.population.values
+    found = comparison_result(list(wanted), predicted, index, threshold, values)
+    print_comparison(predicted, found)
     return {"verdict": fitted.verdict, "caution": fitted.statements.caution_text} | found
 
 
@@ -375,9 +368,7 @@ def sweep(
         str | None,
         typer.Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm)."),
     ] = None,
-    index: Annotated[
-        str, typer.Option(help=f"Index to draw: {INDEX_NAMES}.")
-    ] = "total_activation_time",
+    index: IndexOption = "total_activation_time",
     networks: Annotated[int, typer.Option(min=2, help="Networks of the population to use.")] = 60,
     scheduler: SchedulerOption = None,
 ) -> Result:
@@ -387,7 +378,6 @@ def sweep(
 
         fascicle sweep STUDY biventricular-pacing --delay=-60:60:10 --out SWEEP
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.index_names import check_index
     from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
@@ -430,9 +420,40 @@ def scenarios(
         print(text, end="")
         return {"name": name, "file": text}
     found = {name: read_scenario(path)[0].description for name, path in library().items()}
-    for name, description in found.items():
-        print(f"{name:<34}{description}")
+    print_table([*found.items()])
     return found
+
+
+@app.command()
+@every_command
+def parameters() -> Result:
+    """List every quantity of the model: unit, default, range of its prior, meaning.
+
+    Any of them can be fixed in `simulate` and `fit` (--fix NAME=VALUE), and learnt (--free NAME)
+    but for those that count something. A heart's own values stand in its heart.toml.
+    """
+    from fascicle.core.quantities import GROUPS, QUANTITIES, quantity
+
+    rows = [("name", "unit", "default", "prior range", "meaning")]
+    for known in (*QUANTITIES.values(), quantity("region_1_conductivity")):
+        # what is said of another fascicle is what the table says of the first
+        if "_fascicle_" not in known.name or known.name.endswith("_1"):
+            default = "" if known.default is None else f"{known.default:g}"
+            prior = "" if known.is_integer else "{:.3g} to {:.3g}".format(*known.prior_range)
+            rows.append((known.name, known.unit, default, prior, known.meaning))
+    print_table(rows)
+    print("Groups that can be freed together (--free NAME): " + ", ".join(GROUPS))
+    print("Fascicles are numbered 1 to at most 4; regions by their labels.")
+    return [
+        {
+            "name": known.name,
+            "unit": known.unit,
+            "default": known.default,
+            "prior_range": None if known.is_integer else known.prior_range,
+            "meaning": known.meaning,
+        }
+        for known in QUANTITIES.values()
+    ]
 
 
 @app.command()
@@ -467,7 +488,6 @@ def report(
     First the answer in words; then the recorded and the predicted ECG, a heart to turn with the
     activation of every scenario, the scenarios compared, parameters, convergence, inputs.
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.reporting.page.page import PACINGS
     from fascicle.reporting.page.page import report as write_report
@@ -479,7 +499,7 @@ def report(
     with TerminalProgress() as progress:
         fitted = load_study(study, progress, pool_at(scheduler, progress))
         page, *drawn = write_report(fitted, wanted, out, progress, kinds, against)
-    print(f"result                 {fitted.verdict}")
+    print_row("result", fitted.verdict)
     for path in (*drawn, page.resolve().as_uri()):
         print(path)
     return {"verdict": fitted.verdict, "page": page, "figures": drawn}
@@ -496,7 +516,6 @@ def template(
 
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.reporting.figures import check_picture, save
     from fascicle.reporting.template import template_figure
 
@@ -504,7 +523,15 @@ def template(
     with TerminalProgress() as progress:
         figure, measures = template_figure(progress)
     save(figure, out)
-    print_template(measures)
+    columns = {
+        "resting_potential": "rest (mV)",
+        "overshoot": "overshoot (mV)",
+        "max_upstroke": "dV/dt max (V/s)",
+        "apd90": "APD90 (ms)",
+        "conduction_velocity": "speed (m/s)",
+    }
+    rows = [(cell, *(f"{found[key]:.4g}" for key in columns)) for cell, found in measures.items()]
+    print_table([("", *columns.values()), *rows])
     print(f"picture: {out}")
     return {"picture": out, "measures": measures}
 
@@ -519,7 +546,6 @@ def demo(
 ) -> Result:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""
     from fascicle.cli.demo import BLOCK, demo_recording, run_demo
-    from fascicle.cli.output import TerminalProgress
 
     print("heart      packaged idealised adult heart")
     print(f"recording  {demo_recording().name}, the 12-lead ECG that comes with pydicom")
@@ -529,7 +555,9 @@ def demo(
     print_fit(fitted, written_summary(out / "study"))
     print_prediction(predicted)
     print_reductions(predicted, BLOCK)
-    print_demo(out)
+    page = (out / "report.html").resolve()
+    print(f"\nin {out}: the recording (target.png), the study, pacings, figures (docs/results.md)")
+    print(f"to read in a browser: {page.as_uri()}")
     parts = ("study", "pacings")
     return {"folder": out, "page": out / "report.html"} | {
         p: written_summary(out / p) for p in parts

@@ -2,23 +2,64 @@
 
 from __future__ import annotations
 
+import math
+import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from fascicle.cli import heart_options as options
-from fascicle.cli.arguments import HeartArgument, OutOption, SchedulerOption, pool_at
-from fascicle.cli.output import Result, every_command
-from fascicle.core.errors import InputError
+from fascicle.cli.options import HeartArgument, OutOption, SchedulerOption, pool_at
+from fascicle.cli.output import Result, TerminalProgress, every_command, print_table
+from fascicle.core.errors import InputError, given_in
 
 if TYPE_CHECKING:
-    from fascicle.core.progress import Progress
+    from fascicle.heart.endocardium import ChosenSeed
+    from fascicle.heart.fibres import FibreAngles
     from fascicle.heart.heart import Heart
-    from fascicle.heart.labelled_surface import LabelledMesh
     from fascicle.purkinje.chart import Chart
+
+
+def _option(panel: str, text: str | None = None) -> Any:
+    """Describe an option in one of the panels of ``--help``."""
+    return typer.Option(help=text, rich_help_panel=panel)
+
+
+AnatomyArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Closed surface (VTP, VTK, STL, OBJ, PLY), segmentation (NIfTI, NRRD) or "
+        "tetrahedra (VTU, VTK, Gmsh, openCARP .pts)."
+    ),
+]
+PartOption = Annotated[
+    Path | None,
+    _option("Anatomy", "One of separate surfaces, which need not meet exactly; the base is made."),
+]
+TorsoOption = Annotated[
+    str,
+    _option("Torso", "'idealised', 'none' (unbounded conductor), or a closed surface of the skin."),
+]
+LungOption = Annotated[
+    list[Path] | None, _option("Torso", "Closed surface of a lung, with --torso FILE.")
+]
+HeightOption = Annotated[float | None, _option("Torso", "Of the person (m).")]
+WeightOption = Annotated[float | None, _option("Torso", "kg.")]
+ChestOption = Annotated[float | None, _option("Torso", "Circumference (cm).")]
+PoseOption = Annotated[
+    Literal["standard", "ras", "lps"],
+    _option(
+        "Torso",
+        "How the heart lies in the idealised torso: 'standard' by its electrodes, or without "
+        "them by its axes; 'ras' (NIfTI) or 'lps' (DICOM) where its coordinates are the "
+        "patient's.",
+    ),
+]
+SeedOption = Annotated[
+    str | None, _option("Bundles", "Point of the endocardium: its number, from 0, or x,y,z in mm.")
+]
 
 heart_app = typer.Typer(
     no_args_is_help=True,
@@ -29,30 +70,64 @@ heart_app = typer.Typer(
 @heart_app.command("build")
 @every_command
 def heart_build(
-    anatomy: options.AnatomyArgument = None,
-    out: options.NamedOutOption = None,
-    edge_length: options.EdgeLengthOption = 2.0,
-    labels: options.LabelsOption = None,
-    label_array: options.LabelArrayOption = None,
-    labels_file: options.LabelsFileOption = None,
-    remesh: options.RemeshOption = False,
-    lv_endocardium: options.FirstPartOption = None,
-    rv_endocardium: options.PartOption = None,
-    epicardium: options.PartOption = None,
-    base: options.BaseOption = None,
-    lv_angles: options.LvAnglesOption = "60,-60",
-    rv_angles: options.RvAnglesOption = "90,-25",
-    torso: options.TorsoOption = "idealised",
-    lung: options.LungOption = None,
-    height: options.HeightOption = None,
-    weight: options.WeightOption = None,
-    chest: options.ChestOption = None,
-    pose: options.PoseOption = "standard",
-    electrodes: options.ElectrodesOption = None,
-    lv_root: options.SeedOption = None,
-    lv_direction: options.SeedOption = None,
-    rv_root: options.SeedOption = None,
-    rv_direction: options.SeedOption = None,
+    anatomy: AnatomyArgument = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write; without it, named as the file.")
+    ] = None,
+    edge_length: Annotated[float, typer.Option(help="Mean edge of the mesh (mm).")] = 2.0,
+    labels: Annotated[
+        str | None,
+        _option(
+            "Anatomy",
+            "Numbers in the file, as base=1,epicardium=2,lv=3,rv=4 (surfaces) or "
+            "lv=1,rv=2,myocardium=3,scar=4 (segmentations).",
+        ),
+    ] = None,
+    label_array: Annotated[
+        str | None,
+        _option(
+            "Anatomy",
+            "Name of the file's array that holds them; without it 'label', 'class', 'surface' or "
+            "'boundary' is looked for.",
+        ),
+    ] = None,
+    labels_file: Annotated[
+        Path | None, _option("Anatomy", "Labels of an STL: one number a line.")
+    ] = None,
+    remesh: Annotated[
+        bool,
+        _option(
+            "Anatomy",
+            "Mesh the inside of a tetrahedral mesh again, for one with flat elements; its surface, "
+            "fibres and regions stay.",
+        ),
+    ] = False,
+    lv_endocardium: PartOption = None,
+    rv_endocardium: PartOption = None,
+    epicardium: PartOption = None,
+    base: PartOption = None,
+    lv_angles: Annotated[
+        str, _option("Fibres", "Helix angles, endocardium,epicardium (degrees).")
+    ] = "60,-60",
+    rv_angles: Annotated[str, _option("Fibres")] = "90,-25",
+    torso: TorsoOption = "idealised",
+    lung: LungOption = None,
+    height: HeightOption = None,
+    weight: WeightOption = None,
+    chest: ChestOption = None,
+    pose: PoseOption = "standard",
+    electrodes: Annotated[
+        Path | None,
+        _option(
+            "Torso",
+            "Nine electrodes, CSV name,x,y,z or JSON, which the idealised torso is fitted to; "
+            "without it, at its standard places.",
+        ),
+    ] = None,
+    lv_root: SeedOption = None,
+    lv_direction: SeedOption = None,
+    rv_root: SeedOption = None,
+    rv_direction: SeedOption = None,
 ) -> Result:
     """Build a heart folder from an anatomy: mesh, fibres, seeds, torso, electrodes, lead fields.
 
@@ -68,24 +143,25 @@ def heart_build(
     from fascicle.build.anatomy import Source
     from fascicle.build.build_heart import build_heart
     from fascicle.build.torso import TorsoOptions
-    from fascicle.cli.output import TerminalProgress
-    from fascicle.heart.folder import check_heart_folder
+    from fascicle.heart.folder import LABELS_PICTURE, check_heart_folder
+    from fascicle.reporting.figures import save
+    from fascicle.reporting.labels import labels_figure
 
     parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
     source = Source(
         file=anatomy,
         parts={part: path for part, path in parts.items() if path is not None},
-        labels=options.label_numbers(labels),
+        labels=_label_numbers(labels),
         label_array=label_array,
         labels_file=labels_file,
         remesh=remesh or None,
     )
-    angles = options.fibre_angles(lv_angles, rv_angles)
-    seeds = options.seeds_of(lv_root, lv_direction, rv_root, rv_direction)
+    angles = _fibre_angles(lv_angles, rv_angles)
+    seeds = _seeds(lv_root, lv_direction, rv_root, rv_direction)
     folder = out if out is not None else Path(source.name)
     files = (anatomy, *parts.values(), labels_file, electrodes, Path(torso), *(lung or ()))
     check_heart_folder(folder, [path for path in files if path is not None and path.is_file()])
-    measures = options.known(height=height, weight=weight, chest=chest)
+    measures = _given(height=height, weight=weight, chest=chest)
     with TerminalProgress() as progress:
         built = build_heart(
             source,
@@ -96,12 +172,14 @@ def heart_build(
             name=folder.resolve().name,
             progress=progress,
         )
-    for note in built.notes:
-        print(note)
-    found = _write_and_check(built.heart, folder)
+    found = _write_and_check(built.heart, folder, built.notes)
     if built.anatomy.guessed:
-        _draw_labels(built.anatomy.mesh, folder)
-    return found | {"notes": built.notes}
+        save(labels_figure(built.anatomy.mesh), picture := folder / LABELS_PICTURE)
+        print(
+            f"labels found from the shape: look at {picture}; if they are wrong, give a surface "
+            "with labels"
+        )
+    return found
 
 
 @heart_app.command("import")
@@ -113,16 +191,16 @@ def heart_import(
     rv_endocardium: Annotated[Path, typer.Option(help="RV endocardium, open at the base.")],
     electrodes: Annotated[Path, typer.Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
     out: OutOption,
-    torso: options.TorsoOption = "none",
-    lung: options.LungOption = None,
-    height: options.HeightOption = None,
-    weight: options.WeightOption = None,
-    chest: options.ChestOption = None,
-    pose: options.PoseOption = "standard",
-    lv_root: options.SeedOption = None,
-    lv_direction: options.SeedOption = None,
-    rv_root: options.SeedOption = None,
-    rv_direction: options.SeedOption = None,
+    torso: TorsoOption = "none",
+    lung: LungOption = None,
+    height: HeightOption = None,
+    weight: WeightOption = None,
+    chest: ChestOption = None,
+    pose: PoseOption = "standard",
+    lv_root: SeedOption = None,
+    lv_direction: SeedOption = None,
+    rv_root: SeedOption = None,
+    rv_direction: SeedOption = None,
 ) -> Result:
     """Make a heart folder of finished parts: mesh, fibres, endocardia, electrodes.
 
@@ -132,14 +210,13 @@ def heart_import(
     and the ratios of the leads are wrong.
     """
     from fascicle.build.torso import TorsoOptions, in_torso
-    from fascicle.cli.output import TerminalProgress
     from fascicle.heart.assembly import assemble_heart
     from fascicle.heart.folder import check_heart_folder
     from fascicle.heart.labelled_surface import labelled_mesh
     from fascicle.mesh.formats.read import read_mesh
 
     check_heart_folder(out, [mesh, fibres, lv_endocardium, rv_endocardium, electrodes])
-    measures = options.known(height=height, weight=weight, chest=chest)
+    measures = _given(height=height, weight=weight, chest=chest)
     surrounding = TorsoOptions(torso, tuple(lung or ()), measures, pose, electrodes)
     heart = assemble_heart(
         mesh=read_mesh(mesh, "mesh"),
@@ -148,16 +225,13 @@ def heart_import(
             "lv": read_mesh(lv_endocardium, "LV endocardium"),
             "rv": read_mesh(rv_endocardium, "RV endocardium"),
         },
-        seeds=options.seeds_of(lv_root, lv_direction, rv_root, rv_direction),
+        seeds=_seeds(lv_root, lv_direction, rv_root, rv_direction),
         electrodes=electrodes,
         name=out.resolve().name,
     )
     with TerminalProgress() as progress:
         heart, notes = in_torso(heart, labelled_mesh(heart), surrounding, progress)
-    for note in notes:
-        print(note)
-    found = _write_and_check(heart, out, {"lv": lv_endocardium, "rv": rv_endocardium})
-    return found | {"notes": notes}
+    return _write_and_check(heart, out, notes, {"lv": lv_endocardium, "rv": rv_endocardium})
 
 
 @heart_app.command("check")
@@ -192,14 +266,13 @@ def heart_check(
 @heart_app.command("refine")
 @every_command
 def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
-    """Cut every tetrahedron of a heart into eight, and say what that costs.
+    """Cut every tetrahedron of a heart into eight.
 
     Activation times, and the ECG with them, have an error that halves with the edge length; see
     docs/error-budget.md. Fibres, regions and lead fields are those of the coarser mesh; endocardia,
     electrodes and bundles stay. The torso is left out: the lead fields stand in the mesh.
     """
     from fascicle.build.refinement import refined
-    from fascicle.cli.output import TerminalProgress
     from fascicle.heart.folder import MANIFEST, check_heart_folder, load_heart
 
     check_heart_folder(out, [Path(heart) / MANIFEST])
@@ -207,18 +280,14 @@ def heart_refine(heart: HeartArgument, out: OutOption) -> Result:
     with TerminalProgress() as progress:
         finer = refined(coarse, progress)
     found = _write_and_check(finer, out)
-    hearts = coarse, load_heart(out)  # what is prepared for it is then kept beside it
-    with TerminalProgress() as progress:
-        costs = [_forward_run_time(each, progress) for each in hearts]
-    rows = {
-        "tetrahedra": [str(len(each.tetrahedra)) for each in hearts],
-        "mean edge, mm": [f"{each.edge_length:.2f}" for each in hearts],
-        "forward run, ms": [f"{cost:.1f}" if cost is not None else "-" for cost in costs],
-    }
-    print(f"{'':<18} {'before':>9} {'after':>9}")
-    for what, (before, after) in rows.items():
-        print(f"{what:<18} {before:>9} {after:>9}")
-    return found | {"forward_run_ms": dict(zip(("before", "after"), costs, strict=True))}
+    print_table(
+        [
+            ("", "before", "after"),
+            ("tetrahedra", *(f"{len(each.tetrahedra)}" for each in (coarse, finer))),
+            ("mean edge, mm", *(f"{each.edge_length:.2f}" for each in (coarse, finer))),
+        ]
+    )
+    return found
 
 
 @heart_app.command("simulate-prior")
@@ -242,7 +311,6 @@ def heart_simulate_prior(
     usual parameters with their usual ranges. Interrupt it whenever you like: the same command goes
     on where it stopped, and a larger number adds to what is there.
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.study.prior_simulations import simulate_prior
 
     with TerminalProgress() as progress:
@@ -272,37 +340,21 @@ def heart_export(
 
 
 def _write_and_check(
-    heart: Heart, folder: Path, sources: Mapping[str, object] | None = None
+    heart: Heart,
+    folder: Path,
+    notes: Sequence[str] = (),
+    sources: Mapping[str, object] | None = None,
 ) -> dict[str, Any]:
-    """Write a heart folder with its picture in it, and print what it holds."""
+    """Write a heart folder with its picture in it, and print notes and what it holds."""
     from fascicle.heart.folder import PICTURE, write_heart
 
+    for note in notes:
+        print(note)
     charts = _growable_charts(heart, sources if sources is not None else {})
     write_heart(heart, folder)
     found = _check(heart, charts, folder / PICTURE)
     print(f"heart written to {folder}")
-    return {"folder": folder} | found
-
-
-def _forward_run_time(heart: Heart, progress: Progress) -> float | None:
-    from fascicle.forward.compile_kernels import compile_kernels
-    from fascicle.forward.example import forward_run_time
-    from fascicle.forward.model import ForwardModel
-
-    compile_kernels(progress)
-    return forward_run_time(ForwardModel(heart, progress=progress))
-
-
-def _draw_labels(mesh: LabelledMesh, folder: Path) -> None:
-    from fascicle.heart.folder import LABELS_PICTURE
-    from fascicle.reporting.figures import save
-    from fascicle.reporting.labels import labels_figure
-
-    save(labels_figure(mesh), folder / LABELS_PICTURE)
-    print(
-        f"labels found from the shape: look at {folder / LABELS_PICTURE}; if they are wrong, give "
-        "a surface with labels"
-    )
+    return {"folder": folder, "notes": notes} | found
 
 
 def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> dict[str, Any]:
@@ -321,13 +373,8 @@ def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> d
         print(f"picture: {picture}")
     count = len(found.warnings)
     print(f"{count} warning{'s' * (count > 1)}" if count else "no problem found")
-    found_rows = dict(found.rows)
-    return {
-        "heart": heart.name,
-        "found": found_rows,
-        "warnings": found.warnings,
-        "picture": picture,
-    }
+    rows = dict(found.rows)
+    return {"heart": heart.name, "found": rows, "warnings": found.warnings, "picture": picture}
 
 
 def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, Chart]:
@@ -337,9 +384,76 @@ def _growable_charts(heart: Heart, sources: Mapping[str, object]) -> dict[str, C
 
     charts = {}
     for endocardium in heart.endocardia:
-        try:
+        with given_in(sources.get(endocardium.side, heart.name)):
             charts[endocardium.side] = build_chart(endocardium)
             find_seed(endocardium, charts[endocardium.side])
-        except InputError as error:
-            raise InputError(f"{sources.get(endocardium.side, heart.name)}: {error}") from None
     return charts
+
+
+def _label_numbers(labels: str | None) -> dict[str, int] | None:
+    """Read 'lv=3,rv=4' as names and numbers."""
+    if labels is None:
+        return None
+    items = [item.partition("=") for item in labels.split(",")]
+    names = [name.strip().lower() for name, _, _ in items]
+    try:
+        numbers = [int(number) for _, _, number in items]
+    except ValueError:
+        numbers = []
+    if len(set(names)) != len(numbers):
+        raise InputError(
+            f"--labels {labels}: give names with a number each, once, such as lv=3,rv=4"
+        )
+    return dict(zip(names, numbers, strict=True))
+
+
+def _fibre_angles(lv: str, rv: str) -> FibreAngles:
+    """Read helix angles as '60,-60' (degrees), endocardium and epicardium."""
+    from fascicle.heart.fibres import FibreAngles
+
+    angles: list[float] = []
+    for option, text in (("--lv-angles", lv), ("--rv-angles", rv)):
+        values = _floats(text, 2)
+        if values is None or max(map(abs, values)) > 90:
+            raise InputError(
+                f"{option} {text}: give two angles between -90 and 90 degrees, "
+                "endocardium,epicardium"
+            )
+        angles += map(math.radians, values)
+    return FibreAngles(*angles)
+
+
+def _given(**measures: float | None) -> dict[str, float]:
+    """Measures of the person that are given."""
+    return {name: value for name, value in measures.items() if value is not None}
+
+
+def _seeds(*texts: str | None) -> dict[str, tuple[ChosenSeed, ChosenSeed]]:
+    """Root and direction of the left, then of the right bundle, as the options give them."""
+    names = ("lv-root", "lv-direction", "rv-root", "rv-direction")
+    seeds = [_seed(f"--{name} {text}", text) for name, text in zip(names, texts, strict=True)]
+    return {"lv": (seeds[0], seeds[1]), "rv": (seeds[2], seeds[3])}
+
+
+def _seed(where: str, text: str | None) -> ChosenSeed:
+    """The number of a point, or three coordinates (mm)."""
+    if text is None:
+        return None
+    if re.fullmatch(r"\s*-?\d+\s*", text):
+        return int(text)
+    values = _floats(text, 3)
+    if values is None:
+        raise InputError(
+            f"{where}: give the number of a point of the endocardium, from 0, or its position "
+            "x,y,z (mm)"
+        )
+    return values[0], values[1], values[2]
+
+
+def _floats(text: str, count: int) -> list[float] | None:
+    """So many finite numbers between commas, or None where they are not."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        return None
+    return values if len(values) == count and all(map(math.isfinite, values)) else None

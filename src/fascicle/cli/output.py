@@ -112,6 +112,18 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     return run
 
 
+def print_row(what: str, text: object) -> None:
+    """Print a line of a result: what it is, and what was found."""
+    print(f"{what:<22} {text}")
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Print texts in columns, each as wide as it must be."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(f"{text:<{n}}" for text, n in zip(row, widths, strict=True)).rstrip())
+
+
 @dataclass(frozen=True)
 class Output:
     """Where a command says how far it is: the standard error unless it is quiet, and a log."""

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fascicle.cli.arguments import FormatOption
-from fascicle.cli.output import Result
-from fascicle.core.errors import InputError
+from fascicle.cli.options import FormatOption
+from fascicle.cli.output import Result, TerminalProgress, print_row, print_table
+from fascicle.core.errors import InputError, OutputError
 from fascicle.recording.readers.formats import known_formats
 
 if TYPE_CHECKING:
@@ -22,80 +22,66 @@ if TYPE_CHECKING:
     from fascicle.recording.recording import Recording
     from fascicle.recording.target import Target
 
-_RANGE = re.compile(r"(\d+)(?:-(\d+))?")
-_MOST_BEATS = 100_000  # of the longest recording, by far
-_WIDTH = 15  # of the first column
-
-
-RecordingArgument = Annotated[Path, typer.Argument(help=f"One of {known_formats()}.")]
-TargetOption = Annotated[
-    Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
-]
-Onset = Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")]
-Offset = Annotated[float | None, typer.Option(help="QRS offset (ms from R).")]
-BeatClass = Annotated[
-    str | None, typer.Option("--class", help="Class of the beats to use; A has the most.")
-]
-Beats = Annotated[str | None, typer.Option(help="Numbers of the beats to use, such as 1-4,7.")]
-ExcludeBeat = Annotated[
-    list[str] | None, typer.Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
-]
-Leads = Annotated[
-    str | None,
-    typer.Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
-]
-Invert = Annotated[list[str] | None, typer.Option(help="Lead that was recorded upside down.")]
-Swap = Annotated[
-    list[str] | None, typer.Option(help="Reversed electrodes or leads, such as RA-LA or V1-V2.")
-]
-SharedGain = Annotated[
-    bool,
-    typer.Option("--shared-gain", help="All leads share one gain, whatever the file says of each."),
-]
-DigitsPerMv = Annotated[
-    float | None,
-    typer.Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
-]
-Noise = Annotated[float | None, typer.Option(help="Standard deviation of a single beat (mV).")]
-SamplingRate = Annotated[
-    float | None, typer.Option(help="Samples per second (Hz), if the file does not say.")
-]
-Unit = Annotated[
-    str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
-]
-RecorderLowpass = Annotated[
-    float | None,
-    typer.Option(
-        help="The recorder's own low-pass (Hz, -3 dB), if the file does not say; estimated from "
-        "the spectrum by default."
-    ),
-]
-Lowpass = Annotated[float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")]
-Notch = Annotated[
-    float | None,
-    typer.Option(help="Power-line interference to remove, 50 or 60 (Hz); none by default."),
-]
-
 
 def target(
-    recording: RecordingArgument,
-    out: TargetOption,
-    onset: Onset = None,
-    offset: Offset = None,
-    beat_class: BeatClass = None,
-    beats: Beats = None,
-    exclude_beat: ExcludeBeat = None,
-    leads: Leads = None,
-    invert: Invert = None,
-    swap: Swap = None,
-    shared_gain: SharedGain = False,
-    digits_per_mv: DigitsPerMv = None,
-    noise: Noise = None,
-    sampling_rate: SamplingRate = None,
-    unit: Unit = None,
-    lowpass: Lowpass = None,
-    notch: Notch = None,
-    recorder_lowpass: RecorderLowpass = None,
+    recording: Annotated[Path, typer.Argument(help=f"One of {known_formats()}.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
+    ],
+    onset: Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")] = None,
+    offset: Annotated[float | None, typer.Option(help="QRS offset (ms from R).")] = None,
+    beat_class: Annotated[
+        str | None, typer.Option("--class", help="Class of the beats to use; A has the most.")
+    ] = None,
+    beats: Annotated[
+        str | None, typer.Option(help="Numbers of the beats to use, such as 1-4,7.")
+    ] = None,
+    exclude_beat: Annotated[
+        list[str] | None, typer.Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
+    ] = None,
+    leads: Annotated[
+        str | None,
+        typer.Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
+    ] = None,
+    invert: Annotated[
+        list[str] | None, typer.Option(help="Lead that was recorded upside down.")
+    ] = None,
+    swap: Annotated[
+        list[str] | None, typer.Option(help="Reversed electrodes or leads, such as RA-LA or V1-V2.")
+    ] = None,
+    shared_gain: Annotated[
+        bool,
+        typer.Option(
+            "--shared-gain", help="All leads share one gain, whatever the file says of each."
+        ),
+    ] = False,
+    digits_per_mv: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option(help="Standard deviation of a single beat (mV).")
+    ] = None,
+    sampling_rate: Annotated[
+        float | None, typer.Option(help="Samples per second (Hz), if the file does not say.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
+    ] = None,
+    lowpass: Annotated[
+        float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")
+    ] = None,
+    notch: Annotated[
+        float | None,
+        typer.Option(help="Power-line interference to remove, 50 or 60 (Hz); none by default."),
+    ] = None,
+    recorder_lowpass: Annotated[
+        float | None,
+        typer.Option(
+            help="The recorder's own low-pass (Hz, -3 dB), if the file does not say; estimated "
+            "from the spectrum by default."
+        ),
+    ] = None,
     kind: FormatOption = "png",
 ) -> Result:
     """Turn a recording into a target: aligned beats, their mean and spread, the QRS window.
@@ -117,7 +103,6 @@ def target(
     Simulated ECGs pass the filters that the recording has passed: those that the file names or you
     state, otherwise a steep low-pass that shows in the spectrum, and --lowpass and --notch.
     """
-    from fascicle.cli.output import TerminalProgress
     from fascicle.recording.pipeline import analyse
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
@@ -149,8 +134,8 @@ def target(
         write_target(analysis.target, out)
         progress("recording", 3, 3, "")
     print_analysis(analysis)
-    _line("target", str(out))
-    _line("picture", str(picture))
+    print_row("target", out)
+    print_row("picture", picture)
     return {"target": out, "picture": picture} | _result(analysis)
 
 
@@ -190,35 +175,40 @@ def print_analysis(analysis: Analysis) -> None:
     from fascicle.recording.analysis import Unused
 
     recording = analysis.recording
-    _line(
+    print_row(
         "recording",
         f"{Path(recording.source).name}, {recording.provenance.get('format', 'in memory')}, "
         f"{recording.duration:.1f} s at {recording.sampling_rate:g} Hz",
     )
-    if recording.derived:
-        _line("computed leads", ", ".join(recording.derived))
-    if analysis.read_with:
-        _line("read with", "; ".join(analysis.read_with))
-    if recording.ignored:
-        _line("ignored", ", ".join(recording.ignored))
-    print(f"{'checks':<{_WIDTH}}{'':<34}{'found':>8}{'limit':>10}")
-    for finding in analysis.findings:
-        print(
-            f"{'':<{_WIDTH}}{finding.check.name:<34}{_figure(finding.value):>8}"
-            f"{_limit(finding):>10} {finding.check.unit:<3} {_outcome(finding)}"
-        )
+    for what, parts in (
+        ("computed leads", recording.derived),
+        ("read with", analysis.read_with),
+        ("ignored", recording.ignored),
+    ):
+        if parts:
+            print_row(what, ", ".join(parts))
+    print_table([("checks", "found", "limit", "", ""), *map(_check_row, analysis.findings)])
     for group in analysis.classes:
         notable = f": {group.description}" if group.description else ""
-        _line(
-            f"class {group.label}", f"{group.count} beat{'s' if group.count != 1 else ''}{notable}"
-        )
+        count = f"{group.count} beat{'s' if group.count != 1 else ''}"
+        print_row(f"class {group.label}", count + notable)
     for beat in analysis.beats:
         if beat.unused not in (None, Unused.OTHER_CLASS):
-            _line(
-                f"beat {beat.number}",
-                f"at {beat.time:.2f} s, class {beat.label}: {beat.why_unused}",
-            )
+            why = f"at {beat.time:.2f} s, class {beat.label}: {beat.why_unused}"
+            print_row(f"beat {beat.number}", why)
     _print_target(analysis.target)
+
+
+def _check_row(finding: CheckResult) -> tuple[str, ...]:
+    """Name, value and limit of a check, with the side on which all is fine, and its outcome."""
+    check, unknown = finding.check, math.isnan(finding.value)
+    fine = finding.severity.value == "ok"
+    limit = _figure(check.limit)
+    if not unknown and not math.isnan(check.limit):
+        limit = ("≤ " if (finding.value < check.limit) == fine else "≥ ") + limit
+    # of what the recording is too short for, or lacks
+    outcome = "not checked" if unknown and fine else finding.severity.value
+    return check.name, _figure(finding.value), limit, check.unit, outcome
 
 
 def _result(analysis: Analysis) -> dict[str, object]:
@@ -254,30 +244,27 @@ def _print_target(target: Target) -> None:
     """Print the figures of a target; its warnings go to the standard error."""
     import numpy as np
 
-    for k, one in enumerate(target.filters):
-        _line("" if k else "filters", str(one))
-    if not target.filters:
-        _line("filters", "none known")
+    print_row("filters", "; ".join(map(str, target.filters)) or "none known")
     rate = f" at {target.heart_rate:.0f} per minute" if target.heart_rate is not None else ""
-    _line("beats", f"{len(target.beats)} used{rate}")
+    print_row("beats", f"{len(target.beats)} used{rate}")
     width_sd = float(np.hypot(target.onset_sd, target.offset_sd))
-    _line(
+    print_row(
         "QRS",
         f"{target.qrs_duration:.0f} ± {width_sd:.0f} ms, from {target.qrs_onset:.0f} ± "
         f"{target.onset_sd:.0f} to {target.qrs_offset:.0f} ± {target.offset_sd:.0f} ms about R "
         "(all leads together)",
     )
     first, last = target.global_qrs
-    _line(
+    print_row(
         "global QRS",
         f"{target.global_qrs_duration:.0f} ms, from {first:.0f} to {last:.0f} ms about R "
         "(outermost leads, as clinics measure it)",
     )
     if target.noise is not None:
-        _line("noise", f"{target.noise:.3g} mV, as stated")
+        print_row("noise", f"{target.noise:.3g} mV, as stated")
     else:
         spread = np.nanmean(target.standard_deviation[:, target.qrs_samples])
-        _line("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
+        print_row("beat to beat", f"{spread:.3f} mV (mean standard deviation in the QRS)")
     for warning in target.provenance.get("warnings", "").splitlines():
         print(f"warning: {warning}", file=sys.stderr)
 
@@ -291,40 +278,18 @@ def _figure(value: float) -> str:
     return f"{value:.4f}".rstrip("0").rstrip(".") if abs(value) < 100 else f"{value:.0f}"
 
 
-def _limit(finding: CheckResult) -> str:
-    """The limit, and on which side of it all is fine."""
-    limit = finding.check.limit
-    if math.isnan(limit):
-        return "-"
-    below, fine = finding.value < limit, finding.severity.value == "ok"
-    unknown = math.isnan(finding.value)
-    return ("" if unknown else "≤ " if below == fine else "≥ ") + _figure(limit)
-
-
-def _outcome(finding: CheckResult) -> str:
-    """How serious it is; of what the recording is too short for, or lacks, that it was not made."""
-    made = not math.isnan(finding.value) or finding.severity.value != "ok"
-    return finding.severity.value if made else "not checked"
-
-
-def _line(what: str, text: str) -> None:
-    print(f"{what:<{_WIDTH}}{text}")
-
-
 def _picture_beside(out: Path, recording: Path, kind: str) -> Path:
     """Name of the page; both it and the target must be fit to be written."""
-    if not out.name:
-        raise InputError(f"{out}: is no file name; give a target's, such as target.nc")
-    picture = out.with_suffix(f".{kind}")
-    if picture == out:
-        raise InputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
+    picture = out.with_suffix(f".{kind}") if out.name else out
     for path in (out, picture):
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; give the name of a file, such as target.nc")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not an ordinary file; give another name to write to")
-        if path.exists() and recording.exists() and path.samefile(recording):
-            raise InputError(f"{path}: is the recording itself; give another name to write to")
+        exists = path.exists()
+        if exists and (not path.is_file() or (recording.exists() and path.samefile(recording))):
+            raise OutputError(
+                f"{path}: is the recording itself, or no ordinary file; give another name to write "
+                "to, such as target.nc (--out)"
+            )
+    if picture == out:
+        raise OutputError(f"{out}: is the name of the picture; give a target's, such as target.nc")
     return picture
 
 
@@ -336,12 +301,13 @@ def _leads(text: str) -> list[str]:
     leads: list[str] = []
     for part in text.split(","):
         ends = [lead_name(end) for end in part.split("-")]
-        if None in ends or len(ends) > 2:
-            raise InputError(f"lead '{part.strip()}' is unknown; leads are {', '.join(LEADS)}")
-        first, last = LEADS.index(str(ends[0])), LEADS.index(str(ends[-1]))
-        if first > last:
-            raise InputError(f"leads '{part.strip()}': the first comes after the last")
-        leads += [lead for lead in LEADS[first : last + 1] if lead not in leads]
+        known = [LEADS.index(end) for end in ends if end is not None]
+        if len(known) != len(ends) or len(ends) > 2 or known != sorted(known):
+            raise InputError(
+                f"leads '{part.strip()}': give one, or the first and the last; leads are "
+                f"{', '.join(LEADS)}"
+            )
+        leads += [lead for lead in LEADS[known[0] : known[-1] + 1] if lead not in leads]
     return leads
 
 
@@ -349,11 +315,9 @@ def _numbers(text: str) -> tuple[int, ...]:
     """Beat numbers of a list such as ``1-4,7``."""
     numbers: list[int] = []
     for part in text.split(","):
-        match = _RANGE.fullmatch(part.strip())
-        if match is None:
+        match = re.fullmatch(r"(\d{1,6})(?:-(\d{1,6}))?", part.strip())
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if first > last:
             raise InputError(f"beats '{text}': give numbers such as 3 or 1-4,7")
-        first, last = int(match[1]), int(match[2] or match[1])
-        if not first <= last <= _MOST_BEATS:
-            raise InputError(f"beats '{text}': {first} to {last} is no range of beats")
         numbers += range(first, last + 1)
     return tuple(numbers)

@@ -1,21 +1,31 @@
-"""`fascicle study …`: what finished studies found, one or several side by side."""
+"""`fascicle study …`: what finished studies found; `fascicle cohort`: many patients at once."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fascicle.cli.arguments import StudyArgument
-from fascicle.cli.output import Result, every_command
-from fascicle.cli.printing import print_fit
+from fascicle.cli.interruption import resumable
+from fascicle.cli.options import OutOption, SchedulerOption, StudyArgument, pool_at
+from fascicle.cli.output import (
+    NotAllDoneError,
+    Result,
+    TerminalProgress,
+    every_command,
+    print_row,
+    print_table,
+)
+from fascicle.cli.printing import interval, print_fit
 from fascicle.core.errors import InputError
 
 if TYPE_CHECKING:
     from fascicle.core.arrays import Floats
+    from fascicle.patients.outcome import Outcome
     from fascicle.study.fitted import FittedStudy
 
 study_app = typer.Typer(
@@ -33,17 +43,17 @@ def written_summary(folder: Path) -> dict[str, object]:
 @every_command
 def study_show(study: StudyArgument) -> Result:
     """Print what a study is of and what it found, as 'fascicle fit' did at its end."""
-    from fascicle.cli.output import TerminalProgress
     from fascicle.study.fit import load_study
 
     with TerminalProgress() as progress:
         fitted = load_study(study, progress)
-    print(f"study                  {study}")
-    print(f"heart                  {fitted.simulator.model.heart.name}")
+    print_row("study", study)
+    print_row("heart", fitted.simulator.model.heart.name)
     for number, recording in enumerate(fitted.recordings, 1):
         name = "recording" if len(fitted.recordings) == 1 else f"recording {number}"
-        print(f"{name:<22} {Path(recording.target.provenance.get('source', 'in memory')).name}")
-    print(f"method                 {fitted.study.config.method}, seed {fitted.study.config.seed}")
+        source = recording.target.provenance.get("source", "in memory")
+        print_row(name, Path(source).name)
+    print_row("method", f"{fitted.study.config.method}, seed {fitted.study.config.seed}")
     summary = written_summary(study)
     print_fit(fitted, summary)
     return summary
@@ -64,7 +74,6 @@ def study_compare(
     """
     import numpy as np
 
-    from fascicle.cli.output import TerminalProgress
     from fascicle.study.fit import load_study
 
     if len(studies) < 2:
@@ -74,22 +83,22 @@ def study_compare(
     for number, (folder, each) in enumerate(zip(studies, fitted, strict=True), 1):
         print(f"{number}  {folder}: {each.verdict}")
     values = [_parameters(each) for each in fitted]
-    names = list(dict.fromkeys(name for each in values for name in each))
-    two = len(studies) == 2
-    headings = [f"{number}" for number in range(1, len(studies) + 1)]
-    print(f"{'':<24}" + "".join(f"{h:<26}" for h in headings) + ("apart (sd)" if two else ""))
+    lines = [["", *(f"{number}" for number in range(1, len(studies) + 1)), ""]]
     rows: dict[str, list[list[float] | None]] = {}
     apart: dict[str, float] = {}
-    for name in names:
+    for name in dict.fromkeys(name for each in values for name in each):
+        found = [each.get(name) for each in values]
         rows[name] = [
-            np.percentile(each[name], [50, 5, 95]).tolist() if name in each else None
-            for each in values
+            None if one is None else np.percentile(one, [50, 5, 95]).tolist() for one in found
         ]
-        text = "".join(f"{_cell(row):<26}" for row in rows[name])
-        if two and all(row is not None for row in rows[name]):
-            apart[name] = _apart(values[0][name], values[1][name])
-            text += f"{apart[name]:.1f}"
-        print(f"{name:<24}{text}".rstrip())
+        line = [name, *("-" if one is None else interval(one, ".3g") for one in found), ""]
+        first, second, *others = found
+        if first is not None and second is not None and not others:
+            apart[name] = _mean_difference(first, second)
+            line[-1] = f"{apart[name]:.1f}"
+            lines[0][-1] = "apart (SD)"
+        lines.append(line)
+    print_table(lines)
     print("medians (90 % of the networks)")
     return {
         "studies": [
@@ -111,17 +120,70 @@ def _parameters(fitted: FittedStudy) -> Mapping[str, Floats]:
     return population.values
 
 
-def _cell(row: list[float] | None) -> str:
-    if row is None:
-        return "-"
-    middle, low, high = (f"{value:.3g}" for value in row)
-    return f"{middle} ({low} to {high})"
-
-
-def _apart(one: Floats, other: Floats) -> float:
+def _mean_difference(one: Floats, other: Floats) -> float:
     """Distance of the medians in standard deviations of both."""
     import numpy as np
 
     spread = float(np.hypot(one.std(), other.std()))
     distance = abs(float(np.median(one) - np.median(other)))
     return distance / spread if spread else float("inf") if distance else 0.0
+
+
+def cohort(
+    table: Annotated[
+        Path, typer.Argument(metavar="TABLE", help="CSV file: a patient a row (docs/files.md).")
+    ],
+    out: OutOption,
+    scheduler: SchedulerOption = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="Of the rows only I, I + N, I + 2N and so on: task I of N of a job array.",
+        ),
+    ] = None,
+) -> Result:
+    """Fit every patient of a table, and write a report of each and a page of all.
+
+    The table names a heart and a recording for each, and perhaps settings:
+
+    ```
+    patient,heart,recording,effective
+    anna,hearts/anna,ecg/anna.hea,
+    bert,hearts/bert,targets/bert.nc,500
+    ```
+
+    What is wrong with one patient does not stop the others. Interrupt it whenever you like; the
+    same command goes on where it stopped, and tries again those that failed. The exit status is 0
+    if all are fitted, 1 if some are not, 2 if the table is wrong.
+
+    Without a scheduler patients are fitted here, one after the other, on all cores; with one, each
+    by a worker of a Dask cluster (docs/cluster.md).
+    """
+    from fascicle.patients.cohort import PAGE, RESULTS, outcomes
+    from fascicle.patients.outcome import Status
+
+    found: list[Outcome] = []
+    with resumable(out), TerminalProgress() as progress:
+        cluster = pool_at(scheduler, progress)
+        for outcome in outcomes(table, out, only=only, cluster=cluster, progress=progress):
+            found.append(outcome)
+            fitted = outcome.status is Status.FITTED
+            said = outcome.verdict if fitted else f"{outcome.status.upper()}: {outcome.reason}"
+            print(f"{outcome.patient:<16} {said}")
+            if outcome.error_file is not None:
+                print(outcome.error_file.read_text(encoding="utf-8"), file=sys.stderr)
+    missing = sum(outcome.status is not Status.FITTED for outcome in found)
+    page = (out / PAGE).resolve()
+    print(f"{len(found) - missing} of {len(found)} patients fitted")
+    if missing:
+        print(f"{missing} not fitted: the reasons are in {out / RESULTS}")
+    print(page.as_uri())
+    result = {
+        "folder": out,
+        "page": page,
+        "patients": [outcome.model_dump(mode="json") for outcome in found],
+    }
+    if missing:
+        raise NotAllDoneError(result)
+    return result

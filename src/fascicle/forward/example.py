@@ -1,14 +1,11 @@
-"""Networks for any heart: the example, scaled to it, and random ones that are timed."""
+"""The example network, scaled to any heart."""
 
 from __future__ import annotations
 
 import math
-import time
-
-import numpy as np
 
 from fascicle.core.errors import InputError
-from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS, NETWORK_SPACE
+from fascicle.core.parameters import EXAMPLE_AREAS, EXAMPLE_PARAMETERS
 from fascicle.core.ranges import check_kind
 from fascicle.forward.model import ForwardModel
 from fascicle.purkinje.tree import FEW_JUNCTIONS, InvalidTree
@@ -60,21 +57,3 @@ def example_parameters(model: ForwardModel) -> dict[str, float]:
         f"{model.heart.name}: no example network was found that fits; choose other roots and "
         "directions for the bundles, or give parameters"
     )
-
-
-def forward_run_time(model: ForwardModel) -> float | None:
-    """Median wall time (ms) of a forward run with a network that the model has not seen.
-
-    Networks are drawn from the paper's ranges, the same for every heart with the same endocardia;
-    None if hardly any fits them.
-    """
-    rng, elapsed = np.random.default_rng(0), []
-    for _ in range(100):
-        parameters = NETWORK_SPACE.from_unit(rng.uniform(size=len(NETWORK_SPACE)))
-        begin = time.perf_counter()
-        simulation = model.simulate(parameters)
-        if not isinstance(simulation, InvalidTree):
-            elapsed.append(1e3 * (time.perf_counter() - begin))
-        if len(elapsed) > 5:  # after one that is not timed
-            return float(np.median(elapsed[1:]))
-    return None

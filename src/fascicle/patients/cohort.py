@@ -1,19 +1,21 @@
-"""Fit every patient of a table, here or on the workers of a Dask cluster."""
+"""Fit every patient of a table, here or on the workers of a Dask cluster; the page of all."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import csv
+import io
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fascicle.core.errors import InputError
-from fascicle.core.files import as_path, check_writable
+from fascicle.core.errors import OutputError
+from fascicle.core.files import as_path, check_writable, write_text
 from fascicle.core.progress import Lines, Progress, shown_progress
-from fascicle.core.ranges import check_text
 from fascicle.core.threads import cores
 from fascicle.patients.outcome import Outcome, Status
-from fascicle.patients.overview import PAGE, RESULTS, write_overview
-from fascicle.patients.patient import PATIENTS, STUDIES, Patient, check, fit_patient
+from fascicle.patients.patient import PATIENTS, STUDIES, Patient, fit_patient
 from fascicle.patients.table import part_of, read_table
 from fascicle.study.lock import HeldError
 from fascicle.study.pool import Threads, check_pool
@@ -21,7 +23,7 @@ from fascicle.study.pool import Threads, check_pool
 if TYPE_CHECKING:
     from fascicle.study.cluster import Cluster
 
-STAGE = "patients"
+PAGE, RESULTS = "index.html", "results.csv"  # of a cohort
 
 
 def cohort(
@@ -71,10 +73,8 @@ def cohort(
     >>> [each.patient for each in outcomes if not each.trustworthy]  # doctest: +SKIP
     """
     check_pool(cluster)
-    if only is not None:
-        check_text(only, "only")
-    with shown_progress(progress) as shown:
-        return list(outcomes(table, out, only=only, cluster=cluster, progress=shown))
+    with shown_progress(progress) as callback:
+        return list(outcomes(table, out, only=only, cluster=cluster, progress=callback))
 
 
 def outcomes(
@@ -87,11 +87,11 @@ def outcomes(
 ) -> Iterator[Outcome]:
     """Give the outcomes of `cohort` as soon as they are there; the page is that of all so far."""
     table, folder = as_path(table, "table"), as_path(out, "folder").absolute()
-    patients = [Patient(row, folder) for row in read_table(table)]
+    patients = read_table(table, folder)
     mine = part_of(patients, only)
-    check_cohort_folder(folder)
+    _check_folder(folder)
     try:
-        refused = {patient.name: check(patient) for patient in mine}
+        refused = {patient.name: patient.check() for patient in mine}
         yield from (outcome for outcome in refused.values() if outcome is not None)
         for outcome in _fitted([p for p in mine if refused[p.name] is None], cluster, progress):
             write_overview(folder, table, patients)
@@ -100,19 +100,13 @@ def outcomes(
         write_overview(folder, table, patients)
 
 
-def check_cohort_folder(folder: Path) -> None:
-    """Refuse a folder that is no cohort and cannot become one.
-
-    Raises
-    ------
-    InputError
-        If it is a file, holds something else, or cannot be written.
-    """
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder that is no cohort and cannot become one."""
     check_writable(folder / PAGE)
     own = (PATIENTS, STUDIES, PAGE, RESULTS)
     foreign = [path.name for path in folder.iterdir() if path.name not in own]
     if foreign and not (folder / PATIENTS).is_dir():
-        raise InputError(
+        raise OutputError(
             f"{folder}: holds '{foreign[0]}' and is no cohort; give another folder (--out)"
         )
 
@@ -120,34 +114,32 @@ def check_cohort_folder(folder: Path) -> None:
 def _fitted(
     patients: Sequence[Patient], cluster: Cluster | None, progress: Progress | None
 ) -> Iterator[Outcome]:
-    """Fit patients, and say how many are done."""
-    finished = [patient for patient in patients if patient.outcome.status is Status.FITTED]
-    ordered = [*finished, *(patient for patient in patients if patient not in finished)]
+    """Fit patients, those first that are done already, and say how many are done."""
+    ordered = sorted(patients, key=lambda patient: patient.outcome.status is not Status.FITTED)
+    finished = sum(patient.outcome.status is Status.FITTED for patient in patients)
     done = 0
 
     def report(message: str) -> None:
         # not before: the time that finished ones take says nothing of the time that is left
-        if progress is not None and done >= len(finished):
-            progress(STAGE, done, len(patients), message)
+        if progress is not None and done >= finished:
+            progress("patients", done, len(patients), message)
 
-    for outcome in _outcomes(ordered, cluster, report, progress):
+    if cluster is None:
+        found = _fitted_here(ordered, report, progress)
+    else:
+        from fascicle.patients.workers import fit_on_workers
+
+        found = fit_on_workers(cluster, ordered, report)
+    for outcome in found:
         done += 1
         report("")
         yield outcome
 
 
-def _outcomes(
-    patients: Sequence[Patient],
-    cluster: Cluster | None,
-    report: Callable[[str], None],
-    progress: Progress | None,
+def _fitted_here(
+    patients: Sequence[Patient], report: Callable[[str], None], progress: Progress | None
 ) -> Iterator[Outcome]:
-    """Fit patients on workers, or one after the other here."""
-    if cluster is not None:
-        from fascicle.patients.workers import fit_on_workers
-
-        yield from fit_on_workers(cluster, patients, report)
-        return
+    """Fit patients one after the other."""
     pool = Threads(cores())
     for patient in patients:
         report(patient.name)
@@ -155,3 +147,70 @@ def _outcomes(
             yield fit_patient(patient, pool, progress)
         except HeldError as error:
             yield Outcome(patient=patient.name, status=Status.NOT_DONE, reason=str(error))
+
+
+def write_overview(folder: Path, table: Path, patients: Sequence[Patient]) -> None:
+    """Write table and page of what has become of all patients of a cohort so far.
+
+    Others may do so at the same time: where a patient was done meanwhile it is written again, so
+    that whoever writes last leaves the whole.
+    """
+    outcomes: list[Outcome] = []
+    while (found := [patient.outcome for patient in patients]) != outcomes:
+        outcomes = found
+        rows = [
+            outcome.row() | {"heart": patient.heart, "recording": patient.recording}
+            for patient, outcome in zip(patients, outcomes, strict=True)
+        ]
+        text = io.StringIO()
+        columns = dict.fromkeys(name for row in rows for name in row)  # empty where one has none
+        writer = csv.DictWriter(text, [*columns], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(folder / RESULTS, text.getvalue())
+        write_text(folder / PAGE, _page(table, outcomes))
+
+
+def _page(table: Path, outcomes: Sequence[Outcome]) -> str:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+    from fascicle import __version__
+
+    own = files("fascicle")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template = (own / "patients" / "overview.html").read_text(encoding="utf-8")
+    style = (own / "reporting" / "page" / "style.css").read_text(encoding="utf-8")
+    fitted = [outcome for outcome in outcomes if outcome.status is Status.FITTED]
+    return environment.from_string(template).render(
+        version=__version__,
+        style=Markup(style),
+        table=table.name,
+        all=all(outcome.trustworthy for outcome in outcomes),
+        answer=answer(outcomes),
+        outcomes=outcomes,
+        names=list(dict.fromkeys(name for each in fitted for name in each.parameters)),
+        fitted=fitted,
+    )
+
+
+def answer(outcomes: Sequence[Outcome]) -> str:
+    """What has become of all, in one line."""
+
+    def counted(numbers: Mapping[str, int]) -> list[str]:
+        return [f"{number} {what}" for what, number in numbers.items() if number]
+
+    status = Counter(each.status for each in outcomes)
+    posteriors = [each for each in outcomes if each.converged is not None]
+    converged = [each for each in posteriors if each.converged]
+    explained_too = sum(each.trustworthy for each in converged)
+    results = counted(
+        {
+            "converged and explained": explained_too,
+            "not converged": len(posteriors) - len(converged),
+            "converged but not explained": len(converged) - explained_too,
+        }
+    )
+    others = counted({"failed": status[Status.FAILED], "not done yet": status[Status.NOT_DONE]})
+    fitted = f"{status[Status.FITTED]} of {len(outcomes)} patients fitted"
+    return "; ".join([": ".join(filter(None, [fitted, ", ".join(results)])), *others])

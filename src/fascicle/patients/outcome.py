@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from fascicle.core.files import write_text
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
-from fascicle.study.statements import INTERVAL
 
 
 class Status(StrEnum):
@@ -25,17 +23,8 @@ class Status(StrEnum):
     NOT_DONE = "not done"
 
 
-class Said(BaseModel):
-    """What the networks say of a parameter.
-
-    Attributes
-    ----------
-    unit : str
-    median, lower, upper : float
-        `lower` and `upper` are the 5th and 95th percentiles.
-    determined : bool, optional
-        Whether the ECG determines it; None where there is no posterior.
-    """
+class Estimate(BaseModel):
+    """A parameter in the networks (median, 5th and 95th percentile); whether the ECG says it."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -45,35 +34,17 @@ class Said(BaseModel):
     upper: float
     determined: bool | None = None
 
+    def __str__(self) -> str:
+        return f"{self.median:.3g} ({self.lower:.3g} to {self.upper:.3g})"
+
 
 class Outcome(BaseModel):
-    """What has become of a patient.
+    """What has become of a patient; docs/files.md says more of the fields.
 
-    Attributes
-    ----------
-    patient : str
-    status : Status
-    reason : str
-        Why it is not fitted, in one line.
-    error_file : Path, optional
-        With the traceback, if that is a bug.
-    seconds : float
-        That it took, in the run that ended it.
-    verdict : str
-        First line of the result.
-    converged, explained : bool, optional
-        What the verdict says; None where there is no posterior.
-    explained_power, explained_by_a_network : float, optional
-        Share of the recorded QRS that the mean of the networks explains, over all leads, and that
-        each of them does (median).
-    best_loss_mV2 : float, optional
-        Mismatch of the best network.
-    qrs_duration_ms, predicted_qrs_duration_ms : float, optional
-        Of the QRS window: recorded, and the median of the networks.
-    warnings : tuple of str
-        What must be known first.
-    parameters : mapping of name to Said
-        Of a population whose parameters may be relied on.
+    `converged` and `explained` are None where there is no posterior; `explained_power` is the share
+    of the recorded QRS that the mean of the networks explains, over all leads, and
+    `explained_by_a_network` that of each of them (median). `parameters` is empty where they are not
+    to be relied on; `error_file` holds the traceback of a bug.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -92,7 +63,7 @@ class Outcome(BaseModel):
     qrs_duration_ms: float | None = None
     predicted_qrs_duration_ms: float | None = None
     warnings: tuple[str, ...] = ()
-    parameters: Mapping[str, Said] = {}
+    parameters: Mapping[str, Estimate] = {}
 
     @property
     def trustworthy(self) -> bool:
@@ -100,22 +71,15 @@ class Outcome(BaseModel):
         return bool(self.converged and self.explained)
 
     @classmethod
-    def of(cls, patient: str, fitted: FittedStudy) -> Outcome:
-        """Sum up a study that has just been written.
-
-        Parameters
-        ----------
-        patient : str
-            The name.
-        fitted : FittedStudy
-            The study.
-        """
+    def of(cls, patient: str, fitted: FittedStudy, seconds: float) -> Outcome:
+        """Sum up a study that has just been written."""
         summary = json.loads((fitted.folder / "summary.json").read_text(encoding="utf-8"))
         qrs = summary.get("qrs_duration_ms", {"recorded": None, "networks": {"median": None}})
         noticed = fitted.recordings[0].target.provenance.get("warnings", "").splitlines()
         return cls(
             patient=patient,
             status=Status.FITTED,
+            seconds=round(seconds, 1),
             verdict=fitted.verdict,
             converged=summary.get("converged"),
             explained=fitted.statements.acceptable,
@@ -125,45 +89,31 @@ class Outcome(BaseModel):
             qrs_duration_ms=qrs["recorded"],
             predicted_qrs_duration_ms=qrs["networks"]["median"],
             warnings=(*fitted.warnings, *noticed),
-            parameters=_said(fitted),
+            parameters=_estimates(fitted),
         )
 
+    def row(self) -> dict[str, Any]:
+        """It in the columns of a table, with three for each parameter."""
+        row = self.model_dump(exclude={"error_file", "parameters", "warnings"})
+        row["warnings"] = "; ".join(self.warnings)
+        for name, found in self.parameters.items():
+            row |= {name: found.median, f"{name}_5": found.lower, f"{name}_95": found.upper}
+        return row
 
-def _said(fitted: FittedStudy) -> dict[str, Said]:
+
+def _estimates(fitted: FittedStudy) -> dict[str, Estimate]:
     """Of every parameter; of none where the runs do not agree."""
     population, space = fitted.population, fitted.simulator.space
-    if not isinstance(population, Posterior):
-        units = {parameter.name: parameter.unit for parameter in space.parameters}
-        found = {}
-        for name, values in population.values.items():
-            lower, median, upper = np.percentile(values, [INTERVAL[0], 50, INTERVAL[1]])
-            found[name] = Said(unit=units[name], median=median, lower=lower, upper=upper)
-        return found
-    return {
-        s.name: Said(
-            unit=s.unit, median=s.median, lower=s.lower, upper=s.upper, determined=s.constrained
-        )
-        for s in fitted.statements.parameters
-    }
-
-
-def write_outcome(outcome: Outcome, path: Path) -> None:
-    """Write it whole or not at all."""
-    write_text(path, outcome.model_dump_json(indent=2) + "\n")
-
-
-def read_outcome(path: Path) -> Outcome | None:
-    """Read it; None if there is none yet, or one of another version, which is made again."""
-    try:
-        return Outcome.model_validate_json(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValidationError):
-        return None
-
-
-def as_row(outcome: Outcome) -> dict[str, Any]:
-    """It in the columns of a table, with three for each parameter."""
-    row = outcome.model_dump(exclude={"error_file", "parameters", "warnings"})
-    row["warnings"] = "; ".join(outcome.warnings)
-    for name, said in outcome.parameters.items():
-        row |= {name: said.median, f"{name}_5": said.lower, f"{name}_95": said.upper}
-    return row
+    determined: dict[str, bool] = {}
+    if isinstance(population, Posterior):
+        if not population.converged:
+            return {}
+        determined = {each.name: each.constrained for each in fitted.statements.parameters}
+    found = {}
+    for known in space.parameters:
+        lower, median, upper = np.percentile(population.values[known.name], [5, 50, 95])
+        found[known.name] = Estimate(
+            unit=known.unit, median=median, lower=lower, upper=upper,
+            determined=determined.get(known.name),
+        )  # fmt: skip
+    return found

@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and options made of settings."""
+"""Arguments and options that several commands share, and how their text is read."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
-from fascicle.core.errors import InputError
+from fascicle.core.errors import InputError, given_in
 from fascicle.core.progress import Progress
 from fascicle.prediction.index_names import COMPARED, INDICES
 
@@ -22,13 +21,11 @@ if TYPE_CHECKING:
 HeartArgument = Annotated[
     str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
 ]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
-
+OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
 FormatOption = Annotated[
     Literal["png", "svg", "pdf"], typer.Option("--format", help="Of the pictures.")
 ]
-
 SchedulerOption = Annotated[
     str | None,
     typer.Option(
@@ -38,7 +35,25 @@ SchedulerOption = Annotated[
         "(docs/cluster.md); else the cores of this machine do.",
     ),
 ]
-INDEX_NAMES = ", ".join(f"{name} ({INDICES[name]})" for name in COMPARED)  # for help
+IndexOption = Annotated[
+    str,
+    typer.Option(
+        help="Index that is compared or drawn; less is better: "
+        f"{', '.join(f'{name} ({INDICES[name]})' for name in COMPARED)}."
+    ),
+]
+FixOption = Annotated[
+    list[str] | None,
+    typer.Option("--fix", help="Quantity at a value, NAME=VALUE, such as alpha=0.08."),
+]
+FreeOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--free",
+        help="Quantity to learn, with its usual prior, such as gain; or a group of them: pose, "
+        "electrodes or conductivities.",
+    ),
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -61,19 +76,34 @@ def settings_options(
     also : mapping of str to str
         Second names of options, by field.
     """
-    rest = [name for name in settings.model_fields if name not in first]
+
+    def option(name: str) -> inspect.Parameter:
+        field = settings.model_fields[name]
+        names = ["--" + name.replace("_", "-"), *([also[name]] if name in also else [])]
+        ends = {
+            option: getattr(limit, kind)
+            for limit in field.metadata
+            for kind, option in (("ge", "min"), ("le", "max"))
+            if hasattr(limit, kind)
+        }
+        where = None if name in first else panel
+        shown = typer.Option(*names, **ends, help=field.description, rich_help_panel=where)
+        return inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=Annotated[field.annotation, shown],
+        )
 
     def decorate(command: Command) -> Command:
         signature = inspect.signature(command, eval_str=True)
-        parameters = [
+        own = [
             parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
             for parameter in signature.parameters.values()
             if parameter.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        for name in (*first, *rest):
-            names = ["--" + name.replace("_", "-"), *([also[name]] if name in also else [])]
-            option = _option(settings.model_fields[name], names, panel if name in rest else None)
-            parameters.append(option.replace(name=name))
+        rest = [name for name in settings.model_fields if name not in first]
+        parameters = own + [option(name) for name in (*first, *rest)]
         # what Typer looks at
         command.__annotations__ = {p.name: p.annotation for p in parameters}
         command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
@@ -83,35 +113,10 @@ def settings_options(
 
 
 def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of a command's settings that the user has given, so that the rest may come otherwise.
-
-    Parameters
-    ----------
-    context : typer.Context
-        Of the command.
-    settings : mapping
-        Its settings, by name.
-    """
+    """Those of a command's settings that the user has given; the rest may come otherwise."""
     sources = {name: context.get_parameter_source(name) for name in settings}
     default = "DEFAULT"  # of an Enum that Typer keeps to itself
     return {n: settings[n] for n, source in sources.items() if source and source.name != default}
-
-
-def _option(field: FieldInfo, names: Sequence[str], panel: str | None) -> inspect.Parameter:
-    """A command's parameter for one field; the caller names it."""
-
-    def limit(kind: str) -> Any:
-        return next((getattr(m, kind) for m in field.metadata if hasattr(m, kind)), None)
-
-    option = typer.Option(
-        *names, min=limit("ge"), max=limit("le"), help=field.description, rich_help_panel=panel
-    )
-    return inspect.Parameter(
-        "_",
-        inspect.Parameter.KEYWORD_ONLY,
-        default=field.default,
-        annotation=Annotated[field.annotation, option],
-    )
 
 
 def with_scenario(text: str) -> Path | tuple[Path, Path]:
@@ -131,3 +136,36 @@ def pool_at(scheduler: str | None, progress: Progress) -> Cluster | None:
     from fascicle.study.cluster import Cluster
 
     return Cluster(scheduler, progress)
+
+
+def fixed_values(fix: Sequence[str] | None, **named: float | None) -> dict[str, float]:
+    """Read items such as 'alpha=0.08', and values of options that are named as their quantity."""
+    from fascicle.core.quantities import checked
+
+    items = [(f"--{n.replace('_', '-')}", n, v) for n, v in named.items() if v is not None]
+    for item in fix or ():
+        name, _, number = item.partition("=")
+        try:
+            items.append((f"--fix {item}", name.strip(), float(number)))
+        except ValueError:
+            raise InputError(
+                f"--fix {item}: not a name and a number; write it like alpha=0.08"
+            ) from None
+    values: dict[str, float] = {}
+    for option, name, value in items:
+        if name in values:
+            raise InputError(f"{option}: '{name}' is given twice; give it once")
+        with given_in(option):
+            values |= checked({name: value})
+    return values
+
+
+def wanted_parameters(free: Sequence[str] | None, fix: Sequence[str] | None) -> dict[str, object]:
+    """What the options say of each quantity, for `fascicle.fit`."""
+    from fascicle.study.space import FREE
+
+    fixed = fixed_values(fix)
+    for name in free or ():
+        if name in fixed:
+            raise InputError(f"--free {name}: it is fixed as well; give one of the two")
+    return {**dict.fromkeys(free or (), FREE), **fixed}
