@@ -13,8 +13,6 @@ from fascicle.kernels.channels import CHANNELS, add_to_rows
 from fascicle.kernels.jit import allocating_kernel
 from fascicle.kernels.prefetch import prefetch
 
-ROW = CHANNELS * 8  # bytes of a row of channels
-AHEAD = 6  # how many elements before its turn what an element adds to is fetched
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
 # are close, the jumps grow as 1/gap³ and with them the rounding error that the running sums leave:
 # 0.05 keeps it near 1e-6 of what that element contributes, over 500 bins.
@@ -119,9 +117,9 @@ def deposit(time, corners, weights, origin, width, bins):
     at_vertex = np.zeros((len(time), CHANNELS))
     histogram = np.zeros((bins, CHANNELS))
     for e in range(len(corners)):
-        if e + AHEAD < len(corners):
+        if e + 6 < len(corners):  # what an element adds to is fetched six before its turn
             for n in range(4):
-                prefetch(at_vertex, np.int64(corners[e + AHEAD, n]) * ROW)
+                prefetch(at_vertex, np.int64(corners[e + 6, n]) * CHANNELS * 8)
         i, j, k, l = corners[e]  # noqa: E741
         a, b, c, d = time[i], time[j], time[k], time[l]
         if not a + b + c + d < np.inf:

@@ -6,8 +6,6 @@ import numpy as np
 
 from fascicle.kernels.jit import kernel
 
-ON_IT = 1e-20  # mm², squared distance at which a point lies on a triangle, and none is nearer
-
 
 @kernel(inline="always")
 def _weights(ab, ac, ap):
@@ -95,7 +93,7 @@ def nearest_of(points, rows, candidates, vertices, surface, found, triangles, sq
                 best = distance
                 triangles[n] = t
                 found[n, 0], found[n, 1], found[n, 2] = px, py, pz
-                if best <= ON_IT:
+                if best <= 1e-20:  # mm²: it lies on the triangle, and none is nearer
                     break
         if best == np.inf:
             return False

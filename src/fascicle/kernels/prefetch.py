@@ -4,8 +4,6 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-READ, KEEP, DATA = 0, 3, 1  # how LLVM is told that data will be read, and more than once
-
 
 @intrinsic
 def prefetch(typing_context, array, byte):
@@ -18,7 +16,8 @@ def prefetch(typing_context, array, byte):
         kind = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
         fetch = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
         line = builder.gep(address, [arguments[1]])
-        builder.call(fetch, [line, number(READ), number(KEEP), number(DATA)])
+        # to be read (0), more than once (3); data, not instructions (1)
+        builder.call(fetch, [line, number(0), number(3), number(1)])
         return context.get_dummy_value()
 
     return types.void(array, types.intp), generate

@@ -18,11 +18,7 @@ from fascicle.kernels.arrays import (
 )
 from fascicle.kernels.jit import kernel
 
-MAX_CROSSINGS = 2000  # elements a straight path may cross before it is given up
-MAX_SLIDES = 100  # and elements it may pass once it follows the boundary
-PARALLEL = 1e-12  # a coordinate that changes less along a line is taken not to reach 0
 ARRIVED = 1.0 - 1e-9  # share of the path at which rounding decides what is crossed next
-BOUNDARY_FACES = 3  # of an element, at most, to slide along
 
 
 @kernel(inline="always")
@@ -77,7 +73,7 @@ def _crossing(t, face, point, direction, cells):
     ax, ay, az = _gradient(cells, t, face)
     rate = ax * direction[0] + ay * direction[1] + az * direction[2]
     s = -(ax * point[0] + ay * point[1] + az * point[2] + cells[t, AT_ORIGIN + face]) / rate
-    return s if rate < -PARALLEL else np.inf
+    return s if rate < -1e-12 else np.inf  # else parallel to the face
 
 
 @kernel(inline="always", error_model="numpy")
@@ -124,7 +120,7 @@ def ray_time(start, tetrahedron, goal, limit, medium):
     dx, dy, dz = gx - x, gy - y, gz - z
     least = slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
     t, total, done = tetrahedron, 0.0, 0.0
-    for _ in range(MAX_CROSSINGS):
+    for _ in range(2000):  # elements, then the path is given up
         leave, face = _exit(t, (x, y, z), (dx, dy, dz), cells)
         whole = travel(cells, t, dx, dy, dz)  # if all of the line had this element's D
         if leave >= ARRIVED:
@@ -147,13 +143,13 @@ def _slide(point, t, goal, total, limit, medium):
     cells, neighbours, slowness = medium
     x, y, z = point
     gx, gy, gz = goal
-    for _ in range(MAX_SLIDES):
+    for _ in range(100):  # elements along the boundary
         dx, dy, dz = gx - x, gy - y, gz - z
         least = total + slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
         if least > limit:
             return np.inf
         straight = True
-        for _ in range(BOUNDARY_FACES):
+        for _ in range(3):  # faces on the boundary, at most
             leave, face = _exit(t, (x, y, z), (dx, dy, dz), cells)
             leave = min(max(leave, 0.0), 1.0)
             if leave > 1.0 - ARRIVED or neighbours[t, face] >= 0:

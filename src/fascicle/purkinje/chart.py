@@ -15,8 +15,6 @@ from fascicle.core.errors import InputError
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.topology import boundary_loops
 
-STRETCHED = 20.0  # stretch one way over the other above which another map is tried
-
 
 class Chart(NamedTuple):
     """A bijective map between an endocardium and the unit disk, linear on each triangle.
@@ -57,7 +55,7 @@ def build_chart(endocardium: Endocardium) -> Chart:
     the base, once for each coordinate (the paper's section "Purkinje network generation"). Obtuse
     triangles can make it fold; then the mean-value weights, which are positive and so give a
     bijection by Tutte's theorem, take the place of the cotangents. They do so too where the
-    harmonic map nearly folds, so that it stretches some triangle `STRETCHED` times more one way
+    harmonic map nearly folds, so that it stretches some triangle 20 times more one way
     than the other, if they stretch less. The metric is that of the real surface in either case, so
     lengths stay exact.
 
@@ -78,7 +76,7 @@ def build_chart(endocardium: Endocardium) -> Chart:
     points = np.asarray(igl.harmonic(vertices, triangles, loop, circle, 1))
     if (signed_areas(points, triangles) <= 0).any():
         points = _mean_value_map(vertices, triangles, loop, circle)
-    elif stretch(_metric(points, vertices, triangles)).max() > STRETCHED:
+    elif stretch(_metric(points, vertices, triangles)).max() > 20.0:
         points = _less_stretched(points, vertices, triangles, loop, circle)
     folded = np.flatnonzero(~(signed_areas(points, triangles) > 0))  # NaN among them
     if folded.size:

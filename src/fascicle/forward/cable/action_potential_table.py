@@ -13,11 +13,6 @@ from fascicle.core.errors import InputError, one_line, printable
 from fascicle.core.files import as_path, check_file
 
 COLUMNS = ["time_ms", "potential_mV"]
-FEWEST = 10  # samples
-LONGEST = 2000.0  # ms before or after the upstroke; the ECG ends as long after the last activation
-HIGHEST = 200.0  # mV, either sign: more is a table in µV
-LEAST_RISE = 1.0  # mV: less is a table in V, or one without an upstroke
-LATEST_UPSTROKE = 5.0  # ms from time 0; further off, the ECG would be late by as much
 REMEDY = "give a CSV file with the header time_ms,potential_mV and two numbers in every row"
 
 
@@ -107,9 +102,10 @@ def _numbers(what: str, cells: object) -> Floats:
 
 
 def _check(file: str, times: Floats, potentials: Floats) -> None:
-    if len(times) < FEWEST:
-        raise InputError(f"{file}: {len(times)} samples; give {FEWEST} or more")
-    for name, values, limit in zip(COLUMNS, (times, potentials), (LONGEST, HIGHEST), strict=True):
+    if len(times) < 10:
+        raise InputError(f"{file}: {len(times)} samples; give 10 or more")
+    # the ECG ends 2000 ms after the last activation at most; more than 200 mV is a table in µV
+    for name, values, limit in zip(COLUMNS, (times, potentials), (2000.0, 200.0), strict=True):
         furthest = values[np.abs(values).argmax()]
         if abs(furthest) > limit:
             raise InputError(f"{file}: {name} reaches {furthest:g}; give -{limit:g} to {limit:g}")
@@ -120,15 +116,15 @@ def _check(file: str, times: Floats, potentials: Floats) -> None:
             f"{file}: time_ms goes from {before:g} to {after:g} ms in row {back[0] + 2} of "
             "samples; give increasing times"
         )
-    if np.ptp(potentials) < LEAST_RISE:
+    if np.ptp(potentials) < 1.0:  # mV: a table in V, or one without an upstroke
         raise InputError(
             f"{file}: potential_mV changes by {np.ptp(potentials):g} mV in all; give an action "
-            f"potential in mV, which rises by {LEAST_RISE:g} mV or more"
+            f"potential in mV, which rises by 1 mV or more"
         )
     steepest = int((np.diff(potentials) / np.diff(times)).argmax())
     upstroke = float(times[steepest : steepest + 2].mean())
-    if abs(upstroke) > LATEST_UPSTROKE:
+    if abs(upstroke) > 5.0:  # ms; the ECG would be late by as much
         raise InputError(
             f"{file}: the steepest rise is at {upstroke:g} ms; give times since the upstroke "
-            f"(within {LATEST_UPSTROKE:g} ms of 0)"
+            f"(within 5 ms of 0)"
         )

@@ -17,8 +17,6 @@ from fascicle.kernels.channels import CHANNELS
 from fascicle.kernels.deposit import deposit, respond
 
 STEP = 1.0  # sampling of the ECG (ms)
-# A bin's response rings on by this many bins after U has come to rest, to below 1e-7 of its height
-RINGING = 12
 
 
 @runtime_checkable
@@ -155,7 +153,8 @@ def bin_response(action_potential: ActionPotential, width: float) -> tuple[int, 
         kⱼ (mV/ms), every `width` from the bin's peak.
     """
     begin, end = action_potential.span
-    first, last = int(np.floor(begin / width)) - RINGING, int(np.ceil(end / width)) + RINGING
+    ringing = 12  # bins after U has come to rest; the response is then below 1e-7 of its height
+    first, last = int(np.floor(begin / width)) - ringing, int(np.ceil(end / width)) + ringing
     node, weight = np.polynomial.legendre.leggauss(8)
     times = (np.arange(first - 1, last + 1)[:, None] + (node + 1) / 2) * width
     mean = action_potential(times) @ weight / 2

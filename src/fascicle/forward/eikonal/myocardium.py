@@ -40,9 +40,6 @@ from fascicle.kernels.star import number_neighbours
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.mesh.topology import TETRAHEDRON_EDGES, boundary_triangles
 
-ON_SURFACE = 0.25  # edges of the mesh: what lies on an endocardium is no further from it
-CHUNK = 1 << 16  # elements worked on at a time, which bounds the memory
-
 
 class LocatedPoints(NamedTuple):
     """Points of the myocardium: where they lie, in which element.
@@ -221,8 +218,9 @@ def _elements(
     cells, solver = np.empty((count, CELL_COLUMNS)), np.empty((count, 2 * len(TETRAHEDRON_EDGES)))
     least = np.empty((count, CORNERS, CORNERS - 1), np.float32)
     one, other = TETRAHEDRON_EDGES.T
-    for first in range(0, count, CHUNK):
-        part = slice(first, first + CHUNK)
+    chunk = 1 << 16  # elements at a time, which bounds the memory
+    for first in range(0, count, chunk):
+        part = slice(first, first + chunk)
         points = vertices[corners[part]]
         metric = conduction.metric(fibres[place[part]]) / scale[part, None, None]
         slopes = gradients[place[part]]
@@ -269,7 +267,8 @@ def _triangles_at(heart: Heart, vertices: Floats, surface: Integers, tree: igl.A
         square, _, _ = find_on_surface(
             endocardium.vertices, endocardium.triangles
         ).squared_distance(endocardium.vertices, endocardium.triangles, centres)
-        found.append(np.flatnonzero(square < (ON_SURFACE * heart.edge_length) ** 2))
+        # within a quarter of an edge
+        found.append(np.flatnonzero(square < (0.25 * heart.edge_length) ** 2))
         corners = endocardium.vertices[endocardium.triangles]
         sides = (corners + np.roll(corners, 1, axis=1)) / 2
         points = [corners.reshape(-1, 3), sides.reshape(-1, 3), corners.mean(axis=1)]

@@ -10,9 +10,6 @@ from scipy.spatial import KDTree
 
 from fascicle.core.arrays import Floats, Integers
 
-A_LITTLE = 1 + 1e-9  # more than rounding
-CHUNK = 1 << 12  # triangles of an endocardium at a time, which bounds the memory
-
 
 class Candidates(NamedTuple):
     """For each triangle of an endocardium the boundary triangles that can be nearest to it.
@@ -55,11 +52,12 @@ def find_candidates(
     centres, radii = _balls(triangles)
     their_centres, their_radii = _balls(vertices[surface])
     square, _, _ = tree.squared_distance(vertices, surface, centres)
-    radii *= A_LITTLE
-    reach = (np.sqrt(square) + 2 * radii) * A_LITTLE
+    a_little, chunk = 1 + 1e-9, 1 << 12  # more than rounding; triangles at a time, for memory
+    radii *= a_little
+    reach = (np.sqrt(square) + 2 * radii) * a_little
     others, found = KDTree(their_centres), []
-    for first in range(0, len(centres), CHUNK):
-        part = slice(first, first + CHUNK)
+    for first in range(0, len(centres), chunk):
+        part = slice(first, first + chunk)
         around = others.query_ball_point(centres[part], reach[part] + their_radii.max())
         for centre, near, far in zip(
             centres[part], map(np.array, around), reach[part], strict=True

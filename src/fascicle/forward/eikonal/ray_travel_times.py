@@ -27,16 +27,7 @@ from fascicle.kernels.ray_travel_times import (
     trace_rays,
 )
 
-FURTHEST = 20.0  # mm: what is further is left to the elements
-LONGEST = 50.0  # ms, likewise
-# Bounds of the table, which reaches less far where it would have more rays: for each vertex of the
-# mesh, for the time it takes to trace them; and in all, for the memory (28 bytes each)
-RAYS_PER_VERTEX = 150
-MOST = 8_000_000
-SAMPLE = 500  # triangles by which the number of rays is estimated
-CHUNK = 1024  # triangles worked on at a time, which bounds the memory
-AROUND = 16  # sites within reach of a site, usually
-SILENCE = 1.0  # s before the first report of progress
+LONGEST = 50.0  # ms: what takes longer along a ray is left to the elements
 
 
 def build_travel_time_table(
@@ -67,13 +58,13 @@ def build_travel_time_table(
     sizes, found = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
     squares = [np.empty((0, len(POINTS)), np.float32)]
     begin = time.monotonic()
-    for first in range(0, len(triangles), CHUNK):
-        chunk = triangles[first : first + CHUNK]
+    for first in range(0, len(triangles), 1024):  # at a time, which bounds the memory
+        chunk = triangles[first : first + 1024]
         size, vertex, square = _rows(mesh, owner[chunk], opposite[chunk], vertices, reach)
         sizes.append(size)
         found.append(vertex)
         squares.append(square)
-        if time.monotonic() - begin > SILENCE:
+        if time.monotonic() - begin > 1.0:  # s
             progress(first + len(chunk), len(triangles))
     row = np.full(len(surface), -1, dtype=np.int32)
     row[triangles] = np.arange(len(triangles))
@@ -91,8 +82,9 @@ def build_travel_time_table(
 
 def _how_far(centres: Floats, vertices: KDTree) -> float:
     """How far the table reaches (mm), given the triangles' centres."""
-    some = centres[:: max(1, len(centres) // SAMPLE)]
-    most, reach = min(MOST, RAYS_PER_VERTEX * vertices.n), FURTHEST
+    some = centres[:: max(1, len(centres) // 500)]  # of which the number of rays is estimated
+    # for the time it takes to trace them, and for the memory (28 bytes each); 20 mm at most
+    most, reach = min(8_000_000, 150 * vertices.n), 20.0
     for _ in range(3 if len(some) else 0):  # a wall is neither a ball nor flat
         around = vertices.query_ball_point(some, reach, return_length=True)
         rays = len(centres) * float(np.mean(around))
@@ -195,7 +187,7 @@ def rays_between_sites(neighbourhood: SiteNeighbourhood, mesh: EikonalMesh) -> R
     first = mesh.corners[sites.elements[attached], 0]
     order = np.argsort(first, kind="stable")
     time_to = np.full(len(mesh.vertices), np.inf)
-    room = _room(len(sites.elements), AROUND * len(attached) + 1)
+    room = _room(len(sites.elements), 16 * len(attached) + 1)  # usually enough
     return _used(
         rays_to_sites(sites, attached[order], first[order], mesh, to_vertices, time_to, room)
     )
