@@ -163,15 +163,11 @@ def test_batches_are_repeatable(tmp_path):
     ("change", "message"),
     [
         ({"heart": "c" * 64}, r"\(heart: there aa, now c{12}\)"),
-        ({"target": "cc"}, r"\(target: there bb, now cc\)"),
         ({"free_gain": True, "seed": 9}, r"\(seed: there 3, now 9; free_gain: there False, now"),
-        ({"method": "posterior"}, r"\(method: there paper, now posterior\)"),
-        ({"refit_every": 7}, r"\(refit_every: there 3, now 7\)"),
         (
             {"space": SPACE.parameters[1:], "fixed": {"cv": 2.5}},
             r"\(cv: there learnt \(uniform 2 to 4\), now 2.5\)",
         ),
-        ({"growth": {"branch_length": 10.0}}, r"\(growth branch_length: there 8, now 10\)"),
         (
             {"conduction": {"alpha": 0.07, "anisotropy_ratio": 3.0}},
             r"\(conduction alpha: there 0.05, now 0.07; "
