@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -30,7 +28,7 @@ def recorded(signal, only=None, **more):
 
 @pytest.mark.parametrize(("first", "second"), [("RA", "LA"), ("LL", "RA"), ("LA", "LL")])
 @pytest.mark.parametrize("only", [None, ("I", "aVF", "V1", "V2"), ("II", "III", "V4")])
-def test_exchanged_limb_electrodes(potentials, first, second, only):
+def test_reversed_limb_electrodes(potentials, first, second, only):
     exchanged = potentials.copy()
     a, b = ELECTRODES.index(first), ELECTRODES.index(second)
     exchanged[[a, b]] = exchanged[[b, a]]
@@ -43,7 +41,7 @@ def test_exchanged_limb_electrodes(potentials, first, second, only):
     assert right.provenance["swapped"] == f"{first}-{second}"
 
 
-def test_exchanged_chest_electrodes(potentials):
+def test_reversed_chest_electrodes(potentials):
     exchanged = potentials[[0, 1, 2, 4, 3, 5, 6, 7, 8]]
     right = swap(recorded(lead_matrix() @ exchanged), "V1", "V2")
     assert right.signal == pytest.approx(lead_matrix() @ potentials, abs=1e-12)
@@ -76,18 +74,16 @@ def test_shared_gain_brings_back_the_digits(potentials):
     assert share_gain(stated, 500).signal == pytest.approx(2 * true, abs=1e-12)
 
 
-def test_impossible_corrections_are_refused(potentials):
-    recording = recorded(lead_matrix() @ potentials, ("I", "II", "V1"))
-    for change, words in (
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
         (lambda r: invert(r, "III"), "III cannot be inverted"),
         (lambda r: swap(r, "RA", "V1"), "cannot swap RA-V1"),
         (lambda r: swap(r, "V1", "V2"), "cannot swap V1-V2"),
         (lambda r: swap(r, "RA", "RA"), "cannot swap RA-RA"),
-        (lambda r: share_gain(r, 1000), "does not state the gain"),
-        (
-            lambda r: share_gain(replace(r, digits_per_millivolt=np.full(12, np.nan)), 1000),
-            "does not state the gain",
-        ),
-    ):
-        with pytest.raises(InputError, match=rf"^file: .*{words}"):
-            change(recording)
+        (share_gain, "does not state the gain"),
+    ],
+)
+def test_impossible_corrections_are_refused(potentials, change, words):
+    with pytest.raises(InputError, match=rf"^file: .*{words}"):
+        change(recorded(lead_matrix() @ potentials, ("I", "II", "V1")))

@@ -30,47 +30,31 @@ def test_at_every_sampling_rate(rate):
     assert_all_found(signal, truth, rate)
 
 
-def noise(n, rng):
-    return 5 * rng.standard_normal(n)
+FAULTS = {
+    "noise": lambda n, rng: 5 * rng.standard_normal(n),
+    "steps": lambda n, rng: np.cumsum(np.where(rng.random(n) < 12 / n, rng.choice([-5, 5], n), 0)),
+    "clipping": lambda n, rng: np.where(np.sin(rng.uniform(0.006, 0.04) * np.arange(n)) > 0, 5, -5),
+    "spikes": lambda n, rng: np.where(rng.random(n) < 15 / n, 8.0, 0.0),
+}
 
 
-def jumps(n, rng):
-    jump = np.zeros(n)
-    jump[rng.integers(0, n, 12)] = rng.choice([-5, 5], 12)
-    return np.cumsum(jump)
-
-
-def rails(n, rng):
-    return np.where(np.sin(2 * np.pi * rng.uniform(0.5, 3) * np.arange(n) / RATE) > 0, 5.0, -5.0)
-
-
-def bursts(n, rng):
-    spikes = np.zeros(n)
-    spikes[rng.integers(0, n, 15)] = 8.0
-    return spikes
-
-
-@pytest.mark.parametrize("fault", [noise, jumps, rails, bursts])
+@pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("lead", ["II", "V3"])
 def test_one_bad_lead_neither_makes_nor_hides_beats(fault, lead):
     signal, truth = sinus(seed=3)
-    signal[LEADS.index(lead)] += fault(signal.shape[1], np.random.default_rng(5))
+    signal[LEADS.index(lead)] += FAULTS[fault](signal.shape[1], np.random.default_rng(5))
     assert_all_found(signal, truth)
 
 
 @pytest.mark.parametrize(
-    "absent", [["I", "II"], ["V1", "V2", "V3", "V4", "V5", "V6"], list(LEADS[:6]), list(LEADS[1:])]
+    "absent",
+    [[], ["I", "II"], ["V1", "V2", "V3", "V4", "V5", "V6"], list(LEADS[:6]), list(LEADS[1:])],
 )
-def test_absent_leads(absent):
-    signal, truth = sinus(seed=4)
-    signal[[LEADS.index(lead) for lead in absent]] = np.nan
-    assert_all_found(signal, truth, tolerance=0.05)
-
-
-def test_flat_lead_is_as_good_as_absent():
+def test_absent_and_flat_leads(absent):
     signal, truth = sinus(seed=4)
     signal[7] = 0.3
-    assert_all_found(signal, truth)
+    signal[[LEADS.index(lead) for lead in absent]] = np.nan
+    assert_all_found(signal, truth, tolerance=0.05 if absent else 0.02)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.05, 0.15])
@@ -99,17 +83,10 @@ def test_pauses_do_not_lower_the_threshold():
     assert_all_found(signal, truth)
 
 
-def test_low_voltage():
+def test_neither_voltage_nor_unit_matter():
     signal, truth = sinus(seed=1, height=0.3, respiration=0.05)
     assert_all_found(signal, truth)
-
-
-def test_peaks_do_not_depend_on_the_unit():
-    signal, _ = sinus()
     assert np.array_equal(r_peaks(signal, RATE), r_peaks(1e-3 * signal, RATE))
-
-
-def test_flat_recording_has_no_beats():
     assert len(r_peaks(np.zeros((12, 1000)), RATE)) == 0
 
 
@@ -123,10 +100,9 @@ def test_magnitude_uses_the_leads_that_are_there():
         complete_leads(np.full((12, 3), np.nan))
 
 
-TALL = [("sinus", 6), ("sinus", 8), ("pauses", 0), ("pauses", 2), ("pauses", 8)]
-
-
-@pytest.mark.parametrize(("rhythm", "seed"), TALL)
+@pytest.mark.parametrize(
+    ("rhythm", "seed"), [("sinus", 6), ("sinus", 8), ("pauses", 0), ("pauses", 2), ("pauses", 8)]
+)
 def test_t_waves_as_high_as_the_qrs_are_no_beats(rhythm, seed):
     """They pass the threshold: without a look at their shape, nearly each would be a beat."""
     signal, truth = sinus(seed=[seed, 7], rhythm=rhythm, tall_t=8.0)

@@ -72,20 +72,17 @@ def test_window_is_found_at_every_sampling_rate(rate):
     assert 0.0 in target.time
 
 
-@pytest.mark.parametrize("interval", [360.0, 500.0, 1500.0])
-def test_slow_and_fast_rhythms(interval):
-    signal, times = ecg(interval=interval, jitter=3.0)
+@pytest.mark.parametrize(
+    ("interval", "tall_t"), [(360.0, 1.0), (500.0, 1.0), (1500.0, 1.0), (1200.0, 5.0)]
+)
+def test_slow_and_fast_rhythms_and_tall_t_waves(interval, tall_t):
+    signal, times = ecg(interval=interval, jitter=3.0, tall_t=tall_t)
     target = make_target(Recording(signal, 500.0, "synthetic"))
     assert target.heart_rate == pytest.approx(60000 / interval, rel=0.02)
     assert len(target.beats) >= len(times) - 2
-    assert target.time[-1] - target.time[0] <= min(700, interval) + 1
-
-
-def test_tall_t_waves_are_not_beats():
-    signal, _ = ecg(interval=1200.0, tall_t=5.0)
-    target = make_target(Recording(signal, 500.0, "synthetic"))
-    assert target.heart_rate == pytest.approx(50, rel=0.02)
-    assert target.qrs_duration == pytest.approx(OFFSET - ONSET, abs=14)
+    assert np.ptp(target.time) <= min(700, interval) + 1
+    if interval > 500:
+        assert target.qrs_duration == pytest.approx(OFFSET - ONSET, abs=14)
 
 
 def test_drift_is_removed():
@@ -100,15 +97,6 @@ def test_drift_is_removed():
     assert np.abs(drifting.mean[:, inside.start]).max() < 0.02
 
 
-def test_mains_hum_does_not_widen_the_window():
-    clean, _ = ecg()
-    t = np.arange(clean.shape[1]) / 500.0
-    quiet = make_target(Recording(clean, 500.0, "clean"))
-    humming = make_target(Recording(clean + 0.03 * np.sin(2 * np.pi * 50 * t), 500.0, "hum"))
-    assert humming.qrs_onset == pytest.approx(quiet.qrs_onset, abs=6)
-    assert humming.qrs_offset == pytest.approx(quiet.qrs_offset, abs=6)
-
-
 def test_ectopic_beats_are_left_out():
     plain = make_target(Recording(ecg()[0], 500.0, "plain"))
     signal, times = ecg(ectopic=(2, 5, 8))
@@ -116,12 +104,8 @@ def test_ectopic_beats_are_left_out():
     assert target.provenance["beats_found"] == str(len(times))
     assert len(target.beats) == len(plain.beats) - 3
     assert np.abs(target.qrs - plain.mean[:, target.qrs_samples]).max() < 0.03
-
-
-def test_majority_of_odd_beats_is_reported():
-    signal, _ = ecg(ectopic=(1, 3, 5, 7))
-    target = make_target(Recording(signal, 500.0, "bigeminy"))
-    assert "only 8 of 12 beats are of class A" in target.provenance["warnings"]
+    many = make_target(Recording(ecg(ectopic=(1, 3, 5, 7))[0], 500.0, "many"))
+    assert "only 8 of 12 beats are of class A" in many.provenance["warnings"]
 
 
 def test_beats_that_alternate_may_be_twice_as_many_as_there_are():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from fascicle.recording.residuals import residual_covariance
+from fascicle.recording.residuals import repeated, residual_covariance
 from fascicle.recording.target import Target
 
 TIME = np.arange(-40.0, 61.0)
@@ -45,20 +47,15 @@ def test_many_beats_give_the_known_covariance():
     assert found.shrinkage_time < 0.05
 
 
-def test_two_beats_show_nothing_of_correlations():
+def test_two_beats_and_beats_without_spread_show_nothing_of_correlations():
     target, *_ = known(np.random.default_rng(3), 2)
     found = residual_covariance(target)
     assert (found.shrinkage_leads, found.shrinkage_time) == (1, 1)
-    assert np.array_equal(found.time, np.eye(81))
-    assert np.array_equal(found.leads, np.eye(12))
-
-
-def test_beats_without_spread():
-    target, *_ = known(np.random.default_rng(3), 4)
-    same = Target(np.tile(target.mean, (4, 1, 1)), TIME, -30.0, 50.0, 60.0)
-    found = residual_covariance(same)
-    assert np.array_equal(found.time, np.eye(81))
-    assert np.abs(full(found)).max() < 1e-12
+    same = residual_covariance(replace(target, beats=np.tile(target.mean, (4, 1, 1))))
+    for covariance in (found, same):
+        assert np.array_equal(covariance.time, np.eye(81))
+        assert np.array_equal(covariance.leads, np.eye(12))
+    assert np.abs(full(same)).max() < 1e-12
 
 
 @pytest.mark.parametrize("beats", [3, 5, 8])
@@ -86,32 +83,33 @@ def test_shrinking_brings_the_estimate_closer():
     assert np.mean(shrunk) < np.mean(raw)
 
 
-def test_full_covariance_multiplies_the_factors():
+def test_the_variance_is_that_of_the_beats():
     target, *_ = known(np.random.default_rng(1), 30)
-    found = residual_covariance(target)
-    whole = full(found)
-    assert whole.shape == (12, 81, 12, 81)
-    assert whole[3, 10, 7, 20] == pytest.approx(
-        found.sd[3, 10] * found.sd[7, 20] * found.leads[3, 7] * found.time[10, 20]
-    )
-    variance = np.einsum("ltlt->lt", whole)
+    variance = np.einsum("ltlt->lt", full(residual_covariance(target)))
     assert np.sqrt(variance) == pytest.approx(target.standard_deviation[:, target.qrs_samples])
 
 
-def test_unused_leads_have_none():
+def test_unused_leads_have_none_and_stated_noise_is_white():
     target, *_ = known(np.random.default_rng(2), 10)
     beats = target.beats.copy()
     beats[:, 8] = np.nan
-    found = residual_covariance(Target(beats, TIME, -30.0, 50.0, 60.0))
-    assert np.isnan(found.leads[8]).all()
-    assert np.isnan(found.leads[:, 8]).all()
-    assert np.isfinite(np.delete(np.delete(found.leads, 8, 0), 8, 1)).all()
+    found = residual_covariance(replace(target, beats=beats))
+    absent = np.isnan(found.leads)
+    assert absent[8].all()
+    assert absent[:, 8].all()
+    assert absent.sum() == 23
     assert np.isfinite(found.time).all()
-
-
-def test_stated_noise_is_white():
-    beat = np.zeros((1, 12, len(TIME)))
-    found = residual_covariance(Target(beat, TIME, -30.0, 50.0, float("nan"), noise=0.04))
-    assert found.leads == pytest.approx(np.eye(12))
-    assert found.time == pytest.approx(np.eye(81))
+    found = residual_covariance(replace(target, beats=target.beats[:1], noise=0.04))
+    assert np.array_equal(found.leads, np.eye(12))
+    assert np.array_equal(found.time, np.eye(81))
     assert (found.sd == 0.04).all()
+
+
+def test_repetitions_of_a_single_beat():
+    target, *_ = known(np.random.default_rng(2), 10)
+    one = replace(target, beats=target.beats[:1], noise=0.04)
+    again = repeated(one, np.random.default_rng(0))
+    assert len(again.beats) == 10
+    assert again.noise is None
+    assert again.mean == pytest.approx(one.beats[0])
+    assert again.standard_deviation.mean() == pytest.approx(0.04, rel=0.05)

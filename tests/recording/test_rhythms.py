@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic_recordings.rhythms import NOISES, RHYTHMS, Synthesis, synthetic_recording
-from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
+from fascicle.core.leads import INDEPENDENT_ROWS
 
-ROWS = [LEADS.index(lead) for lead in INDEPENDENT_LEADS]
+
+def made(seed, **options):
+    return synthetic_recording(np.random.default_rng(seed), Synthesis(**options))
 
 
 def inside(truth, n, rate):
@@ -19,24 +21,19 @@ def inside(truth, n, rate):
 @pytest.mark.parametrize("rhythm", RHYTHMS)
 @pytest.mark.parametrize("heart_rate", [35, 100, 180])
 def test_beats_are_where_and_as_often_as_stated(rhythm, heart_rate):
-    recording, truth = synthetic_recording(
-        np.random.default_rng(1), Synthesis(rhythm=rhythm, heart_rate=heart_rate, seconds=20.0)
-    )
+    recording, truth = made(1, rhythm=rhythm, heart_rate=heart_rate, seconds=20.0)
     assert len(truth.r_times) == len(truth.kinds) > 5
-    assert (truth.onsets >= 0).all()
-    assert (truth.offsets <= recording.duration).all()
-    assert (truth.onsets < truth.r_times).all()
-    assert (truth.r_times < truth.offsets).all()
-    assert (truth.onsets[1:] > truth.offsets[:-1]).all()
+    assert truth.onsets[0] >= 0
+    assert truth.offsets[-1] <= recording.duration
+    ends = np.stack([truth.onsets, truth.r_times, truth.offsets], axis=1).ravel()
+    assert (np.diff(ends) > 0).all()
     if rhythm not in ("pauses", "fibrillation"):
         assert len(truth.r_times) * 3 == pytest.approx(heart_rate, abs=6)
 
 
 @pytest.mark.parametrize("rhythm", ["bigeminy", "blocked"])
 def test_the_qrs_is_zero_outside_its_ends_and_not_inside(rhythm):
-    recording, truth = synthetic_recording(
-        np.random.default_rng(2), Synthesis(rhythm=rhythm, rate=2000.0, tall_t=0.0, respiration=0.0)
-    )
+    recording, truth = made(2, rhythm=rhythm, rate=2000.0, tall_t=0.0, respiration=0.0)
     size = np.abs(recording.signal).max(axis=0)
     t = np.arange(len(size)) / 2000
 
@@ -51,98 +48,50 @@ def test_the_qrs_is_zero_outside_its_ends_and_not_inside(rhythm):
     assert largest(before, after) == pytest.approx(size.max())
 
 
-def test_only_t_waves_grow():
-    options = {"rhythm": "ectopics", "respiration": 0.0}
-    usual, truth = synthetic_recording(np.random.default_rng(2), Synthesis(**options))
-    tall, _ = synthetic_recording(np.random.default_rng(2), Synthesis(tall_t=3.0, **options))
-    qrs = inside(truth, usual.signal.shape[1], 500.0)
-    growth = np.abs(tall.signal - usual.signal)
-    assert growth[:, qrs].max() < 1e-12
-    assert growth[:, ~qrs].max() > 0.3
-
-
-def test_height():
-    recording, _ = synthetic_recording(
-        np.random.default_rng(2), Synthesis(height=1.4, respiration=0.0, beat_spread=0.0)
-    )
-    assert np.abs(recording.signal).max() == pytest.approx(1.4, rel=0.02)
-
-
 @pytest.mark.parametrize("noise", NOISES)
-def test_signal_to_noise_ratio(noise):
-    recording, truth = synthetic_recording(
-        np.random.default_rng(3), Synthesis(noise_db=12.0, noise=(noise,), respiration=0.0)
+def test_height_and_signal_to_noise_ratio(noise):
+    recording, truth = made(
+        3, noise_db=12.0, noise=(noise,), height=1.4, respiration=0.0, beat_spread=0.0
     )
+    assert np.abs(truth.clean).max() == pytest.approx(1.4, rel=0.02)
     qrs = inside(truth, truth.clean.shape[1], 500.0)
-    signal = np.mean(truth.clean[ROWS][:, qrs] ** 2)
-    added = np.mean((recording.signal - truth.clean)[ROWS] ** 2)
+    signal = np.mean(truth.clean[INDEPENDENT_ROWS][:, qrs] ** 2)
+    added = np.mean((recording.signal - truth.clean)[INDEPENDENT_ROWS] ** 2)
     assert 10 * np.log10(signal / added) == pytest.approx(12.0, abs=0.1)
 
 
 def test_kinds_of_beats():
     def widths(rhythm, seed=4):
-        _, truth = synthetic_recording(
-            np.random.default_rng(seed), Synthesis(rhythm=rhythm, seconds=30.0)
-        )
+        _, truth = made(seed, rhythm=rhythm, seconds=30.0)
         width = truth.offsets - truth.onsets
         return {kind: width[np.array(truth.kinds) == kind].mean() for kind in truth.kinds}
 
-    assert set(widths("sinus")) == {"normal"}
+    assert widths("sinus").keys() == {"normal"}
     assert widths("sinus")["normal"] < 0.115
-    assert set(widths("bigeminy")) == {"normal", "ectopic"}
+    assert widths("bigeminy").keys() == {"normal", "ectopic"}
     assert widths("bigeminy")["ectopic"] > 0.125
     assert widths("blocked")["blocked"] > 0.115
     assert widths("fibrillation", seed=0)["aberrant"] > 0.115
-    assert set(widths("paced")) == {"paced"}
-
-
-def test_intervals():
-    def spread(rhythm):
-        _, truth = synthetic_recording(
-            np.random.default_rng(5), Synthesis(rhythm=rhythm, heart_rate=80, seconds=30.0)
-        )
-        interval = np.diff(truth.r_times)
-        return interval.std() / interval.mean(), interval
-
-    assert spread("sinus")[0] < 0.06
-    assert spread("paced")[0] < 0.02
-    assert spread("fibrillation")[0] > 0.15
-    assert spread("pauses")[1].max() > 3
-    pair = spread("bigeminy")[1]
-    assert pair[:-1] + pair[1:] == pytest.approx(1.5, rel=0.06)
+    assert widths("paced").keys() == {"paced"}
 
 
 def test_spikes_precede_the_qrs():
     for seed in range(4):
-        _, truth = synthetic_recording(
-            np.random.default_rng(seed), Synthesis(rhythm="paced", rate=1000.0, spike_size=5.0)
-        )
+        _, truth = made(seed, rhythm="paced", rate=1000.0, spike_size=5.0)
         lag = truth.onsets - truth.spikes[np.searchsorted(truth.spikes, truth.onsets) - 1]
-        assert (lag >= 0.003).all()
-        assert (lag <= 0.031).all()
+        assert ((lag >= 0.003) & (lag <= 0.031)).all()
         sample = int(truth.spikes[0] * 1000)
         assert np.ptp(truth.clean[:, sample - 4 : sample + 6], axis=1).max() > 3
 
 
 def test_einthoven_holds_in_noise_and_the_same_seed_gives_the_same():
-    def again():
-        return synthetic_recording(
-            np.random.default_rng(8), Synthesis(noise_db=10.0, noise=tuple(NOISES))
-        )[0]
-
-    recording = again()
+    recording, again = (made(8, noise_db=10.0, noise=tuple(NOISES))[0] for _ in range(2))
     assert recording.signal[0] + recording.signal[2] == pytest.approx(recording.signal[1])
-    assert np.array_equal(recording.signal, again().signal)
+    assert np.array_equal(recording.signal, again.signal)
 
 
 def test_noise_without_a_beat_is_an_error():
     options = {"seconds": 1.6, "heart_rate": 25}
-    seed = next(
-        seed
-        for seed in range(50)
-        if not len(
-            synthetic_recording(np.random.default_rng(seed), Synthesis(**options))[1].r_times
-        )
-    )
+    seed = next(seed for seed in range(50) if not len(made(seed, **options)[1].r_times))
     with pytest.raises(ValueError, match="no beat in"):
-        synthetic_recording(np.random.default_rng(seed), Synthesis(noise_db=10.0, **options))
+        made(seed, noise_db=10.0, **options)

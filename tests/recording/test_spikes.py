@@ -65,27 +65,19 @@ def test_artefacts_of_one_electrode_are_no_spikes():
 
 
 @pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0])
-def test_what_is_left_is_the_beat(rate):
+def test_spikes_lie_about_the_pulse_and_what_is_left_is_the_beat(rate):
     options = {"rhythm": "paced", "rate": rate, "respiration": 0.0}
     recording, truth = synthetic_recording(
         np.random.default_rng(3), Synthesis(spike_size=20.0, **options)
     )
     bare, _ = synthetic_recording(np.random.default_rng(3), Synthesis(spike_size=1e-9, **options))
     assert np.abs(recording.signal - bare.signal).max() > 10
-    left = remove_spikes(recording.signal, find_spikes(recording.signal, rate))
-    assert np.abs(left - bare.signal).max() < 0.1
-    assert len(truth.spikes) > 5
-
-
-def test_spikes_are_narrow_and_lie_about_the_pulse():
-    recording, truth = synthetic_recording(
-        np.random.default_rng(5), Synthesis(rhythm="paced", rate=1000.0, spike_size=10.0)
-    )
-    spikes = find_spikes(recording.signal, 1000.0)
-    assert len(spikes) == len(truth.spikes)
-    assert (spikes[:, 0] / 1000 <= truth.spikes + 0.001).all()
-    assert (spikes[:, 1] / 1000 >= truth.spikes).all()
-    assert (np.diff(spikes, axis=1) <= 8).all()
+    spikes = find_spikes(recording.signal, rate)
+    assert np.abs(remove_spikes(recording.signal, spikes) - bare.signal).max() < 0.1
+    assert len(spikes) == len(truth.spikes) > 5
+    assert (spikes[:, 0] / rate <= truth.spikes + 1 / rate).all()
+    assert (spikes[:, 1] / rate >= truth.spikes).all()
+    assert (np.diff(spikes, axis=1) <= max(0.008 * rate, 5)).all()
 
 
 def test_leads_recorded_one_group_after_another():
@@ -102,8 +94,3 @@ def test_leads_recorded_one_group_after_another():
     assert missed <= 0.15 * found
     assert false == 0
     assert np.array_equal(np.isnan(remove_spikes(signal, spikes)), np.isnan(signal))
-
-
-def test_nothing_to_remove():
-    signal = np.random.default_rng(0).standard_normal((12, 100))
-    assert np.array_equal(remove_spikes(signal, np.empty((0, 2), dtype=np.int64)), signal)

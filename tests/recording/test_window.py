@@ -74,13 +74,6 @@ def test_neither_amplitude_nor_level_nor_drift_matter():
     assert 0.5 * np.array(outermost(fine, 0.5)) == pytest.approx(outermost(coarse), abs=2)
 
 
-def test_longer_activation_is_measured_longer():
-    durations = [
-        np.ptp(qrs_window(depolarisation(20, end, 1.0, 400), 1.0)) for end in (100, 130, 160, 190)
-    ]
-    assert np.diff(durations) == pytest.approx(30, abs=4)
-
-
 def test_no_signal_is_an_error():
     for find in (qrs_window, qrs_windows):
         with pytest.raises(ValueError, match="do not move"):
@@ -142,16 +135,13 @@ def test_short_pr_interval(height):
     assert offset == pytest.approx(250, abs=10)
 
 
-def test_slurred_upstroke_belongs_to_the_qrs():
-    """A delta wave of 40 ms and 0.25 mV before the steep part."""
+def test_slurred_upstroke_and_fragmented_qrs():
+    """A delta wave of 40 ms and 0.25 mV; a steep start, a slow middle with notches, a steep end."""
     t = np.arange(700)
     rise = np.clip((t - 150) / 40.0, 0, 1) ** 1.3 * np.clip((240 - t) / 40.0, 0, 1)
     signal = depolarisation(190, 270, 1.0, 700) + 0.25 * np.cos(np.arange(12))[:, None] * rise
     assert qrs_window(signal, 1.0) == pytest.approx((150, 270), abs=10)
 
-
-def test_wide_fragmented_qrs():
-    """A steep start, a slow middle with notches, a steeper end: 220 ms."""
     signal = depolarisation(150, 230, 1.0, 700)
     signal += 0.4 * depolarisation(200, 370, 1.0, 700)
     for notch in (240, 275, 310):
@@ -177,20 +167,15 @@ def in_leads(leads, start, end, size=0.06):
     return wave
 
 
-def test_leads_that_begin_earlier_and_end_later_decide():
+def test_outermost_leads_decide_the_global_window_but_not_one_or_two_alone():
     """The limb leads move 25 ms before and after the others: all together hardly do."""
     moved = beat() + in_leads(range(6), 125, 175) + in_leads(range(6), 225, 275)
     window, (onset, offset) = qrs_windows(moved, 1.0)
-    assert 115 <= onset <= 130
-    assert 270 <= offset <= 285
-    assert onset < window[0] - 3
-    assert offset > window[1] + 3
-
-
-@pytest.mark.parametrize("leads", [[7], [7, 8]])
-def test_one_lead_or_two_alone_decide_nothing(leads):
-    moved = beat() + in_leads(leads, 110, 175) + in_leads(leads, 225, 300)
-    assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=8)
+    assert 115 <= onset <= min(130, window[0] - 4)
+    assert max(270, window[1] + 4) <= offset <= 285
+    for leads in ([7], [7, 8]):
+        moved = beat() + in_leads(leads, 110, 175) + in_leads(leads, 225, 300)
+        assert outermost(moved) == pytest.approx(PLAIN.global_window, abs=8)
 
 
 def test_global_window_is_the_same_with_the_noise_of_recordings_as_without(default_model):
@@ -250,19 +235,15 @@ def noisy_beats(rng, count, noise):
     return clean + noise * rng.standard_normal((count, *clean.shape))
 
 
-def test_without_noise_the_error_of_the_method_remains():
-    beats = noisy_beats(np.random.default_rng(0), 5, 0.0)
-    assert window_uncertainty(beats, 1.0) == pytest.approx((ONSET_ERROR, OFFSET_ERROR))
-
-
 def test_noisier_beats_are_less_sure_and_more_beats_are_surer():
     rng = np.random.default_rng(1)
-    few, quiet, many = (
+    few, quiet, many, clean = (
         np.array(window_uncertainty(noisy_beats(rng, *case), 1.0))
-        for case in ((6, 0.3), (6, 0.02), (96, 0.3))
+        for case in ((6, 0.3), (6, 0.02), (96, 0.3), (5, 0.0))
     )
     assert (few > quiet + 0.5).all()
     assert (few > many + 0.5).all()
+    assert clean == pytest.approx((ONSET_ERROR, OFFSET_ERROR))  # of the method
 
 
 def test_the_step_scales_it_and_the_same_beats_give_the_same():

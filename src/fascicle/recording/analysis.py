@@ -26,15 +26,7 @@ class Unused(Enum):
 
 @dataclass(frozen=True)
 class Drift:
-    """How far a beat is off the median beat right after the QRS.
-
-    Attributes
-    ----------
-    lead : str
-        In which it is off most, for how the beats vary there.
-    potential : float
-        How far (mV).
-    """
+    """How far (mV) a beat is off the median beat right after the QRS, and in which lead most."""
 
     lead: str
     potential: float
@@ -92,17 +84,7 @@ class Beat:
 
 @dataclass(frozen=True)
 class BeatClass:
-    """Beats of one shape.
-
-    Attributes
-    ----------
-    label : str
-        A, B, ...
-    count : int
-        Number of beats.
-    description : str
-        What is notable about them, such as ``early, wide`` or ``paced``; may be empty.
-    """
+    """Beats of one shape: label (A, B, ...), number, and what is notable, such as ``early``."""
 
     label: str
     count: int

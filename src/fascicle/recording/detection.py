@@ -20,12 +20,7 @@ def complete_leads(signal: Floats) -> list[int]:
 
     Without I or II no two of the other limb leads see the whole frontal plane equally, so a mean
     takes them all; `fascicle.core.leads.independent_rows` never takes more than two. Leads of the
-    signal (12, n) that hold a NaN are not there.
-
-    Raises
-    ------
-    ValueError
-        When every lead holds a NaN.
+    signal (12, n) that hold a NaN are not there; ValueError when all do.
     """
     there = [row for row in range(len(LEADS)) if bool(np.isfinite(signal[row]).all())]
     if not there:
@@ -49,22 +44,8 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     moves to the top of the smoothed root mean square of the leads that agree, which is the same
     point of every beat of one shape to within a few ms.
 
-    Parameters
-    ----------
-    signal : (12, n) array
-        Potential (mV), without pacing spikes; rows with NaN are left out.
-    sampling_rate : float
-        Samples per second (Hz), at least 250.
-
-    Returns
-    -------
-    (n_beats,) array
-        Sample of each R peak, to within 2 ms, increasing; empty when there is none.
-
-    Raises
-    ------
-    ValueError
-        When every lead holds a NaN.
+    Of a signal (12, n), mV, without pacing spikes, at a rate of at least 250 Hz: the sample of each
+    R peak to within 2 ms, (n_beats,), increasing. Rows with NaN are left out.
     """
     factor = max(round(sampling_rate / 250.0), 1)  # Hz; enough for a band that ends at 15 Hz
     rate = sampling_rate / factor

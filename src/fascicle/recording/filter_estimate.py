@@ -41,19 +41,7 @@ def passed_filters(
 ) -> tuple[Filter, ...]:
     """The recorder's filters and those of this program, in the order in which they were passed.
 
-    Parameters
-    ----------
-    recording : Recording
-        As recorded, without the filters that the user asks for.
-    r_peaks : (n_beats,) array
-        Samples of its R peaks.
-    options : TargetOptions
-        Decisions of the user.
-
-    Raises
-    ------
-    InputError
-        When the user states another low-pass than the file.
+    Of a recording as it was recorded, whose R peaks are at the samples `r_peaks` (n_beats,).
     """
     named, stated = recording.filters.lowpass, options.recorder_lowpass
     if named is not None and stated not in (None, named):
@@ -78,20 +66,9 @@ def passed_filters(
 def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -> Filter | None:
     """Find the low-pass that a recording has passed, if it shows one beyond doubt.
 
-    Parameters
-    ----------
-    signal : (n_leads, n) array
-        Potential (mV) as recorded; leads may be NaN.
-    sampling_rate : float
-        Samples per second (Hz).
-    r_peaks : (n_beats,) array
-        Samples of the R peaks.
-
-    Returns
-    -------
-    Filter or None
-        Butterworth low-pass with the cut-off (-3 dB) and the order that describe the fall best; its
-        order need not be whole. None where there is no low-pass, a gentle one, or doubt.
+    Of a signal (n_leads, n), mV, at a rate (Hz), with beats at the samples `r_peaks` (n_beats,). It
+    is the Butterworth low-pass whose cut-off (-3 dB) and order describe the fall best; its order
+    need not be whole. None where there is no low-pass, a gentle one, or doubt.
     """
     found = _beat_spectrum(signal, sampling_rate, r_peaks)
     if found is None:

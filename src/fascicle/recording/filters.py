@@ -57,11 +57,6 @@ class Filter:
     sampling_rate : float, optional
         Samples per second (Hz) at which a digital filter was run forward and backward; None for
         one that was run once, and is taken as analogue.
-
-    Raises
-    ------
-    ValueError
-        When there is no such filter.
     """
 
     kind: FilterKind
@@ -132,12 +127,8 @@ def attenuation(ratio: Floats, order: float) -> Floats:
 def applied_filters(lowpass: float | None, mains: float | None) -> tuple[Filter, ...]:
     """The digital filters that the user asks for, at the rate of targets.
 
-    Parameters
-    ----------
-    lowpass : float, optional
-        Cut-off (Hz) of a low-pass, where it halves amplitudes.
-    mains : float, optional
-        Frequency (Hz) of the power-line interference that a notch removes.
+    Cut-off (Hz) of a low-pass, where it halves amplitudes, and frequency (Hz) of the power-line
+    interference that a notch removes.
     """
     wanted = (  # of order 2, run forward and backward: 4 in effect
         (FilterKind.LOW_PASS, lowpass, 2.0),

@@ -27,31 +27,17 @@ from fascicle.recording.window import qrs_window
 class LeadGroup:
     """The leads that were recorded over one stretch of time, and the beats in it.
 
-    Most recordings are one group; on paper, leads are recorded one group after another.
-
-    Attributes
-    ----------
-    start : float
-        Time of the first sample (s from the start of the recording).
-    signal : (12, n) array
-        Potential (mV) every `SAMPLING_STEP`, without pacing spikes, filtered if so chosen; leads
-        recorded at other times are NaN.
-    spikes : (k, 2) array
-        First sample of each pacing spike and the one after its last.
-    noise : float
-        Energy of the noise between beats, see `fascicle.recording.morphology.noise_energy`.
-    peaks : (n_beats,) array
-        R peak of each beat, a sample; beats of one class are aligned on all leads. May be empty.
-    labels : tuple of str
-        Class of each beat: A is the one with the most beats, of equals the narrower.
+    Most recordings are one group; on paper, leads are recorded one group after another. The signal
+    is without pacing spikes and filtered if so chosen; leads recorded at other times are NaN. Beats
+    of one class are aligned on all leads; A is the class with most beats, of equals the narrower.
     """
 
-    start: float
-    signal: Floats
-    spikes: Integers
-    noise: float
-    peaks: Integers
-    labels: tuple[str, ...]
+    start: float  # s; time of the first sample in the recording
+    signal: Floats  # (12, n), mV, every `SAMPLING_STEP`
+    spikes: Integers  # (k, 2); first sample of each pacing spike and the one after its last
+    noise: float  # energy between beats, see `fascicle.recording.morphology.noise_energy`
+    peaks: Integers  # (n_beats,); sample of each beat's R peak
+    labels: tuple[str, ...]  # class of each beat
 
     @property
     def leads(self) -> str:
@@ -117,16 +103,8 @@ def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) 
     """Split a recording into leads recorded at the same time, and find and sort their beats.
 
     The groups are in the order of time; any may have no beat. A lead that runs through several
-    stretches, such as a rhythm strip, is in each group.
-
-    Parameters
-    ----------
-    recording : Recording
-        Without pacing spikes.
-    spikes : (k, 2) array
-        First sample of each of these and the one after its last.
-    options : TargetOptions
-        Decisions of the user.
+    stretches, such as a rhythm strip, is in each group. The recording is without the pacing
+    `spikes` (k, 2), first sample of each and the one after its last.
     """
     return [_group(recording, spikes, *stretch, options) for stretch in stretches(recording)]
 

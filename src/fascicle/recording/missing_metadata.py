@@ -33,27 +33,23 @@ class MissingMetadataError(InputError):
 
 
 def missing_unit(message: str, leads: Sequence[Floats]) -> MissingMetadataError:
-    """Ask for the unit of leads, each of shape (n,), and guess it from how far they span."""
-    known = [lead[np.isfinite(lead)] for lead in leads]
-    spans = [float(np.ptp(lead)) for lead in known if lead.size]
+    """Ask for the unit of leads, each of shape (n,), and guess it: they usually span 1.5 mV."""
+    spans = [float(np.ptp(lead[np.isfinite(lead)])) for lead in leads if np.isfinite(lead).any()]
     span = float(np.median(spans)) if spans else 0.0
-    in_millivolts = {unit: span * mv for unit, mv in (("nV", 1e-6), ("uV", 1e-3), ("mV", 1.0))}
-    in_millivolts["V"] = span * 1e3
-    possible = {unit: height for unit, height in in_millivolts.items() if 0.2 <= height <= 15.0}
+    units = {"nV": 1e-6, "uV": 1e-3, "mV": 1.0, "V": 1e3}  # mV
+    possible = {unit: span * mv for unit, mv in units.items() if 0.2 <= span * mv <= 15.0}
     if not possible:
         return MissingMetadataError(message, "unit")
-    # a lead usually spans some 1.5 mV
     unit = min(possible, key=lambda each: abs(math.log(possible[each] / 1.5)))
-    return MissingMetadataError(
-        message, "unit", unit, f"leads then span {possible[unit]:.2g} mV (median)"
-    )
+    why = f"leads then span {possible[unit]:.2g} mV (median)"
+    return MissingMetadataError(message, "unit", unit, why)
 
 
 def missing_rate(message: str, samples: int) -> MissingMetadataError:
     """Ask for the sampling rate of so many samples, and guess it from the usual 10 s."""
     common = (500.0, 1000.0, 250.0, 400.0, 300.0, 2000.0)  # Hz
-    rates = [rate for rate in common if samples / rate == 10.0]
-    rate = rates[0] if rates else 500.0 if samples > 2000 else 1000.0
+    usual = 500.0 if samples > 2000 else 1000.0
+    rate = next((rate for rate in common if samples / rate == 10.0), usual)
     why = f"its {samples} samples then last {samples / rate:.3g} s"
     return MissingMetadataError(message, "sampling_rate", rate, why)
 
@@ -63,13 +59,5 @@ def missing_time_unit(message: str, step: float) -> MissingMetadataError:
     if not 0 < step < math.inf:
         return MissingMetadataError(message, "sampling_rate")
     rate, unit = (1 / step, "s") if step < 0.1 else (1000 / step, "ms")
-    return MissingMetadataError(
-        message, "sampling_rate", rate, f"times then step by {step:g} {unit}"
-    )
-
-
-def missing_noise(message: str) -> MissingMetadataError:
-    """Ask for the noise of a single beat."""
-    return MissingMetadataError(
-        message, "noise", 0.03, "beats at rest differ by about as much (mV)"
-    )
+    why = f"times then step by {step:g} {unit}"
+    return MissingMetadataError(message, "sampling_rate", rate, why)

@@ -12,21 +12,9 @@ ALIKE = 0.2  # share of a beat's energy by which beats of one class differ: corr
 
 
 def cut(signal: Floats, peaks: Integers, before: int, after: int) -> Floats:
-    """Windows around peaks; beyond its ends the signal stays as it is there.
+    """Windows (n_beats, n_leads, before + after + 1) of a signal (n_leads, n) around its peaks.
 
-    Parameters
-    ----------
-    signal : (n_leads, n) array
-        Potential (mV).
-    peaks : (n_beats,) array
-        R peaks (samples).
-    before, after : int
-        Samples before and after each peak.
-
-    Returns
-    -------
-    (n_beats, n_leads, before + after + 1) array
-        Potential (mV).
+    Beyond its ends the signal stays as it is there.
     """
     within = np.clip(peaks[:, None] + np.arange(-before, after + 1), 0, signal.shape[1] - 1)
     return np.stack([signal[:, samples] for samples in within])
@@ -53,7 +41,7 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
     peaks : (n_beats,) array
         R peaks, at least one.
     noise : float
-        Energy of noise alone, see `noise_energy`.
+        Its energy alone, see `noise_energy`.
 
     Returns
     -------

@@ -18,14 +18,20 @@ from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
 from fascicle.core.ranges import check_kind
-from fascicle.recording.aligned_beats import AlignedBeats, combine, cut_beats
 from fascicle.recording.analysis import Analysis, Beat, BeatClass
-from fascicle.recording.beat_selection import FEW_ALIKE, by_name, select_beats
+from fascicle.recording.beats import (
+    FEW_ALIKE,
+    AlignedBeats,
+    by_name,
+    combine,
+    cut_beats,
+    select_beats,
+)
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filter_estimate import passed_filters
 from fascicle.recording.filters import SAMPLING_STEP, TARGET_RATE, Filter, resample
 from fascicle.recording.lead_groups import LeadGroup, lead_groups, stretches
-from fascicle.recording.missing_metadata import missing_noise
+from fascicle.recording.missing_metadata import MissingMetadataError
 from fascicle.recording.quality.check_result import CheckResult, Severity
 from fascicle.recording.quality.checks import check_leads, check_recording
 from fascicle.recording.recording import CHECKSUMS_AGREE, Recording
@@ -225,10 +231,12 @@ def _target(
     """Make the target of aligned beats: their window, and everything that decided them."""
     source, count = recording.source, len(aligned.beats)
     if count == 1 and options.noise is None:
-        raise missing_noise(
+        message = (
             f"{source}: a single beat (class {label}) does not show how beats vary; state its "
             "noise by --noise (mV), or give a recording with more beats of one shape"
         )
+        why = "beats at rest differ by about as much (mV)"
+        raise MissingMetadataError(message, "noise", 0.03, why)
     if count > 1 and options.noise is not None:
         raise InputError(
             f"{source}: {count} beats show how they vary; --noise is for a single beat"

@@ -50,12 +50,6 @@ class Recording:
         Limb leads that were computed from two others.
     ignored : tuple of str
         Channels of the file that are none of the twelve leads, or were not wanted.
-
-    Raises
-    ------
-    InputError
-        When the array is not twelve leads, has gaps or no leads, or the recording is too short,
-        too long or too coarse in time.
     """
 
     signal: Floats

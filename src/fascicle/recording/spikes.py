@@ -22,18 +22,8 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     found in software, by their steepness and short duration in several leads, is shown by
     Helfenbein et al. (J. Electrocardiol. 35 Suppl:95, 2002); the rule used here is simpler.
 
-    Parameters
-    ----------
-    signal : (12, n) array
-        Potential (mV) as it was recorded; NaN where a lead was not.
-    sampling_rate : float
-        Samples per second (Hz), at least 250. Filters of the recorder, which are stronger at low
-        rates, make spikes smaller and wider.
-
-    Returns
-    -------
-    (k, 2) array
-        First sample of each spike and the one after its last, increasing.
+    Of a signal (12, n), mV, at a rate of at least 250 Hz, NaN where a lead was not recorded: first
+    sample of each spike and the one after its last, (k, 2), increasing.
     """
     width = round(0.05 * sampling_rate)  # s each side in which a spike must stand out
     reach = max(math.ceil(0.005 * sampling_rate), 2)  # s; a smeared pulse has ended by then

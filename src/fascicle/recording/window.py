@@ -107,20 +107,10 @@ class _Velocity:
 
 
 def spatial_velocity(signal: Floats, step: float) -> Floats:
-    r"""Speed of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
+    r"""Speed (mV/ms) of all leads together, :math:`v(t) = \sqrt{\mathrm{mean}_i (dV_i/dt)^2}`.
 
-    Parameters
-    ----------
-    signal : (12, n) array
-        Potential (mV); leads that are not there are NaN.
-    step : float
-        Sampling step (ms).
-
-    Returns
-    -------
-    (n,) array
-        Root mean square over the independent leads that are there of the derivative (mV/ms), each
-        smoothed by a Gaussian of `SMOOTHING` ms.
+    Of a signal (12, n), mV, every `step` ms; the mean is over the independent leads that are there,
+    each smoothed by a Gaussian of `SMOOTHING` ms.
     """
     slope = _derivative(signal[complete_leads(signal)], SMOOTHING, step, 1)
     return np.asarray(np.sqrt(np.mean(slope**2, axis=0)))
@@ -390,9 +380,7 @@ def window_uncertainty(
     ----------
     beats : (n_beats, 12, n) array
         Aligned beats (mV); leads that are not there are NaN in every beat.
-    step : float
-        Sampling step (ms).
-    not_before, smoothing
+    step, not_before, smoothing
         As in `qrs_windows`.
     noise : float, optional
         Standard deviation of every sample of a beat (mV); needed where there is one beat.
@@ -401,11 +389,6 @@ def window_uncertainty(
     -------
     onset_sd, offset_sd : float
         Standard deviations (ms); two of them hold 95 % of the errors.
-
-    Raises
-    ------
-    ValueError
-        When one beat comes without `noise`, or no lead moves.
 
     Notes
     -----

@@ -20,17 +20,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """What is looked at.
-
-    Attributes
-    ----------
-    name : str
-        Such as ``Einthoven I + III - II``.
-    unit : str
-        Unit of its figure; empty for counts and shares.
-    limit : float
-        The figure from which on it is no longer fine.
-    """
+    """What is looked at: name, unit of its figure (or none), and from which on it is not fine."""
 
     name: str
     unit: str

@@ -30,24 +30,12 @@ LOWPASS = Check("recorder's low-pass", "Hz", 150.0)
 
 @dataclass(frozen=True)
 class LeadCheck(Check):
-    """A check of each lead by itself; the largest figure counts.
+    """A check of each lead by itself; the largest figure counts."""
 
-    Attributes
-    ----------
-    figure : callable
-        Of the samples (mV) of a lead and their rate (Hz), in the unit of the check.
-    message : str
-        With ``{leads}`` for those over the limit and ``{largest}`` for the largest figure.
-    advice : str
-        What to do.
-    refused : float
-        The figure from which on a lead cannot be used, unless all are so.
-    """
-
-    figure: Callable[[Floats, float], float]
-    message: str
-    advice: str
-    refused: float = math.inf
+    figure: Callable[[Floats, float], float]  # of samples (mV) and rate (Hz), in the check's unit
+    message: str  # with {leads} for those over the limit and {largest} for the largest figure
+    advice: str  # what to do
+    refused: float = math.inf  # from which on a lead cannot be used, unless all are so
 
     def of(self, recording: Recording) -> CheckResult:
         """Outcome in a recording."""
@@ -78,17 +66,9 @@ def check_recording(
 ) -> tuple[CheckResult, ...]:
     """Every check of a recording with a signal in each lead, also those that are fine.
 
-    Leads may be absent, or recorded one group after another. NaN is the figure of a check that the
-    recording does not allow; its message says so.
-
-    Parameters
-    ----------
-    recording : Recording
-        Without pacing spikes.
-    peaks : (n_beats,) array
-        Samples of its R peaks.
-    filters : sequence of Filter
-        Those that it has passed.
+    Of a recording without pacing spikes, whose R peaks are at the samples `peaks` (n_beats,), and
+    the filters that it has passed. Leads may be absent, or recorded one group after another. NaN is
+    the figure of a check that the recording does not allow; its message says so.
     """
     return (
         *check_identities(recording),

@@ -161,26 +161,47 @@ def _explain(
     """Find the simplest change of the leads that makes their relations hold.
 
     Tried in this order: one lead upside down or two exchanged; one lead with another gain, or wrong
-    altogether; each lead with a gain of its own.
-    Reversed electrodes are not among them: they leave every relation intact.
+    altogether; each lead with a gain of its own. Reversed electrodes are not among them: they leave
+    every relation intact.
 
     Of leads (m, n) without baseline (mV), `rows` of the limb leads, whose relations `zeros`
     (m - 2, m) are not all zero. FATAL when there is an explanation, WARNING when there is none.
     """
     leads = _thinned(leads)
-    names = [LIMB_LEADS[row] for row in rows]
-    mistakes = _mistakes(names, leads, zeros)
+    names, before = [LIMB_LEADS[row] for row in rows], _worst(leads, zeros)
+
+    def holds(changed: Floats) -> bool:
+        return _worst(changed, zeros) <= min(_limit_of(changed), REMAINING * before)
+
+    mistakes = []
+    same = np.eye(len(rows))
+    for k, name in enumerate(names):
+        if holds((same - 2 * np.outer(same[k], same[k])) @ leads):
+            mistakes.append(f"lead {name} is upside down, give --invert {name}")
+    for i, j in combinations(range(len(rows)), 2):
+        order = [{i: j, j: i}.get(k, k) for k in range(len(rows))]
+        if holds(leads[order]):
+            one, other = names[i], names[j]
+            mistakes.append(f"leads {one} and {other} are exchanged, give --swap {one}-{other}")
     if mistakes:
         return Severity.FATAL, ", or ".join(mistakes)
-    lead, what = _single_lead(names, leads, zeros)
-    if lead:
+    remaining = np.array([_without(k, leads, zeros) for k in range(len(rows))])
+    best, next_best = np.argsort(remaining)[:2]
+    limit = _limit_of(np.delete(leads, best, axis=0))
+    if remaining[best] <= min(limit, REMAINING * before, REMAINING * remaining[next_best]):
+        gain = _gain(int(best), leads, zeros)
+        what = "does not follow from the other limb leads"
+        if holds(np.where(same[best][:, None], gain, 1.0) * leads):
+            what = f"is {1 / gain:.2f} times what the other limb leads say"
         return Severity.FATAL, (
-            f"lead {lead} {what}; leave it out, it is then computed from the others: "
-            f"{leave_out(recording, [lead])}"
+            f"lead {names[best]} {what}; leave it out, it is then computed from the others: "
+            f"{leave_out(recording, [names[best]])}"
         )
-    ratios = _gains(leads, zeros)
-    if ratios is not None and ratios.max() > 1.2 * ratios.min():  # below, they may still be in mV
-        found = ", ".join(f"{n} {g:.2f}" for n, g in zip(names, ratios / ratios[0], strict=True))
+    factors = _factors(leads, zeros)
+    # below a ratio of 1.2 they may still be in mV
+    if factors is not None and factors.max() > 1.2 * factors.min() and holds(factors * leads):
+        ratios = (factors[0] / factors).ravel()
+        found = ", ".join(f"{n} {g:.2f}" for n, g in zip(names, ratios, strict=True))
         return Severity.FATAL, (
             f"each lead has a gain of its own ({found}); export the recording in mV, with one gain "
             "for all leads"
@@ -222,52 +243,13 @@ def _worst(leads: Floats, zeros: Floats) -> float:
     return float(_misfits(leads, zeros).max())
 
 
-def _holds(before: float, leads: Floats, zeros: Floats) -> bool:
-    """Whether all relations hold now, and better than before (worst misfit in mV)."""
-    return _worst(leads, zeros) <= min(_limit_of(leads), REMAINING * before)
-
-
-def _mistakes(names: list[str], leads: Floats, zeros: Floats) -> list[str]:
-    """Inversions of one lead and exchanges of two that make the relations hold."""
-    before = _worst(leads, zeros)
-    found = []
-    for k, name in enumerate(names):
-        changed = leads.copy()
-        changed[k] *= -1
-        if _holds(before, changed, zeros):
-            found.append(f"lead {name} is upside down, give --invert {name}")
-    for i, j in combinations(range(len(names)), 2):
-        changed = leads.copy()
-        changed[[i, j]] = leads[[j, i]]
-        if _holds(before, changed, zeros):
-            pair = f"{names[i]} and {names[j]}"
-            found.append(f"leads {pair} are exchanged, give --swap {names[i]}-{names[j]}")
-    return found
-
-
-def _single_lead(names: list[str], leads: Floats, zeros: Floats) -> tuple[str, str]:
-    """Name of the lead at fault, empty when it is not one or not clear which, and its fault."""
-    before = _worst(leads, zeros)
-    remaining = np.array([_without(k, leads, zeros) for k in range(len(names))])
-    best, next_best = np.argsort(remaining)[:2]
-    largest = min(_limit_of(np.delete(leads, best, axis=0)), REMAINING * before)
-    if remaining[best] > min(largest, REMAINING * remaining[next_best]):
-        return "", ""
-    gain = _gain(best, leads, zeros)
-    changed = leads.copy()
-    changed[best] *= gain
-    if _holds(before, changed, zeros):
-        return names[best], f"is {1 / gain:.2f} times what the other limb leads say"
-    return names[best], "does not follow from the other limb leads"
-
-
 def _without(k: int, leads: Floats, zeros: Floats) -> float:
     """Worst misfit (mV) when lead k is left out or, where too few remain, has the best gain."""
     if len(leads) > 3:
         # relations in which the lead no longer occurs
         pivot = int(np.argmax(np.abs(zeros[:, k])))
         free = zeros - np.outer(zeros[:, k] / zeros[pivot, k], zeros[pivot])
-        return float(_misfits(leads, np.delete(free, pivot, axis=0)).max())
+        return _worst(leads, np.delete(free, pivot, axis=0))
     changed = leads.copy()
     changed[k] *= _gain(k, leads, zeros)
     return _worst(changed, zeros)
@@ -280,8 +262,8 @@ def _gain(k: int, leads: Floats, zeros: Floats) -> float:
     return float(-(own * others).sum() / max((own * own).sum(), np.finfo(float).tiny))
 
 
-def _gains(leads: Floats, zeros: Floats) -> Floats | None:
-    """How many times too high each lead is, if factors for all of them make the relations hold."""
+def _factors(leads: Floats, zeros: Floats) -> Floats | None:
+    """Positive factors (m, 1) of all leads that make the relations hold best, if they are clear."""
     size = np.sqrt((leads**2).mean(axis=1))
     if not size.all():
         return None
@@ -293,9 +275,7 @@ def _gains(leads: Floats, zeros: Floats) -> Floats | None:
     factors = factors if factors.sum() > 0 else -factors
     if factors.min() <= 0 or values[1] * REMAINING <= values[0]:
         return None
-    factors = factors / np.exp(np.log(factors).mean())
-    before = _worst(leads, zeros)
-    return 1 / factors if _holds(before, factors[:, None] * leads, zeros) else None
+    return np.asarray(factors / np.exp(np.log(factors).mean()))[:, None]
 
 
 def check_reversal(recording: Recording, peaks: Integers) -> CheckResult:
@@ -354,25 +334,21 @@ def _median_beat(recording: Recording, peaks: Integers) -> Floats:
     return median
 
 
-def _likeness(leads: Floats, reference: Floats, rate: float) -> tuple[float, float]:
-    """Mean of the correlations in P wave and QRS of leads I and II with another lead."""
-    waves = (-0.26, -0.10), (-0.06, 0.08)  # s from R
-    one, two = (
-        sum(_correlation(lead, reference, wave, rate) for wave in waves) / 2 for lead in leads
-    )
-    return one, two
+def _likeness(leads: Floats, reference: Floats, rate: float) -> list[float]:
+    """Mean of the correlations of leads with another, in P wave and QRS of median beats (n,).
 
-
-def _correlation(x: Floats, y: Floats, wave: tuple[float, float], rate: float) -> float:
-    """Correlation of two median beats (n,) over a wave, each less the line between its ends."""
-    start, stop = (round((0.26 + end) * rate) for end in wave)
-    edge = max(round(0.01 * rate), 1)  # samples at each end that are taken as its level
-    a, b = (_level(lead[start : stop + 1], edge) for lead in (x, y))
-    scale = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / scale if scale > 0 else 0.0
-
-
-def _level(x: Floats, edge: int) -> Floats:
-    """Wave (n,) less the line between the means of its ends, and less its mean."""
-    line = np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
-    return np.asarray(x - line - (x - line).mean())
+    Each wave is taken less the line between the means of its first and last 10 ms.
+    """
+    edge = max(round(0.01 * rate), 1)
+    likeness = [0.0] * len(leads)
+    for wave in ((-0.26, -0.10), (-0.06, 0.08)):  # s from R
+        start, stop = (round((0.26 + end) * rate) for end in wave)
+        shapes = []
+        for lead in (*leads, reference):
+            x = lead[start : stop + 1]
+            x = x - np.linspace(x[:edge].mean(), x[-edge:].mean(), len(x))
+            shapes.append(x - x.mean())
+        for k, shape in enumerate(shapes[:-1]):
+            scale = float(np.linalg.norm(shape) * np.linalg.norm(shapes[-1]))
+            likeness[k] += float(shape @ shapes[-1]) / scale / 2 if scale > 0 else 0.0
+    return likeness

@@ -1,4 +1,4 @@
-"""Beats cut out of a recording, aligned at R and detrended, of one group of leads or of several.
+"""Which beats make the target: cut out, aligned at R and detrended, of one group or several.
 
 A straight line is taken from each beat. What is left of a drift that is none, as when an electrode
 settles or is pushed, shows right after the QRS, where beats of one shape have one ST segment.
@@ -7,17 +7,20 @@ settles or is pushed, shows right after the QRS, where beats of one shape have o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
 
 from fascicle.core.arrays import Floats, Integers
+from fascicle.core.errors import InputError
 from fascicle.core.leads import LEADS
-from fascicle.recording.analysis import Drift
+from fascicle.recording.analysis import Beat, Drift, Unused
 from fascicle.recording.detection import magnitude
 from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.lead_groups import LeadGroup
 from fascicle.recording.morphology import LARGEST_SHIFT, cut, detrended
+from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
 
 # Samples in which the isoelectric level of a beat is read: one period of 50 Hz, so that power-line
@@ -25,25 +28,16 @@ from fascicle.recording.window import qrs_window, spatial_velocity
 KNOT = 20
 
 
+FEW_ALIKE = 0.7  # share of the beats that should be alike
+
+
 class AlignedBeats(NamedTuple):
-    """Beats on one time axis.
+    """Beats on one time axis."""
 
-    Attributes
-    ----------
-    beats : (n_beats, 12, n_time) array
-        Potential (mV) every `SAMPLING_STEP`, less the isoelectric level and its drift.
-    before : int
-        Sample of the R peak in each.
-    not_before : int
-        Sample at which the QRS may begin: after the pacing spike that fired the beats; 0 if none.
-    alignment_sd : float
-        Standard deviation (ms) of the alignment of lead groups; 0 where there is one.
-    """
-
-    beats: Floats
-    before: int
-    not_before: int
-    alignment_sd: float = 0.0
+    beats: Floats  # (n_beats, 12, n_time), mV, less the isoelectric level and its drift
+    before: int  # sample of the R peak in each
+    not_before: int  # sample of the end of the pacing spike that fired the beats; 0 if none did
+    alignment_sd: float = 0.0  # ms; standard deviation of the alignment of several lead groups
 
     @property
     def mean(self) -> Floats:
@@ -70,16 +64,10 @@ def extent(group: LeadGroup) -> tuple[int, int]:
 
 
 def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -> AlignedBeats:
-    """Cut out beats and subtract the line through their isoelectric points.
+    """Cut out those beats of a group that are members, and subtract their isoelectric lines.
 
-    Parameters
-    ----------
-    group : LeadGroup
-        All beats.
-    members : (n_beats,) array
-        Which ones to cut out, increasing, each with its whole window.
-    onset : float, optional
-        Onset of the QRS (ms from R) where the user has given it.
+    The `members` (n_beats,) are increasing, each with its whole window; `onset` is that of the QRS
+    (ms from R) where the user has given it.
     """
     before, after = extent(group)
     peaks = group.peaks[members]
@@ -216,3 +204,107 @@ def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
     tries = np.lib.stride_tricks.sliding_window_view(y, core.shape[1], axis=-1)
     score = np.einsum("ct,cst->s", core, tries)
     return int(np.argmax(score) - margin)
+
+
+def select_beats(
+    groups: Sequence[LeadGroup], options: TargetOptions, source: str
+) -> tuple[list[tuple[Beat, ...]], str]:
+    """Number the beats of all groups and decide which are used; class of the target's beats.
+
+    The groups are in the order of time, each with a beat or more; messages begin with the `source`.
+    """
+    firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
+    _check_numbers(source, firsts[-1] - 1, options)
+    label = _target_class(groups, options)
+    _check_classes(source, groups, options, label)
+    reasons = [
+        _reasons(group, options, label, first) for group, first in zip(groups, firsts, strict=False)
+    ]
+    drifts: list[dict[int, Drift]] = []
+    for group, why in zip(groups, reasons, strict=True):
+        members = np.flatnonzero([reason is None for reason in why])
+        named = options.beats is not None  # what the user names is used
+        drifts.append({} if named else drifting_beats(group, members, options.onset))
+        for member in drifts[-1]:
+            why[member] = Unused.DRIFTING
+    fewest = min(why.count(None) for why in reasons)
+    for why in reasons:  # groups recorded one after another use equally many
+        used = [k for k, reason in enumerate(why) if reason is None]
+        for k in used[fewest:] if fewest else ():
+            why[k] = Unused.SURPLUS
+    beats = [
+        tuple(
+            Beat(first + k, float(time), one, float(interval), reason, drift.get(k))
+            for k, (time, one, interval, reason) in enumerate(
+                zip(group.times, group.labels, group.intervals, why, strict=True)
+            )
+        )
+        for group, first, why, drift in zip(groups, firsts, reasons, drifts, strict=False)
+    ]
+    for beat in (beat for own in beats for beat in own):
+        if beat.number in (options.beats or ()) and beat.cut_off:
+            raise InputError(f"{source}: beat {beat.number} is {beat.why_unused}; name others")
+    return beats, label
+
+
+def by_name(label: str) -> tuple[int, str]:
+    """Key that sorts Z before A2."""
+    return len(label), label
+
+
+def _target_class(groups: Sequence[LeadGroup], options: TargetOptions) -> str:
+    """Class of the target: the one that was chosen, or that of most of the beats that were."""
+    if options.beats is not None:
+        every = [label for group in groups for label in group.labels]
+        labels = [label for k, label in enumerate(every) if k + 1 in options.beats]
+        return max(sorted(set(labels), key=by_name), key=labels.count)
+    return options.beat_class if options.beat_class is not None else "A"
+
+
+def _reasons(
+    group: LeadGroup, options: TargetOptions, label: str, first_number: int
+) -> list[Unused | None]:
+    """Why each beat of one group is not used; None where it is."""
+    before, after = extent(group)
+    n_samples = group.signal.shape[1]
+    reasons: list[Unused | None] = []
+    for number, (peak, one) in enumerate(zip(group.peaks, group.labels, strict=True), first_number):
+        if peak < before or peak + after >= n_samples:
+            near_start = peak < n_samples / 2
+            reasons.append(Unused.CUT_OFF_START if near_start else Unused.CUT_OFF_END)
+        elif number in options.exclude:
+            reasons.append(Unused.EXCLUDED)
+        elif options.beats is not None:
+            reasons.append(None if number in options.beats else Unused.NOT_CHOSEN)
+        else:
+            reasons.append(None if one == label else Unused.OTHER_CLASS)
+    return reasons
+
+
+def _check_numbers(source: str, count: int, options: TargetOptions) -> None:
+    """Refuse beats that are not there."""
+    wrong = [k for k in (*(options.beats or ()), *options.exclude) if not 1 <= k <= count]
+    if wrong:
+        raise InputError(
+            f"{source}: there is no beat {wrong[0]}; {count} beats were found, numbered from 1"
+        )
+
+
+def _check_classes(
+    source: str, groups: Sequence[LeadGroup], options: TargetOptions, label: str
+) -> None:
+    """Refuse a class that is not there, and classes that groups of leads may not share."""
+    for group in groups:
+        mixed = len(group.of_class(label)) < FEW_ALIKE * len(group.peaks)
+        if len(groups) > 1 and mixed and options.beats is None:
+            raise InputError(
+                f"{source}: leads were recorded one group after another and the beats are of "
+                "several shapes, which cannot be matched; name those of one shape in every group "
+                "by --beats"
+            )
+        labels = sorted(set(group.labels))
+        if options.beat_class is not None and options.beat_class not in labels:
+            raise InputError(
+                f"{source}: there is no class {options.beat_class}; the beats are of class "
+                f"{', '.join(labels)}"
+            )
