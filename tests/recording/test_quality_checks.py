@@ -110,15 +110,13 @@ def test_flat_leads(good) -> None:
     assert "no signal in any lead for up to 4.0 s" in message
 
 
-@pytest.mark.parametrize(("sign", "words"), [(1, "the same;"), (-1, "the same but for the sign;")])
-def test_duplicated_leads(good, sign: int, words: str) -> None:
-    (message,) = fatal(check_leads(with_lead(good, "V5", sign * row(good, "V1") + 0.2)))
-    assert message.startswith(f"leads V1 and V5 are {words}")
+def test_duplicated_leads(good) -> None:
+    for sign, words in ((1, "the same;"), (-1, "the same but for the sign;")):
+        (message,) = fatal(check_leads(with_lead(good, "V5", sign * row(good, "V1") + 0.2)))
+        assert message.startswith(f"leads V1 and V5 are {words}")
     noisy = row(good, "V1") + 0.02 * np.random.default_rng(0).standard_normal(len(row(good, "V1")))
     assert fatal(check_leads(with_lead(good, "V5", noisy))) == []
-
-
-def test_limb_leads_that_are_the_same_by_law(good) -> None:
+    # with a flat lead I others are the same by law
     signal = good.signal.copy()
     signal[0] = 0
     signal[2], signal[3], signal[4], signal[5] = signal[1], -signal[1], -signal[1] / 2, signal[1]
