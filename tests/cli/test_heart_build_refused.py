@@ -163,8 +163,8 @@ class TestSurfaces:
         ("given", "words"),
         [
             ("base=1,apex=9", ["apex"]),
-            ("base=1,epicardium=one", ["'epicardium=one' is not a name and a number"]),
-            ("base", ["'base' is not a name and a number"]),
+            ("base=1,epicardium=one", ["epicardium=one"]),
+            ("base", ["--labels base: give names"]),
             ("lv=1,rv=1", ["label number 1 is given two meanings"]),
         ],
     )
