@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import fascicle
@@ -30,8 +31,7 @@ from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.loss import align
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.recording.window import qrs_window
-from fascicle.reporting import style
-from fascicle.reporting.figures import new_figure, save
+from fascicle.reporting.style import Colour, new_figure, save, styled
 from fascicle.torso.lead_fields import assemble_stiffness
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import BodyState, Conductor, InvalidBody, build_conductor
@@ -222,14 +222,18 @@ def draw(losses: dict[str, list[float]], title: str, file: Path) -> None:
         [100 * np.nanmax([losses[name][k] for k in chosen]) for name in names]
         for chosen in ((0, 3), (1, 2))
     )
-    figure = new_figure(6.5, 5.0)
-    axes = figure.subplots()
-    axes.barh(names, ends, color=style.BLUE, alpha=0.35, label="at the worse end of its range")
-    axes.barh(names, near, color=style.BLUE, label="at one standard deviation of its prior")
-    axes.legend(frameon=False, fontsize=style.TICK_SIZE, loc="lower right")
-    axes.set_title(f"ECG moved by the body alone, {title}", fontsize=style.TITLE_SIZE)
-    style.finish_axes(axes, "mismatch with the ECG in the neutral body (% of a flat line's)", "")
-    save(figure, file)
+
+    @styled
+    def bars() -> Figure:
+        figure = new_figure(6.5, 5.0, f"ECG changed by the torso alone, {title}")
+        axes = figure.subplots()
+        axes.barh(names, ends, color=Colour.BLUE, alpha=0.35, label="at the worse end of its range")
+        axes.barh(names, near, color=Colour.BLUE, label="at one standard deviation of its prior")
+        axes.legend(loc="lower right")
+        axes.set_xlabel("mismatch with the ECG in the neutral torso (% of a flat line's)")
+        return figure
+
+    save(bars(), file)
 
 
 def main() -> None:

@@ -72,7 +72,7 @@ from fascicle.heart.heart import Heart
 from fascicle.recording.residuals import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import read_target
-from fascicle.reporting.figures import new_figure, save
+from fascicle.reporting.style import new_figure, save
 from fascicle.study import paper, posterior
 from fascicle.study.evaluations import Database, Journal
 from fascicle.study.likelihood import PriorKnowledge, likelihood_of, prior_knowledge

@@ -41,13 +41,11 @@ from benchmarks.forward import _heart, build_case
 from examples.recover_known_network import synthetic_target
 from fascicle.cli.output import TerminalProgress
 from fascicle.forward.simulation import Simulation
+from fascicle.reporting.activation import SINCE_FIRST, ActivationRow, activation_figure
 from fascicle.reporting.ecg import EcgGroup, ecg_figure
-from fascicle.reporting.figures import new_figure, save
-from fascicle.reporting.hearts import SINCE_FIRST, activation_figure
-from fascicle.reporting.pairs import pair_figure
-from fascicle.reporting.rendering import heart_views
-from fascicle.reporting.study import activation_row
-from fascicle.reporting.style import BLUE, VERMILION
+from fascicle.reporting.parameters import pair_figure
+from fascicle.reporting.style import Colour, new_figure, save
+from fascicle.reporting.surfaces import heart_views
 from fascicle.study.evaluations import Stage
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.target_comparison import Network, evaluate
@@ -129,7 +127,7 @@ def print_parameters(fitted: FittedStudy, truth: Mapping[str, float]) -> None:
 def draw_tree(axes: Axes, heart: fascicle.Heart, simulation: Simulation, label: str) -> None:
     """Both trees, seen from the front."""
     view = heart_views(heart)["anterior"]
-    for tree, colour in zip(simulation.trees, (VERMILION, BLUE), strict=True):
+    for tree, colour in zip(simulation.trees, (Colour.VERMILION, Colour.BLUE), strict=True):
         child = np.flatnonzero(tree.parents >= 0)
         ends = view.project(tree.nodes[np.stack([tree.parents[child], child], axis=1)])[..., :2]
         axes.add_collection(LineCollection(list(ends), colors=colour, linewidths=0.4))
@@ -157,12 +155,12 @@ def write_figures(
     model, space, window = fitted.simulator.model, fitted.simulator.space, target.qrs_samples
     heart, true = model.heart, simulate(model, truth)
     drawn = {"truth": true, "best": fitted.best_network.simulation}
-    rows = [activation_row(name, simulation).since_first() for name, simulation in drawn.items()]
+    rows = [ActivationRow.of(name, simulation).since_first() for name, simulation in drawn.items()]
     save(activation_figure(heart, rows, SINCE_FIRST), folder / "activation.png")
     time_axis = target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
-    reference = EcgGroup("reference", "beat", time_axis, target.qrs_beats, BLUE)
-    found = EcgGroup("networks", "network", time_axis, predicted, VERMILION)
+    reference = EcgGroup("reference", "beat", time_axis, target.qrs_beats, Colour.BLUE)
+    found = EcgGroup("networks", "network", time_axis, predicted, Colour.VERMILION)
     save(ecg_figure([reference, found], fitted.statements.networks_called), folder / "ecg.png")
     pairs = pair_figure(space, population.values, population.best, truth)
     save(pairs, folder / "pairs.png")

@@ -25,9 +25,9 @@ from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.recording.residuals import smooth_noise
 from fascicle.recording.target import Target
 from fascicle.recording.window import qrs_window
-from fascicle.reporting.figures import save
-from fascicle.reporting.pairs import pair_figure
+from fascicle.reporting.parameters import pair_figure
 from fascicle.reporting.study import drawings, write_figures
+from fascicle.reporting.style import save
 from fascicle.study.fit import fit
 from fascicle.study.fitted import FittedStudy
 

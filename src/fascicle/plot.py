@@ -3,6 +3,8 @@
 The figure is pyplot's current one, so that a notebook shows it, and after
 ``import matplotlib.pyplot as plt`` a script shows it by ``plt.show()`` and saves it by
 ``fascicle.plot.ecg("STUDY"); plt.savefig("ecg.png")``. ``plt.close()`` frees its memory.
+
+A study is given as it is or as its folder; `predicted` is what `fascicle.predict` returned.
 """
 
 from __future__ import annotations
@@ -23,10 +25,9 @@ from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
-from fascicle.reporting.indices import index_figure
-from fascicle.reporting.pairs import pair_figure
-from fascicle.reporting.priors import prior_figure
-from fascicle.reporting.scenario import (
+from fascicle.reporting.parameters import pair_figure, prior_figure
+from fascicle.reporting.scenarios import (
+    index_figure,
     scenario_activation_figure,
     scenario_ecg_figure,
     spread_figure,
@@ -64,7 +65,6 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
     Parameters
     ----------
     predicted : mapping of name to Predicted
-        What `fascicle.predict` returned.
     name : str
         The scenario.
     """
@@ -75,15 +75,14 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
 def activation(
     heart: Heart | GivenStudy, predicted: Mapping[str, Predicted], name: str
 ) -> list[Axes]:
-    """Activation and trees of the networks with the least, median and largest activation time.
+    """Activation by the networks with the least, median and largest total activation time.
 
     Parameters
     ----------
     heart : Heart, FittedStudy or path
         The heart, the study, or the folder of either.
     predicted : mapping of name to Predicted
-        What `fascicle.predict` returned; the intrinsic beat's median network stands above, in the
-        same colours.
+        The intrinsic beat's median network stands above, in the same colours.
     name : str
         The scenario.
     """
@@ -99,69 +98,37 @@ def activation_spread(heart: Heart | GivenStudy, predicted: Mapping[str, Predict
     heart : Heart, FittedStudy or path
         The heart, the study, or the folder of either.
     predicted : mapping of name to Predicted
-        What `fascicle.predict` returned.
     """
     _check_predicted(predicted)
     return _shown(spread_figure(_heart(heart, predicted), predicted))
 
 
 def indices(predicted: Mapping[str, Predicted]) -> list[Axes]:
-    """Indices of scenarios, one axes an index: medians, and what half and 90 % of networks span.
-
-    Parameters
-    ----------
-    predicted : mapping of name to Predicted
-        What `fascicle.predict` returned.
-    """
+    """Indices of scenarios, one axes an index: medians, and what half and 90 % of networks span."""
     _check_predicted(predicted)
-    return _shown(index_figure({name: found.indices for name, found in predicted.items()}))
+    return _shown(index_figure(predicted))
 
 
 def pairs(fitted: GivenStudy) -> list[Axes]:
-    """Pairs of the parameters that were learnt, on the whole ranges of their priors.
-
-    Parameters
-    ----------
-    fitted : FittedStudy or path
-        The study, or its folder.
-    """
+    """Pairs of the parameters that were learnt, on the whole ranges of their priors."""
     fitted = as_study(fitted)
     population = fitted.population
     return _shown(pair_figure(fitted.simulator.space, population.values, population.best))
 
 
 def priors(fitted: GivenStudy) -> list[Axes]:
-    """Each parameter before (lines) and after the recording (histograms).
-
-    Parameters
-    ----------
-    fitted : FittedStudy or path
-        The study, or its folder.
-    """
+    """Prior density of each parameter (lines), and the networks (histograms)."""
     fitted = as_study(fitted)
     return _shown(prior_figure(fitted.simulator.space, fitted.population.values))
 
 
 def convergence(fitted: GivenStudy) -> list[Axes]:
-    """Mismatch of every evaluation of a study.
-
-    Parameters
-    ----------
-    fitted : FittedStudy or path
-        The study, or its folder.
-    """
-    fitted = as_study(fitted)
-    return _shown(loss_figure(fitted))
+    """Mismatch of every evaluation of a study."""
+    return _shown(loss_figure(as_study(fitted)))
 
 
 def target(target: Target | Path | str) -> list[Axes]:
-    """Beats of a target and its QRS window, one axes a lead.
-
-    Parameters
-    ----------
-    target : Target or path
-        The target, or its netCDF file.
-    """
+    """Beats of a target, or of its netCDF file, and its QRS window, one axes a lead."""
     return _shown(target_figure(as_target(target)))
 
 

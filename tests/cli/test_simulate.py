@@ -417,7 +417,7 @@ def test_pictures_in_other_formats_take_the_place_of_the_first(run, tmp_path):
 
 
 def test_the_picture_shows_every_lead_and_says_when_time_begins(default_model, default_heart):
-    from fascicle.reporting import simulation as drawing
+    from fascicle.reporting import prediction as drawing
 
     drawn = {}
 

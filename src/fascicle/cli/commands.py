@@ -143,7 +143,7 @@ def simulate(
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
     from fascicle.heart.conduction import Conduction
     from fascicle.heart.folder import load_heart
-    from fascicle.reporting.simulation import draw_simulation
+    from fascicle.reporting.prediction import draw_simulation
 
     overrides = fixed_values(fix, cv=cv, root_time=root_time)
     case, regions = read_scenario(find_scenario(scenario)) if scenario is not None else (None, ())
@@ -381,7 +381,7 @@ def sweep(
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.prediction.index_names import check_index
     from fascicle.prediction.sweeps import delays, radii, segments, simulate_sweep
-    from fascicle.reporting.sweep import write_sweep
+    from fascicle.reporting.prediction import write_sweep
     from fascicle.study.fit import load_study
 
     check_index(index)
@@ -491,7 +491,7 @@ def report(
     from fascicle.forward.scenario_files import read_scenarios
     from fascicle.reporting.page.page import PACINGS
     from fascicle.reporting.page.page import report as write_report
-    from fascicle.reporting.study import check_kinds
+    from fascicle.reporting.style import check_kinds
     from fascicle.study.fit import load_study
 
     kinds, wanted = figures or [], read_scenarios(scenario or PACINGS)
@@ -516,7 +516,7 @@ def template(
 
     They are those of ten Tusscher and Panfilov's cell (2006) in the middle of a cable.
     """
-    from fascicle.reporting.figures import check_picture, save
+    from fascicle.reporting.style import check_picture, save
     from fascicle.reporting.template import template_figure
 
     check_picture(out)

@@ -16,10 +16,10 @@ from fascicle.recording.analysis import Analysis
 from fascicle.recording.pipeline import analyse
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.target_files import write_target
-from fascicle.reporting.figures import save
 from fascicle.reporting.page.page import PACINGS, write_report
 from fascicle.reporting.prediction import write_prediction
 from fascicle.reporting.recording import recording_figure
+from fascicle.reporting.style import save
 from fascicle.study.fit import fit
 from fascicle.study.fitted import FittedStudy
 

@@ -144,8 +144,8 @@ def heart_build(
     from fascicle.build.build_heart import build_heart
     from fascicle.build.torso import TorsoOptions
     from fascicle.heart.folder import LABELS_PICTURE, check_heart_folder
-    from fascicle.reporting.figures import save
-    from fascicle.reporting.labels import labels_figure
+    from fascicle.reporting.heart import labels_figure
+    from fascicle.reporting.style import save
 
     parts = {"lv": lv_endocardium, "rv": rv_endocardium, "epicardium": epicardium, "base": base}
     source = Source(
@@ -250,7 +250,7 @@ def heart_check(
     """
     from fascicle.core.files import check_writable
     from fascicle.heart.folder import PICTURE, load_heart
-    from fascicle.reporting.figures import check_picture
+    from fascicle.reporting.style import check_picture
 
     if picture is not None:
         check_picture(picture)
@@ -359,8 +359,8 @@ def _write_and_check(
 
 def _check(heart: Heart, charts: Mapping[str, Chart], picture: Path | None) -> dict[str, Any]:
     from fascicle.build.check import check_heart
-    from fascicle.reporting.check import check_figure
-    from fascicle.reporting.figures import save
+    from fascicle.reporting.heart import check_figure
+    from fascicle.reporting.style import save
 
     found = check_heart(heart, charts)
     print(heart.name)

@@ -107,8 +107,8 @@ def target(
     from fascicle.recording.readers.read import read_recording
     from fascicle.recording.target_files import write_target
     from fascicle.recording.target_options import TargetOptions
-    from fascicle.reporting.figures import save
     from fascicle.reporting.recording import recording_figure
+    from fascicle.reporting.style import save
 
     picture = _picture_beside(out, recording, kind)
     choices = TargetOptions(

@@ -1,4 +1,4 @@
-"""Twelve-lead ECGs: recorded against predicted, before against after."""
+"""Twelve-lead ECGs over one another: recorded and predicted, before and after."""
 
 from __future__ import annotations
 
@@ -16,21 +16,8 @@ from matplotlib.ticker import MultipleLocator
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import LEADS
 from fascicle.reporting import style
-from fascicle.reporting.figures import new_figure
-from fascicle.reporting.fitted_text import INCH, wrapped
 
-SIZE = (10.0, 6.2)  # inch
-CAPTION_ROOM = 0.97 * SIZE[0] * INCH  # mm
-NAME_PLACE, NOTE_PLACE = (0.03, 0.95), (0.98, 0.95)  # of the axes
-FINE_BOX, COARSE_BOX, TALL = 0.5, 1.0, 8.0  # mV; from a range of `TALL` on, boxes are coarse
-BOX_MARGIN = 0.1  # of a box, at least, above and below
-MOST_FINE_LINES = 50  # small boxes of time that are drawn
-THIN_PINK, THICK_PINK = "#F0E1DF", "#E8CFCB"
-ROWS, COLUMNS = 3, 4  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
-SMALL_BOX = 40.0  # ms, one small square of ECG paper at 25 mm/s
-TICK_STEPS = (40.0, 80.0, 200.0, 400.0, 1000.0)  # ms, multiples of the small box
-MOST_TICKS = 6
-BAND_OPACITY = 0.28
+ROWS = 3  # I II III | aVR aVL aVF | V1 V2 V3 | V4 V5 V6
 
 
 @dataclass(frozen=True)
@@ -69,11 +56,34 @@ class EcgGroup:
         shown = f"mean and {band} of {count} {self.member}s" if count > 1 else f"1 {self.member}"
         return f"{self.name} ({shown})"
 
+    @property
+    def looks(self) -> dict[str, Any]:
+        """How the band is drawn."""
+        return {"color": self.colour, "alpha": 0.28, "linewidth": 0}
 
+    @property
+    def handle(self) -> Any:
+        """Line on band, as in the panels, for a legend."""
+        line = Line2D([], [], color=self.colour)
+        return (Patch(**self.looks), line) if len(self.leads) > 1 else (line,)
+
+    def draw(self, axes: Axes, lead: int) -> None:
+        """Draw one lead."""
+        ecgs = self.leads[:, lead]
+        if len(ecgs) > 1:
+            ends = (1 - self.share) / 2, (1 + self.share) / 2
+            there = np.isfinite(ecgs).any(axis=0)
+            band = np.nanquantile(ecgs[:, there], ends, axis=0)
+            axes.fill_between(self.time[there], *band, **self.looks)
+        mean = np.ma.masked_invalid(ecgs).mean(axis=0).filled(np.nan)
+        axes.plot(self.time, mean, color=self.colour, label=self.label)
+
+
+@style.styled
 def ecg_figure(
     groups: Sequence[EcgGroup],
-    title: str | None = None,
-    notes: Sequence[str] = (),
+    title: str = "",
+    notes: Sequence[str] = ("",) * len(LEADS),
     time_zero: str = "",
     caption: str = "",
 ) -> Figure:
@@ -83,64 +93,33 @@ def ecg_figure(
     ----------
     groups : sequence of EcgGroup
         Drawn in this order, each with its own time axis.
-    title : str, optional
+    title : str
         Heading.
-    notes : sequence of str, optional
+    notes : sequence of str
         One a lead, written beside its name.
-    time_zero : str, optional
+    time_zero : str
         What happens at time 0.
-    caption : str, optional
+    caption : str
         Written below.
 
     Returns
     -------
     Figure
-        Axes in the order of `fascicle.core.leads.LEADS`, all with the same limits (ms, mV). Lines
+        Axes row by row, all with the same limits (ms, mV). Lines
         are means over a group, bands hold its `share`.
     """
-    figure = new_figure(*SIZE)
-    panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True)
-    for index, lead in enumerate(LEADS):
-        axes = panels[index % ROWS, index // ROWS]
+    figure = style.new_figure(10.0, 6.2, title)
+    grid = figure.subplots(ROWS, len(LEADS) // ROWS, sharex=True, sharey=True)
+    panels = list(grid.T.flat)
+    for lead, (axes, name, note) in enumerate(zip(panels, LEADS, notes, strict=True)):
         for group in groups:
-            _draw_lead(axes, group, index)
-        style.write_in(axes, *NAME_PLACE, lead, va="top", fontweight="bold")
-        if notes:
-            size = style.TICK_SIZE
-            style.write_in(axes, *NOTE_PLACE, notes[index], va="top", ha="right", fontsize=size)
-    _set_scales(panels.flat, groups)
-    figure.legend(
-        [_handle(group) for group in groups],
-        [group.label for group in groups],
-        loc="outside upper right", ncols=len(groups), **style.LEGEND_STYLE,
-    )  # fmt: skip
-    style.set_title(figure, title)
+            group.draw(axes, lead)
+        style.name_lead(axes, name, note)
+    _set_scales(panels, groups)
+    style.legend(figure, [(group.handle, group.label) for group in groups])
     zero = f"; 0: {time_zero}" if time_zero else ""
-    below = wrapped(caption, style.LABEL_SIZE, CAPTION_ROOM)
-    figure.supxlabel("\n".join([f"time (ms{zero})", *below]), fontsize=style.LABEL_SIZE)
-    figure.supylabel("potential (mV)", fontsize=style.LABEL_SIZE)
+    style.below_leads(figure, f"time (ms{zero})", caption)
     return figure
-
-
-def _handle(group: EcgGroup) -> Any:  # Matplotlib's stubs know no tuples of artists
-    """Line on band, as in the panels."""
-    line = Line2D([], [], color=group.colour, linewidth=style.THICK_LINE)
-    if len(group.leads) == 1:
-        return (line,)
-    return (Patch(color=group.colour, alpha=BAND_OPACITY, linewidth=0), line)
-
-
-def _draw_lead(axes: Axes, group: EcgGroup, lead: int) -> None:
-    ecgs = group.leads[:, lead]
-    if len(ecgs) > 1:
-        ends = (1 - group.share) / 2, (1 + group.share) / 2
-        there = np.isfinite(ecgs).any(axis=0)
-        axes.fill_between(
-            group.time[there], *np.nanquantile(ecgs[:, there], ends, axis=0),
-            color=group.colour, alpha=BAND_OPACITY, linewidth=0,
-        )  # fmt: skip
-    mean = np.ma.masked_invalid(ecgs).mean(axis=0).filled(np.nan)
-    axes.plot(group.time, mean, color=group.colour, linewidth=style.THICK_LINE, label=group.label)
 
 
 def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:
@@ -149,18 +128,20 @@ def _set_scales(panels: Iterable[Axes], groups: Sequence[EcgGroup]) -> None:
     stop = max(float(group.time.max()) for group in groups)
     low = min(float(np.nanmin(group.leads)) for group in groups)
     high = max(float(np.nanmax(group.leads)) for group in groups)
-    box = FINE_BOX if high - low <= TALL else COARSE_BOX
-    bottom, top = box * np.floor(low / box - BOX_MARGIN), box * np.ceil(high / box + BOX_MARGIN)
-    tick = next((s for s in TICK_STEPS if (stop - start) / s <= MOST_TICKS), TICK_STEPS[-1])
+    box = 0.5 if high - low <= 8 else 1.0  # mV
+    bottom, top = box * np.floor(low / box - 0.1), box * np.ceil(high / box + 0.1)
     for axes in panels:
         axes.set(xlim=(start, stop), ylim=(bottom, top))
-        axes.xaxis.set_major_locator(MultipleLocator(tick))
         axes.yaxis.set_major_locator(MultipleLocator(2 * box))
-        if stop - start <= MOST_FINE_LINES * SMALL_BOX:
-            axes.xaxis.set_minor_locator(MultipleLocator(SMALL_BOX))
         axes.yaxis.set_minor_locator(MultipleLocator(box))
-        axes.grid(which="minor", color=THIN_PINK, linewidth=0.5)
-        axes.grid(which="major", color=THICK_PINK, linewidth=0.7)
-        axes.set_axisbelow(True)
-        style.finish_axes(axes)
-        axes.tick_params(which="minor", length=0)
+        draw_time_grid(axes)
+
+
+def draw_time_grid(axes: Axes) -> None:
+    """Ticks (ms) at whole boxes of ECG paper, 40 ms wide at 25 mm/s, and a grid."""
+    start, stop = axes.get_xlim()
+    tick = next((s for s in (40, 80, 200, 400, 1000) if (stop - start) / s <= 6), 1000)
+    axes.xaxis.set_major_locator(MultipleLocator(tick))
+    if stop - start <= 50 * 40:
+        axes.xaxis.set_minor_locator(MultipleLocator(40))
+    axes.grid(which="both", color=style.Colour.PAPER, linewidth=0.5)

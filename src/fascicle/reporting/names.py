@@ -3,26 +3,13 @@
 from __future__ import annotations
 
 import re
-import textwrap
 from typing import NamedTuple
 
 from fascicle.prediction.index_names import INDICES
-from fascicle.reporting.fitted_text import KEPT
-
-_PART = re.compile(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?")
-CAPITALS = {"lv": "LV", "rv": "RV", "qrs": "QRS", **{f"v{k}": f"V{k}" for k in range(1, 7)}}
-NARROW = 10  # characters of a line on a narrow axis
 
 
 class Measure(NamedTuple):
-    """What is measured in recorded and in simulated ECGs alike.
-
-    Attributes
-    ----------
-    name, unit : str
-    meaning : str
-        How it is measured, where there are several ways.
-    """
+    """What is measured in recorded and in simulated ECGs alike: name, unit, how it is measured."""
 
     name: str
     unit: str
@@ -45,12 +32,22 @@ MEASURES = {
 
 def parameter_name(name: str) -> str:
     """Name of a quantity of the model as a reader knows it, such as ``LV fascicle 1 length``."""
-    match = _PART.fullmatch(name)
+    match = re.fullmatch(r"(lv|rv)_(initial|fascicle)_(length|angle)(?:_(\d+))?", name)
     if match is not None:
         side, stretch, what, number = match.groups()
-        part = "bundle" if stretch == "initial" else f"fascicle{KEPT}{number}"
+        part = "bundle" if stretch == "initial" else f"fascicle\N{NO-BREAK SPACE}{number}"
         return f"{side.upper()} {part} {what}"
-    return {"cv": "tree speed"}.get(name, _words(name))
+    known = {
+        "cv": "Purkinje conduction velocity",
+        "root_time": "RV–LV activation delay",
+        "alpha": "conduction velocity constant α",
+    }
+    return known.get(name, _words(name))
+
+
+def parameter_label(name: str, unit: str) -> str:
+    """Name and unit of a quantity of the model, for an axis."""
+    return _with_unit(parameter_name(name), {"mm/ms": "m/s"}.get(unit, unit))
 
 
 def index_name(index: str) -> str:
@@ -62,18 +59,13 @@ def index_name(index: str) -> str:
 
 def index_label(index: str) -> str:
     """Name and unit of an index, for an axis or the head of a column."""
-    return with_unit(index_name(index), INDICES[index])
+    return _with_unit(index_name(index), INDICES[index])
 
 
-def with_unit(name: str, unit: str) -> str:
-    """Name and unit, if it has one."""
+def _with_unit(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
 
 
-def on_narrow_axis(label: str) -> str:
-    """Break a label into lines."""
-    return textwrap.fill(label, NARROW, break_long_words=False)
-
-
 def _words(name: str) -> str:
-    return " ".join(CAPITALS.get(word, word) for word in name.split("_"))
+    """Words of an identifier, with abbreviations in capitals."""
+    return re.sub(r"\b(lv|rv|qrs|v\d)\b", lambda m: m[0].upper(), name.replace("_", " "))

@@ -1,4 +1,4 @@
-"""Predictions as files: a table of indices, ECGs, activation maps, figures."""
+"""Predictions and simulations as files: a table of indices, ECGs, activation maps, figures."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from fascicle.core.arrays import Floats
 from fascicle.core.files import atomic_folder, write_bytes, write_text
 from fascicle.core.leads import LEADS
 from fascicle.core.progress import Progress, stage_progress
+from fascicle.forward.simulation import Simulation
 from fascicle.heart.heart import Heart
 from fascicle.heart.sites import SEGMENTS
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON
@@ -23,17 +24,19 @@ from fascicle.mesh.formats.vtk import write_grid
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
-from fascicle.reporting.figures import FORMATS, save
-from fascicle.reporting.indices import index_figure
-from fascicle.reporting.scenario import (
+from fascicle.prediction.sweeps import Swept
+from fascicle.reporting.activation import ActivationRow, activation_figure, total_time
+from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.scenarios import (
+    index_figure,
     scenario_activation_figure,
     scenario_ecg_figure,
     spread_figure,
+    sweep_figure,
 )
+from fascicle.reporting.style import KINDS, Colour, mark, save
 from fascicle.study.activation_maps import since_first
 from fascicle.study.fitted import FittedStudy
-
-INTERVAL = (5, 50, 95)  # percentiles
 
 
 def write_prediction(
@@ -65,41 +68,97 @@ def write_prediction(
         Called after each scenario.
     """
     report = stage_progress(progress, "pictures")
-    heart, own, caution = (
-        fitted.simulator.model.heart,
-        predicted[INTRINSIC],
-        fitted.statements.caution_text,
-    )
-    with atomic_folder(out, disposable=_pictures(predicted)) as folder:
+    heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text
+    pictures = ("ecg", "activation", "activation-spread")
+    drawn = ["indices", *(f"{name}/{what}" for name in predicted for what in pictures)]
+    old = [f"{stem}.{suffix}" for stem in drawn for suffix in KINDS]
+    with atomic_folder(out, disposable=old) as folder:
         write_text(folder / "indices.csv", index_table(predicted))
         said = {"verdict": fitted.verdict, "caution": caution}
-        content = said | {name: _summary(found, own) for name, found in predicted.items()}
-        write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
-        compared = index_figure({name: found.indices for name, found in predicted.items()})
-        save(compared, folder / f"indices.{kind}", caution)
+        content = {name: _summary(found, predicted[INTRINSIC]) for name, found in predicted.items()}
+        write_text(folder / "summary.json", json.dumps(said | content, indent=2) + "\n")
+        save(mark(index_figure(predicted), caution), folder / f"indices.{kind}")
         for number, (name, found) in enumerate(predicted.items()):
             report(number, len(predicted))
             _write_scenario(folder / name, found, heart)
-            for stem, figure in _drawn(heart, predicted, name).items():
-                save(figure, folder / name / f"{stem}.{kind}", caution)
+            for stem, figure in zip(pictures, _drawn(heart, predicted, name), strict=True):
+                save(mark(figure, caution), folder / name / f"{stem}.{kind}")
         report(len(predicted), len(predicted))
 
 
-def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> dict[str, Figure]:
-    """Figures of a scenario; of all but the intrinsic beat beside that, on the same scales."""
+def _drawn(heart: Heart, predicted: Mapping[str, Predicted], name: str) -> list[Figure]:
+    """Figures of a scenario, with the intrinsic beat on the same scales."""
     shown = {each: predicted[each] for each in dict.fromkeys((INTRINSIC, name))}
-    return {
-        "ecg": scenario_ecg_figure(predicted, name),
-        "activation": scenario_activation_figure(heart, predicted, name),
-        "activation-spread": spread_figure(heart, shown),
+    return [
+        scenario_ecg_figure(predicted, name),
+        scenario_activation_figure(heart, predicted, name),
+        spread_figure(heart, shown),
+    ]
+
+
+def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: Path) -> None:
+    """Write what a family of scenarios does.
+
+    The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``
+    and ``sweep.png``.
+
+    Parameters
+    ----------
+    fitted : FittedStudy
+        The study.
+    swept : Swept
+        What `fascicle.prediction.sweeps.simulate_sweep` found.
+    name, index : str
+        Of the scenario that was varied, and what to draw.
+    out : Path
+        Folder to write.
+    """
+    named = {swept.called(key): found for key, found in swept.predicted.items()}
+    values = {key: found.indices[index] for key, found in named.items()}
+    content: dict[str, Any] = {
+        "verdict": fitted.verdict,
+        "caution": fitted.statements.caution_text,
+        "networks": len(next(iter(values.values()))),
+        "index": index,
+        "medians": {key: round(float(np.nanmedian(each)), 2) for key, each in values.items()},
+        "impossible": {swept.called(key): why for key, why in swept.impossible.items()},
     }
+    with atomic_folder(out) as folder:
+        write_text(folder / "indices.csv", index_table(named))
+        write_text(folder / "summary.json", json.dumps(content, indent=2) + "\n")
+        save(mark(sweep_figure(swept, index, name), content["caution"]), folder / "sweep.png")
 
 
-def _pictures(predicted: Mapping[str, Predicted]) -> list[str]:
-    """Names of the pictures of an earlier prediction, in whatever format."""
-    drawn = ("ecg", "activation", "activation-spread")
-    stems = ["indices", *(f"{name}/{what}" for name in predicted for what in drawn)]
-    return [stem + suffix for stem in stems for suffix in FORMATS]
+def draw_simulation(
+    heart: Heart, simulation: Simulation, folder: Path, kind: str, time_zero: str
+) -> list[Path]:
+    """Write ``ecg`` and ``activation`` into a simulation's folder.
+
+    Parameters
+    ----------
+    heart, simulation : Heart, Simulation
+        What was simulated.
+    folder : Path
+        Where to.
+    kind : str
+        Of the files: ``"png"``, ``"svg"`` or ``"pdf"``.
+    time_zero : str
+        What happens at time 0.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+    """
+    ecg = simulation.ecg.sel(lead=list(LEADS))
+    time, leads = ecg["time"].to_numpy(), ecg.to_numpy()[None]
+    group = EcgGroup("simulated", "network", time, leads, Colour.VERMILION)
+    row = ActivationRow.of(total_time(simulation.total_activation_time), simulation)
+    figures = {
+        "ecg": ecg_figure([group], "Simulated ECG", time_zero=time_zero),
+        "activation": activation_figure(heart, [row], f"activation (ms)\n0: {time_zero}"),
+    }
+    return [save(figure, folder / f"{stem}.{kind}") for stem, figure in figures.items()]
 
 
 def index_table(predicted: Mapping[str, Predicted]) -> str:
@@ -115,21 +174,29 @@ def index_table(predicted: Mapping[str, Predicted]) -> str:
     return str(text)
 
 
-def _summary(found: Predicted, own: Predicted) -> dict[str, Any]:
-    """Percentiles of each index, and of what each network gains against its intrinsic beat."""
+def latest_segments(found: Predicted) -> dict[str, float]:
+    """Share of the networks in which each segment is the latest, the most frequent first."""
+    numbers = found.indices["latest_segment"].astype(int)
+    which, counts = np.unique(numbers, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {SEGMENTS[which[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
+
+
+def _summary(found: Predicted, intrinsic: Predicted) -> dict[str, Any]:
+    """Percentiles of each index, and of its change from each network's intrinsic beat."""
     content: dict[str, Any] = {
         "description": found.scenario.description,
         "reference": found.scenario.reference,
         "networks": len(found.beats),
         "activation_maps": found.extremes(),
-        "latest_segment": _latest(found.indices["latest_segment"]),
+        "latest_segment": latest_segments(found),
     }
     for index, unit in INDICES.items():
         if unit != "1":
             values = found.indices[index]
             content[f"{index}_{unit}"] = {
                 "value": _percentiles(values),
-                "change": _percentiles(values - own.indices[index]),
+                "change": _percentiles(values - intrinsic.indices[index]),
             }
     return content
 
@@ -139,15 +206,8 @@ def _percentiles(values: Floats) -> dict[str, float] | None:
     known = values[np.isfinite(values)]
     if not len(known):
         return None
-    low, middle, high = np.percentile(known, INTERVAL)
+    low, middle, high = np.percentile(known, (5, 50, 95))
     return {"5 %": round(low, 2), "median": round(middle, 2), "95 %": round(high, 2)}
-
-
-def _latest(numbers: Floats) -> dict[str, float]:
-    """Share of the networks in which each segment is the latest, the most frequent first."""
-    found, counts = np.unique(numbers.astype(int), return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return {SEGMENTS[found[k] - 1]: round(float(counts[k] / len(numbers)), 3) for k in order}
 
 
 def _write_scenario(folder: Path, found: Predicted, heart: Heart) -> None:

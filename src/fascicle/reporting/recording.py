@@ -3,55 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import PureWindowsPath
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MultipleLocator
 
+from fascicle.core.arrays import Booleans, Floats
 from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, BeatClass
+from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.reporting import style
-from fascicle.reporting.beat_panels import ROWS, draw_beats, panel_handles
-from fascicle.reporting.ecg_paper import (
-    PACE,
-    PAPER_GAIN,
-    PAPER_PACE,
-    SHOWN,
-    draw_strip,
-    strip_start,
-)
-from fascicle.reporting.figures import new_figure
-from fascicle.reporting.fitted_text import shortened, wrapped
-from fascicle.reporting.single_beat import PACE as SINGLE_PACE
-from fascicle.reporting.single_beat import draw_single_beat, is_single_beat
+from fascicle.reporting.style import Colour
+from fascicle.reporting.target import draw_target
 
-MM = 1 / 25.4  # inch
-PAGE_WIDTH, PAGE_HEIGHT = 210.0, 297.0  # mm, A4
-LEFT, RIGHT = 14.0, 6.0  # mm beside the strip, which is SHOWN * PACE = 190 mm wide
-TEXT_LEFT, TEXT_WIDTH = 6.0, 198.0  # mm
-NAME_BASE, MEASURES_BASE, WARNINGS_BASE = 10.0, 15.0, 19.5  # mm below the upper edge
-SMALL, LINE = 7.0, 3.4  # points, and mm from one such line to the next
-GAP = 1.0  # mm between the strip and the texts about it
-MOST_WARNING_LINES, LONGEST_WARNING = 5, 2  # in all, and for one
-LEGEND_COLUMNS, LEGEND_GAP, LEGEND_MARK = 3, 2.0, 12.0  # and mm above it, and beside a text
-PANEL_HEIGHT, PANEL_GAP = 37.0, 2.5  # mm
-PANEL_BLOCK = ROWS * PANEL_HEIGHT + (ROWS - 1) * PANEL_GAP  # mm
-BELOW_PANELS, ABOVE_PANELS = 11.0, 10.0  # mm for axis labels, and for the legend and the ends
-
-# Okabe & Ito's colours after the blue of the chosen class; what is left shares the grey.
-OTHER_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+SAMPLES = 1000.0 / SAMPLING_STEP  # a second
+# Of the classes that the target is not made of; what is left shares the grey
+CLASSES = (Colour.VERMILION, Colour.GREEN, Colour.PURPLE, Colour.ORANGE, Colour.SKY)
 
 
+@style.styled
 def recording_figure(analysis: Analysis) -> Figure:
     """Draw the page from which a cardiologist judges a target.
 
-    The strip above shows ten seconds of all leads as they were recorded, on the squares of ECG
-    paper, beats numbered and coloured by class; of a recording of one beat it shows that, large.
-    The panels below show the target: its beats, their
-    mean and spread, and the QRS window.
+    The strip above shows up to ten seconds of all leads as they were recorded, beats numbered and
+    coloured by class. The panels below show the target: its beats, their mean and spread, and the
+    QRS window.
 
     Parameters
     ----------
@@ -61,223 +42,205 @@ def recording_figure(analysis: Analysis) -> Figure:
     Returns
     -------
     Figure
-        A4, upright. The first axes hold the strip, twelve more the leads in the order of
-        `fascicle.core.leads.LEADS`.
+        A4, upright. The first axes hold the strip, twelve more the leads, row by row.
     """
-    figure = new_figure(PAGE_WIDTH * MM, PAGE_HEIGHT * MM, constrained=False)
+    name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
+    figure = style.new_figure(8.27, 11.69)
+    style.head(figure, style.short(name), fontweight="bold", fontsize="large")
+    upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(1.15, 1)))
+    style.head(upper, "\n".join(_lines(analysis)), fontsize=8)
     colours = class_colours(analysis)
-    top, single = _head(figure, analysis), is_single_beat(analysis)
-    if not single:  # its class says nothing
-        top = _class_legend(figure, analysis, colours, top)
-    unused = _unused_text(analysis)
-    panels_top = PAGE_HEIGHT - BELOW_PANELS - PANEL_BLOCK
-    strip_bottom = panels_top - ABOVE_PANELS - (2 if unused else 1) * LINE
-    top += LINE  # for the scale
-    height = strip_bottom - top - GAP
-    strip = _axes(figure, LEFT, top + GAP, SHOWN * PACE, height)
-    if single:
-        gain = draw_single_beat(strip, analysis, SHOWN * PACE, height)
-        scale = _single_scale_text(analysis, gain)
-    else:
-        gain, cut = draw_strip(strip, analysis, colours, height)
-        scale = _scale_text(analysis, gain, cut=cut)
-    _write(figure, TEXT_LEFT, top, scale, weight="bold")
-    if unused:
-        _write(figure, TEXT_LEFT, strip_bottom + 2 * LINE, unused)
-    handles = panel_handles(analysis.target)
-    _legend(figure, handles, panels_top - 4.0 - LINE, len(handles))
-    draw_beats(_panels(figure, panels_top), analysis.target)
+    _draw_strip(upper.subplots(), analysis, colours)
+    _class_legend(upper, analysis, colours)
+    draw_target(lower, analysis.target)
     return figure
+
+
+def strip_span(analysis: Analysis) -> tuple[float, float]:
+    """What the strip shows (s): the first ten seconds with about as many used beats as any.
+
+    Of a shorter recording it shows all, and 2.5 s at least, in which a single beat is large.
+    """
+    duration = analysis.signal.shape[1] / SAMPLES
+    length = min(max(duration, 2.5), 10.0)
+    times = np.array([beat.time for beat in analysis.beats if beat.used])
+    starts = np.arange(0.0, max(duration - length, 0.0) + 0.5)
+    shown = [int(((times >= start) & (times < start + length)).sum()) for start in starts]
+    enough = 0.8 * max(shown)
+    start = next(start for start, count in zip(starts, shown, strict=True) if count >= enough)
+    return float(start), float(start + length)
 
 
 def class_colours(analysis: Analysis) -> dict[str, str]:
     """Colour of each class: blue for the chosen one, grey where the others run out."""
     others = [known.label for known in analysis.classes if known.label != analysis.chosen]
-    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], style.GREY)
-    return colours | dict(zip(others, OTHER_COLOURS, strict=False)) | {analysis.chosen: style.BLUE}
+    colours = dict.fromkeys([*others, *(beat.label for beat in analysis.beats)], str(Colour.GREY))
+    return colours | dict(zip(others, CLASSES, strict=False)) | {analysis.chosen: Colour.BLUE}
 
 
-def _head(figure: Figure, analysis: Analysis) -> float:
-    """Name, measures and warnings; returns how far down (mm) they reach."""
-    name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
-    size = style.TITLE_SIZE + 1
-    name = shortened(name, size, TEXT_WIDTH, "bold")
-    _write(figure, TEXT_LEFT, NAME_BASE, name, size=size, weight="bold")
-    _write(figure, TEXT_LEFT, MEASURES_BASE, _measures_text(analysis), size=style.LABEL_SIZE)
-    lines = [*_read_lines(analysis), *_filter_lines(analysis), *_warning_lines(analysis)]
-    for k, line in enumerate(lines):
-        _write(figure, TEXT_LEFT, WARNINGS_BASE + k * LINE, line)
-    return WARNINGS_BASE + (len(lines) - 1) * LINE
-
-
-def _measures_text(analysis: Analysis) -> str:
-    target = analysis.target
-    spread = math.hypot(target.onset_sd, target.offset_sd)
-    uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
-    onset, offset = style.whole(target.qrs_onset), style.whole(target.qrs_offset)
-    heart_rate = target.heart_rate
-    rate = f"{heart_rate:.0f} beats/min" if heart_rate is not None else "heart rate unknown"
-    qrs = (
-        f"QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about R "
-        f"(global {target.global_qrs_duration:.0f} ms)"
-    )
-    used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
-    beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
-    if used != count:
-        beats += f", put together to {count}"
-    if is_single_beat(analysis):
-        beats = "a single beat"
-    return "   ·   ".join([rate, qrs, beats])
-
-
-def _read_lines(analysis: Analysis) -> list[str]:
-    """What the user has said of the file, in one line; none where nothing was said."""
-    said = "; ".join(analysis.read_with)
-    return [shortened(f"read with {said}", SMALL, TEXT_WIDTH)] if said else []
-
-
-def _filter_lines(analysis: Analysis) -> list[str]:
-    """What the beats have passed, in one line; none where nothing is known."""
-    filters = "; ".join(map(str, analysis.target.filters))
-    return [shortened(f"filters: {filters}", SMALL, TEXT_WIDTH)] if filters else []
-
-
-def _warning_lines(analysis: Analysis) -> list[str]:
-    """What the checks found, in as many lines as fit."""
+def _lines(analysis: Analysis) -> list[str]:
+    """Measures, what the user has said of the file, filters, warnings, beats that are not used."""
+    lines = [_measures(analysis)]
+    if analysis.read_with:
+        lines.append(style.short(f"read with {'; '.join(analysis.read_with)}", 250))
+    if analysis.target.filters:
+        lines.append(f"filters: {'; '.join(map(str, analysis.target.filters))}")
     messages = analysis.target.provenance.get("warnings", "").splitlines()
-    if not messages:
-        return ["no warnings"]
-    lines: list[str] = []
-    for count, message in enumerate(messages):
-        more = wrapped(f"! {message}", SMALL, TEXT_WIDTH - 2.0)
-        if len(more) > LONGEST_WARNING:
-            more = [*more[: LONGEST_WARNING - 1], more[LONGEST_WARNING - 1] + " …"]
-        last = count == len(messages) - 1
-        if len(lines) + len(more) > MOST_WARNING_LINES - (0 if last else 1):
-            left = len(messages) - count
-            return [*lines, f"! and {left} more warning{'s' if left > 1 else ''}"]
-        lines += more
-    return lines
-
-
-def _class_legend(
-    figure: Figure, analysis: Analysis, colours: Mapping[str, str], top: float
-) -> float:
-    """What colours and marks of the strip mean; returns how far down (mm) it reaches."""
-    named = analysis.classes[: len(OTHER_COLOURS) + 1]
-    if analysis.chosen not in {known.label for known in named}:
-        named += tuple(known for known in analysis.classes if known.label == analysis.chosen)
-    handles = [(_class_line(colours[known.label]), _class_text(known)) for known in named]
-    rest = [known for known in analysis.classes if known not in named]
-    if rest:
-        count = sum(known.count for known in rest)
-        handles.append((_class_line(style.GREY), f"{len(rest)} more classes, {count} beats"))
-    handles.append((_number_mark(style.BLUE), "filled number: beat used"))
-    if not all(beat.used for beat in analysis.beats):
-        handles.append((_number_mark("white"), "hollow number: beat not used"))
-    if len(analysis.spikes):
-        mark = Line2D([], [], color=style.BLACK, linestyle="none", marker="|", markersize=5)
-        handles.append((mark, "pacing spike"))
-    room = TEXT_WIDTH / LEGEND_COLUMNS - LEGEND_MARK
-    handles = [(mark, shortened(text, SMALL, room)) for mark, text in handles]
-    _legend(figure, handles, top + LEGEND_GAP, LEGEND_COLUMNS)
-    return top + LEGEND_GAP + math.ceil(len(handles) / LEGEND_COLUMNS) * LINE
-
-
-def _class_text(known: BeatClass) -> str:
-    count = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
-    return f"{count}: {known.description}" if known.description else count
-
-
-def _class_line(colour: str) -> Line2D:
-    return Line2D([], [], color=colour, linewidth=2.2)
-
-
-def _number_mark(fill: str) -> Line2D:
-    return Line2D(
-        [], [], linestyle="none", marker="s", markersize=5.5, markerfacecolor=fill,
-        markeredgecolor=style.BLUE, markeredgewidth=0.7,
-    )  # fmt: skip
-
-
-def _scale_text(analysis: Analysis, gain: float, *, cut: bool) -> str:
-    """Stretch of time, scales, and what the recorder did, above the strip."""
-    recording, start = analysis.recording, strip_start(analysis)
-    stretch = f"{recording.duration:.3g} s"
-    if recording.duration > SHOWN + 0.05:
-        stretch = f"{start:g} to {start + SHOWN:g} s of {recording.duration:.4g} s"
-        if start == 0:
-            stretch = f"first {SHOWN:g} s of {recording.duration:.4g} s"
-    share = PACE / PAPER_PACE
-    named = {1.0: "", 0.5: ": half gain", 0.25: ": quarter gain"}[gain]
-    parts = [
-        stretch,
-        f"{PACE:g} mm/s, {gain * share * PAPER_GAIN:.3g} mm/mV on A4 "
-        f"({share:.0%} of {PAPER_PACE:g} mm/s, {gain * PAPER_GAIN:g} mm/mV{named})",
-        f"small square 40 ms, {0.1 / gain:g} mV",
-    ]
-    if cut:
-        parts.append("largest excursions cut off")
-    if recording.derived:
-        parts.append(f"computed from other leads: {', '.join(recording.derived)}")
-    return shortened("   ·   ".join(parts), SMALL, TEXT_WIDTH, "bold")
-
-
-def _single_scale_text(analysis: Analysis, gain: float) -> str:
-    """Scales of a beat that is drawn large, and which leads were computed."""
-    parts = [
-        f"{SINGLE_PACE:g} mm/s, {gain:g} mm/mV on A4",
-        f"small square {1000 / SINGLE_PACE:g} ms, {1 / gain:g} mV",
-    ]
-    if analysis.recording.derived:
-        parts.append(f"computed from other leads: {', '.join(analysis.recording.derived)}")
-    return shortened("   ·   ".join(parts), SMALL, TEXT_WIDTH, "bold")
-
-
-def _unused_text(analysis: Analysis) -> str:
-    """Numbers of the beats that the target lacks, by reason; empty where it lacks none."""
+    most = 5 if len(messages) <= 5 else 4
+    lines += [style.short(f"! {message}", 250) for message in messages[:most]]
+    if len(messages) > most:
+        lines.append(f"! and {len(messages) - most} more warnings")
     reasons: dict[str, list[str]] = {}
     for beat in analysis.beats:
         if not beat.used:
             reasons.setdefault(beat.why_unused, []).append(str(beat.number))
-    parts = [f"{', '.join(numbers)} ({reason})" for reason, numbers in reasons.items()]
-    return shortened(f"not used: {'; '.join(parts)}", SMALL, TEXT_WIDTH) if parts else ""
+    unused = [f"{', '.join(numbers)} ({reason})" for reason, numbers in reasons.items()]
+    if unused:
+        lines.append(style.short(f"not used: {'; '.join(unused)}", 250))
+    return lines if messages else [*lines, "no warnings"]
 
 
-def _panels(figure: Figure, top: float) -> list[Axes]:
-    """Twelve axes in the clinical columns, and what their scales are."""
-    columns = len(LEADS) // ROWS
-    width = (PAGE_WIDTH - LEFT - RIGHT - (columns - 1) * PANEL_GAP) / columns
-    _write(figure, LEFT - 1.5, top - 1.0, "mV", size=8, ha="right")
-    below = PAGE_HEIGHT - 3.5
-    _write(figure, PAGE_WIDTH / 2, below, "time from the R peak (ms)", size=8, ha="center")
-    lefts = [LEFT + column * (width + PANEL_GAP) for column in range(columns)]
-    tops = [top + row * (PANEL_HEIGHT + PANEL_GAP) for row in range(ROWS)]
-    return [_axes(figure, left, upper, width, PANEL_HEIGHT) for left in lefts for upper in tops]
-
-
-def _axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Axes at a place in mm from the upper left corner of the page."""
-    bottom = PAGE_HEIGHT - top - height
-    return figure.add_axes(
-        (left / PAGE_WIDTH, bottom / PAGE_HEIGHT, width / PAGE_WIDTH, height / PAGE_HEIGHT)
+def _measures(analysis: Analysis) -> str:
+    target = analysis.target
+    spread = math.hypot(target.onset_sd, target.offset_sd)
+    uncertainty = f" ± {spread:.{0 if spread >= 1 else 1}f}" if spread > 0 else ""
+    onset, offset = style.signed(target.qrs_onset), style.signed(target.qrs_offset)
+    rate = "heart rate unknown"
+    if target.heart_rate is not None:
+        rate = f"{target.heart_rate:.0f} beats/min"
+    used, count = sum(beat.used for beat in analysis.beats), len(target.beats)
+    beats = f"{used} of {len(analysis.beats)} beats used, class {analysis.chosen}"
+    if used != count:
+        beats += f", combined to {count}"
+    return (
+        f"{rate}   ·   QRS {target.qrs_duration:.0f}{uncertainty} ms, {onset} to {offset} ms about "
+        f"R (global {target.global_qrs_duration:.0f} ms)   ·   {beats}"
     )
 
 
-def _write(figure: Figure, left: float, base: float, text: str, **looks: Any) -> None:
-    """Text at a place in mm from the upper left corner of the page; a $ is a $."""
-    chosen: dict[str, Any] = {"size": SMALL, "color": style.BLACK, "parse_math": False} | looks
-    figure.text(left / PAGE_WIDTH, 1 - base / PAGE_HEIGHT, text, **chosen)
+def _draw_strip(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:
+    """All leads below one another, to one scale (mV), with numbers above the beats."""
+    start, stop = strip_span(analysis)
+    signal = analysis.signal[:, round(start * SAMPLES) : round(stop * SAMPLES)]
+    time = start + np.arange(signal.shape[1], dtype=np.float64) / SAMPLES
+    recorded = np.asarray(np.isfinite(signal).any(axis=1))
+    level = signal.copy()
+    level[recorded] -= np.nanmedian(level[recorded], axis=1, keepdims=True)
+    level, cut = _without_artefacts(level, time, analysis.spikes)
+    baselines, height = _baselines(level)
+    box = 0.5 if height <= 25 else 1.0  # mV
+    axes.set(xlim=(start, stop), ylim=(-height, 0.0))
+    axes.set_yticks(baselines, LEADS)
+    axes.xaxis.set_minor_locator(MultipleLocator(0.2))
+    axes.xaxis.grid(which="both", color=Colour.PAPER, linewidth=0.5)
+    axes.hlines(-np.arange(0, height, box), start, stop, color=Colour.PAPER, lw=0.5, zorder=0.5)
+    _draw_traces(axes, time, level + baselines[:, None], analysis, colours)
+    for lead, baseline in enumerate(baselines):
+        if not recorded[lead]:
+            axes.text((start + stop) / 2, baseline, _absence(analysis.signal[lead]), ha="center")
+    _number_beats(axes, analysis, colours)
+    spikes = analysis.spikes[(analysis.spikes >= start) & (analysis.spikes < stop)]
+    axes.vlines(spikes, -0.7, -0.5, color="black", linewidth=0.8, label="spikes")
+    duration = analysis.recording.duration
+    of = f"; {start:g} to {stop:g} s of {duration:.4g} s" if duration > stop - start + 0.05 else ""
+    said = [f"time (s{of})", f"boxes of 200 ms and {box:g} mV"]
+    if cut:
+        said.append("largest excursions cut off")
+    if analysis.recording.derived:
+        said.append(f"computed from other leads: {', '.join(analysis.recording.derived)}")
+    axes.set_xlabel("   ·   ".join(said))
 
 
-def _legend(figure: Figure, handles: Sequence[tuple[Any, str]], top: float, columns: int) -> None:
-    """Legend from the left, its first line `top` mm below the upper edge of the page."""
-    legend = figure.legend(
-        [handle for handle, _ in handles],
-        [text for _, text in handles],
-        loc="upper left", bbox_to_anchor=(TEXT_LEFT / PAGE_WIDTH, 1 - top / PAGE_HEIGHT),
-        ncols=columns, frameon=False, fontsize=SMALL, borderpad=0, borderaxespad=0,
-        handlelength=1.6, handletextpad=0.6, columnspacing=2.0, labelspacing=0.38,
-    )  # fmt: skip
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+def _absence(lead: Floats) -> str:
+    """Why a row of the strip is empty."""
+    samples = np.flatnonzero(np.isfinite(lead))
+    if not len(samples):
+        return "not used"
+    return f"recorded from {samples[0] / SAMPLES:.1f} to {samples[-1] / SAMPLES:.1f} s"
+
+
+def _without_artefacts(level: Floats, time: Floats, spikes: Floats) -> tuple[Floats, bool]:
+    """Leads (12, n) less what leaves their room by more than 1 mV, and whether anything does.
+
+    Their room is what they fill for 99.8 % of the time, pacing spikes apart.
+    """
+    calm = np.nan_to_num(level)
+    for sample in np.searchsorted(time, spikes[(spikes >= time[0]) & (spikes <= time[-1])]):
+        calm[:, max(sample - 8, 0) : sample + 9] = 0.0
+    low = np.quantile(calm, 0.002, axis=1, keepdims=True) - 1.0
+    high = np.quantile(calm, 0.998, axis=1, keepdims=True) + 1.0
+    clipped = np.clip(level, low, high)
+    return clipped, bool((np.abs(clipped - level) > 1e-9).any())
+
+
+def _baselines(level: Floats) -> tuple[Floats, float]:
+    """Where the baselines of leads (12, n) lie so that they do not cross, and the height (mV).
+
+    The height is 16 mV at least, which on the page makes the boxes squares as on ECG paper.
+    """
+    flat = np.nan_to_num(level)
+    between = np.quantile(flat[1:] - flat[:-1], 0.998, axis=1)
+    top, bottom = np.quantile(flat[0], 0.998), -np.quantile(flat[-1], 0.002)
+    needed = np.maximum([top, *between, bottom], 0.5) + 0.1
+    needed[0] += 0.8  # numbers of beats
+    apart = np.quantile(flat[1:], 0.998, axis=1) - np.quantile(flat[:-1], 0.002, axis=1)
+    more = np.maximum(apart + 0.1 - needed[1:-1], 0.0)  # so as never to reach into one another
+    needed[1:-1] += more * min(1.0, max(16.0 - needed.sum(), 0.0) / max(more.sum(), 0.1))
+    needed += max(16.0 - needed.sum(), 0.0) / len(needed)
+    return -np.cumsum(needed)[:-1], float(needed.sum())
+
+
+def _draw_traces(
+    axes: Axes, time: Floats, traces: Floats, analysis: Analysis, colours: Mapping[str, str]
+) -> None:
+    """Each lead as one line a colour: that of its class from 100 ms before R to 400 ms after it."""
+    shades = np.full(len(time), str(Colour.GREY), dtype=object)
+    ends = [beat.time - 0.1 for beat in analysis.beats[1:]] + [np.inf]
+    for beat, end in zip(analysis.beats, ends, strict=True):
+        span = np.searchsorted(time, (beat.time - 0.1, min(beat.time + 0.4, end)))
+        shades[slice(*span)] = colours[beat.label]
+    for colour in dict.fromkeys(shades):
+        here: Booleans = shades == colour
+        for trace in traces[np.isfinite(traces).any(axis=1)]:
+            axes.plot(time, np.where(here, trace, np.nan), color=colour, linewidth=0.65)
+
+
+def _number_beats(axes: Axes, analysis: Analysis, colours: Mapping[str, str]) -> None:
+    """Number of each beat above its R peak, hollow where the target lacks the beat."""
+    start, stop = axes.get_xlim()
+    several = len(analysis.classes) > 1
+    for beat in analysis.beats:
+        if start <= beat.time < stop:
+            colour = colours[beat.label]
+            axes.text(
+                beat.time, -0.3, f"{beat.number}{beat.label if several else ''}", fontsize=6,
+                ha="center", va="center", color="white" if beat.used else colour,
+                bbox={"boxstyle": "round,pad=0.2", "linewidth": 0.7, "edgecolor": colour,
+                      "facecolor": colour if beat.used else "white"},
+            )  # fmt: skip
+
+
+def _class_legend(figure: SubFigure, analysis: Analysis, colours: Mapping[str, str]) -> None:
+    """What colours and marks of the strip mean."""
+    kept = [known for known in analysis.classes if known.label == analysis.chosen]
+    others = [known for known in analysis.classes if known.label != analysis.chosen]
+    handles: list[tuple[Any, str]] = [
+        (Line2D([], [], color=colours[known.label], linewidth=2.2), _class_text(known))
+        for known in [*kept, *others[: len(CLASSES)]]
+    ]
+    if rest := others[len(CLASSES) :]:
+        text = f"{len(rest)} more classes, {sum(known.count for known in rest)} beats"
+        handles.append((Line2D([], [], color=Colour.GREY, linewidth=2.2), text))
+    box: dict[str, Any] = {"linestyle": "none", "marker": "s", "color": Colour.BLUE}
+    handles.append((Line2D([], [], **box), "filled number: beat used"))
+    if not all(beat.used for beat in analysis.beats):
+        hollow = Line2D([], [], markerfacecolor="white", **box)
+        handles.append((hollow, "hollow number: beat not used"))
+    if len(analysis.spikes):
+        handles.append((Line2D([], [], color="black", ls="none", marker="|"), "pacing spike"))
+    style.legend(figure, handles, loc="outside lower left", ncols=3, fontsize=8)
+
+
+def _class_text(known: BeatClass) -> str:
+    count = f"{known.label} {known.count} beat{'s' if known.count != 1 else ''}"
+    return style.short(f"{count}: {known.description}" if known.description else count)

@@ -1,96 +1,166 @@
-"""What figures share in looks: colours, sizes, titles, axes, legends, scale bars."""
+"""The look of all figures, in one place, and the way to disk."""
 
 from __future__ import annotations
 
-from typing import Any
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, SubFigure
 
-# Okabe & Ito's palette (2008): distinct with every common form of colour blindness.
-BLUE = "#0072B2"
-VERMILION = "#D55E00"
-GREEN, PURPLE, ORANGE, SKY, YELLOW = "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442"
-GREY = "#6B6B6B"
-BLACK = "#1A1A1A"
+from fascicle.core.errors import InputError
+from fascicle.core.files import atomic_path
+from fascicle.core.ranges import check_items
 
-LABEL_SIZE = 9.0  # points
-TICK_SIZE = 8.0
-TITLE_SIZE = 10.5
-LEGEND_STYLE: dict[str, Any] = {"frameon": False, "fontsize": LABEL_SIZE}
-TITLE_LEFT = 0.01  # of the figure's width
-THICK_LINE = 1.3  # points; means
-FRAME_LINE, TICK_LENGTH = 0.6, 3.0  # points
-BAR_LINE = 2.0  # points; scale bars
-BAR_GAP = 0.015  # of the panel's height, between a scale bar and its text
-
-
-def set_title(figure: Figure, title: str | None) -> None:
-    """Write a heading, if there is one, from the left."""
-    if title is not None:
-        figure.suptitle(title, fontsize=TITLE_SIZE, x=TITLE_LEFT, ha="left")
-
-
-def finish_axes(axes: Axes, x: str | None = None, y: str | None = None) -> None:
-    """Name the axes, take away the frame's upper and right side and set the ticks' size.
-
-    Parameters
-    ----------
-    axes : Axes
-        What to finish.
-    x, y : str, optional
-        Quantity and unit.
-    """
-    if x is not None:
-        axes.set_xlabel(x, fontsize=LABEL_SIZE)
-    if y is not None:
-        axes.set_ylabel(y, fontsize=LABEL_SIZE)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=TICK_SIZE, width=FRAME_LINE, length=TICK_LENGTH)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_linewidth(FRAME_LINE)
+KINDS = ("png", "pdf", "svg")  # of files
+RC: dict[str, Any] = {
+    "font.size": 9,
+    "figure.titlesize": 10.5,
+    "figure.labelsize": 9,
+    "figure.facecolor": "white",
+    "axes.titlesize": 10.5,
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "legend.title_fontsize": 9,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4,
+    "text.parse_math": False,  # names of files and scenarios may hold a $
+}
 
 
-def write_in(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
-    """Write a text, by default black and of `TITLE_SIZE`.
+class Colour(StrEnum):
+    """Okabe and Ito's palette (2008), distinct with every common form of colour blindness."""
 
-    Parameters
-    ----------
-    axes : Axes
-        Where to.
-    x, y : float
-        Place as shares of the axes' width and height.
-    text : str
-        What.
-    **style
-        As in Matplotlib's ``Axes.text``.
-    """
-    defaults: dict[str, Any] = {"fontsize": TITLE_SIZE, "color": BLACK}
-    axes.text(x, y, text, transform=axes.transAxes, **(defaults | style))
+    BLUE = "#0072B2"
+    VERMILION = "#D55E00"
+    GREEN = "#009E73"
+    PURPLE = "#CC79A7"
+    ORANGE = "#E69F00"
+    SKY = "#56B4E9"
+    YELLOW = "#F0E442"
+    GREY = "#6B6B6B"
+    LIGHT_GREY = "#C4C4C4"
+    PAPER = "#F0D3CF"  # lines of ECG paper
 
 
-def whole(value: float, *, signed: bool = False) -> str:
-    """Write a rounded number with a true minus sign; `signed` also gives a plus, but none to 0."""
-    rounded = round(value)
-    return f"{rounded:{'+' if signed and rounded else ''}d}".replace("-", "\N{MINUS SIGN}")
+P = ParamSpec("P")
 
 
-def scale_bar(axes: Axes, length: float, *, below: bool = False) -> None:
-    """Draw a bar at the lower left.
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make a function that draws a figure do so with the settings of `RC`, whatever the user's."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with rc_context(RC):  # type: ignore[arg-type]  # its stubs want literals
+            figure = draw(*args, **kwargs)
+        for axes in figure.axes:  # ticks are made when they are drawn
+            axes.tick_params(which="major", labelsize=8, width=0.6, length=3)  # points
+            axes.tick_params(which="minor", length=0)
+        return figure
+
+    return drawn
+
+
+def new_figure(width: float, height: float, title: str = "") -> Figure:
+    """Figure in a constrained layout, of no pyplot window and no global state.
 
     Parameters
     ----------
-    axes : Axes
-        In mm.
-    length : float
-        Of the bar (mm).
-    below : bool
-        Whether its text is below it.
+    width, height : float
+        Size (inch).
+    title : str
+        Written above from the left, in as many lines as it takes.
     """
-    (left, _), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    axes.plot([left, left + length], [bottom] * 2, color=BLACK, linewidth=BAR_LINE, clip_on=False)
-    gap = BAR_GAP * (top - bottom)
-    axes.text(
-        left + length / 2, bottom - gap if below else bottom + gap, f"{length:.0f} mm", ha="center",
-        va="top" if below else "bottom", fontsize=TICK_SIZE, color=BLACK,
-    )  # fmt: skip
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        head(figure, title)
+    return figure
+
+
+def head(figure: Figure | SubFigure, text: str, **looks: Any) -> None:
+    """Write a text above a figure from the left, in as many lines as it takes."""
+    text = re.sub(r"(?<!\\)\$", r"\$", text)  # or what is wrapped is measured as a formula
+    figure.suptitle(text, x=0.01, ha="left", wrap=True, parse_math=True, **looks)
+
+
+def mark(figure: Figure, caution: str | None) -> Figure:
+    """Write above a figure why it is not to be relied on, if there is a reason."""
+    if caution is not None:
+        title = f"{caution}\n{figure.get_suptitle()}".strip()
+        head(figure, title, color="#B34700", fontweight="bold", fontsize=RC["figure.titlesize"])
+        for each in figure.legends:  # below that line, for which there is room twice
+            top = 1 - 0.16 / figure.get_figheight()
+            each.set_bbox_to_anchor((0, 0, 1, top), figure.transFigure)
+    return figure
+
+
+def below_leads(figure: Figure | SubFigure, time: str, caption: str = "") -> None:
+    """Name the axes of panels of leads, and write a caption below them."""
+    figure.supxlabel(f"{time}\n{caption}".strip(), wrap=True)
+    figure.supylabel("potential (mV)")
+
+
+def name_lead(axes: Axes, lead: str, note: str = "", **looks: Any) -> None:
+    """Write the name of a lead into the upper left corner of its panel, a note into the right."""
+    place: dict[str, Any] = {"transform": axes.transAxes, "va": "top"} | looks
+    axes.text(0.03, 0.96, lead, fontweight="bold", **place)
+    if note:
+        axes.text(0.98, 0.96, note, ha="right", fontsize="small", **place)
+
+
+def legend(figure: Figure | SubFigure, handles: Sequence[tuple[Any, str]], **place: Any) -> None:
+    """Legend of artists and their names, by default in one row above at the right."""
+    artists, names = [artist for artist, _ in handles], [name for _, name in handles]
+    looks: dict[str, Any] = {"loc": "outside upper right", "ncols": len(names)} | place
+    figure.legend(artists, names, **looks)
+
+
+def short(text: str, most: int = 40) -> str:
+    """Text on one line, its middle left out where it has more than so many characters."""
+    text = " ".join(text.split())
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]}…{text[len(text) - most // 2 + 1 :]}"
+
+
+def signed(value: float) -> str:
+    """Whole number with a true minus sign."""
+    return f"{round(value):d}".replace("-", "\N{MINUS SIGN}")
+
+
+def save(figure: Figure, path: Path | str) -> Path:
+    """Write a figure whole or not at all, in the format of the path's suffix; returns the path."""
+    path = Path(path)
+    check_picture(path)
+    with atomic_path(path) as temporary, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # of a name in another script: a box is drawn
+        figure.savefig(temporary, dpi=150)
+    return path
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a picture in a format that cannot be drawn."""
+    if path.suffix.lower().removeprefix(".") not in KINDS:
+        known = ", ".join(f".{kind}" for kind in KINDS)
+        raise InputError(f"{path}: cannot draw '{path.suffix or 'no suffix'}'; use one of {known}")
+
+
+def check_kinds(kinds: Sequence[str]) -> None:
+    """Refuse kinds of files that no figure can be written as."""
+    check_items(kinds, str, "figures", f"kinds of files: {', '.join(KINDS)}")
+    for kind in kinds:
+        if kind not in KINDS:
+            raise InputError(f"figures cannot be drawn as '{kind}'; use {', '.join(KINDS)}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fascicle.core.progress import Progress
@@ -13,16 +12,7 @@ from fascicle.forward.cable.cable import duration, max_upstroke
 from fascicle.forward.cable.template import CableTemplate, default_template, stored_template
 from fascicle.kernels.ten_tusscher import CELLS
 from fascicle.reporting import style
-from fascicle.reporting.figures import new_figure
-
-COLOURS = {"endocardial": style.BLUE, "midmyocardial": style.GREY, "epicardial": style.VERMILION}
-SIZE = (9.0, 3.8)  # inch
-LEGEND_PLACE = (0.08, 0.4)  # of the axes
-POINTS = 4000  # of each curve
-LINE = 1.2  # points
-SHOWN_BEFORE = 20.0  # ms before the upstroke
-SHOWN_AFTER = 450.0  # ms after it
-ZOOM = (-3.0, 80.0)  # ms around the upstroke
+from fascicle.reporting.style import Colour
 
 
 def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str, dict[str, float]]]:
@@ -49,17 +39,7 @@ def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str,
     if progress is not None:
         progress("template", len(CELLS), len(CELLS), "")
     table = {cell: measure(template) for cell, template in templates.items()}
-    figure = new_figure(*SIZE)
-    whole, zoom = figure.subplots(1, 2)
-    _draw_whole(whole, templates, table)
-    _draw_zoom(zoom, templates, default_template())
-    for axes in (whole, zoom):
-        axes.legend(
-            frameon=False, fontsize=style.TICK_SIZE, loc="center left", bbox_to_anchor=LEGEND_PLACE
-        )
-        style.finish_axes(axes, "time since activation (ms)", "transmembrane potential (mV)")
-    style.set_title(figure, "Ten Tusscher–Panfilov 2006 cells in a cable")
-    return figure, table
+    return _drawn(templates, table), table
 
 
 def measure(template: CableTemplate) -> dict[str, float]:
@@ -74,26 +54,25 @@ def measure(template: CableTemplate) -> dict[str, float]:
     }
 
 
-def _draw_whole(
-    axes: Axes, templates: Mapping[str, CableTemplate], table: Mapping[str, Mapping[str, float]]
-) -> None:
-    time = np.linspace(-SHOWN_BEFORE, SHOWN_AFTER, POINTS)
-    for cell, template in templates.items():
+@style.styled
+def _drawn(
+    templates: Mapping[str, CableTemplate], table: Mapping[str, Mapping[str, float]]
+) -> Figure:
+    figure = style.new_figure(9.0, 3.8, "Ten Tusscher–Panfilov 2006 cells in a cable")
+    whole, zoom = figure.subplots(1, 2)
+    long, brief = np.linspace(-20, 450, 4000), np.linspace(-3, 80, 4000)  # ms
+    colours = (Colour.BLUE, Colour.GREY, Colour.VERMILION)
+    for (cell, template), colour in zip(templates.items(), colours, strict=True):
         apd = table[cell]["apd90"]
-        axes.plot(
-            time, template.full(time), color=COLOURS[cell], linewidth=LINE,
-            label=f"{cell}, APD90 {apd:.0f} ms",
-        )  # fmt: skip
-        axes.plot(apd, template.full(np.array(apd)), "o", color=COLOURS[cell], markersize=4)
-    axes.set_xlim(time[0], time[-1])
-
-
-def _draw_zoom(axes: Axes, templates: Mapping[str, CableTemplate], used: CableTemplate) -> None:
-    time = np.linspace(*ZOOM, POINTS)
-    for cell, template in templates.items():
-        axes.plot(time, template.full(time), color=COLOURS[cell], linewidth=LINE, label=cell)
-    axes.plot(
-        time, used(time), "--", color=style.BLACK, linewidth=LINE, label=f"template ({used.cell})"
-    )
-    axes.axvline(used.span[1], color=style.GREY, linewidth=0.6, linestyle=":")
-    axes.set_xlim(*ZOOM)
+        name = f"{cell}, APD90 {apd:.0f} ms"
+        whole.plot(long, template.full(long), color=colour, label=name)
+        whole.plot(apd, template.full(np.array(apd)), "o", color=colour)
+        zoom.plot(brief, template.full(brief), color=colour, label=cell)
+    used = default_template()
+    zoom.plot(brief, used(brief), "--", color="black", label=f"template ({used.cell})")
+    zoom.axvline(used.span[1], color=Colour.GREY, linewidth=0.6, linestyle=":")
+    for axes, time in ((whole, long), (zoom, brief)):
+        axes.legend(loc="center left", bbox_to_anchor=(0.05, 0.4), fontsize=8)
+        axes.set(xlabel="time since activation (ms)", ylabel="transmembrane potential (mV)")
+        axes.set_xlim(time[0], time[-1])
+    return figure

@@ -6,7 +6,6 @@ import base64
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from fascicle.core.leads import LEADS
 from fascicle.core.progress import Lines, Progress, shown_progress
 from fascicle.core.ranges import check_text
 from fascicle.forward.scenario import Scenario
-from fascicle.heart.sites import SEGMENTS
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import (
     INTRINSIC,
@@ -29,73 +27,21 @@ from fascicle.prediction.scenarios import (
     predict,
     with_intrinsic_beat,
 )
-from fascicle.reporting.indices import SHOWN
 from fascicle.reporting.names import MEASURES, index_label, parameter_name
-from fascicle.reporting.page.answers import answers
-from fascicle.reporting.page.commands import commands
-from fascicle.reporting.page.inputs import digests, held, learnt, recordings, settings
+from fascicle.reporting.page.answers import correlations, meaning, prediction
+from fascicle.reporting.page.inputs import commands, digests, held, learnt, recordings, settings
 from fascicle.reporting.page.scene import scene
-from fascicle.reporting.study import Drawing, check_kinds, drawings, write_figures
+from fascicle.reporting.prediction import latest_segments
+from fascicle.reporting.scenarios import SHOWN
+from fascicle.reporting.study import Drawing, drawings, write_figures
+from fascicle.reporting.style import check_kinds
 from fascicle.study.agreement import Agreement
 from fascicle.study.fit import GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.population import Posterior
 from fascicle.study.target_comparison import Network
 
-RESOLUTION, COLOURS = 110, 256  # of pictures in the page; dots per inch
 PACINGS = ("his-pacing", "left-bundle-branch-pacing", "biventricular-pacing")
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure in the page.
-
-    Attributes
-    ----------
-    source : str
-        The picture itself, as a data URL.
-    text : str
-        What it shows.
-    leads : list of (lead, explained power, correlation)
-        Of an ECG, in words.
-    measured : list of (name, recorded, of the networks)
-        Durations and axis of an ECG, in words.
-    of_networks : bool
-        As of `Drawing`.
-    """
-
-    source: str
-    text: str
-    leads: list[tuple[str, str, str]] = field(default_factory=list)
-    measured: list[tuple[str, str, str]] = field(default_factory=list)
-    of_networks: bool = True
-
-    @classmethod
-    def of(cls, drawing: Drawing) -> Picture:
-        """Draw a figure into a page, in so many colours that it takes a third of the room."""
-        drawn, content = io.BytesIO(), io.BytesIO()
-        drawing.figure.savefig(drawn, format="png", dpi=RESOLUTION)
-        colours = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-        colours.save(content, format="PNG", optimize=True)
-        encoded = base64.b64encode(content.getvalue()).decode("ascii")
-        leads, measured = ([], []) if drawing.agreement is None else _agreed(drawing.agreement)
-        source = f"data:image/png;base64,{encoded}"
-        return cls(source, drawing.text, leads, measured, drawing.of_networks)
-
-
-def _agreed(found: Agreement) -> tuple[list[tuple[str, str, str]], list[tuple[str, str, str]]]:
-    """Rows of the two tables below an ECG."""
-    pairs = [*zip(LEADS, found.explained, found.correlation, strict=True)]
-    pairs.append(("all together", found.explained_over_all, found.correlation_over_all))
-    leads = [(name, f"{e:.0%}", f"{r:.2f}") for name, e, r in pairs if np.isfinite(r)]
-    measured = []
-    for key, measure in MEASURES.items():
-        if key in found.recorded:
-            low, middle, high = found.percentiles(key)
-            recorded = f"{found.recorded[key]:.0f} {measure.unit}"
-            networks = f"{middle:.0f} ({low:.0f} to {high:.0f}) {measure.unit}"
-            measured.append((str(measure), recorded, networks))
-    return leads, measured
 
 
 def report(
@@ -180,67 +126,89 @@ def write_report(
     """
     drawn = drawings(fitted, networks, predicted)
     content = {
-        **_words(fitted, predicted, against),
-        "pictures": {name: Picture.of(drawing) for name, drawing in drawn.items()},
+        **_content(fitted, predicted, against),
+        "pictures": {name: picture(drawing) for name, drawing in drawn.items()},
         "scene": _safe(scene(fitted.simulator.model.heart, predicted)),
         "style": _file("style.css"),
         "viewer": _file("viewer.js"),
     }
     write_text(out, _template().render(content))
-    return [
-        out,
-        *write_figures(drawn, out.parent / "figures", figures, fitted.statements.caution_text),
-    ]
+    return [out, *write_figures(drawn, out.parent / "figures", figures)]
 
 
-def _words(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> dict[str, Any]:
-    from fascicle import __version__
+def picture(drawing: Drawing) -> dict[str, Any]:
+    """A figure for the page: a data URL of 256 colours, a third of the size, and its numbers."""
+    drawn, content = io.BytesIO(), io.BytesIO()
+    drawing.figure.savefig(drawn, format="png", dpi=110)
+    colours = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    colours.save(content, format="PNG", optimize=True)
+    encoded = base64.b64encode(content.getvalue()).decode("ascii")
+    numbers = {} if drawing.agreement is None else _numbers(drawing.agreement)
+    return {"source": f"data:image/png;base64,{encoded}", "text": drawing.text, **numbers}
 
-    said, config = answers(fitted, predicted, against), fitted.study.config
-    sources = [p.target.provenance.get("source", "a target") for p in fitted.recordings]
-    names = [Path(source).name for source in sources]
+
+def _numbers(found: Agreement) -> dict[str, Any]:
+    """Variance explained and correlation of each lead; durations and axis with percentiles."""
+    leads = [*zip(LEADS, found.explained, found.correlation, strict=True)]
+    leads.append(("all together", found.explained_over_all, found.correlation_over_all))
     return {
-        "version": __version__,
-        "title": f"What the ECG tells of the Purkinje network: {fitted.folder.resolve().name}",
-        "heart": fitted.simulator.model.heart.name,
-        "recordings": ", ".join(names),
-        "answers": said,
-        "predictions": list(zip(predicted, said.predicted, strict=True)),
-        "measures": [each for each in MEASURES.values() if each.meaning],
-        "columns": [index_label(index) for index in SHOWN],
-        "rows": [_row(name, found) for name, found in predicted.items()],
-        "convergence": _convergence(fitted),
-        "learnt": learnt(config),
-        "held": held(fitted),
-        "inputs": [*settings(config).items(), *recordings(fitted), *digests(config)],
-        "commands": "\n".join(commands(fitted, predicted, against)),
+        "leads": [lead for lead in leads if np.isfinite(lead[2])],
+        "measured": [
+            (measure, found.recorded[key], found.percentiles(key))
+            for key, measure in MEASURES.items()
+            if key in found.recorded
+        ],
     }
 
 
-def _row(name: str, found: Predicted) -> dict[str, Any]:
-    cells = []
-    for index in SHOWN:
-        low, middle, high = np.nanpercentile(found.indices[index], [5, 50, 95])
-        cells.append(f"{middle:.0f} ({low:.0f} to {high:.0f})")
-    numbers, counts = np.unique(found.indices["latest_segment"].astype(int), return_counts=True)
-    most = int(np.argmax(counts))
-    share = counts[most] / counts.sum()
-    return {"name": name, "cells": cells, "latest": f"{SEGMENTS[numbers[most] - 1]} ({share:.0%})"}
+def _content(
+    fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
+) -> dict[str, Any]:
+    from fascicle import __version__
+
+    config, said = fitted.study.config, fitted.statements
+    sources = [p.target.provenance.get("source", "a target") for p in fitted.recordings]
+    return {
+        "version": __version__,
+        "study": fitted.folder.resolve().name,
+        "heart": fitted.simulator.model.heart.name,
+        "recordings": [Path(source).name for source in sources],
+        "verdict": said.verdict,
+        "trustworthy": said.converged and said.acceptable,
+        "caution": said.caution,
+        "meaning": meaning(fitted),
+        "warnings": said.warnings,
+        "constrained": [each for each in said.parameters if each.constrained],
+        "unidentifiable": [each for each in said.parameters if not each.constrained],
+        "correlations": correlations(fitted),
+        "predictions": [
+            (name, prediction(name, predicted, against, said.caution)) for name in predicted
+        ],
+        "measures": [each for each in MEASURES.values() if each.meaning],
+        "columns": [index_label(index) for index in SHOWN],
+        "rows": [_row(name, found) for name, found in predicted.items()],
+        "evaluations": len(fitted.study.records()),
+        "population": fitted.population,
+        "furthest": _furthest(fitted),
+        "prior_simulations": config.prior_simulations,
+        "learnt": learnt(config),
+        "held": held(fitted),
+        "inputs": [*settings(config).items(), *recordings(fitted), *digests(config)],
+        "commands": commands(fitted, predicted, against),
+    }
 
 
-def _convergence(fitted: FittedStudy) -> list[str]:
-    population, count = fitted.population, len(fitted.study.records())
-    if not isinstance(population, Posterior):
-        return [f"{count} evaluations; the least mismatch is {population.best_loss:.3f} mV²."]
-    one, other = population.log_evidences
-    name, apart = max(population.means_apart.items(), key=lambda item: item[1])
-    prior, effective = fitted.study.config.prior_simulations, population.effective.sum()
-    return [
-        f"{count} evaluations in two runs, {prior} of them of the prior; effective sample "
-        f"{effective:.0f}.",
-        f"Log evidence {one:.1f} and {other:.1f}. The means of {parameter_name(name)} are "
-        f"furthest apart: {apart:.2f} standard deviations, where 0.5 is allowed.",
-    ]
+def _row(name: str, found: Predicted) -> tuple[str, list[Any], tuple[str, float]]:
+    """Percentiles of the indices that are shown, and the segment that is most often the latest."""
+    cells = [np.nanpercentile(found.indices[index], [5, 50, 95]) for index in SHOWN]
+    return name, cells, next(iter(latest_segments(found).items()))
+
+
+def _furthest(fitted: FittedStudy) -> tuple[str, float] | None:
+    """The parameter whose means in the two runs differ most, and by how many SD."""
+    if not isinstance(fitted.population, Posterior):
+        return None
+    return max(fitted.population.means_apart.items(), key=lambda item: item[1])
 
 
 def _template() -> Any:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import itertools
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,12 +12,11 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted, PredictedBeat
-from fascicle.reporting.rendering import heart_views
+from fascicle.reporting.surfaces import heart_views
 from fascicle.study.activation_maps import since_first
 
-STEPS = 65_534  # of a quantised value; the next number stands for none
-NONE = 65_535
-# Fields of a scenario beside the networks': name in `Predicted.maps`, what it is, unit
+NONE = 65_535  # a quantised value that is none; others go up to one less
+# Fields of a scenario besides the networks': name in `Predicted.maps`, what it is, unit, kind
 MAPS = (
     ("activation_mean", "mean of the networks", "ms", "time"),
     ("activation_sd", "spread: standard deviation over the networks", "ms", "scalar"),
@@ -29,6 +26,9 @@ MAPS = (
 
 def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
     """Surface of a heart with the activations of scenarios, for ``fascicleViewer``.
+
+    Fields of one name have one scale, so that colours mean the same in all scenarios. It ends where
+    the last of these fields does: one slow network does not stretch that of the median ones.
 
     Parameters
     ----------
@@ -44,10 +44,19 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
     """
     triangles = heart.boundary[0]
     shown, numbered = np.unique(triangles, return_inverse=True)
-    low, high = heart.vertices.min(axis=0), heart.vertices.max(axis=0)
-    for found in predicted.values():  # trees end on the endocardium, roots may lie outside the mesh
-        for tree, _ in found.beats[found.extremes()["median"]].trees:
-            low, high = np.minimum(low, tree.nodes.min(0)), np.maximum(high, tree.nodes.max(0))
+    beats = {name: each.beats[each.extremes()["median"]] for name, each in predicted.items()}
+    # roots may lie outside the mesh
+    nodes = [tree.nodes for beat in beats.values() for tree, _ in beat.trees]
+    points = np.concatenate([heart.vertices, *nodes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    fields = {name: _fields(each, shown) for name, each in predicted.items()}
+    tops: dict[str, float] = {}
+    for field in (field for its in fields.values() for field in its):
+        known = field["values"][np.isfinite(field["values"])]
+        tops[field["name"]] = max(tops.get(field["name"], 0.0), float(known.max(initial=0.0)))
+    for field in (field for its in fields.values() for field in its):
+        top = tops[field["name"]] or 1.0
+        field.update(low=0.0, high=top, values=_quantised(field["values"], 0.0, top))
     anterior = heart_views(heart)["anterior"].axes
     surface = {
         "name": "heart",
@@ -61,58 +70,29 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
         "box": {"low": low.tolist(), "high": high.tolist()},
         "up": anterior[1].tolist(),
         "front": (-anterior[2]).tolist(),
-        "scenarios": _scenarios(predicted, shown, low, high),
+        "scenarios": [
+            {
+                "name": name,
+                "label": each.scenario.description or name,
+                "fields": fields[name],
+                "trees": _trees(beats[name], low, high),
+            }
+            for name, each in predicted.items()
+        ],
     }
 
 
-def _scenarios(
-    predicted: Mapping[str, Predicted], shown: Integers, low: Floats, high: Floats
-) -> list[dict[str, Any]]:
-    """Scenarios whose fields of one name have one scale, so that colours mean the same in all.
-
-    It ends where the last of these fields does: one slow network, which is not shown beside the
-    median ones, does not stretch theirs.
-    """
-    fields = {name: _fields(found, shown) for name, found in predicted.items()}
-    tops: dict[str, float] = {}
-    for field in itertools.chain(*fields.values()):
-        known = field.values[np.isfinite(field.values)]
-        tops[field.name] = max(tops.get(field.name, 0.0), float(known.max(initial=0.0)))
-    return [
-        {
-            "name": name,
-            "label": found.scenario.description or name,
-            "fields": [field.encoded(tops[field.name] or 1.0) for field in fields[name]],
-            "trees": _trees(found.beats[found.extremes()["median"]], low, high),
-        }
-        for name, found in predicted.items()
-    ]
-
-
-@dataclass(frozen=True)
-class _Field:
+def _fields(found: Predicted, shown: Integers) -> list[dict[str, Any]]:
     """Values at the vertices that are shown."""
-
-    name: str
-    label: str
-    unit: str
-    kind: str
-    values: Floats
-
-    def encoded(self, top: float) -> dict[str, Any]:
-        """For JSON, between 0 and `top`."""
-        values = _quantised(self.values, 0.0, top)
-        return {**asdict(self), "low": 0.0, "high": top, "values": values}
-
-
-def _fields(found: Predicted, shown: Integers) -> list[_Field]:
-    extremes, maps = found.extremes(), found.maps
-    fields = []
-    for which in ("median", "minimum", "maximum"):
-        times = since_first(found.beats[extremes[which]].activation)
-        label = f"network of {which} total activation time"
-        fields.append(_Field(f"activation_{which}", label, "ms", "time", times[shown]))
-    return fields + [_Field(*each, maps[each[0]][shown]) for each in MAPS]
+    extremes = found.extremes()
+    fields = [
+        (f"activation_{which}", f"network of {which} total activation time", "ms", "time",
+         since_first(found.beats[extremes[which]].activation))
+        for which in ("median", "minimum", "maximum")
+    ]  # fmt: skip
+    fields += [(*each, found.maps[each[0]]) for each in MAPS]
+    keys = ("name", "label", "unit", "kind")
+    return [dict(zip(keys, said, strict=True), values=v[shown]) for *said, v in fields]
 
 
 def _trees(beat: PredictedBeat, low: Floats, high: Floats) -> list[dict[str, Any]]:
@@ -140,17 +120,11 @@ def _positions(points: Floats, low: Floats, high: Floats) -> str:
 
 
 def _quantised(values: Floats, low: float, high: float) -> str:
-    """Values from `low` to `high` in `STEPS`; what is not finite as `NONE`."""
+    """Values from `low` to `high` in steps; what is not finite as `NONE`."""
     share = (np.where(np.isfinite(values), values, low) - low) / max(high - low, 1e-9)
-    steps = np.round(np.clip(share, 0, 1) * STEPS)
+    steps = np.round(np.clip(share, 0, 1) * (NONE - 1))
     return _encoded(np.where(np.isfinite(values), steps, NONE).astype("<u2"))
 
 
 def _encoded(array: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
-
-
-def decoded(text: str, kind: str, columns: int = 1) -> NDArray[Any]:
-    """Array (n, columns), or (n,), of what a scene holds; for tests and other readers."""
-    array = np.frombuffer(base64.b64decode(text), dtype=kind)
-    return array.reshape(-1, columns) if columns > 1 else array

@@ -16,8 +16,15 @@ from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import with_intrinsic_beat
 from fascicle.recording.target_files import read_target
-from fascicle.reporting.page.commands import commands, report_words, target_words
-from fascicle.reporting.page.inputs import held, learnt, recordings, settings
+from fascicle.reporting.page.inputs import (
+    commands,
+    held,
+    learnt,
+    recordings,
+    report_words,
+    settings,
+    target_words,
+)
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR, checked_settings
 from fascicle.study.space import growth_and_conduction, study_space
 from fascicle.study.study import StudyConfig
@@ -151,9 +158,8 @@ def test_the_fit_s_command_gives_the_same_study(
 
     monkeypatch.setattr("fascicle.study.fit.fit", note)
     *file, fit, report = commands(fitted, {}, "intrinsic")
-    if file:
-        assert (file[0], file[-1]) == ("cat > settings.toml <<'END'", "END")
-        (tmp_path / "settings.toml").write_text("\n".join(file[1:-1]))
+    assert (file[0], file[-1]) == ("cat > settings.toml <<'END'", "END")
+    (tmp_path / "settings.toml").write_text("\n".join(file[1:-1]))
     assert shlex.split(report) == ["fascicle", "report", str(fitted.folder)]
     monkeypatch.setattr(sys, "argv", shlex.split(fit))
     with pytest.raises(RuntimeError, match="enough"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -14,13 +15,14 @@ from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.forward.scenario import Scenario
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted, PredictedBeat
-from fascicle.reporting.page.answers import answers
-from fascicle.reporting.page.page import Picture, _safe, _template
-from fascicle.reporting.page.scene import NONE, STEPS, decoded, scene
-from fascicle.reporting.scenario import scenario_activation_figure, scenario_ecg_figure
+from fascicle.reporting.names import MEASURES
+from fascicle.reporting.page.answers import correlations, meaning, prediction
+from fascicle.reporting.page.page import _safe, _template
+from fascicle.reporting.page.scene import NONE, scene
+from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
 from fascicle.study.population import Posterior
 from fascicle.study.predictive import Checks
-from fascicle.study.statements import Caution, Kind, ParameterStatement, ResultWarning, Statements
+from fascicle.study.statements import Caution, ParameterStatement, Statements
 
 SPACE = ParameterSpace(
     (Parameter("root_time", "ms", -75.0, 50.0), Parameter("cv", "mm/ms", 2.0, 4.0))
@@ -48,73 +50,65 @@ def study(*, converged=True, share=0.2, disagreeing=None, paper=False):
         simulator=SimpleNamespace(space=SPACE),
     )
     found.statements = Statements(found)
-    found.statements.__dict__["warnings"] = (ResultWarning(Kind.GAIN, "a warning"),)
     return found
 
 
-OWN, FASTER, MIXED = (
+OWN, FASTER, MIXED, SLOWER = (
     predicted([100, 110, 120, 130]),
     predicted([80, 85, 90, 95]),
     predicted([90, 120, 110, 140]),
+    predicted([120, 135, 150, 165]),
 )
 
 
 class TestAnswers:
     def test_of_a_posterior_that_explains(self):
-        said = answers(study(), {"intrinsic": OWN, "a": FASTER, "b": MIXED})
-        assert said.trustworthy
-        assert said.caution is None
-        assert "Two independent runs agree" in said.meaning[0]
-        assert "explains 96% of the QRS (median)" in said.meaning[1]
-        assert [s.name for s in said.determined] == ["root_time"]
-        assert [s.name for s in said.undetermined] == ["cv"]
-        own, faster, mixed = said.predicted
-        assert own.startswith(
-            "global QRS duration 135 (122 to 148) ms, window QRS duration 115 (102 to 128) ms, "
-            "total activation time 115 ("
-        )
-        assert "shortened against the intrinsic beat by 28 ms (90 % CrI 21 to 34)" in faster
-        assert "P(shorter) = 1.00" in faster
-        assert "neither surely shorter nor longer" in mixed
-        assert "P(shorter) = 0.50" in mixed
-        (_, slower) = answers(study(), {"intrinsic": FASTER, "a": OWN}).predicted
-        assert "prolonged against the intrinsic beat by 28 ms (90 % CrI 21 to 34)" in slower
-        found = {"intrinsic": FASTER, "block": OWN, "a": FASTER}
-        own, block, paced = answers(study(), found, "block").predicted
-        assert own.endswith("ms.")
-        assert block.endswith("ms.")
-        assert "shortened against block by 28 ms (90 % CrI 21 to 34)" in paced
-        assert "P(shorter) = 0.00" in slower
+        fitted = study()
+        first, second = meaning(fitted)
+        assert "Two independent runs agree" in first
+        assert "explains 96% of the variance of the QRS (median)" in second
+        assert correlations(fitted) == [
+            "RV–LV activation delay and Purkinje conduction velocity are strongly correlated in "
+            "the posterior (rank correlation 1.00)."
+        ]
 
-    def test_of_one_that_does_not_explain(self):
-        said = answers(study(share=0.6, disagreeing={"V2": 0.001}), {"intrinsic": OWN})
-        assert not said.trustworthy
-        assert (
-            "do not explain the ECG: a network 64% of the QRS (median), where 88% is "
-            in said.meaning[1]
-        )
-        assert "the least. V2 cannot be theirs." in said.meaning[1]
-        assert said.caution is Caution.POOR_FIT
-        assert said.predicted[0].startswith("by a model that does not fit: global QRS duration")
+    def test_of_others_says_why_not(self):
+        fitted = study(share=0.6, disagreeing={"V2": 0.001})
+        (_, sentence) = meaning(fitted)
+        assert "explains 64% of the variance of the QRS (median), where 88% is" in sentence
+        assert "the least. V2 cannot be theirs." in sentence
+        fitted = study(converged=False)
+        assert "no number below can be relied on" in meaning(fitted)[0]
+        assert "a population and not a posterior" in meaning(study(paper=True, converged=False))[0]
 
-    def test_of_one_that_has_not_converged(self):
-        said = answers(study(converged=False), {"intrinsic": OWN, "a": FASTER})
-        assert not said.trustworthy
-        assert said.caution is Caution.NOT_CONVERGED
-        _, faster = said.predicted
-        assert faster.startswith("not to be relied on: global QRS duration 108 (")
-        assert "Activation shortened" not in faster
-        assert faster.endswith(
-            "shortened against the intrinsic beat by 28 ms (90 % CrI 21 to 34); P(shorter) = 1.00."
+    @pytest.mark.parametrize(
+        ("found", "against", "said"),
+        [
+            (FASTER, "intrinsic", "shortened by 28 ms (90 % CrI 21 to 34) against the intrinsic "
+             "beat; P(shorter) = 1.00."),
+            (MIXED, "intrinsic", "P(shorter) = 0.50."),
+            (SLOWER, "intrinsic", "prolonged by 28 ms (90 % CrI 21 to 34) against the intrinsic "
+             "beat; P(shorter) = 0.00."),
+            (FASTER, "block", "shortened by 28 ms (90 % CrI 21 to 34) against block; "
+             "P(shorter) = 1.00."),
+        ],
+    )  # fmt: skip
+    def test_of_a_scenario(self, found, against, said):
+        scenarios = {"intrinsic": OWN, "block": OWN, "a": found}
+        sentence = prediction("a", scenarios, against, Caution.NOT_CONVERGED)
+        assert sentence.endswith(said)
+        assert sentence.startswith(f"{Caution.NOT_CONVERGED.brief}: global QRS duration ")
+        alone = prediction("intrinsic", scenarios, against, None)
+        assert alone == (
+            "global QRS duration 135 ms (122 to 148), window QRS duration 115 ms (102 to 128), "
+            "total activation time 115 ms (102 to 128)."
         )
-        assert "no number below can be relied on" in said.meaning[0]
-        assert not said.determined
-        assert not said.undetermined
 
-    def test_of_the_paper(self):
-        said = answers(study(paper=True, converged=False), {"intrinsic": OWN})
-        assert not said.trustworthy
-        assert "a population and not a posterior" in said.meaning[0]
+
+def decoded(text, kind, columns=1):
+    """Array (n, columns), or (n,), of what a scene holds."""
+    array = np.frombuffer(base64.b64decode(text), dtype=kind)
+    return array.reshape(-1, columns) if columns > 1 else array
 
 
 def kept(simulation):
@@ -159,7 +153,7 @@ class TestScene:
         used = np.unique(default_heart.boundary[0])
         field = content["scenarios"][0]["fields"][0]
         assert (field["name"], field["unit"], field["kind"]) == ("activation_median", "ms", "time")
-        times = decoded(field["values"], "<u2") / STEPS * field["high"]
+        times = decoded(field["values"], "<u2") / (NONE - 1) * field["high"]
         expected = simulation.activation - simulation.activation.min()
         np.testing.assert_allclose(times, expected[used], atol=0.01)
 
@@ -210,7 +204,7 @@ class TestScene:
             np.testing.assert_allclose(nodes, tree.nodes, atol=0.01)
             segments = decoded(packed["segments"], "<u4", 2)
             assert (tree.parents[segments[:, 1]] == segments[:, 0]).all()
-            since = packed["low"] + decoded(packed["times"], "<u2") / STEPS * (
+            since = packed["low"] + decoded(packed["times"], "<u2") / (NONE - 1) * (
                 packed["high"] - packed["low"]
             )
             np.testing.assert_allclose(since, times - simulation.activation.min(), atol=0.02)
@@ -218,27 +212,22 @@ class TestScene:
 
 def page(**values):
     """The page with these values, of which the rest are empty."""
-    rest = {
-        "verdict": "",
-        "caution": None,
-        "undetermined": [ParameterStatement("cv", "mm/ms", *[3.0] * 4)],
+    pictures = {
+        name: {"source": "", "text": name}
+        for name in ("ecg", "indices", "priors", "pairs", "recording", "heart")
     }
-    said = SimpleNamespace(**(rest | values))
-    pictures = {name: Picture("", name) for name in ("ecg", "indices", "priors", "pairs")}
-    pictures |= {name: Picture("", name, of_networks=False) for name in ("recording", "heart")}
-    return _template().render(answers=said, pictures=pictures, predictions=[("a", "b")])
+    rest = {
+        "unidentifiable": [ParameterStatement("cv", "mm/ms", *[3.0] * 4)],
+        "predictions": [("a", "b")],
+    }
+    return _template().render({"pictures": pictures} | rest | values)
 
 
 def test_everything_that_cannot_be_relied_on_is_marked():
     text = page(caution=Caution.NOT_CONVERGED)
     for section in ("ecg", "heart", "pacing", "parameters"):
-        content = re.search(f'<section id="{section}" class="doubted">(.*?)</section>', text, re.S)[
-            1
-        ]
-        assert Caution.NOT_CONVERGED.text in re.search("<h2>(.*?)</h2>", content)[1]
-    for name in ("ecg", "indices", "priors", "pairs"):
-        (above,) = re.findall(f'<figure>(.*?)<img src="" alt="{name}">', text)
-        assert Caution.NOT_CONVERGED.text in above
+        marked = re.search(f'<section id="{section}" class="doubted">(.*?)</section>', text, re.S)
+        assert Caution.NOT_CONVERGED.text in re.search("<h2>(.*?)</h2>", marked[1])[1]
     assert '<ul class="doubted"><li><b>a</b>' in text
     inputs = text[text.index('<section id="inputs"') :]
     assert Caution.NOT_CONVERGED.text not in inputs
@@ -250,18 +239,28 @@ def test_nothing_is_marked_where_all_is_well():
     assert 'class="caution"' not in text
 
 
+def test_numbers_of_an_ecg_stand_in_its_tables():
+    ecg = {
+        "source": "", "text": "the ECG", "leads": [("V1", 0.834, 0.912)],
+        "measured": [(MEASURES["axis_degrees"], 59.4, (50.2, 61.0, 70.7))],
+    }  # fmt: skip
+    text = page(pictures={"ecg": ecg}, rows=[("a", [(1.0, 2.0, 3.0)], ("apex", 0.25))])
+    cells = re.findall('<td class="number">(.*?)</td>', text)
+    assert cells == ["83%", "0.91", "59 degrees", "61 (50 to 71) degrees", "2 (1 to 3)"]
+    assert "<td>apex (25%)</td>" in text
+
+
 def test_no_text_can_end_the_page_or_its_script():
     evil = "</script><script>alert(1)</script>"
     assert "</script>" not in _safe({"label": evil})
     assert json.loads(_safe({"label": evil}))["label"] == evil
-    pictures = {"ecg": Picture("", evil)}
-    verdict = SimpleNamespace(verdict=evil, warnings=[evil])
-    text = _template().render(title=evil, heart=evil, answers=verdict, pictures=pictures)
+    pictures = {"ecg": {"source": "", "text": evil}}
+    text = page(study=evil, heart=evil, verdict=evil, warnings=[evil], pictures=pictures)
     assert "<script>alert" not in text
     assert "&lt;script&gt;" in text
 
 
-def test_the_own_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
+def test_the_intrinsic_beat_is_drawn_as_long_as_that_of_the_scenario(shown):
     simulation, _ = shown
     own = kept(simulation)
     later = np.pad(simulation.leads, ((0, 0), (60, 0)))
@@ -297,13 +296,11 @@ def test_rows_of_activations_say_which_time_they_give(default_heart, shown):
 def test_the_ecg_of_a_scenario_says_when_time_begins_and_holds_long_names(shown):
     simulation, _ = shown
     long = "a-scenario-of-one's-own-" * 5
-    found = {
-        name: Predicted(Scenario(), [kept(simulation)] * 40, {"total_activation_time": np.ones(40)})
-        for name in ("intrinsic", long)
-    }
+    beats, total = [kept(simulation)] * 40, {"total_activation_time": np.ones(40)}
+    found = {name: Predicted(Scenario(), beats, total) for name in ("intrinsic", long)}
     figure = scenario_ecg_figure(found, long)
     assert figure.get_supxlabel() == "time (ms; 0: QRS onset)"
     figure.canvas.draw()
-    (legend,) = figure.legends
-    assert legend.get_window_extent().x0 > figure._suptitle.get_window_extent().x1
-    assert legend.get_window_extent().x1 <= figure.bbox.width
+    legend = figure.legends[0].get_window_extent()
+    assert legend.x0 > figure._suptitle.get_window_extent().x1
+    assert legend.x1 <= figure.bbox.width

@@ -1,0 +1,206 @@
+"""Activation of the heart and of its Purkinje networks, seen from several sides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.forward.simulation import Simulation
+from fascicle.heart.endocardium import Endocardium
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import triangle_normals
+from fascicle.purkinje.tree import PurkinjeTree
+from fascicle.reporting import style
+from fascicle.reporting.style import Colour
+from fascicle.reporting.surfaces import (
+    Surface,
+    View,
+    draw_surfaces,
+    heart_views,
+    largest,
+    scale_bar,
+)
+from fascicle.study.activation_maps import since_first
+
+COLOURS = "viridis_r"  # perceptually uniform; early is light, late is dark
+SINCE_FIRST = "time since the first activation (ms)"
+SPREAD = "standard deviation (ms)"
+
+
+@dataclass(frozen=True)
+class ActivationRow:
+    """One activation of the heart: a row of the figure.
+
+    Attributes
+    ----------
+    label : str
+        Name of the row.
+    activation : (n,) array
+        Time at each vertex of the heart (ms); inf or NaN where none arrives.
+    trees : tuple of (PurkinjeTree, (n_nodes,) array)
+        Purkinje networks and the times at their nodes (ms); may be empty.
+    """
+
+    label: str
+    activation: Floats
+    trees: tuple[tuple[PurkinjeTree, Floats], ...] = ()
+
+    @classmethod
+    def of(cls, label: str, simulation: Simulation) -> ActivationRow:
+        """Tissue and Purkinje networks of a simulation."""
+        trees = tuple(zip(simulation.trees, simulation.coupled.trees, strict=True))
+        return cls(label, np.asarray(simulation.activation), trees)
+
+    def since_first(self) -> ActivationRow:
+        """The same with times from the first activation of the heart on."""
+        first = self.activation.min()
+        trees = tuple((tree, times - first) for tree, times in self.trees)
+        return ActivationRow(self.label, since_first(self.activation), trees)
+
+
+def total_time(value: float) -> str:
+    """A total activation time (ms) as rows are named, on lines that are short enough."""
+    return f"total activation\ntime {value:.0f} ms"
+
+
+@style.styled
+def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
+    """Draw activations of one heart, or other times, as isochrone bands, one row each.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart, in any frame.
+    rows : sequence of ActivationRow
+        Activations; all share the colours. Hearts share one scale in space, networks another.
+    what : str
+        The times, with their unit, and what happens at time 0.
+
+    Returns
+    -------
+    Figure
+        Row by row the views of `heart_views`, then each side's Purkinje network on its endocardium,
+        seen from that side through the near wall; last the colour bar, named `what`, which spans
+        the times of the hearts: earlier or later ones of the networks share its pointed ends.
+    """
+    views = heart_views(heart)
+    sides = {tree.side for row in rows for tree, _ in row.trees}
+    cavities = [e for e in heart.endocardia if e.side in sides]
+    boxes = {name: view.box(heart.vertices) for name, view in views.items()}
+    size = largest(list(boxes.values()))
+    seen = [(e, views[f"{e.side.upper()} side"]) for e in cavities]
+    columns, shape = len(views) + len(cavities), float(size[1] / size[0])
+    figure = style.new_figure(1.95 * columns + 1.8, 1.95 * shape * len(rows) + 0.8)
+    panels = figure.subplots(len(rows), columns, squeeze=False)
+    norm = _bands(rows)
+    for line, row in zip(panels, rows, strict=True):
+        surfaces = _coloured(heart, row.activation, norm)
+        for axes, (name, view) in zip(line, views.items(), strict=False):
+            draw_surfaces(axes, view, *surfaces, box=boxes[name], size=size)
+        if cavities:
+            width, height = largest([view.box(e.vertices) for e, view in seen])
+            its_size = np.array([1, shape]) * max(width, height / shape)
+            for axes, (cavity, view) in zip(line[len(views) :], seen, strict=True):
+                _draw_cavity(axes, view, cavity, its_size)
+                for tree, times in row.trees:
+                    if tree.side == cavity.side:
+                        _draw_tree(axes, view, cavity, tree, times, norm)
+        line[0].annotate(
+            "\n".join(style.short(part, 26) for part in row.label.split("\n")), (0, 0.5), (-6, 0),
+            xycoords="axes fraction", textcoords="offset points", rotation=90,
+            ha="right", va="center", fontsize=style.RC["axes.titlesize"],
+        )  # fmt: skip
+    for axes in panels[1:].flat:
+        axes.set_title("")
+    for axes in (panels[-1][0], *panels[-1][len(views) : len(views) + 1]):
+        scale_bar(axes, 20)
+    levels = norm.boundaries
+    bar = figure.colorbar(
+        ScalarMappable(norm, COLOURS), ax=panels, fraction=0.02, pad=0.01, aspect=28,
+        ticks=levels[:: 1 + len(levels) // 10],
+    )  # fmt: skip
+    bar.set_label(what, wrap=True)
+    return figure
+
+
+def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
+    """Isochrones at round times, at most 17, that cover the hearts of all rows."""
+    times = np.concatenate([row.activation for row in rows])
+    times = times[np.isfinite(times)]
+    if not times.size:
+        raise InputError("no vertex of any row is ever activated; nothing to draw")
+    first, last = float(times.min()), float(times.max())
+    steps = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # ms
+    step = next((step for step in steps if step >= (last - first) / 16), (last - first) / 16)
+    bottom = np.floor(first / step)
+    count = max(1, int(np.ceil(last / step - bottom)))
+    levels = step * (bottom + np.arange(count + 1))
+    nodes = np.concatenate([np.empty(0), *(t for row in rows for _, t in row.trees)])
+    nodes = nodes[np.isfinite(nodes)]
+    outside = bool((nodes < levels[0]).any()), bool((nodes > levels[-1]).any())
+    ends: dict[tuple[bool, bool], Any] = {
+        (True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither",
+    }  # fmt: skip
+    return BoundaryNorm(levels, matplotlib.colormaps[COLOURS].N, extend=ends[outside])
+
+
+def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surface]:
+    """The surface of the heart in bands, and in grey where no activation arrives."""
+    triangles, levels = heart.boundary[0], np.asarray(norm.boundaries, dtype=float)
+    known = np.isfinite(activation)
+    reached = known[triangles].all(axis=1)
+    bands = ListedColormap(matplotlib.colormaps[COLOURS](norm((levels[:-1] + levels[1:]) / 2)))
+    look = {
+        "scalars": np.where(known, activation, levels[0]), "clim": (levels[0], levels[-1]),
+        "cmap": bands, "n_colors": len(levels) - 1, "interpolate_before_map": True,
+    }  # fmt: skip
+    parts = (reached, look), (~reached, {"color": Colour.LIGHT_GREY})
+    return [Surface(heart.vertices, triangles[of], its) for of, its in parts if of.any()]
+
+
+def _draw_cavity(axes: Axes, view: View, endocardium: Endocardium, size: Floats) -> None:
+    """The far wall of a cavity, seen through the near one."""
+    vertices, triangles = endocardium.vertices, endocardium.triangles
+    far = Surface(vertices, triangles, {"color": "#F1E9E4"})
+    near = Surface(vertices, triangles[:, ::-1], {"color": "#F1E9E4", "opacity": 0.3})
+    draw_surfaces(axes, view, far, near, box=view.box(vertices), size=size)
+    axes.set_title(f"{endocardium.side.upper()} Purkinje network")
+
+
+def _draw_tree(
+    axes: Axes,
+    view: View,
+    endocardium: Endocardium,
+    tree: PurkinjeTree,
+    times: Floats,
+    norm: BoundaryNorm,
+) -> None:
+    """Segments on the far wall drawn fully, those on the near wall as a faint veil."""
+    centres = cKDTree(endocardium.vertices[endocardium.triangles].mean(axis=1))
+    normals = triangle_normals(endocardium.vertices, endocardium.triangles)
+    child = np.flatnonzero(tree.parents >= 0)
+    far = view.facing(normals[centres.query(tree.nodes[child])[1]])
+    ends = view.project(tree.nodes[np.stack([tree.parents[child], child], axis=1)])[..., :2]
+    colours = matplotlib.colormaps[COLOURS].with_extremes(bad=Colour.LIGHT_GREY)
+    seam = LineCollection(list(ends[far]), colors=Colour.GREY, linewidths=1.5)
+    axes.add_collection(seam, autolim=False)  # light, early colours stand out from the wall
+    for here, width, opacity in ((far, 0.9, 1.0), (~far, 0.6, 0.35)):
+        lines = LineCollection(
+            list(ends[here]), cmap=colours, norm=norm, linewidths=width, alpha=opacity
+        )
+        lines.set_array(np.ma.masked_invalid(times[child][here]))
+        axes.add_collection(lines, autolim=False)
+    root = view.project(tree.nodes[tree.root])[:2]
+    axes.plot(*root, "o", color="black", markeredgecolor="white", markeredgewidth=0.6)

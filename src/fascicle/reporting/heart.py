@@ -1,0 +1,275 @@
+"""A heart to be confirmed by eye: the labels of its surface, and one page on all that it holds."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from fascicle.build.check import WALLS, HeartCheck
+from fascicle.core.arrays import Booleans, Floats
+from fascicle.core.leads import ELECTRODES
+from fascicle.heart.heart import Heart, TorsoTissue
+from fascicle.heart.labelled_surface import Label, LabelledMesh, LabelledSurface
+from fascicle.mesh.measures import triangle_areas, triangle_normals
+from fascicle.mesh.topology import boundary_loops, boundary_triangles
+from fascicle.reporting import style
+from fascicle.reporting.style import Colour
+from fascicle.reporting.surfaces import (
+    Surface,
+    View,
+    draw_surfaces,
+    heart_views,
+    largest,
+    scale_bar,
+    upright_frame,
+)
+from fascicle.torso.variation.conductor import body_axes
+
+# Name and colour of each label
+LABELS = {
+    Label.BASE: ("base", Colour.YELLOW),
+    Label.EPICARDIUM: ("epicardium", Colour.LIGHT_GREY),
+    Label.LV_ENDOCARDIUM: ("LV endocardium", Colour.VERMILION),
+    Label.RV_ENDOCARDIUM: ("RV endocardium", Colour.BLUE),
+    Label.MITRAL: ("mitral valve", Colour.ORANGE),
+    Label.AORTIC: ("aortic valve", Colour.PURPLE),
+    Label.TRICUSPID: ("tricuspid valve", Colour.GREEN),
+    Label.PULMONARY: ("pulmonary valve", Colour.SKY),
+}
+ENDOCARDIA = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
+WALL_COLOURS = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), strict=True))
+
+
+@style.styled
+def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
+    """Draw labels from the front, the back and the base, and without the epicardium.
+
+    Parameters
+    ----------
+    surface : LabelledSurface or LabelledMesh
+        Closed, or a mesh's boundary, with base, epicardium and both endocardia, in any frame.
+
+    Returns
+    -------
+    Figure
+        Four views in one scale, in which every label has a colour; the legend gives the area of
+        each. The front is where it is if LV and RV are labelled rightly.
+    """
+    views = _label_views(surface)
+    boxes = [view.box(surface.vertices[np.unique(surface.triangles)]) for view in views]
+    size = largest(boxes)
+    figure = style.new_figure(12.3, 2.6 * float(size[1] / size[0]) + 0.6, surface.name)
+    panels = figure.subplots(1, len(views))
+    for axes, view, box in zip(panels, views, boxes, strict=True):
+        parts = []
+        for label, (_, colour) in LABELS.items():
+            triangles = surface.having(label)
+            if view is views[-1]:  # cavities as if they were full
+                if label is Label.EPICARDIUM:
+                    continue
+                triangles = triangles[:, ::-1] if label in ENDOCARDIA else triangles
+            if len(triangles):
+                parts.append(Surface(surface.vertices, triangles, {"color": colour}))
+        draw_surfaces(axes, view, *parts, box=box, size=size)
+    scale_bar(panels[0], 20)
+    patches = [
+        (Patch(facecolor=LABELS[label][1]), f"{LABELS[label][0]}\n{area:.1f} cm²")
+        for label, area in label_areas(surface).items()
+    ]
+    style.legend(figure, patches, loc="outside right center", ncols=1)
+    return figure
+
+
+def label_areas(surface: LabelledSurface | LabelledMesh) -> dict[Label, float]:
+    """Area (cm²) of each label that the surface has."""
+    areas = triangle_areas(surface.vertices, surface.triangles)
+    return {
+        label: float(areas[surface.labels == label].sum()) / 100
+        for label in Label
+        if (surface.labels == label).any()
+    }
+
+
+def _label_views(surface: LabelledSurface | LabelledMesh) -> list[View]:
+    """Cameras in the frame of the left cavity's opening and apex and of the right cavity."""
+    left_cavity, right_cavity = (surface.having(label) for label in ENDOCARDIA)
+    opening = surface.vertices[max(boundary_loops(left_cavity), key=len)].mean(axis=0)
+    wall = surface.vertices[np.unique(left_cavity)]
+    apex = wall[np.argmax(np.linalg.norm(wall - opening, axis=1))]
+    towards_left = wall.mean(axis=0) - surface.vertices[np.unique(right_cavity)].mean(axis=0)
+    (left, back, up), centre = upright_frame(
+        opening - apex, towards_left, surface.vertices[np.unique(surface.triangles)]
+    )
+    axes = {
+        "front": (left, up, back),
+        "back": (-left, up, -back),
+        "base": (left, back, -up),
+        "front, without epicardium": (left, up, back),
+    }
+    return [View(name, np.array(rows), centre) for name, rows in axes.items()]
+
+
+@style.styled
+def check_figure(heart: Heart, check: HeartCheck) -> Figure:
+    """Draw what a person should look at before trusting a heart.
+
+    Parameters
+    ----------
+    heart : Heart
+        The heart.
+    check : HeartCheck
+        What `fascicle.build.check.check_heart` found.
+
+    Returns
+    -------
+    Figure
+        Above: endocardia with the bundles' roots and directions, fibres on the epicardium and on
+        the endocardia. Below: the torso with its electrodes from the front and from the left;
+        helix angles through the walls, and their thickness.
+    """
+    view = heart_views(heart)["anterior"]
+    size = largest([view.box(heart.vertices)])
+    above = 4 * float(size[1] / size[0]) + 0.75  # inch
+    figure = style.new_figure(12.0, above + 3.8, heart.name)
+    upper, lower = np.asarray(figure.subfigures(2, 1, height_ratios=(above, 3.8)))
+    hearts = upper.subplots(1, 3)
+    box = view.box(heart.vertices)
+    _draw_seeds(hearts[0], view, heart, box, size)
+    cavities = np.isin(check.mesh.labels, ENDOCARDIA)
+    epicardium = check.mesh.labels == Label.EPICARDIUM
+    for axes, part, name, step in (
+        (hearts[1], epicardium, "fibres, epicardium", 1),
+        (hearts[2], cavities, "fibres, endocardia, front half", -1),
+    ):
+        _draw_fibres(axes, View(name, view.axes, view.centre), heart, part, step, box, size)
+    scale_bar(hearts[0], 20)
+    front, left, helix, thickness = lower.subplots(1, 4, width_ratios=(1, 1, 1.1, 1.1))
+    for axes, camera in zip((front, left), body_views(heart.electrodes), strict=True):
+        _draw_torso(axes, camera, heart)
+    _plot_helix(helix, check)
+    _plot_thickness(thickness, check)
+    return figure
+
+
+def body_views(electrodes: Floats) -> tuple[View, View]:
+    """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
+    left, back, up = body_axes(electrodes)
+    centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
+    return (
+        View("torso, from the front", np.array([left, up, back]), centre),
+        View("torso, from the left", np.array([back, up, -left]), centre),
+    )
+
+
+def _draw_seeds(axes: Axes, view: View, heart: Heart, box: Floats, size: Floats) -> None:
+    """Far walls of the endocardia, with where each bundle starts and where it heads."""
+    colours = [LABELS[label][1] for label in ENDOCARDIA]
+    walls = [
+        Surface(e.vertices, e.triangles, {"color": colour, "opacity": 0.55})
+        for e, colour in zip(heart.endocardia, colours, strict=True)
+    ]
+    draw_surfaces(axes, view, *walls, box=box, size=size)
+    axes.set_title("endocardia and bundles (front)")
+    for endocardium, colour in zip(heart.endocardia, colours, strict=True):
+        ends = endocardium.vertices[[endocardium.root, endocardium.direction]]
+        root, towards = view.project(ends)[:, :2]
+        axes.annotate("", towards, root, arrowprops={"arrowstyle": "-|>", "lw": 1.4})
+        axes.plot(*root, "o", color=colour, markeredgecolor="black", markersize=6)
+        away, side = ((5, 5), "left") if endocardium.side == "lv" else ((-5, 5), "right")
+        name = f"{endocardium.side.upper()} root"
+        axes.annotate(name, root, away, textcoords="offset points", ha=side)
+
+
+def _draw_fibres(
+    axes: Axes, view: View, heart: Heart, part: Booleans, step: int, box: Floats, size: Floats
+) -> None:
+    """Short lines along the fibres next to a part of the boundary; `step` -1: seen from inside."""
+    vertices = heart.vertices
+    triangles, owner = (of_boundary[part] for of_boundary in heart.boundary)
+    faces = triangles[:, ::step]
+    draw_surfaces(
+        axes, view, Surface(vertices, faces, {"color": Colour.LIGHT_GREY}), box=box, size=size
+    )
+    visible = np.flatnonzero(view.facing(triangle_normals(vertices, faces)))
+    visible = visible[:: 1 + len(visible) // 1500]
+    middle = view.project(vertices[faces[visible]].mean(axis=1))[:, :2]
+    length = 0.02 * float(np.ptp(vertices, axis=0).max())  # half, mm
+    along = length * (heart.fibres[owner[visible]] @ view.axes[:2].T)
+    lines = np.stack([middle - along, middle + along], axis=1)
+    axes.add_collection(LineCollection(list(lines), colors="black", linewidths=0.6))
+
+
+def _draw_torso(axes: Axes, view: View, heart: Heart) -> None:
+    """Skin and lungs seen through, the heart, and the electrodes by name."""
+    parts = [Surface(heart.vertices, heart.boundary[0], {"color": Colour.VERMILION})]
+    torso = heart.torso
+    if torso is not None:
+        lungs = torso.tetrahedra[torso.tissues == TorsoTissue.LUNG]
+        whole = np.concatenate([heart.tetrahedra, torso.tetrahedra])
+        for cells, colour in ((lungs, "#9FC3D9"), (whole, "#E4D2C3")):
+            if len(cells):
+                look = {"color": colour, "opacity": 0.4}
+                parts.append(Surface(torso.vertices, boundary_triangles(cells)[0], look))
+    vertices = heart.vertices if torso is None else torso.vertices
+    box = view.box(np.concatenate([vertices, heart.electrodes]))
+    draw_surfaces(axes, view, *parts, box=box, size=1.1 * np.ptp(box, axis=0))
+    screen = view.project(heart.electrodes)[:, :2]
+    limb = ["V" not in name for name in ELECTRODES]
+    colours = [Colour.VERMILION if each else Colour.BLUE for each in limb]
+    x, y = screen.T
+    axes.scatter(x, y, s=22, c=colours, edgecolors="white", linewidths=0.6, zorder=3)
+    # apart where they stand close together in either view (points)
+    away = {"RA": (-9, 4), "LA": (9, 4), "V1": (0, 5), "V2": (-11, 0), "V3": (-9, -9)}
+    away |= {"V4": (2, -12), "V5": (0, 5), "V6": (6, -11)}
+    for name, place in zip(ELECTRODES, screen, strict=True):
+        axes.annotate(
+            name, place, away.get(name, (0, 5)), textcoords="offset points", ha="center",
+            fontsize="small",
+        )  # fmt: skip
+    scale_bar(axes, 100)
+
+
+def _plot_helix(axes: Axes, check: HeartCheck) -> None:
+    """Median and middle half of the angles in ten layers, wall by wall."""
+    axes.axhline(0, color=Colour.GREY, linewidth=0.5)
+    edges = np.linspace(0, 1, 11)
+    for name, helix in check.helix.items():
+        layer = np.digitize(helix.depth, edges[1:-1])
+        there = [k for k in range(10) if (layer == k).sum() > 5]
+        if there:
+            spread = np.array([_quartiles(helix.angle[layer == k]) for k in there]).T
+            middle, colour = (edges[:-1] + edges[1:])[there] / 2, WALL_COLOURS[name]
+            axes.fill_between(middle, spread[0], spread[2], color=colour, alpha=0.15, lw=0)
+            axes.plot(middle, spread[1], color=colour, label=name)
+    axes.set(xlim=(0, 1), ylim=(-95, 95), yticks=range(-90, 91, 30))
+    axes.set(title="fibre angles: median, middle half", xlabel="depth (0 inside, 1 outside)")
+    axes.set_ylabel("helix angle (degrees)")
+    if axes.lines[1:]:
+        axes.legend()
+
+
+def _quartiles(angle: Floats) -> Floats:
+    """Quartiles of axes (degrees), which -90 and 90 are the same for: about their mean axis."""
+    mean = np.degrees(np.angle(np.exp(2j * np.radians(angle)).sum())) / 2
+    return np.asarray(mean + np.percentile((angle - mean + 90) % 180 - 90, [25, 50, 75]))
+
+
+def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
+    """Share of each wall over its thickness."""
+    walls = dict(zip(WALLS, (check.walls.lv, check.walls.septum, check.walls.rv), strict=True))
+    walls = {name: wall for name, wall in walls.items() if wall.thickness.size}
+    most = max((np.percentile(w.thickness, 99) for w in walls.values()), default=1.0)
+    bins = np.linspace(0, float(most) * 1.1, 30).tolist()
+    for name, wall in walls.items():
+        share = np.full(wall.thickness.size, 100 / wall.thickness.size)
+        axes.hist(
+            wall.thickness, bins, weights=share, histtype="step", color=WALL_COLOURS[name],
+            label=f"{name}: {wall.median:.1f} mm",
+        )  # fmt: skip
+    axes.set(title="wall thickness", xlabel="wall thickness (mm)", ylabel="endocardial points (%)")
+    if walls:
+        axes.set_ylim(top=1.4 * axes.get_ylim()[1])  # room for the legend
+        axes.legend(title="median", loc="upper right")

@@ -1,0 +1,250 @@
+"""What scenarios do in the networks: indices, ECGs, activations, and what a sweep found."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from fascicle.core.arrays import Floats
+from fascicle.core.errors import InputError
+from fascicle.core.ranges import check_text
+from fascicle.heart.heart import Heart
+from fascicle.heart.sites import SEGMENTS
+from fascicle.prediction.comparison import SIGNED
+from fascicle.prediction.index_names import INDICES
+from fascicle.prediction.predicted import Predicted
+from fascicle.prediction.scenarios import INTRINSIC, qrs_aligned
+from fascicle.prediction.sweeps import SEGMENT, Swept
+from fascicle.reporting import style
+from fascicle.reporting.activation import (
+    SINCE_FIRST,
+    SPREAD,
+    ActivationRow,
+    activation_figure,
+    total_time,
+)
+from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.names import index_label, index_name
+from fascicle.reporting.style import Colour
+
+# Indices in the figure and the table of a report
+SHOWN = (
+    "qrs_duration", "global_qrs_duration", "total_activation_time", "lv_dyssynchrony",
+    "lv_rv_delay", "qrs_area",
+)  # fmt: skip
+HALF, MOST = (25, 75), (5, 95)  # percentiles of what half and 90 % of the networks span
+
+
+@style.styled
+def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
+    """Draw indices of scenarios, a row each, the first, the intrinsic beat, in grey.
+
+    Returns
+    -------
+    Figure
+        A panel for each index of `SHOWN`: the median, and what half and 90 % of the networks span.
+    """
+    figure = style.new_figure(8.7, 2 * (0.65 + 0.28 * len(predicted)))
+    panels = figure.subplots(2, len(SHOWN) // 2, sharey=True)
+    for panel, index in zip(panels.flat, SHOWN, strict=True):
+        for row, found in enumerate(predicted.values()):
+            values, colour = found.indices[index], Colour.VERMILION if row else Colour.GREY
+            for share, width in ((MOST, 1.2), (HALF, 4.5)):
+                panel.plot(np.nanpercentile(values, share), [row, row], color=colour, lw=width)
+            panel.plot(np.nanmedian(values), row, "o", color="white", markeredgecolor=colour)
+        panel.grid(axis="x", color="#EAEAEA", linewidth=0.6)
+        panel.set_xlabel(index_label(index))
+    panel.set(yticks=range(len(predicted)), ylim=(len(predicted) - 0.5, -0.5))
+    panel.set_yticklabels([style.short(name, 30) for name in predicted])
+    return figure
+
+
+def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
+    """Draw the ECG of a scenario over that of the intrinsic beat: means, and what 90 % span.
+
+    Parameters
+    ----------
+    predicted : mapping of name to Predicted
+        The intrinsic beat among them.
+    name : str
+        The scenario.
+
+    Raises
+    ------
+    InputError
+        If there is no such scenario.
+    """
+    intrinsic, found = _with_intrinsic(predicted, name)
+    shown = [intrinsic] if found is intrinsic else [intrinsic, found]
+    time, ecgs = qrs_aligned(*shown)
+    groups = [
+        EcgGroup(label, "network", time, leads, colour, 0.9)
+        for label, leads, colour in zip(
+            (INTRINSIC, style.short(name)), ecgs, (Colour.GREY, Colour.VERMILION), strict=False
+        )
+    ]
+    return ecg_figure(groups, "Predicted ECG", time_zero="QRS onset")
+
+
+def scenario_activation_figure(
+    heart: Heart, predicted: Mapping[str, Predicted], name: str
+) -> Figure:
+    """Draw the networks with the least, median and largest total activation time.
+
+    Parameters
+    ----------
+    heart : Heart
+        That of the study.
+    predicted : mapping of name to Predicted
+        The intrinsic beat among them, whose median network stands above, in the same colours.
+    name : str
+        The scenario.
+
+    Raises
+    ------
+    InputError
+        If there is no such scenario.
+    """
+    intrinsic, found = _with_intrinsic(predicted, name)
+    rows = [_row(found, which, k) for which, k in found.extremes().items()]
+    if found is not intrinsic:
+        rows.insert(0, _row(intrinsic, f"{INTRINSIC}: median", intrinsic.extremes()["median"]))
+    return activation_figure(heart, rows, SINCE_FIRST)
+
+
+def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
+    """Draw how far the networks' activations are apart, a row a scenario, in the same colours.
+
+    Parameters
+    ----------
+    heart : Heart
+        That of the study.
+    predicted : mapping of name to Predicted
+        The scenarios.
+    """
+    rows = [
+        ActivationRow(textwrap.fill(name, 22), found.maps["activation_sd"])
+        for name, found in predicted.items()
+    ]
+    return activation_figure(heart, rows, SPREAD)
+
+
+def _with_intrinsic(predicted: Mapping[str, Predicted], name: str) -> tuple[Predicted, Predicted]:
+    """The intrinsic beat and a scenario."""
+    check_text(name, "name of a scenario")
+    if name not in predicted:
+        raise InputError(f"'{name}' was not predicted; there are {', '.join(predicted)}")
+    if INTRINSIC not in predicted:
+        raise InputError(f"'{INTRINSIC}' is not among the predictions; fascicle.predict makes it")
+    return predicted[INTRINSIC], predicted[name]
+
+
+def _row(found: Predicted, label: str, number: int) -> ActivationRow:
+    """One network, from its first activation on."""
+    beat, total = found.beats[number], found.indices["total_activation_time"][number]
+    trees = tuple((tree, times.astype(float)) for tree, times in beat.trees)
+    name = f"{label}\n{total_time(total)}"
+    return ActivationRow(name, beat.activation.astype(float), trees).since_first()
+
+
+def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
+    """Draw an index over what was varied in a scenario: a curve, or a bull's eye of the segments.
+
+    Parameters
+    ----------
+    swept : Swept
+        What `fascicle.prediction.sweeps.simulate_sweep` found.
+    index, name : str
+        What to draw, and of which scenario.
+    """
+    values = {key: found.indices[index] for key, found in swept.predicted.items()}
+    if swept.varied != SEGMENT:
+        return curve_figure(values, index, swept.varied, name)
+    title = f"median {index_name(index)}"
+    if index in SIGNED:  # of a delay, its size
+        values, title = {key: np.abs(each) for key, each in values.items()}, f"{title}, either way,"
+    medians = np.full(len(SEGMENTS), np.nan)
+    for key, each in values.items():
+        medians[int(key) - 1] = np.nanmedian(each)
+    title = f"{style.short(name)}: {title} by stimulated segment"
+    return bulls_eye_figure(medians, title, INDICES[index])
+
+
+@style.styled
+def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: str) -> Figure:
+    """Draw an index over what was varied: median, and what half and 90 % of the networks span.
+
+    Parameters
+    ----------
+    values : mapping of float to (n,) array
+        Of the networks.
+    index : str
+        One of `INDICES`.
+    varied : str
+        What was varied, and its unit.
+    name : str
+        Of the scenario.
+    """
+    title = f"{style.short(name)}: median, half and 90 % of the networks"
+    figure = style.new_figure(5.6, 3.6, title)
+    axes, found = figure.subplots(), np.array(list(values.values()))
+    for share, opacity in ((MOST, 0.2), (HALF, 0.35)):
+        low, high = np.nanpercentile(found, share, axis=1)
+        axes.fill_between(list(values), low, high, color=Colour.VERMILION, alpha=opacity, lw=0)
+    axes.plot(list(values), np.nanmedian(found, axis=1), "o-", color=Colour.VERMILION)
+    axes.set(xlabel=varied, ylabel=index_label(index))
+    return figure
+
+
+@style.styled
+def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
+    """Draw a value of each segment of the left ventricle, seen from the apex.
+
+    Parameters
+    ----------
+    values : (17,) array
+        In the order of `fascicle.heart.sites.SEGMENTS`; NaN is left white.
+    title, unit : str
+        What they are.
+    """
+    figure = style.new_figure(4.6, 4.2, title)
+    axes = figure.add_subplot(projection="polar")
+    # less is lighter, and better; ordered for every colour vision
+    colours = ScalarMappable(Normalize(np.nanmin(values), np.nanmax(values)), "cividis_r")
+    number = 0
+    for ring, count in enumerate((6, 6, 4, 1)):  # sectors from outside, the anterior one first
+        for sector in range(count):
+            angle = np.radians(90 + sector * 360 / count)
+            _draw_segment(axes, 4 - ring, angle, 2 * np.pi / count, values[number], colours)
+            number += 1
+    axes.set_axis_off()
+    axes.set_ylim(0, 4)
+    walls = {"anterior": 90, "septal": 180, "inferior": 270, "lateral": 0}
+    for wall, degrees in walls.items():
+        turned = 0 if degrees in (90, 270) else 90
+        axes.text(np.radians(degrees), 4.25, wall, ha="center", va="center", rotation=turned)
+    figure.colorbar(colours, ax=axes, fraction=0.04, pad=0.08, label=unit)
+    return figure
+
+
+def _draw_segment(
+    axes: Axes, outer: int, angle: float, width: float, value: float, colours: ScalarMappable
+) -> None:
+    """One segment, with its value; `outer` 1 is the apex."""
+    if np.isfinite(value):
+        red, green, blue, _ = colours.to_rgba(np.array([value]))[0]
+        axes.bar(
+            angle, 1, width, bottom=outer - 1, color=(red, green, blue), edgecolor="white",
+            linewidth=0 if outer == 1 else 1,
+        )  # fmt: skip
+        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        axes.text(
+            angle, 0 if outer == 1 else outer - 0.5, style.signed(value), ha="center",
+            va="center", color="white" if dark else "black",
+        )  # fmt: skip

@@ -1,0 +1,218 @@
+"""Surfaces as VTK renders them off screen, in orthographic views of the heart's own frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from ctypes.util import find_library
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.heart.endocardium import long_axis
+from fascicle.heart.heart import Heart
+from fascicle.mesh.measures import unit
+
+
+@dataclass(frozen=True)
+class View:
+    """An orthographic camera.
+
+    Attributes
+    ----------
+    name : str
+        What to write above the picture.
+    axes : (3, 3) array
+        Rows are the unit vectors to the right, upwards and away from the eye; right-handed as
+        right × up = towards the eye.
+    centre : (3,) array
+        Position (mm) that lands on the origin.
+    """
+
+    name: str
+    axes: Floats
+    centre: Floats
+
+    def project(self, positions: Floats) -> Floats:
+        """Screen coordinates and depth (mm; larger is farther), the shape of `positions`."""
+        return np.asarray((positions - self.centre) @ self.axes.T)
+
+    def box(self, positions: Floats) -> Floats:
+        """Lower left and upper right corner (mm), (2, 2), of positions (n, 3) on the screen."""
+        screen = self.project(positions)[:, :2]
+        return np.array([screen.min(axis=0), screen.max(axis=0)])
+
+    def facing(self, normals: Floats) -> Booleans:
+        """Which normals (k, 3) point towards the eye, shape (k,)."""
+        return np.asarray(normals @ self.axes[2] < 0)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Something to draw.
+
+    Attributes
+    ----------
+    vertices : (n, 3) array
+        Positions (mm).
+    triangles : (m, 3) array
+        Vertex indices; only those that turn counter-clockwise to the eye are seen.
+    look : mapping
+        As `pyvista.Plotter.add_mesh` takes it: ``color``, ``opacity``, ``scalars``, ``cmap``, …
+    """
+
+    vertices: Floats
+    triangles: Integers
+    look: Mapping[str, Any]
+
+
+def heart_views(heart: Heart) -> dict[str, View]:
+    """Place cameras in the heart's own frame, whatever frame its coordinates are in.
+
+    The long axis runs from the centre of the left endocardium's opening to its farthest point; the
+    patient's left is where the left cavity lies from the right one, across that axis; the front
+    follows, as in every heart that is not mirrored.
+
+    Returns
+    -------
+    dict of name to View
+        ``"RV side"``, ``"anterior"`` and ``"LV side"`` with the base up, and ``"base"`` as tipping
+        the anterior view towards the eye brings it: the front down, the left on the right.
+    """
+    base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
+    towards_left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
+    (left, back, up), centre = upright_frame(base - apex, towards_left, heart.vertices)
+    axes = {
+        "RV side": (-back, up, left),
+        "anterior": (left, up, back),
+        "LV side": (back, up, -left),
+        "base": (left, back, -up),
+    }
+    return {name: View(name, np.array(rows), centre) for name, rows in axes.items()}
+
+
+def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors to the left, the back and upwards, and the centre of what is shown.
+
+    Parameters
+    ----------
+    up, left : (3,) array
+        Upwards, and roughly to the patient's left (mm).
+    positions : (n, 3) array
+        What is shown (mm).
+
+    Returns
+    -------
+    frame : (3, 3) array
+        Rows are the unit vectors.
+    centre : (3,) array
+        Middle of the box along them that holds the positions (mm).
+    """
+    up = unit(up)
+    left = unit(left - (left @ up) * up)
+    frame = np.array([left, np.cross(up, left), up])
+    along = positions @ frame.T
+    return frame, (along.min(axis=0) + along.max(axis=0)) / 2 @ frame
+
+
+def draw_surfaces(
+    axes: Axes, view: View, *surfaces: Surface, box: Floats, size: Floats | None = None
+) -> None:
+    """Draw surfaces into axes, which then are in mm and show no frame.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where to.
+    view : View
+        From where.
+    *surfaces : Surface
+        What.
+    box : (2, 2) array
+        Lower left and upper right corner (mm) of what is shown.
+    size : (2,) array, optional
+        Width and height (mm) about the middle of the box; by default those of the box.
+    """
+    size = np.ptp(box, axis=0) if size is None else size
+    low, high = box.mean(axis=0) - size / 2, box.mean(axis=0) + size / 2
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_axis_off()
+    axes.set_title(view.name)
+    picture = _rendered(view, surfaces, (low + high) / 2, size)
+    if picture is None:
+        text = "not drawn: VTK finds\nneither EGL nor OSMesa"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")
+    else:
+        axes.imshow(picture, extent=(low[0], high[0], low[1], high[1]))
+
+
+def scale_bar(axes: Axes, length: float) -> None:
+    """Draw a bar of a length (mm) below the lower left corner."""
+    left, bottom = axes.get_xlim()[0], axes.get_ylim()[0]
+    axes.plot([left, left + length], [bottom] * 2, color="black", linewidth=2, clip_on=False)
+    axes.annotate(
+        f"{length:g} mm", (left + length / 2, bottom), (0, -3), textcoords="offset points",
+        ha="center", va="top", fontsize="small",
+    )  # fmt: skip
+
+
+def largest(boxes: list[Floats]) -> Floats:
+    """Width and height (mm) of panels in which each of the boxes fits, with a margin."""
+    return np.asarray(1.04 * np.max([np.ptp(box, axis=0) for box in boxes], axis=0))
+
+
+def _rendered(
+    view: View, surfaces: tuple[Surface, ...], middle: Floats, size: Floats
+) -> Floats | None:
+    """Picture of an area of the screen (mm); None where nothing can be rendered."""
+    from pyvista import make_tri_mesh
+
+    plotter = _plotter()
+    if plotter is None:
+        return None
+    plotter.clear_actors()
+    plotter.window_size = np.round(900 * size / size.max()).astype(int).tolist()
+    for surface in surfaces:
+        mesh = make_tri_mesh(surface.vertices, surface.triangles)
+        plotter.add_mesh(
+            mesh, ambient=0.65, diffuse=0.35, smooth_shading=True, split_sharp_edges=True,
+            feature_angle=35, culling="back", show_scalar_bar=False, reset_camera=False,
+            **surface.look,
+        )  # fmt: skip
+    right, up, away = view.axes
+    focus = view.centre + middle @ np.array([right, up])
+    reach = 2 * max(
+        float(np.abs(surface.vertices - focus).max(initial=1.0)) for surface in surfaces
+    )
+    camera = plotter.camera
+    camera.focal_point, camera.position, camera.up = focus, focus - reach * away, up
+    camera.parallel_projection, camera.parallel_scale = True, size[1] / 2
+    camera.clipping_range = (0.01 * reach, 2 * reach)
+    plotter.render_window.Render()
+    return np.asarray(plotter.screenshot(return_img=True))
+
+
+@cache
+def _plotter() -> Any:
+    """The one plotter; None where VTK finds no way to render, in which it would crash."""
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # it tells of every way that it tries
+    try:
+        plotter = pyvista.Plotter(off_screen=True, lighting="none")
+    finally:
+        vtkLogger.SetStderrVerbosity(before)
+    if plotter.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and not find_library(
+        "OSMesa"
+    ):
+        return None
+    plotter.set_background("white")
+    plotter.enable_anti_aliasing("msaa")
+    light = pyvista.Light(position=(-0.4, 0.5, 1.0), light_type="camera light")
+    plotter.add_light(light)
+    return plotter
