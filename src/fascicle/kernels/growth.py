@@ -186,9 +186,10 @@ def _nearest(point, kin, nearest, nodes, head, metric):
     return best, best_square
 
 
-@kernel()
-def _write(nodes, n, head, point, parent, length, branch):
-    """Write node n and enter it into the hash."""
+@allocating_kernel(inline="always")
+def _append(tree, point, parent, length, branch):
+    """Write the next node and enter it into the hash; returns the tree."""
+    nodes, n, head = tree
     u, v, triangle = point
     node = nodes[n]
     node.u, node.v, node.triangle = u, v, triangle
@@ -196,6 +197,7 @@ def _write(nodes, n, head, point, parent, length, branch):
     i, j = _cell(u), _cell(v)
     node.following = head[i, j]
     head[i, j] = n
+    return Tree(nodes, n + 1, head)
 
 
 @allocating_kernel()
@@ -216,18 +218,19 @@ def _lay(start, heading, length, step, branch, tree, chart):
     Returns the tree, the last node of the stretch (on the base, if it meets that) and what could
     not be laid (mm).
     """
-    nodes, size, head = _with_room(tree, int(length / step) + 2)
+    tree = _with_room(tree, int(length / step) + 2)
     a, b = heading
-    last, left, missing = start, length, 0.0
-    while left > 0.0 and missing == 0.0:
+    last, left = start, length
+    while left > 0.0:
         mm = min(step, left)
-        u, v, triangle, missing = walk(
-            nodes[last].u, nodes[last].v, nodes[last].triangle, a, b, mm, chart
-        )
-        _write(nodes, size, head, (u, v, triangle), last, mm - missing, branch)
-        last, size = size, size + 1
+        end = tree.nodes[last]
+        u, v, triangle, missing = walk(end.u, end.v, end.triangle, a, b, mm, chart)
+        tree = _append(tree, (u, v, triangle), last, mm - missing, branch)
+        last = tree.size - 1
         left -= mm
-    return Tree(nodes, size, head), last, left + missing if missing > 0.0 else 0.0
+        if missing > 0.0:
+            return tree, last, left + missing
+    return tree, last, 0.0
 
 
 @kernel(inline="always")
@@ -267,35 +270,6 @@ def _fork(tips, heading, angle):
     return end, toward, np.ones(len(end), np.bool_)
 
 
-@kernel()
-def _surroundings(end, beside, a, b, kin, round_start, nodes, head, metric):
-    """What a term is given of the branch that ends in node `end`, whose sister ends in `beside`."""
-    u, v, t = nodes[end].u, nodes[end].v, nodes[end].triangle
-    kin = kin[0], kin[1], kin[2], round_start
-    best, square = _nearest_to_branch((u, v, t), kin, beside, nodes, head, metric)
-    scale = _norm(metric, t, a, b)
-    near = 0.0, 0.0, np.inf
-    if best >= 0 and square > 0.0:
-        near = nodes[best].u, nodes[best].v, math.sqrt(square)
-    return (u, v, a / scale, b / scale), near, (metric[t, 0], metric[t, 1], metric[t, 2])
-
-
-@kernel()
-def _ahead(end, a, b, kin, rules, nodes, head, chart):
-    """Where a segment from node `end` along (a, b) ends, and whether it may be laid.
-
-    It may not if it would leave the endocardium or come too near a node. No node of the sister
-    stops a branch: they begin nearer to each other than that.
-    """
-    u, v, t = nodes[end].u, nodes[end].v, nodes[end].triangle
-    u, v, t, missing = walk(u, v, t, a, b, rules.step, chart)
-    square, too_near = 0.0, (rules.clearance * rules.step) ** 2
-    if missing == 0.0:
-        kin = kin[0], kin[1], kin[2], 0
-        _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, chart.metric)
-    return (u, v, t), missing == 0.0 and square >= too_near
-
-
 @allocating_kernel()
 def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
     """Lay the bundle and the fascicles.
@@ -305,8 +279,8 @@ def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
     """
     fascicles = len(fascicle_lengths)
     tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
-    tree = Tree(np.empty(8192, NODE), 1, np.full((GRID, GRID), -1, np.int32))
-    _write(tree.nodes, 0, tree.head, (seed.point[0], seed.point[1], seed.triangle), -1, 0.0, 0)
+    tree = Tree(np.empty(8192, NODE), 0, np.full((GRID, GRID), -1, np.int32))
+    tree = _append(tree, (seed.point[0], seed.point[1], seed.triangle), -1, 0.0, 0)
     bundle = seed.heading[0], seed.heading[1]
     tree, fork, missing = _lay(0, bundle, bundle_length, step, 0, tree, chart)
     if missing > 0.0:
@@ -343,6 +317,53 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
     """
 
     @njit(cache=cache, nogil=True)
+    def grow_generation(tips, heading, label, rules, values, tree, chart):
+        """Grow two branches from every tip, numbered from `label` on, a segment at a time in step.
+
+        Returns the tree, and the tips and headings of the branches that lived.
+        """
+        metric, step = chart.metric, rules.step
+        end, toward, alive = _fork(tips, heading, rules.branch_angle)
+        too_near = (rules.clearance * step) ** 2
+        for segment in range(rules.segments):
+            tree = _with_room(tree, len(end))
+            nodes, head, round_start = tree.nodes, tree.head, tree.size
+            for k in range(len(end)):
+                if not alive[k]:
+                    continue
+                # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
+                start, own, sister = tips[k // 2], label + k, label + (k ^ 1)
+                u, v, t = nodes[end[k]].u, nodes[end[k]].v, nodes[end[k]].triangle
+                a, b = toward[k, 0], toward[k, 1]
+                if segment > 0:
+                    kin = start, own, sister, round_start
+                    best, square = _nearest_to_branch(
+                        (u, v, t), kin, end[k ^ 1], nodes, head, metric
+                    )
+                    scale = _norm(metric, t, a, b)
+                    a, b = a / scale, b / scale
+                    near = 0.0, 0.0, np.inf
+                    if best >= 0 and square > 0.0:
+                        near = nodes[best].u, nodes[best].v, math.sqrt(square)
+                    here = metric[t, 0], metric[t, 1], metric[t, 2]
+                    da, db = term((u, v, a, b), near, here, values)
+                    a, b = a + da, b + db
+                u, v, t, missing = walk(u, v, t, a, b, step, chart)
+                if missing > 0.0:
+                    alive[k] = False
+                    continue
+                # no node of the sister stops a branch: they begin nearer to each other than that
+                kin = start, own, sister, 0
+                _, square = _nearest((u, v, t), kin, (-1, too_near), nodes, head, metric)
+                if square < too_near:
+                    alive[k] = False
+                    continue
+                tree = _append(tree, (u, v, t), end[k], step, own)
+                end[k] = tree.size - 1
+                toward[k, 0], toward[k, 1] = a, b
+        return tree, end[alive], toward[alive]
+
+    @njit(cache=cache, nogil=True)
     def grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, values, chart):
         status, missing, tree, tips, heading = _trunk(
             seed, bundle_length, fascicle_lengths, fascicle_angles, rules.step, chart
@@ -353,29 +374,7 @@ def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
             if tree.size > MOST_NODES or count > MOST_ENDS:
                 status = TOO_LARGE
                 break
-            end, toward, alive = _fork(tips, heading, rules.branch_angle)
-            for segment in range(rules.segments):
-                nodes, round_start, head = _with_room(tree, count)
-                size = round_start
-                for k in range(count):
-                    if not alive[k]:
-                        continue
-                    # sisters are 0 and 1, 2 and 3, ...: their numbers differ in the last bit
-                    kin = tips[k // 2], label + k, label + (k ^ 1)
-                    a, b = toward[k, 0], toward[k, 1]
-                    if segment > 0:
-                        tip, near, here = _surroundings(
-                            end[k], end[k ^ 1], a, b, kin, round_start, nodes, head, chart.metric
-                        )
-                        more = term(tip, near, here, values)
-                        a, b = tip[2] + more[0], tip[3] + more[1]
-                    point, alive[k] = _ahead(end[k], a, b, kin, rules, nodes, head, chart)
-                    if alive[k]:
-                        _write(nodes, size, head, point, end[k], rules.step, kin[1])
-                        end[k], toward[k, 0], toward[k, 1] = size, a, b
-                        size += 1
-                tree = Tree(nodes, size, head)
-            tips, heading = end[alive], toward[alive]
+            tree, tips, heading = grow_generation(tips, heading, label, rules, values, tree, chart)
             label += count
             if len(tips) == 0:
                 break
