@@ -154,7 +154,6 @@ def run(monkeypatch, capfd):
 
     # a slow machine takes seconds to prepare a heart, and then says so
     monkeypatch.setattr("fascicle.core.progress.ProgressLines._speak", lambda self: None)
-    monkeypatch.setattr("fascicle.forward.eikonal.ray_travel_times.SILENCE", 600.0)
 
     def call(*arguments):
         monkeypatch.setattr("sys.argv", ["fascicle", *map(str, arguments)])
