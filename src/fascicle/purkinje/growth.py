@@ -22,6 +22,7 @@ from fascicle.core.quantities import (
     fascicles,
     quantity,
 )
+from fascicle.core.ranges import check_kind
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
 from fascicle.mesh.measures import unit
@@ -119,6 +120,7 @@ class GrowthRules:
     term: GrowthTerm = field(default=REPULSION)
 
     def __post_init__(self) -> None:
+        check_kind(self.term, GrowthTerm, "term", "a fascicle.GrowthTerm")
         checked(self.numbers)
 
     @property
