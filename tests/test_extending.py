@@ -35,11 +35,6 @@ def test_under_forty_lines(section):
     assert 5 < CODE[section].count("\n") < 40
 
 
-def test_action_potential(run):
-    peaks = run("Action potential")["peaks"]
-    assert 0.5 < peaks[2.0] < peaks[1.0] < 5.0
-
-
 def test_scenario_primitive(run):
     duration = run("Scenario primitive")["duration"]
     del PRIMITIVES["distal_disease"]

@@ -288,7 +288,11 @@ class TestTrees:
 
     @pytest.mark.parametrize(
         ("name", "words"),
-        [("none.vtu", "no such file"), ("t.pkl", "pickle"), ("t.obj", "use one of .vtu, .vtp")],
+        [
+            ("none.vtu", "no such file"),
+            ("t.pkl", "use one of .vtu, .vtp"),
+            ("t.obj", "use one of .vtu, .vtp"),
+        ],
     )
     def test_files_that_are_no_trees(self, simulated, simulate_refused, outside, name, words):
         file = outside / name
@@ -360,7 +364,7 @@ class TestParameters:
     def test_other_files(self, tmp_path, simulate_refused):
         simulate_refused(["--params", tmp_path / "no.toml"], "no.toml", "no such file")
         simulate_refused(["--params", tmp_path], tmp_path, "not a file")
-        for name, words in (("p.json", "use one of .toml"), ("p.pkl", "pickle")):
+        for name, words in (("p.json", "use one of .toml"), ("p.pkl", "use one of .toml")):
             (tmp_path / name).write_text("{}")
             simulate_refused(["--params", tmp_path / name], name, words)
 

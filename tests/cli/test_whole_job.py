@@ -290,8 +290,8 @@ def test_report(study, monkeypatch, capsys):
     verdict, *figures, page = capsys.readouterr().out.split("\n")[:-1]
     assert study.verdict in verdict
     assert [figure.rsplit("/", 1)[1] for figure in figures] == [
-        "ecg.png", "recording.png", "activation.png", "activation-spread.png", "indices.png",
-        "priors.png", "pairs.png", "convergence.png", "heart.png",
+        "ecg.png", "activation.png", "activation-spread.png", "indices.png", "priors.png",
+        "pairs.png", "recording.png", "convergence.png", "heart.png",
     ]  # fmt: skip
     for figure in figures:
         with open(figure, "rb") as file:

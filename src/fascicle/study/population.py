@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -19,12 +19,14 @@ from fascicle.core.leads import LEADS
 from fascicle.core.netcdf import load_netcdf
 from fascicle.core.parameters import ParameterSpace
 from fascicle.core.ranges import short_repr
-from fascicle.inference.abc import Accepted
 from fascicle.inference.evaluation import Evaluation
 from fascicle.inference.importance_sampling import RunAgreement, State
 from fascicle.recording.target import Target
 from fascicle.study.predictive import Checks, Prediction
 from fascicle.study.settings import Method
+
+if TYPE_CHECKING:  # it brings the surrogate, which takes long to load
+    from fascicle.inference.abc import Accepted
 
 Item = TypeVar("Item")
 
