@@ -216,8 +216,8 @@ def test_filters_are_told(tmp_path, run, outside):
     assert re.search(r"^filters +none known$", ended.out, re.MULTILINE)
     target, ended = made(run, outside, recording, "--recorder-lowpass", "100", "--lowpass", "150")
     told = "low-pass 100 Hz (order 2), the recorder's, as the user says"
-    assert re.search(rf"^filters +{re.escape(told)}$", ended.out, re.MULTILINE)
     own = "low-pass 150 Hz (order 2), applied by this program"
+    assert re.search(rf"^filters +{re.escape(f'{told}; {own}')}$", ended.out, re.MULTILINE)
     assert target.provenance["filters"] == f"{told}\n{own}"
     assert target.provenance["choice_recorder_lowpass_hz"] == "100"
     alone = [one.gain(np.array([100.0]))[0] for one in target.filters]

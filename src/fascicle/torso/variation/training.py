@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import qmc
 
 from fascicle.core.arrays import Floats, Integers, Singles
 from fascicle.core.progress import StageProgress, no_progress
@@ -52,6 +51,8 @@ class Effort:
 
 def random_bodies(conductor: Conductor, count: int, rng: np.random.Generator) -> list[BodyState]:
     """Possible bodies of a conductor spread over the whole range: a Latin hypercube."""
+    from scipy.stats import qmc  # takes long to load
+
     bodies: list[BodyState] = []
     while len(bodies) < count:
         for point in 2 * qmc.LatinHypercube(24, rng=rng).random(count) - 1:
