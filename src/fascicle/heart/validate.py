@@ -80,10 +80,11 @@ def _overlapping(tetrahedra: Integers) -> Booleans:
 def check_fibres(name: str, fibres: Floats) -> None:
     """Refuse fibre directions (n, 3) whose length is not finite, or 0."""
     # any length serves, as long as its square is a number
-    wrong = ~(np.abs(fibres) < 1e100).all(axis=1)
+    usable = np.all(np.abs(fibres) < 1e100, axis=1, keepdims=True)
+    length = np.linalg.norm(np.where(usable, fibres, 1.0), axis=1)
     for what, bad in (
-        ("are not finite, or longer than 1e+100", wrong),
-        ("have zero length", ~wrong & (np.linalg.norm(fibres, axis=1) < 1e-6)),
+        ("are not finite, or longer than 1e+100", ~usable[:, 0]),
+        ("have zero length", length < 1e-6),
     ):
         if bad.any():
             raise InputError(
