@@ -53,7 +53,9 @@ for name, found in simulated.items():
 
 # %%
 pacing = scenarios["left-bundle-branch-pacing"]
-with_block = replace(pacing, his=replace(pacing.his, left=0.0))
+with_block = pacing.mapped(
+    lambda part: replace(part, left=0.0) if isinstance(part, fascicle.His) else part
+)
 paced = model.activate(own.trees, scenario=with_block, **learnt)
 blocked = simulated["left-bundle-branch-block"]
 print(f"paced, with the block: QRS window {paced.qrs_duration:.0f} ms")

@@ -41,7 +41,7 @@ def brute_force(prior, chunk):
     return points[densest], density[densest]
 
 
-@pytest.mark.parametrize("chunk", [4000, 10_000])
+@pytest.mark.parametrize("chunk", [5000, 10_000])
 def test_accepts_exactly_what_brute_force_accepts(prior, chunk):
     points, density = brute_force(prior, chunk)
     assert 300 < len(points) < DRAWS / 4

@@ -86,8 +86,8 @@ def test_nothing_is_simulated_twice_but_the_first_network(study, activated):
     again = predict(study, PACINGS)
     assert len(activated) == 1 + 2  # the first network in its intrinsic beat and in both pacings
     assert_same(first, again)
-    gain = compare(again["his-pacing"], first["intrinsic"], "total_activation_time")
-    assert gain.gains.shape == (2,)
+    comparison = compare(again["his-pacing"], first["intrinsic"], "total_activation_time")
+    assert comparison.reductions.shape == (2,)
 
 
 def test_what_is_missing_is_simulated_and_the_order_is_that_asked_for(study, activated):
