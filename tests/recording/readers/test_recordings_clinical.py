@@ -240,6 +240,25 @@ class TestTime:
 
 
 class TestOneRecording:
+    def test_several_people(self, tmp_path, digits):
+        """People are counted, never named."""
+        path = saved(tmp_path, files.aecg(digits, subjects=("SBJ-1", "SBJ-2")))
+        assert "SBJ" not in refused(path, "holds several recordings", "2 different people")
+        same = files.aecg(digits, subjects=("S", "S"))
+        assert read_recording(saved(tmp_path, same)).duration == 4
+        second = "<PatientDemographics><PatientID>4712</PatientID></PatientDemographics>"
+        text = replaced(files.muse(digits), "</RestingECG>", second + "</RestingECG>")
+        assert "471" not in refused(saved(tmp_path, text), "2 different people")
+        text = text.replace("4712", "4711")
+        assert read_recording(saved(tmp_path, text)).duration == 4
+
+    def test_several_records(self, tmp_path, digits):
+        text = replaced(files.muse(digits), "</RestingECG>", "<RestingECG/></RestingECG>")
+        refused(saved(tmp_path, text), "2 RestingECG elements")
+        content = files.scp(digits)
+        refused(saved(tmp_path, content + content), f"{len(content)} bytes follow")
+        assert read_recording(saved(tmp_path, content + bytes(9))).duration == 4
+
     def test_second_series_is_named(self, tmp_path, digits):
         text = files.aecg(digits)
         series = re.search("<component><series>.*</series></component>", text)[0]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +37,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
             f"{path}: damaged, or of a kind that is not read; export it as HL7 aECG or DICOM"
         )
     record, remarks, wrong = _parsed(found["parser_class"], path)
+    _check_one_recording(record.source_format, path)
     # programs other than MUSE write 0 for every checksum of its files
     unwritten = record.source_format == "ge_muse_xml" and not re.search(
         rb"<LeadDataCRC32>\s*0*[1-9]", path.read_bytes()
@@ -89,6 +91,40 @@ def _parsed(parser: Any, path: Path) -> tuple[Any, list[str], list[str]]:
         if "truncated" in remark or "has gaps" in remark:
             raise InputError(f"{path}: incomplete recording ({remark}); export it again")
     return record, remarks, wrong
+
+
+def _check_one_recording(source_format: str, path: Path) -> None:
+    """Refuse what the library reads the first of: several subjects or recordings in one file."""
+    several = ""
+    if source_format == "scp_ecg":
+        data = path.read_bytes()
+        rest = data[int.from_bytes(data[2:6], "little") :]  # after what is stated as its size
+        several = f"{len(rest)} bytes follow the first one" if rest.strip(b"\0") else ""
+    elif source_format in ("hl7_aecg", "ge_muse_xml"):
+        elements = list(_xml_root(path).iter())
+        nested = sum(element.tag.lower() == "restingecg" for element in elements)
+        people = {_identity(e) for e in elements if e.tag in ("trialSubject", "PatientDemographics")}
+        if nested > 1:
+            several = f"{nested} RestingECG elements"
+        elif len(people) > 1:
+            several = f"they belong to {len(people)} different people"
+    if several:
+        raise InputError(f"{path}: holds several recordings ({several}); give a file of one")
+
+
+def _identity(person: ET.Element) -> tuple[str, ...]:
+    """What tells a person of an XML file from another: identifiers and the name."""
+    found = (person.find(tag) for tag in ("id", "PatientID", ".//name"))
+    texts = ((*each.attrib.values(), *each.itertext()) for each in found if each is not None)
+    return tuple(text.strip() for each in texts for text in each)
+
+
+def _xml_root(path: Path) -> ET.Element:
+    """Root of an XML file that the library has read, without namespaces."""
+    from ecgdatakit.parsing.helpers.xml import parse_xml_root
+
+    root: ET.Element = parse_xml_root(path.read_bytes())
+    return root
 
 
 def _standard_name(lead: Any) -> str | None:
