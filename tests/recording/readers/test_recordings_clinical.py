@@ -162,11 +162,16 @@ class TestRate:
         recording = read_recording(saved(tmp_path, files.aecg(digits, step=step)))
         assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
 
-    @pytest.mark.parametrize(("base", "exponent", "rate"), [("5", "2", 500), ("1000", "", 1000)])
+    @pytest.mark.parametrize(
+        ("base", "exponent", "rate"),
+        [
+            ("5", "2", 500), ("1000", "", 1000), ("488.2", "0", 488.2), ("4882.5", "-1", 488.25),
+            ("4883", "-1", 488.3),
+        ],
+    )  # fmt: skip
     def test_base_and_exponent(self, tmp_path, digits, base, exponent, rate):
         content = files.muse(digits, base=base, exponent=exponent)
-        recording = read_recording(saved(tmp_path, content))
-        assert recording.sampling_rate == pytest.approx(rate, rel=1e-12)
+        assert read_recording(saved(tmp_path, content)).sampling_rate == rate
 
     @pytest.mark.parametrize(
         ("write", "options"),
@@ -284,6 +289,13 @@ class TestDamage:
         """Converters write 0 for every checksum."""
         path = saved(tmp_path, files.muse(digits, checksums=False))
         assert read_recording(path).signal[6] == pytest.approx(digits[2] * 4.88e-3)
+
+    def test_what_a_library_raised_is_kept(self, tmp_path, digits):
+        """As a note, for developers; a bug of ours would show there, too."""
+        path = saved(tmp_path, files.muse(digits, base="nan"))
+        with pytest.raises(InputError, match="damaged, truncated or unusual") as info:
+            read_recording(path)
+        assert "ge_muse_xml.py" in info.value.__notes__[0]
 
     @pytest.mark.parametrize("place", [0, 5000, -50])
     def test_checksum_of_scp(self, tmp_path, digits, place):

@@ -55,7 +55,7 @@ def read_clinical(path: Path, sampling_rate: float | None) -> RawRecording:
         provenance["remarks"] = "; ".join(remarks)
     return RawRecording(
         _channels(record, path),
-        _rate(record, leads),
+        _rate(record, leads, path),
         found["name"],
         _filters(record, leads),
         provenance,
@@ -103,7 +103,8 @@ def _check_one_recording(source_format: str, path: Path) -> None:
     elif source_format in ("hl7_aecg", "ge_muse_xml"):
         elements = list(_xml_root(path).iter())
         nested = sum(element.tag.lower() == "restingecg" for element in elements)
-        people = {_identity(e) for e in elements if e.tag in ("trialSubject", "PatientDemographics")}
+        named = ("trialSubject", "PatientDemographics")
+        people = {_identity(element) for element in elements if element.tag in named}
         if nested > 1:
             several = f"{nested} RestingECG elements"
         elif len(people) > 1:
@@ -169,7 +170,7 @@ def _channels(record: Any, path: Path) -> list[Channel]:
     return placed + [channel for channel in channels if channel.lead is None]
 
 
-def _rate(record: Any, leads: Sequence[Any]) -> float | None:
+def _rate(record: Any, leads: Sequence[Any], path: Path) -> float | None:
     """Samples per second, which the library rounds to an integer; None where they are a guess."""
     raw, first = record.raw_metadata, (leads or record.leads)[0]
     if not raw.get("sampling_rate_stated", True):
@@ -180,7 +181,22 @@ def _rate(record: Any, leads: Sequence[Any]) -> float | None:
         return float(1e6 / raw["rhythm_sample_interval_us"])
     if record.source_format == "mfer":
         return float(raw["sampling_rates"][record.leads.index(first)])
+    if record.source_format == "ge_muse_xml":
+        return _muse_rate(path)
     return float(raw.get("exact_sampling_rates", {}).get(first.label, first.sampling_rate))
+
+
+def _muse_rate(path: Path) -> float:
+    """Samples per second of the rhythm: SampleBase times ten to the SampleExponent."""
+    for waveform in _xml_root(path).findall("Waveform"):
+        texts = {e.tag.lower(): "".join(e.itertext()).strip() for e in waveform}
+        if texts.get("waveformtype", "").lower() in ("rhythm", ""):
+            break
+    base, exponent = (
+        float(texts.get(tag, "").replace(",", ".") or 0) for tag in ("samplebase", "sampleexponent")
+    )
+    # a tenth is not exact: 4883 * 10**-1.0 is not 488.3
+    return base * 10.0**exponent if exponent > 0 else base / 10.0**-exponent
 
 
 def _filters(record: Any, leads: Sequence[Any]) -> Filters:
