@@ -69,6 +69,13 @@ def broken(path):
     return path.no_such_attribute
 
 
+def refusing(path):
+    try:
+        broken(path)
+    except AttributeError as error:
+        raise InputError(f"{path}: damaged") from error
+
+
 def missing(path):
     raise MissingMetadataError(f"{path}: no unit", "unit", "mV", "a guess")
 
@@ -135,6 +142,15 @@ def test_waiting_is_a_refusal(path, monkeypatch):
 def test_bugs_stay_loud(path):
     with pytest.raises(RuntimeError, match="no_such_attribute"):
         read_isolated(broken, path)
+
+
+def test_what_made_a_refusal_is_its_note(path):
+    """The user sees one line, a developer where it comes from."""
+    with pytest.raises(InputError) as info:
+        read_isolated(refusing, path)
+    assert str(info.value) == f"{path}: damaged"
+    assert "in broken" in info.value.__notes__[0]
+    assert "no_such_attribute" in info.value.__notes__[0]
 
 
 def test_refusals_keep_their_attributes(path):

@@ -211,6 +211,8 @@ def _answer(
     try:
         return reader(path, **options), None, False
     except InputError as error:
+        if error.__cause__ is not None:  # does not go through the pipe; a note does
+            error.add_note("".join(traceback.format_exception(error.__cause__)))
         return None, error, False
     except MemoryError:
         return None, limits.too_much_memory(path), True

@@ -12,6 +12,7 @@ import pytest
 from clinical_files import replaced, saved
 from refusals import refused
 
+from fascicle.core.errors import InputError
 from fascicle.core.leads import INDEPENDENT_LEADS, LEADS
 from fascicle.recording.readers.read import read_recording
 from fascicle.recording.recording import Filters
