@@ -286,6 +286,7 @@ def test_pacing_together_undoes_a_delay(study):
 
 def test_report(study, monkeypatch, capsys):
     asked = ["report", study.folder, "--scenario", "his-pacing", "--format", "png"]
+    pyplot.close("all")
     assert run(monkeypatch, *asked) == 0
     verdict, *figures, page = capsys.readouterr().out.split("\n")[:-1]
     assert study.verdict in verdict
@@ -307,9 +308,9 @@ def test_report(study, monkeypatch, capsys):
     scenarios = json.loads(content[1])["scenarios"]
     assert [scenario["name"] for scenario in scenarios] == ["intrinsic", "his-pacing"]
     assert all(warning in html.unescape(text) for warning in study.warnings)
-    rows = dict(re.findall(r'<tr><th>([^<]*)</th><td class="number">(.*?)</tr>', text, re.S))
+    rows = dict(re.findall(r'<tr><th>([^<]*)</th>\s*<td class="number">(.*?)</tr>', text, re.S))
     said = json.loads((study.folder / "summary.json").read_text())
-    cells = re.findall(r"[-\d.]+%", rows["explained"])
+    cells = re.findall(r"[-\d.]+%", rows["variance explained"])
     assert cells == [f"{said['explained_power'][lead]:.0%}" for lead in (*LEADS, "all")]
     cells = re.findall(r"[-\d.]+\d", rows["correlation"])
     assert cells == [f"{said['correlation'][lead]:.2f}" for lead in (*LEADS, "all")]
