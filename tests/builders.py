@@ -15,7 +15,6 @@ from fascicle.forward.scenario import Scenario
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, oriented_into_cavity
 from fascicle.heart.heart import Heart
-from fascicle.kernels.arrays import RayMedium
 from fascicle.kernels.ray import ray_time
 from fascicle.mesh.measures import signed_volumes
 from fascicle.purkinje.tree import PurkinjeTree
@@ -104,8 +103,8 @@ def straight_times(myocardium: Myocardium, points, times, at=None) -> np.ndarray
 def ray_times(myocardium: Myocardium, start, element, goals, *, longest=np.inf) -> np.ndarray:
     """Time (ms) along the straight line from a point in an element to each goal, traced."""
     mesh = myocardium.mesh
-    medium = RayMedium(mesh.cells, mesh.neighbours, mesh.slowness)
-    times = [ray_time(tuple(start), element, tuple(goal), longest, medium) for goal in goals]
+    medium = mesh.cells, mesh.neighbours, mesh.slowness
+    times = [ray_time(tuple(start), element, tuple(goal), longest, *medium) for goal in goals]
     return np.array(times)
 
 

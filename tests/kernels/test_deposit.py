@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from fascicle.kernels.channels import CHANNELS
 from fascicle.kernels.deposit import GAP, deposit, respond
+from fascicle.kernels.jit import CHANNELS
 
 ORIGIN, WIDTH, BINS = -1.0, 0.5, 80
 PEAKS = ORIGIN + np.arange(BINS) * WIDTH

@@ -19,7 +19,7 @@ from fascicle.forward.ecg.lead_field import nodal_gradients
 from fascicle.forward.preparation import heart_cache
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
-from fascicle.kernels.channels import CHANNELS
+from fascicle.kernels.jit import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.mesh import torso_of
 from fascicle.torso.variation.conductor import InvalidBody, build_conductor

@@ -1,4 +1,8 @@
-"""The arrays that the sweep and the growth of trees work on, bundled by what they describe."""
+"""The arrays that the sweep and its preparation work on, bundled by what they describe.
+
+Indices that only the sweep reads are unsigned: Numba would look at every access whether a signed
+one is negative and counts from the end.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +18,13 @@ FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 CORNERS = 4  # of a tetrahedron
 
-# Columns of `EikonalMesh.cells`
-GRADIENT_X, GRADIENT_Y, GRADIENT_Z = 0, 4, 8  # the first of four: one for each corner
-AT_ORIGIN = 12  # the first of four, likewise
-XX, YY, ZZ, XY, XZ, YZ = range(16, 22)  # of D⁻¹
+# Columns of `EikonalMesh.cells`: the first of four, one for each corner, and those of D⁻¹
+GRADIENT_X, GRADIENT_Y, GRADIENT_Z, AT_ORIGIN = 0, 4, 8, 12
+XX, YY, ZZ, XY, XZ, YZ = range(16, 22)
 CELL_COLUMNS = 22
 
-# Columns of `EikonalMesh.solver`: the six pairs of corners in the order 01, 02, 03, 12, 13, 23
-PRODUCTS, SQUARES = 0, 6  # the first of six each
+# Columns of `EikonalMesh.solver`: the first of six each, for the edges 01, 02, 03, 12, 13, 23
+PRODUCTS, SQUARES = 0, 6
 
 
 def aligned(array: NDArray[Any]) -> NDArray[Any]:
@@ -40,8 +43,7 @@ def aligned(array: NDArray[Any]) -> NDArray[Any]:
 
 
 # An element around a vertex, its other corners a, b and c in ascending order of their place in it.
-# What the sweep reads of it lies together: fewer lines come from memory, and its loops have one
-# address to keep at hand, not many.
+# What the sweep reads of it lies together: fewer lines come from memory
 STAR = np.dtype(
     [
         # by how much (ms) each corner is at least later than the vertex if the front comes to it
@@ -64,24 +66,18 @@ LINK = np.dtype([("time", np.float64), ("vertex", np.uint32)])
 class EikonalMesh(NamedTuple):
     """The conducting myocardium; elements that do not conduct are in no list.
 
-    What only the sweep reads is unsigned: that a negative index counts from the end, Numba would
-    look for at every access.
-
     Attributes
     ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    corners : (m, 4) array
-        Vertices of each tetrahedron.
+    vertices, corners : (n, 3) and (m, 4) arrays
+        Positions (mm), and the vertices of each tetrahedron.
     cells : (m, 22) array
         What a ray needs of each tetrahedron: the barycentric coordinates as affine functions
         (components of their gradients, 1/mm, and values at the origin) and D⁻¹ (ms²/mm²).
     neighbours : (m, 4) array
         The tetrahedra across the faces opposite each corner, -1 where no conducting one is.
     solver : (m, 12) array
-        What the local solver needs of each: the products ∇λᵢ·D∇λⱼ (1/ms²) of its corners'
-        barycentric coordinates for each pair of corners, and the squared travel times (ms²) along
-        those edges.
+        What the local solver needs of each: the products ∇λᵢ·D∇λⱼ (1/ms²) of the barycentric
+        coordinates for each pair of corners, and the squared travel times (ms²) along those edges.
     star_start, star : (n + 1,) array, and (4m,) array of STAR
         The elements around each vertex.
     link_start, link : (n + 1,) array, and (l,) array of LINK
@@ -107,28 +103,18 @@ class EikonalMesh(NamedTuple):
         return self.cells[:, [XX, XY, XZ, XY, YY, YZ, XZ, YZ, ZZ]].reshape(-1, 3, 3)
 
 
-class RayMedium(NamedTuple):
-    """What a ray passes through: the three fields of these names of an `EikonalMesh`."""
-
-    cells: NDArray[np.float64]
-    neighbours: NDArray[np.int32]
-    slowness: float
-
-
 class TravelTimeTable(NamedTuple):
     """Ray travel times from the triangles of the endocardia to the vertices around them.
 
     Attributes
     ----------
-    row : (b,) array
-        Row of each boundary triangle, -1 for those that have none.
-    opposite : (b,) array
-        The corner of its tetrahedron that each triangle does not have.
+    row, opposite : (b,) arrays
+        Row of each boundary triangle, -1 for those that have none, and the corner of its
+        tetrahedron that it does not have.
     start, vertex : (r + 1,) and (p,) arrays
         The vertices in each row.
     square : (p, 6) array
-        Squared travel times (ms²) to each, from the points
-        `fascicle.kernels.ray_travel_times.POINTS`.
+        Squared travel times (ms²) to each, from `fascicle.kernels.ray_travel_times.POINTS`.
     reach, longest : float
         How far (mm) and how long (ms) rays are.
     """
@@ -186,14 +172,10 @@ class LocatedSites(NamedTuple):
 
     Attributes
     ----------
-    positions : (j, 3) array
-        Positions (mm).
-    elements : (j,) array
-        The tetrahedron of each; -1 where there is none.
-    barycentric : (j, 4) array
-        Barycentric coordinates of each in its tetrahedron.
-    to_corner : (j, 4) array
-        Squared travel times (ms²) to its corners.
+    positions, elements : (j, 3) and (j,) arrays
+        Positions (mm), and the tetrahedron of each; -1 where there is none.
+    barycentric, to_corner : (j, 4) arrays
+        Barycentric coordinates in the tetrahedron, and squared travel times (ms²) to its corners.
     """
 
     positions: NDArray[np.float64]
@@ -207,10 +189,8 @@ class Sites(NamedTuple):
 
     Attributes
     ----------
-    element : (j,) array
-        Tetrahedron of each; -1 where a site meets no conducting tissue.
-    to_corner : (j, 4) array
-        Squared travel times (ms²) to its corners.
+    element, to_corner : (j,) and (j, 4) arrays
+        As `elements` and `to_corner` of `LocatedSites`.
     node : (j,) array
         Tree node of each.
     anterograde, retrograde : (j,) arrays
@@ -265,9 +245,7 @@ NEAR = np.dtype([("later", np.float32), ("lends", np.uint32)])
 
 
 class Surroundings(NamedTuple):
-    """Room for a batch of vertices and what is around them: neighbours, elements and their faces.
-
-    See `fascicle.kernels.star`.
+    """Room for a batch of vertices and what is around them; see `fascicle.kernels.star`.
 
     Attributes
     ----------
@@ -277,7 +255,7 @@ class Surroundings(NamedTuple):
         Of up to k neighbours of each: when the front comes to them (ms), as far as is known, and
         what is chosen by.
     chosen : (e,) array
-        The elements that may lower a corner, packed as `fascicle.kernels.star` says.
+        The elements that may lower a corner, packed.
     face : (f,) array
         The faces by which a corner may be lowered: `CORNERS`·place of the element in `chosen` +
         which of its corners the face is opposite to.
@@ -295,18 +273,16 @@ class Surroundings(NamedTuple):
 
 
 class Front(NamedTuple):
-    """What the sweep finds out, for mesh vertices first and then tree nodes.
+    """What the sweep finds out, and its room to work in.
 
     Attributes
     ----------
     nodes : (n + k,) array of STATE
-        What is known of each.
+        What is known of each mesh vertex and, after these, of each tree node.
     entered_by : (j,) array
         The site whose front entered a tree at each site, or -1.
-    queue : Queue
-        The nodes that wait to be taken.
-    around : Surroundings
-        Anything.
+    queue, around : Queue, Surroundings
+        The nodes that wait to be taken; anything.
     """
 
     nodes: NDArray[np.void]

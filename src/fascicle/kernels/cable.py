@@ -31,10 +31,8 @@ class CellModel(NamedTuple):
         current (pA/pF, negative depolarises). `out` may be `base`, so each number of it is read
         before it is written. The potential (mV) of a state comes first. For the simplest model,
         ``out[k] = base[k] + dt * rate(at)``; `relaxed` is for gates.
-    start : tuple of float
-        The state that pacing starts from.
-    constants : tuple of float
-        What `advance` is given as an array.
+    start, constants : tuples of float
+        The state that pacing starts from, and what `advance` is given as an array.
     """
 
     name: str
@@ -45,10 +43,9 @@ class CellModel(NamedTuple):
 
 @kernel()
 def relaxed(gate, steady, tau, dt):
-    """A gate after dt at constant steady state and time constant.
+    """A gate after dt at constant steady state and time constant (Rush and Larsen).
 
-    S. Rush and H. Larsen, IEEE Trans Biomed Eng 25 (1978) 389-392; in the midpoint form, Sundnes et
-    al., IEEE Trans Biomed Eng 56 (2009) 2546-2548.
+    IEEE Trans Biomed Eng 25 (1978) 389-392; the midpoint form: Sundnes et al., 56 (2009) 2546-2548.
     """
     return steady + (gate - steady) * math.exp(-dt / tau)
 
@@ -88,24 +85,15 @@ def _diffuse(state, pivot, right, lambda_):
 
 @cache
 def cable_of(advance: Callable[..., None], keep: bool = False) -> Any:
-    """Compile a cable of cells.
+    """Compile a cable of cells that `CellModel.advance` advances.
 
-    Parameters
-    ----------
-    advance : function
-        See `CellModel`.
-    keep : bool
-        Whether what is compiled is kept on disk. Numba would not see that `advance` has changed.
-
-    Returns
-    -------
-    function
-        ``run(state, constants, stimulus, lambda_, dt, steps, probes)`` advances the cells, an array
-        with a row each, in place: half a step of diffusion, a step of every cell, half a step of
-        diffusion (Strang, 1968). A single one does not diffuse. `stimulus` is a current, the number
-        of steps that it lasts, and the number of cells, from the end of the cable on, that it goes
-        into; `lambda_` is D·(dt/2)/dx²; `probes` are the cells whose potentials (mV) it gives after
-        each step, of shape (steps, p).
+    `keep` says whether it is kept on disk, where Numba would not see that `advance` has changed.
+    What is returned, ``run(state, constants, stimulus, lambda_, dt, steps, probes)``, advances the
+    cells, an array with a row each, in place: half a step of diffusion, a step of every cell, half
+    a step of diffusion (Strang, 1968). A single one does not diffuse. `stimulus` is a current, the
+    number of steps that it lasts, and the number of cells, from the end of the cable on, that it
+    goes into; `lambda_` is D·(dt/2)/dx²; `probes` are the cells whose potentials (mV) it gives
+    after each step, of shape (steps, p).
     """
     if not keep:
         register_jitable(advance)

@@ -46,21 +46,6 @@ def _to_tree_node(other, arrival, by, vertices, forest, front, size):
 
 
 @kernel(inline="always")
-def _through_tree(node, vertices, forest, front, size):
-    """From a tree node along its segments; returns the queue's size."""
-    now, by = front.nodes[vertices + node].time, front.nodes[vertices + node].origin
-    parent = forest.parent[node]
-    if parent >= 0:
-        arrival = now + forest.time[node]
-        size = _to_tree_node(parent, arrival, by, vertices, forest, front, size)
-    for k in range(forest.child_start[node], forest.child_start[node + 1]):
-        child = forest.child[k]
-        arrival = now + forest.time[child]
-        size = _to_tree_node(child, arrival, by, vertices, forest, front, size)
-    return size
-
-
-@kernel(inline="always")
 def _fire(site, now, sites, front, size):
     """From a site along the rays to what is around it; returns the queue's size.
 
@@ -125,10 +110,17 @@ def _into_trees(node, sites, mesh, front, size):
 @kernel(inline="always")
 def _from_tree_node(node, vertices, forest, sites, front, size):
     """From a tree node along its segments, and as a site; returns the queue's size."""
-    size = _through_tree(node - vertices, vertices, forest, front, size)
-    site = forest.site[node - vertices]
+    now, by, node = front.nodes[node].time, front.nodes[node].origin, node - vertices
+    parent, site = forest.parent[node], forest.site[node]
+    if parent >= 0:
+        arrival = now + forest.time[node]
+        size = _to_tree_node(parent, arrival, by, vertices, forest, front, size)
+    for k in range(forest.child_start[node], forest.child_start[node + 1]):
+        child = forest.child[k]
+        arrival = now + forest.time[child]
+        size = _to_tree_node(child, arrival, by, vertices, forest, front, size)
     if site >= 0 and sites.anterograde[site] < np.inf:
-        size = _fire(site, front.nodes[node].time + sites.anterograde[site], sites, front, size)
+        size = _fire(site, now + sites.anterograde[site], sites, front, size)
     return size
 
 
@@ -141,11 +133,11 @@ def sweep(front, sources, mesh, forest, sites):
     with anisotropy and obtuse elements times need not settle in order.
 
     Linear interpolation is late where fronts are curved, most of all near a point source. So a
-    site that fires, be it from its tree, as a stimulus or because the front comes by, offers what
-    is around it the ray travel time, too. Each offer depends on nothing but the
-    times at which it starts, and none becomes later when those become earlier: the result is the
-    same in whatever order nodes are taken. Where fronts collide, linear interpolation between them
-    is early, by a part of an edge's time.
+    site that fires, from its tree, as a stimulus or because the front comes by, offers what is
+    around it the ray travel time, too. An offer depends on the times at which it starts alone, and
+    does not become later when those become earlier: the result is the same in whatever order nodes
+    are taken. Where fronts collide, linear interpolation between them is early, by a part of an
+    edge's time.
 
     Parameters
     ----------
@@ -154,8 +146,6 @@ def sweep(front, sources, mesh, forest, sites):
         that trees were entered from: -1. An empty queue. Overwritten.
     sources : (s,) array
         Nodes from which the front starts: vertices whose time is given, and the sites' nodes.
-    mesh, forest, sites : EikonalMesh, Forest, Sites
-        See `fascicle.kernels.arrays`.
     """
     vertices, size = len(mesh.vertices), 0
     for source in sources:

@@ -9,9 +9,7 @@ bins give the histogram back.
 
 import numpy as np
 
-from fascicle.kernels.channels import CHANNELS, add_to_rows
-from fascicle.kernels.jit import allocating_kernel
-from fascicle.kernels.prefetch import prefetch
+from fascicle.kernels.jit import CHANNELS, add_to_rows, allocating_kernel, prefetch
 
 # Closest that two times of an element may be (bins); closer ones are moved apart. Where all four
 # are close, the jumps grow as 1/gap³ and with them the rounding error that the running sums leave:
@@ -88,30 +86,19 @@ def _closest(a, b, c, d):
 
 @allocating_kernel(error_model="numpy")
 def deposit(time, corners, weights, origin, width, bins):
-    """Histogram of |e|·(Gᵢ∇τ·∇Z) over activation time.
+    """Histogram of |e|·(Gᵢ∇τ·∇Z) over activation time, shape (bins, 8).
 
     Bins overlap: bin i weighs time t by the hat max(0, 1 − |t − tᵢ|/width) around its peak
-    tᵢ = origin + i·width, so that total and mean time of each element are kept. An element with an
-    infinite time is left out.
+    tᵢ = origin + i·width (ms), so that total and mean time of each element are kept. An element
+    with an infinite time is left out.
 
     Parameters
     ----------
     time : (n,) array
         Activation at each vertex (ms), from origin + width to origin + (bins − 6)·width, or
         +inf.
-    corners : (m, 4) array
-        Vertices of each tetrahedron.
-    weights : (m, 3, 8) array
-        What the times of the last three corners, less that of the first, contribute to
-        |e|·(Gᵢ∇τ·∇Z) in each of the eight channels.
-    origin, width : float
-        Peak of the first bin, and from one peak to the next (ms).
-    bins : int
-        Number of bins.
-
-    Returns
-    -------
-    (bins, 8) array
+    corners, weights : (m, 4) and (m, 3, 8) arrays
+        As in `fascicle.forward.ecg.electrocardiogram.Electrocardiograph`.
     """
     time = (time - origin) / width
     at_vertex = np.zeros((len(time), CHANNELS))
@@ -124,7 +111,7 @@ def deposit(time, corners, weights, origin, width, bins):
         a, b, c, d = time[i], time[j], time[k], time[l]
         if not a + b + c + d < np.inf:
             continue
-        # |e|·(Gᵢ∇τ·∇Z) in each channel is the sum of these times rows 3e, 3e + 1, 3e + 2 of weights
+        # |e|·(Gᵢ∇τ·∇Z) in each channel is the sum of these times weights[e]
         later = (b - a, c - a, d - a)
         if _closest(a, b, c, d) > GAP:
             jumps = _jumps(a, b, c, d)
@@ -148,21 +135,9 @@ def deposit(time, corners, weights, origin, width, bins):
 
 @allocating_kernel()
 def respond(histogram, kernel, stride, samples):
-    """Convolution of a histogram with a kernel, taken every `stride` bins.
+    """Convolution of a (bins, 8) histogram with a kernel (k,), taken every `stride` bins.
 
-    Parameters
-    ----------
-    histogram : (bins, 8) array
-        At least (samples − 1)·stride + len(kernel) bins.
-    kernel : (k,) array
-        Response of one bin.
-    stride, samples : int
-        Bins from one sample to the next; number of samples.
-
-    Returns
-    -------
-    (8, samples) array
-        Sample n is Σⱼ kernel[j]·histogram[n·stride + k − 1 − j].
+    Sample n of the (8, samples) that it gives is Σⱼ kernel[j]·histogram[n·stride + k − 1 − j].
     """
     response = np.zeros((CHANNELS, samples))
     total = np.zeros(CHANNELS)

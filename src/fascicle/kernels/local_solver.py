@@ -1,7 +1,7 @@
 """Local solver of the anisotropic eikonal equation: earliest arrival from a face, edge or vertex.
 
-For a point and the others at relative positions eᵢ, with A_ij = eᵢᵀD⁻¹eⱼ, the arrival time is the
-minimum of Σλᵢτᵢ + √(λᵀAλ) over the simplex. In its interior it is
+For a point and the others at relative positions eᵢ, with A_ij = eᵢᵀD⁻¹eⱼ (ms²), the arrival time is
+the minimum of Σλᵢτᵢ + √(λᵀAλ) over the simplex, τᵢ (ms) being their times. In its interior it is
 
     μ = (b + √(b² − a(c − 1))) / a,   a = 1ᵀQ1,  b = 1ᵀQτ,  c = τᵀQτ,  Q = A⁻¹,
 
@@ -15,23 +15,14 @@ import numpy as np
 
 from fascicle.kernels.jit import kernel
 
-# A determinant below this fraction of the product of the diagonal is a flat element, whose inside
-# is not used. Right for a face that contains the point asked for; meshes with flat elements are
-# refused when they are read.
+# A determinant below this fraction of the product of the diagonal: the point lies in the face, the
+# inside of which is then not used. Meshes with flat elements are refused when they are read.
 FLAT = 1e-14
 
 
 @kernel(inline="always")
 def from_edge(a11, a12, a22, t1, t2):
-    """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end.
-
-    Parameters
-    ----------
-    a11, a12, a22 : float
-        A_ij = eᵢᵀD⁻¹eⱼ (ms²) of the edge's two ends.
-    t1, t2 : float
-        Their times (ms).
-    """
+    """Earliest arrival (ms) through the inside of an edge; inf where the minimum is at an end."""
     det = a11 * a22 - a12 * a12
     if det <= FLAT * a11 * a22:
         return np.inf
@@ -56,12 +47,7 @@ def from_edge(a11, a12, a22, t1, t2):
 def from_inside_face(gram, times):
     """Earliest arrival (ms) through the inside of a face; inf where the minimum is on an edge.
 
-    Parameters
-    ----------
-    gram : tuple of 6 floats
-        A_ij = eᵢᵀD⁻¹eⱼ (ms²) of the face's corners: 11, 12, 13, 22, 23, 33.
-    times : tuple of 3 floats
-        Their times (ms).
+    `gram` holds A_ij in the order 11, 12, 13, 22, 23, 33, `times` the three τᵢ.
     """
     a11, a12, a13, a22, a23, a33 = gram
     t1, t2, t3 = times
@@ -94,10 +80,7 @@ def from_inside_face(gram, times):
 
 @kernel()
 def from_face(gram, times):
-    """Earliest arrival (ms) from a face with its edges and vertices.
-
-    `gram` and `times` as for `from_inside_face`; times may be inf.
-    """
+    """As `from_inside_face`, from the face's edges and corners, too; times may be inf."""
     a11, a12, a13, a22, a23, a33 = gram
     t1, t2, t3 = times
     best = min(t1 + math.sqrt(a11), t2 + math.sqrt(a22), t3 + math.sqrt(a33))
@@ -129,24 +112,22 @@ def _along_edge(ss, jj, sj, tj):
 def from_new_corner(products, squares, tj, tk, use_j, use_k):
     """Delay after corner s (ms) with which its face s, j, k fires corner a through s; or inf.
 
-    What the rest of the face offers is known without s. The path from s itself, along the edge, is
-    left out. The objective is convex: where its minimum in the face's plane lies outside the face,
-    the minimum on the face lies on an edge that faces it, one opposite a corner whose weight is
-    negative. Without branches: several faces are solved at a time.
+    The edge opposite s and the path from s itself are left out. The objective is convex: where its
+    minimum in the face's plane lies outside the face, the minimum on the face lies on an edge that
+    faces it, one opposite a corner whose weight is negative. Without branches: several faces are
+    solved at a time.
 
     Parameters
     ----------
     products : tuple of 6 floats
-        Products ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²), for
-        the pairs as, aj, ak, sj, sk, jk. The time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²),
+        pᵢⱼ = ∇λᵢ·D∇λⱼ of the barycentric coordinates in the element a, s, j, k (1/ms²), for the
+        pairs as, aj, ak, sj, sk, jk. The time in the element has the slope √(−Σ pᵢⱼ(τᵢ − τⱼ)²),
         which is 1 in a front; the front comes through the face if it leaves each of its corners
         behind: Σⱼ pᵢⱼ τⱼ ≤ 0.
     squares : tuple of 5 floats
         Squared travel times (ms²) from a to s, j and k, and from s to j and k.
-    tj, tk : float
-        Times of j and k, less that of s (ms).
-    use_j, use_k : bool
-        Which of the two have a time to be used.
+    tj, tk, use_j, use_k : float, float, bool, bool
+        Times of j and k, less that of s (ms), and which of the two are to be used.
     """
     pas, paj, pak, psj, psk, pjk = products
     ss, jj, kk, sj, sk = squares

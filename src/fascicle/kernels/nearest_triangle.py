@@ -11,8 +11,7 @@ from fascicle.kernels.jit import kernel
 def _weights(ab, ac, ap):
     """Weights of b and c in the nearest point of the triangle a, b, c.
 
-    C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5: the regions of a's, b's and c's
-    corners and of the sides between them, then the inside.
+    C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5.
     """
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -47,23 +46,18 @@ def _dot(p, q):
 def nearest_of(points, rows, candidates, vertices, surface, found, triangles, squares):
     """Find the nearest points of a surface, where it is known which triangles can have them.
 
+    False, and what is written is of no use, if a point lies outside its row's ball.
+
     Parameters
     ----------
-    points : (n, 3) array
-        Points (mm).
-    rows : (n,) array
-        The row of the candidates of each.
-    candidates : Candidates
+    points, rows : (n, 3) and (n,) arrays
+        Points (mm), and the row of the candidates of each.
+    candidates : fascicle.forward.eikonal.nearest_triangles.Candidates
         Triangles that can be nearest to any point of a row's ball.
     vertices, surface : (v, 3) and (b, 3) arrays
         The surface (mm).
     found, triangles, squares : (n, 3), (n,) and (n,) arrays
         Written: nearest points (mm), their triangles, and squared distances (mm²).
-
-    Returns
-    -------
-    bool
-        False, and what is written is of no use, if a point lies outside its row's ball.
     """
     start, triangle, least, centre, square = candidates
     for n in range(len(points)):

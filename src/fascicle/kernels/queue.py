@@ -1,6 +1,6 @@
 """A queue of nodes in buckets of time, of which the earliest gives the next node.
 
-Who is taken too early is taken again, so that exact order is not asked for; and a node is entered,
+A node that is taken too early is taken again, so exact order is not needed; and a node is entered,
 moved and taken at a cost that does not grow with the queue. Buckets form a ring: one list holds the
 nodes of one bucket of every lap.
 """
@@ -13,8 +13,8 @@ PER_MS = 20.0  # buckets; an element's delay is longer than one, but on the fine
 RING = 4096  # buckets in a lap, a power of 2: nearly all times that wait lie within 200 ms
 LAST = 2_000_000_000.0  # bucket that holds all later times, too; and the first likewise
 
-# Instead of the bucket of a node that is not in the queue: of one that nothing is to be done with,
-# and of one whose turn in a batch of taken ones is to come
+# Bucket of a node that is not in the queue: nothing is to be done with it, or its turn in a batch
+# of taken ones is to come
 NOT_QUEUED, IN_BATCH = np.iinfo(np.int32).min, np.iinfo(np.int32).min + 1
 
 
@@ -32,18 +32,10 @@ def _unlink(node, nodes, queue):
 
 @kernel()
 def lower(node, nodes, queue, size):
-    """Enter a node, or move it after its time was lowered; returns the queue's size.
+    """Enter a node, or move it after its time was lowered, into a queue of `size` nodes.
 
-    Parameters
-    ----------
-    node : int
-        The node.
-    nodes : array of STATE
-        What is known of each node; `bucket`, `before` and `after` are overwritten.
-    queue : Queue
-        See `fascicle.kernels.arrays`.
-    size : int
-        How many nodes are in the queue.
+    `nodes` is an array of STATE, and the `Queue` is one of `fascicle.kernels.arrays`. Returns the
+    queue's size.
     """
     it = nodes[node]
     bucket = int(min(max(it.time * PER_MS, -LAST), LAST))

@@ -23,17 +23,7 @@ ARRIVED = 1.0 - 1e-9  # share of the path at which rounding decides what is cros
 
 @kernel(inline="always")
 def travel(cells, t, x, y, z):
-    """√(dᵀD⁻¹d) for d = (x, y, z) in tetrahedron t (ms).
-
-    Parameters
-    ----------
-    cells : (m, 22) array
-        See `fascicle.kernels.arrays.EikonalMesh`.
-    t : int
-        The tetrahedron.
-    x, y, z : float
-        Components of d (mm).
-    """
+    """√(dᵀD⁻¹d) for d = (x, y, z), in mm, in tetrahedron t (ms); `cells` of `EikonalMesh`."""
     return math.sqrt(
         cells[t, XX] * x * x + cells[t, YY] * y * y + cells[t, ZZ] * z * z
         + 2.0 * (cells[t, XY] * x * y + cells[t, XZ] * x * z + cells[t, YZ] * y * z)
@@ -41,24 +31,7 @@ def travel(cells, t, x, y, z):
 
 
 @kernel(inline="always")
-def barycentric_coordinate(cells, t, corner, x, y, z):
-    """Barycentric coordinate of the point (x, y, z) that belongs to a corner of tetrahedron t.
-
-    Parameters
-    ----------
-    cells, t
-        See `travel`.
-    corner : int
-        Which of the tetrahedron's corners.
-    x, y, z : float
-        The point (mm).
-    """
-    gx, gy, gz = _gradient(cells, t, corner)
-    return gx * x + gy * y + gz * z + cells[t, AT_ORIGIN + corner]
-
-
-@kernel(inline="always")
-def _gradient(cells, t, corner):
+def gradient(cells, t, corner):
     """Gradient of a corner's barycentric coordinate (1/mm); it points away from its face."""
     return (
         cells[t, GRADIENT_X + corner],
@@ -70,7 +43,7 @@ def _gradient(cells, t, corner):
 @kernel(inline="always", error_model="numpy")
 def _crossing(t, face, point, direction, cells):
     """Where the line p + s·d leaves through a face of tetrahedron t: s, or inf."""
-    ax, ay, az = _gradient(cells, t, face)
+    ax, ay, az = gradient(cells, t, face)
     rate = ax * direction[0] + ay * direction[1] + az * direction[2]
     s = -(ax * point[0] + ay * point[1] + az * point[2] + cells[t, AT_ORIGIN + face]) / rate
     return s if rate < -1e-12 else np.inf  # else parallel to the face
@@ -92,34 +65,22 @@ def _exit(t, point, direction, cells):
 
 
 @kernel(error_model="numpy")
-def ray_time(start, tetrahedron, goal, limit, medium):
+def ray_time(start, t, goal, limit, cells, neighbours, slowness):
     """Time (ms) along the straight line from a point to another, or inf if it leaves the tissue.
 
-    Where the line meets the boundary the path follows the boundary face towards the goal and
-    takes the straight line again as soon as it can. Any path inside the tissue takes at least
-    the geodesic's time, so the result is never early.
+    Where the line meets the boundary the path follows the boundary face towards the goal and takes
+    the straight line again as soon as it can. Any path inside the tissue takes at least the
+    geodesic's time, so the result is never early. It is inf, too, as soon as it is certain to be
+    above `limit` (ms).
 
-    Gives up, and returns inf, as soon as it is certain that the time is above `limit`.
-
-    Parameters
-    ----------
-    start : (x, y, z)
-        Where the line starts (mm).
-    tetrahedron : int
-        The tetrahedron that holds the start.
-    goal : (x, y, z)
-        Where it leads (mm).
-    limit : float
-        Longest time of interest (ms).
-    medium : RayMedium
-        See `fascicle.kernels.arrays`.
+    `start` and `goal` are (x, y, z) in mm, `t` the tetrahedron that holds the start, and the rest
+    fields of `EikonalMesh`.
     """
-    cells, neighbours, slowness = medium
     x, y, z = start
     gx, gy, gz = goal
     dx, dy, dz = gx - x, gy - y, gz - z
     least = slowness * math.sqrt(dx * dx + dy * dy + dz * dz)
-    t, total, done = tetrahedron, 0.0, 0.0
+    total, done = 0.0, 0.0
     for _ in range(2000):  # elements, then the path is given up
         leave, face = _exit(t, (x, y, z), (dx, dy, dz), cells)
         whole = travel(cells, t, dx, dy, dz)  # if all of the line had this element's D
@@ -130,7 +91,7 @@ def ray_time(start, tetrahedron, goal, limit, medium):
         done = leave
         if neighbours[t, face] < 0:
             x, y, z = x + done * dx, y + done * dy, z + done * dz
-            return _slide((x, y, z), t, goal, total, limit, medium)
+            return _slide((x, y, z), t, goal, total, limit, cells, neighbours, slowness)
         t = neighbours[t, face]
         if total + (1.0 - done) * least > limit:
             return np.inf
@@ -138,9 +99,8 @@ def ray_time(start, tetrahedron, goal, limit, medium):
 
 
 @kernel(error_model="numpy")
-def _slide(point, t, goal, total, limit, medium):
+def _slide(point, t, goal, total, limit, cells, neighbours, slowness):
     """Go on from a point of the boundary, in tetrahedron t, after `total` ms; see `ray_time`."""
-    cells, neighbours, slowness = medium
     x, y, z = point
     gx, gy, gz = goal
     for _ in range(100):  # elements along the boundary
@@ -155,7 +115,7 @@ def _slide(point, t, goal, total, limit, medium):
             if leave > 1.0 - ARRIVED or neighbours[t, face] >= 0:
                 break
             # on a boundary face and heading out: slide along it
-            ax, ay, az = _gradient(cells, t, face)
+            ax, ay, az = gradient(cells, t, face)
             inwards = (ax * dx + ay * dy + az * dz) / (ax * ax + ay * ay + az * az)
             dx, dy, dz = dx - inwards * ax, dy - inwards * ay, dz - inwards * az
             straight = False

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from fascicle.kernels.arrays import CORNERS, FACES, SQUARES, RayMedium, RayTravelTimes
+from fascicle.kernels.arrays import AT_ORIGIN, CORNERS, FACES, SQUARES, RayTravelTimes
 from fascicle.kernels.jit import allocating_kernel, kernel
-from fascicle.kernels.ray import barycentric_coordinate, ray_time, travel
+from fascicle.kernels.ray import gradient, ray_time, travel
 
 # The six points, as barycentric coordinates. Inside the triangle, so that rays start in its
 # element: its corners and the middles of its sides, moved a little towards the centre.
@@ -45,58 +45,43 @@ def trace_rays(points, elements, start, vertex, longest, mesh, square):
 
     Parameters
     ----------
-    points : (r, k, 3) array
-        Where the rays start (mm).
-    elements : (r,) array
-        The tetrahedron in which the points of a row lie.
+    points, elements : (r, k, 3) and (r,) arrays
+        Where the rays start (mm), and the tetrahedron in which the points of a row lie.
     start, vertex : (r + 1,) and (p,) arrays
         The vertices that the points of a row are traced to.
     longest : float
         Rays that take longer (ms) are given up.
-    mesh : EikonalMesh
-        The myocardium.
     square : (p, k) array
         inf; overwritten by the squared times, as far as none was given up.
     """
-    medium = RayMedium(mesh.cells, mesh.neighbours, mesh.slowness)
+    medium = mesh.cells, mesh.neighbours, mesh.slowness
     for r in range(len(elements)):
         for k in range(start[r], start[r + 1]):
             goal = _row(mesh.vertices, vertex[k])
             for i in range(points.shape[1]):
-                time = ray_time(_row(points[r], i), elements[r], goal, longest, medium)
+                time = ray_time(_row(points[r], i), elements[r], goal, longest, *medium)
                 square[k, i] = time * time if time <= longest else np.inf
                 if square[k, i] == np.inf:  # of no use without all of them
                     break
 
 
-@kernel()
-def locate(sites, mesh):
-    """Fill in the barycentric coordinates of sites and the times to their elements' corners.
-
-    Parameters
-    ----------
-    sites : LocatedSites
-        Its `barycentric` and `to_corner` are overwritten, but for sites without an element.
-    mesh : EikonalMesh
-        The myocardium.
-    """
-    cells = mesh.cells
-    for s in range(len(sites.elements)):
-        t = sites.elements[s]
-        x, y, z = _row(sites.positions, s)
-        for c in range(CORNERS if t >= 0 else 0):
-            sites.barycentric[s, c] = barycentric_coordinate(cells, t, c, x, y, z)
-            v = mesh.corners[t, c]
-            sites.to_corner[s, c] = travel(
-                cells, t, mesh.vertices[v, 0] - x, mesh.vertices[v, 1] - y, mesh.vertices[v, 2] - z
-            ) ** 2  # fmt: skip
+@kernel(inline="always")
+def _locate(s, sites, mesh):
+    """Fill in a site's barycentric coordinates and the times to its element's corners."""
+    cells, t = mesh.cells, sites.elements[s]
+    x, y, z = _row(sites.positions, s)
+    for c in range(CORNERS):
+        gx, gy, gz = gradient(cells, t, c)
+        sites.barycentric[s, c] = gx * x + gy * y + gz * z + cells[t, AT_ORIGIN + c]
+        vx, vy, vz = _row(mesh.vertices, mesh.corners[t, c])
+        sites.to_corner[s, c] = travel(cells, t, vx - x, vy - y, vz - z) ** 2
 
 
 @kernel(inline="always")
 def _from_table(row, coordinates, site, table, mesh, rays, used):
     """Append the vertices of a row of the table; returns how many there are now.
 
-    The site is given by its barycentric coordinates in the row's triangle and its position.
+    `coordinates` are the site's barycentric ones in the row's triangle.
     """
     a, b, c = coordinates
     x, y, z = site
@@ -135,13 +120,13 @@ def _weight(i, a, b, c):
 @kernel()
 def _traced(site, t, reach, longest, mesh, rays, used):
     """Append every vertex that a ray comes to; returns how many there are now."""
-    medium = RayMedium(mesh.cells, mesh.neighbours, mesh.slowness)
+    medium = mesh.cells, mesh.neighbours, mesh.slowness
     x, y, z = site
     for v in range(len(mesh.vertices)):
         gx, gy, gz = _row(mesh.vertices, v)
         if (gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2 > reach**2:
             continue
-        time = ray_time(site, t, (gx, gy, gz), longest, medium)
+        time = ray_time(site, t, (gx, gy, gz), longest, *medium)
         if time <= longest and time < np.inf:
             rays.target[used], rays.time[used] = v, time
             used += 1
@@ -150,18 +135,16 @@ def _traced(site, t, reach, longest, mesh, rays, used):
 
 @kernel()
 def rays_to_vertices(sites, rows, opposite, mesh, table, reach, longest, rays):
-    """Ray travel times from each site to the vertices around it.
+    """Locate sites in their elements, and find the travel times to the vertices around them.
 
     Parameters
     ----------
     sites : LocatedSites
-        See `fascicle.kernels.arrays`.
+        Where they have an element, their `barycentric` and `to_corner` are overwritten.
     rows, opposite : (j,) arrays
         The row of the table for each, -1 to trace instead, and the corner opposite its triangle.
-    mesh : EikonalMesh
-        The myocardium.
-    table : TravelTimeTable
-        See `fascicle.kernels.arrays`.
+    mesh, table : EikonalMesh, TravelTimeTable
+        The myocardium, and the ray travel times from its endocardia.
     reach, longest : float
         How far (mm) and how long (ms) traced rays are.
     rays : RayTravelTimes
@@ -172,16 +155,18 @@ def rays_to_vertices(sites, rows, opposite, mesh, table, reach, longest, rays):
     for s in range(len(sites.elements)):
         t, row, away = sites.elements[s], rows[s], opposite[s]
         site = _row(sites.positions, s)
-        if t >= 0 and row >= 0:
-            a, b = barycentric[s, FACES[away, 0]], barycentric[s, FACES[away, 1]]
-            c = barycentric[s, FACES[away, 2]]
-            used = _from_table(row, (a, b, c), site, table, mesh, rays, used)
-        elif t >= 0:
-            used = _traced(site, t, reach, longest, mesh, rays, used)
-        for c in range(CORNERS if t >= 0 else 0):
-            rays.target[used] = mesh.corners[t, c]
-            rays.time[used] = math.sqrt(sites.to_corner[s, c])
-            used += 1
+        if t >= 0:
+            _locate(s, sites, mesh)
+            if row >= 0:
+                a, b = barycentric[s, FACES[away, 0]], barycentric[s, FACES[away, 1]]
+                c = barycentric[s, FACES[away, 2]]
+                used = _from_table(row, (a, b, c), site, table, mesh, rays, used)
+            else:
+                used = _traced(site, t, reach, longest, mesh, rays, used)
+            for corner in range(CORNERS):
+                rays.target[used] = mesh.corners[t, corner]
+                rays.time[used] = math.sqrt(sites.to_corner[s, corner])
+                used += 1
         rays.start[s + 1] = used
 
 
@@ -222,8 +207,6 @@ def rays_to_sites(sites, order, first, mesh, to_vertices, time_to, rays):
 
     Parameters
     ----------
-    sites, mesh
-        See `rays_to_vertices`.
     order, first : (k,) arrays
         The sites that have an element, and its first corner; sorted by that.
     to_vertices : RayTravelTimes
@@ -231,12 +214,7 @@ def rays_to_sites(sites, order, first, mesh, to_vertices, time_to, rays):
     time_to : (n,) array
         inf, and inf again afterwards.
     rays : RayTravelTimes
-        Overwritten, as far as there is need.
-
-    Returns
-    -------
-    RayTravelTimes
-        The rays, in longer arrays where they have found no room.
+        Room for the result, which is in longer arrays where that does not suffice.
     """
     rays.start[0] = used = 0
     for s in range(len(sites.elements)):

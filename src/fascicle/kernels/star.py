@@ -1,18 +1,17 @@
 """From vertices through the edges and the elements around them, their stars.
 
-What the sweep spends its time on, and so arranged that the processor need not wait: neither for
-memory, which is asked for before its turn, nor to learn which way a branch goes. So a batch of
-vertices is worked on at a time, in steps: elements that may lower a corner are picked out first,
-then those of their faces that may; what is known of the faces is laid side by side in blocks of
-`LANES`, and each block is worked on at once.
+The sweep spends its time here, so the processor must not wait: neither for memory, which is asked
+for before its turn, nor to learn which way a branch goes. A batch of vertices is worked on at a
+time, in steps: elements that may lower a corner are picked out first, then those of their faces
+that may; what is known of the faces is laid side by side in blocks of `LANES`, and each block is
+worked on at once.
 """
 
 import numpy as np
 
 from fascicle.kernels.arrays import CACHE_LINE, CORNERS, LINK, SQUARES, STAR
-from fascicle.kernels.jit import kernel
+from fascicle.kernels.jit import kernel, prefetch
 from fascicle.kernels.local_solver import from_new_corner
-from fascicle.kernels.prefetch import prefetch
 from fascicle.kernels.queue import IN_BATCH, NOT_QUEUED, lower
 
 # Smallest decrease (ms) that is worth passing on; below the rounding that matters, above noise.
@@ -66,16 +65,8 @@ UP = np.float32(2.0**-22)
 def number_neighbours(star_start, corners, link_start, link, others):
     """Find the corners of each vertex's elements among the vertices that share an edge with it.
 
-    Parameters
-    ----------
-    star_start, link_start
-        See `EikonalMesh`.
-    corners : (4m, 3) array
-        The other three corners of each of the vertices' tetrahedra.
-    link : (l,) array
-        The vertices that share an edge with each vertex.
-    others : (4m, 3) array
-        Overwritten: their places in the list of the vertex's neighbours.
+    `corners` (4m, 3) are the other three of each of the vertices' tetrahedra, `link` (l,) the
+    vertices that share an edge with each, and `others` (4m, 3) becomes the corners' places there.
     """
     for node in range(len(star_start) - 1):
         first, last = link_start[node], link_start[node + 1]
@@ -99,10 +90,10 @@ def fetch_star(node, mesh):
 
 @kernel(inline="always")
 def _through_edges(node, at, mesh, front, size):
-    """Lower the neighbours through edges, and note what is known of them from `at` on.
+    """Lower the neighbours through edges, note what is known of them from `at` on; give the size.
 
-    Returns the queue's size. Corners that wait in the queue lend their times to no face: when the
-    last corner of a face is taken, it passes on what comes through all of it.
+    Corners that wait in the queue lend their times to no face: when the last corner of a face is
+    taken, it passes on what comes through all of it.
     """
     nodes, around = front.nodes, front.around
     now, first = nodes[node].time, mesh.link_start[node]
@@ -122,10 +113,9 @@ def _through_edges(node, at, mesh, front, size):
 
 @kernel(inline="always")
 def _choose(node, slot, at, count, mesh, front):
-    """List the elements around a vertex that it may lower a corner of; returns how many there are.
+    """List the elements in which a vertex may lower a corner, after `count` others; count them.
 
-    `slot` is the vertex's place in the batch, and what is known of its neighbours stands from `at`
-    on. What is known of the chosen is asked for.
+    `slot` is the vertex's place in the batch, and its neighbours stand from `at` on.
     """
     around, begin = front.around, count
     chosen, near = around.chosen, around.near[at:]
@@ -168,10 +158,10 @@ def _steep(p, s, da, db, dc):
 
 @kernel(inline="always")
 def _faces(count, room, mesh, front):
-    """List the faces of chosen elements that may lower a corner; returns how many there are.
+    """List the faces of chosen elements that may lower a corner; give how many there are.
 
-    `room` is how many neighbours of a vertex there is room for. Where times rise no steeper than a
-    front does, nothing in the element can be earlier.
+    There is room for `room` neighbours of each vertex. Where times rise no steeper than a front
+    does, nothing in the element can be earlier.
     """
     around, n = front.around, np.uint64(0)
     for i in range(np.uint32(count)):
@@ -252,18 +242,9 @@ def _take(n, mesh, front, size):
 
 @kernel(inline="always")
 def through_stars(taken, mesh, front, size):
-    """From a batch of vertices along their edges and through the elements around them.
+    """From the `taken` vertices of `front.around.batch` along their edges and through elements.
 
-    Returns the queue's size.
-
-    Parameters
-    ----------
-    taken : int
-        How many vertices are in `front.around.batch`.
-    mesh, front : EikonalMesh, Front
-        See `fascicle.kernels.arrays`.
-    size : int
-        How many nodes are in the queue.
+    `size` is how many nodes are in the queue, before and, as returned, after.
     """
     around, nodes = front.around, front.nodes
     room, chosen = np.uint64(len(around.time) // len(around.batch)), np.uint64(0)

@@ -26,8 +26,8 @@ from fascicle.forward.device.source import (
 from fascicle.forward.ecg.electrocardiogram import STEP, Electrocardiograph
 from fascicle.forward.preparation import Prepared
 from fascicle.kernels.arrays import CORNERS
-from fascicle.kernels.channels import CHANNELS
 from fascicle.kernels.growth import NODE
+from fascicle.kernels.jit import CHANNELS
 
 # Room for each tree, and each network. Larger ones, which hardly any heart has, are left to the
 # processor: the packaged heart's trees have at most 5000 nodes, its networks 800 junctions.

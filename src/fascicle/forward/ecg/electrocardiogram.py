@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import INDEPENDENT_LEADS, INDEPENDENT_ROWS, lead_matrix
 from fascicle.forward.ecg.lead_field import MM_PER_CM
-from fascicle.kernels.channels import CHANNELS
 from fascicle.kernels.deposit import deposit, respond
+from fascicle.kernels.jit import CHANNELS
 
 STEP = 1.0  # sampling of the ECG (ms)
 

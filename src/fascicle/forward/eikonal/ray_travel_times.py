@@ -19,13 +19,7 @@ from fascicle.kernels.arrays import (
     RayTravelTimes,
     TravelTimeTable,
 )
-from fascicle.kernels.ray_travel_times import (
-    POINTS,
-    locate,
-    rays_to_sites,
-    rays_to_vertices,
-    trace_rays,
-)
+from fascicle.kernels.ray_travel_times import POINTS, rays_to_sites, rays_to_vertices, trace_rays
 
 LONGEST = 50.0  # ms: what takes longer along a ray is left to the elements
 
@@ -162,7 +156,6 @@ def find_neighbourhood(
     count = len(elements)
     unknown = np.zeros((count, CORNERS)), np.full((count, CORNERS), np.inf)
     sites = LocatedSites(positions, elements, *unknown)
-    locate(sites, mesh)
     rows, opposite = np.full(count, -1, np.int32), np.zeros(count, np.int8)
     reach = longest = np.inf
     if triangles is not None:
