@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import pickle
 import random
 import signal
 import subprocess
@@ -21,7 +22,7 @@ import pytest
 from builders import case
 
 import fascicle
-from fascicle.core.errors import InputError
+from fascicle.core.errors import FileError, InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.shared_files import read_shared, write_shared
 from fascicle.forward import model as model_module
@@ -128,6 +129,26 @@ def test_threads_of_a_worker_read_one_heart(simulator, tmp_path, monkeypatch):
         models = list(threads.map(lambda _: read_shared(file), range(4)))
     assert len(reads) == 1
     assert all(model is models[0] for model in models)
+
+
+def test_a_shared_file_that_was_changed_is_not_unpickled(tmp_path):
+    file = write_shared(tmp_path / "content", ["what workers need"])
+    file.path.write_bytes(pickle.dumps(Touching(tmp_path / "run")))
+    with pytest.raises(FileError, match="has been changed since it was written for the workers"):
+        read_shared(file)
+    assert not (tmp_path / "run").exists()
+    write_shared(file.path, ["what workers need"])
+    assert read_shared(file) == ["what workers need"]
+
+
+class Touching:
+    """Makes a file wherever it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return self.path.touch, ()
 
 
 def refuse(point, model):

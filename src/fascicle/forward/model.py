@@ -25,7 +25,7 @@ from fascicle.core.parameters import complete
 from fascicle.core.progress import Progress, check_progress
 from fascicle.core.quantities import Changes, body_values, checked, quantity
 from fascicle.core.ranges import check_items, check_kind
-from fascicle.core.shared_files import read_shared, write_shared
+from fascicle.core.shared_files import SharedFile, read_shared, write_shared
 from fascicle.forward.body import BodyModel, body_model, prepare_response
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import ActionPotential, Electrocardiograph, first_sample
@@ -421,7 +421,7 @@ def _received(
 
 
 def _simulate_elsewhere(
-    file: Path, parameters: dict[str, float], scenario: Scenario | None
+    file: SharedFile, parameters: dict[str, float], scenario: Scenario | None
 ) -> Simulation | InvalidTree | InvalidBody:
     model: ForwardModel = read_shared(file)
     return model.simulate(parameters, scenario)

@@ -13,7 +13,7 @@ from types import NoneType
 from typing import Any, TypeVar
 
 from fascicle.core.ranges import check_count, check_kind
-from fascicle.core.shared_files import read_shared, write_shared
+from fascicle.core.shared_files import SharedFile, read_shared, write_shared
 from fascicle.core.threads import one_thread
 
 Item = TypeVar("Item")
@@ -145,11 +145,11 @@ class ExecutorPool(Remote):
         self.executor, self.workers = executor, workers
         self._folder = TemporaryDirectory(prefix="fascicle-")
 
-    def _send(self, content: Any) -> Path:
+    def _send(self, content: Any) -> SharedFile:
         return write_shared(Path(self._folder.name) / f"{len(self._sent)}", content)
 
     def _submit(
-        self, function: Callable[..., Any], items: Sequence[Any], *places: Path
+        self, function: Callable[..., Any], items: Sequence[Any], *places: SharedFile
     ) -> Future[list[Any]]:
         return self.executor.submit(_job, function, items, *places)
 
@@ -178,5 +178,7 @@ def run_part(
     return results
 
 
-def _job(function: Callable[..., Result], items: Sequence[Any], *places: Path) -> list[Result]:
+def _job(
+    function: Callable[..., Result], items: Sequence[Any], *places: SharedFile
+) -> list[Result]:
     return run_part(function, items, [read_shared(place) for place in places])
