@@ -20,7 +20,7 @@ def main() -> None:
         except KeyboardInterrupt:  # before there was a command
             sys.exit(interruption.status)
         except (SystemError, RuntimeError):  # so libraries may call an interrupt in a callback
-            if not interruption.asked:
+            if interruption.number is None:
                 raise
             sys.exit(interruption.status)
         except InputError as error:

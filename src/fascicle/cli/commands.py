@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from fascicle.cli.hearts import heart_app
 from fascicle.cli.interruption import resumable
@@ -19,9 +20,9 @@ from fascicle.cli.options import (
     SchedulerOption,
     StudyArgument,
     explicit,
+    fit_options,
     fixed_values,
     pool_at,
-    settings_options,
     wanted_parameters,
     with_scenario,
 )
@@ -42,7 +43,6 @@ from fascicle.cli.studies import cohort as cohort_command
 from fascicle.cli.studies import study_app, written_summary
 from fascicle.core.errors import InputError
 from fascicle.core.ranges import within
-from fascicle.study.settings import FitSettings
 
 if TYPE_CHECKING:
     from fascicle.forward.model import ForwardModel
@@ -71,10 +71,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
-        ),
+        bool, Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     """See the help of `app`; the version is printed before any command runs."""
@@ -85,30 +82,24 @@ def _options(
 def simulate(
     heart: HeartArgument,
     out: OutOption = Path("simulation"),
-    params: Annotated[
-        Path | None, typer.Option(help="TOML file with the twelve parameters.")
-    ] = None,
-    lv_tree: Annotated[
-        Path | None, typer.Option(help="LV tree of your own: VTU/VTP lines.")
-    ] = None,
-    rv_tree: Annotated[
-        Path | None, typer.Option(help="RV tree of your own: VTU/VTP lines.")
-    ] = None,
-    cv: Annotated[float | None, typer.Option(help="Purkinje conduction velocity (m/s).")] = None,
+    params: Annotated[Path | None, Option(help="TOML file with the twelve parameters.")] = None,
+    lv_tree: Annotated[Path | None, Option(help="LV tree of your own: VTU/VTP lines.")] = None,
+    rv_tree: Annotated[Path | None, Option(help="RV tree of your own: VTU/VTP lines.")] = None,
+    cv: Annotated[float | None, Option(help="Purkinje conduction velocity (m/s).")] = None,
     root_time: Annotated[
-        float | None, typer.Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
+        float | None, Option(help="t_RV - t_LV of the roots (ms); negative: LV later.")
     ] = None,
     fix: FixOption = None,
     scenario: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Name ('fascicle scenarios' lists them), or TOML file with stimuli, blocked or "
             "slow segments, junction delays, scar, more trees (docs/files.md)."
         ),
     ] = None,
     action_potential: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="TABLE",
             help="CSV table time_ms,potential_mV of the action potential, 0 ms at the upstroke, "
             "in place of ten Tusscher and Panfilov's (docs/extending.md).",
@@ -176,42 +167,28 @@ app.command(name="cohort")(every_command(cohort_command))
 
 @app.command()
 @every_command
-@settings_options(
-    FitSettings,
-    first=(
-        "method",
-        "effective",
-        "evaluations",
-        "prior_simulations",
-        "gain_sd",
-        "seed",
-        "workers",
-        "fewest_junctions",
-    ),
-    panel="The paper's method",
-    also={"free_gain": "--gain"},
-)
+@fit_options
 def fit(
     context: typer.Context,
     heart: HeartArgument,
     targets: Annotated[
         list[str],
-        typer.Argument(
+        Argument(
             metavar="TARGET[:SCENARIO]...",
             help="Target made by 'fascicle target', with the scenario file (TOML) that it was "
             "recorded in if it was not the intrinsic beat; or several of one heart.",
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", help="Study folder; started again, it resumes.")],
+    out: Annotated[Path, Option("--out", help="Study folder; started again, it resumes.")],
     settings_file: Annotated[
-        Path | None, typer.Option("--settings", help="TOML file of settings and parameters.")
+        Path | None, Option("--settings", help="TOML file of settings and parameters.")
     ] = None,
     free: FreeOption = None,
     fix: FixOption = None,
     scheduler: SchedulerOption = None,
     device: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="An NVIDIA card that simulates: cuda, or cuda:1 for the second one (docs/gpu.md)."
         ),
     ] = None,
@@ -272,7 +249,7 @@ def predict(
     out: OutOption,
     scenario: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
             "given several times. Without one: his-pacing, both roots fired together."
         ),
@@ -313,12 +290,10 @@ def predict(
 @every_command
 def compare(
     study: StudyArgument,
-    first: Annotated[str, typer.Argument(help="Scenario, by name or file.")],
-    second: Annotated[str, typer.Argument(help="The one it is compared with.")],
+    first: Annotated[str, Argument(help="Scenario, by name or file.")],
+    second: Annotated[str, Argument(help="The one it is compared with.")],
     index: IndexOption = "total_activation_time",
-    threshold: Annotated[
-        float, typer.Option(help="Gain that matters, in the unit of the index.")
-    ] = 0.0,
+    threshold: Annotated[float, Option(help="Gain that matters, in the unit of the index.")] = 0.0,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Say how probably one scenario is better than another, by how much, and why.
@@ -350,26 +325,25 @@ def compare(
 @every_command
 def sweep(
     study: StudyArgument,
-    scenario: Annotated[str, typer.Argument(help="Scenario to vary, by name or file.")],
+    scenario: Annotated[str, Argument(help="Scenario to vary, by name or file.")],
     out: OutOption,
     delay: Annotated[
         str | None,
-        typer.Option(help="Delays of the last stimulus after the first: first:last:step (ms)."),
+        Option(help="Delays of the last stimulus after the first: first:last:step (ms)."),
     ] = None,
     layer: Annotated[
         str | None,
-        typer.Option(
+        Option(
             "--segments",
             help="Move the last stimulus of the tissue over all 17 segments of the left ventricle, "
             "under this layer: endocardium or epicardium.",
         ),
     ] = None,
     radius: Annotated[
-        str | None,
-        typer.Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm)."),
+        str | None, Option(help="Capture radii of the stimuli of the tissue: first:last:step (mm).")
     ] = None,
     index: IndexOption = "total_activation_time",
-    networks: Annotated[int, typer.Option(min=2, help="Networks of the population to use.")] = 60,
+    networks: Annotated[int, Option(min=2, help="Networks of the population to use.")] = 60,
     scheduler: SchedulerOption = None,
 ) -> Result:
     """Vary a delay, a site or a capture radius in networks of the population.
@@ -406,7 +380,7 @@ def sweep(
 @every_command
 def scenarios(
     name: Annotated[
-        str | None, typer.Argument(help="Print the file of this one, to copy and change.")
+        str | None, Argument(help="Print the file of this one, to copy and change.")
     ] = None,
 ) -> Result:
     """List the scenarios that come with fascicle, for `predict` and `simulate`."""
@@ -462,20 +436,20 @@ def report(
     study: StudyArgument,
     scenario: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Name ('fascicle scenarios' lists them) or TOML file of what to predict; may be "
             "given several times. Without one: three pacings."
         ),
     ] = None,
     against: Annotated[
-        str, typer.Option(help="The one of them that all are compared with, such as a block.")
+        str, Option(help="The one of them that all are compared with, such as a block.")
     ] = "intrinsic",
     out: Annotated[
-        Path | None, typer.Option("--out", help="HTML file; report.html in the study.")
+        Path | None, Option("--out", help="HTML file; report.html in the study.")
     ] = None,
     figures: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--format",
             help="Also write the figures into the folder figures beside it, as png, svg or pdf; "
             "may be given several times.",
@@ -508,7 +482,7 @@ def report(
 @app.command()
 @every_command
 def template(
-    out: Annotated[Path, typer.Option("--out", help="Picture to write (PNG, PDF, SVG).")] = Path(
+    out: Annotated[Path, Option("--out", help="Picture to write (PNG, PDF, SVG).")] = Path(
         "template.png"
     ),
 ) -> Result:
@@ -539,9 +513,9 @@ def template(
 @app.command()
 @every_command
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
+    out: Annotated[Path, Option("--out", help="Folder to write.")] = Path("fascicle-demo"),
     free_gain: Annotated[
-        bool, typer.Option(help="Scale each simulated ECG: heart and body are not the patient's.")
+        bool, Option(help="Scale each simulated ECG: heart and body are not the patient's.")
     ] = True,
 ) -> Result:
     """Do the whole job on the packaged heart and a real 12-lead ECG, in under two minutes."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 
 from fascicle.cli.options import HeartArgument, OutOption, SchedulerOption, pool_at
 from fascicle.cli.output import Result, TerminalProgress, every_command, print_table
@@ -24,12 +25,12 @@ if TYPE_CHECKING:
 
 def _option(panel: str, text: str | None = None) -> Any:
     """Describe an option in one of the panels of ``--help``."""
-    return typer.Option(help=text, rich_help_panel=panel)
+    return Option(help=text, rich_help_panel=panel)
 
 
 AnatomyArgument = Annotated[
     Path | None,
-    typer.Argument(
+    Argument(
         help="Closed surface (VTP, VTK, STL, OBJ, PLY), segmentation (NIfTI, NRRD) or "
         "tetrahedra (VTU, VTK, Gmsh, openCARP .pts)."
     ),
@@ -72,9 +73,9 @@ heart_app = typer.Typer(
 def heart_build(
     anatomy: AnatomyArgument = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write; without it, named as the file.")
+        Path | None, Option("--out", help="Folder to write; without it, named as the file.")
     ] = None,
-    edge_length: Annotated[float, typer.Option(help="Mean edge of the mesh (mm).")] = 2.0,
+    edge_length: Annotated[float, Option(help="Mean edge of the mesh (mm).")] = 2.0,
     labels: Annotated[
         str | None,
         _option(
@@ -185,11 +186,11 @@ def heart_build(
 @heart_app.command("import")
 @every_command
 def heart_import(
-    mesh: Annotated[Path, typer.Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
-    fibres: Annotated[Path, typer.Option(help="Fibres, one vector a point or a tetrahedron.")],
-    lv_endocardium: Annotated[Path, typer.Option(help="LV endocardium, open at the base.")],
-    rv_endocardium: Annotated[Path, typer.Option(help="RV endocardium, open at the base.")],
-    electrodes: Annotated[Path, typer.Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
+    mesh: Annotated[Path, Option(help="Tetrahedral mesh in mm (VTK, VTU, Gmsh).")],
+    fibres: Annotated[Path, Option(help="Fibres, one vector a point or a tetrahedron.")],
+    lv_endocardium: Annotated[Path, Option(help="LV endocardium, open at the base.")],
+    rv_endocardium: Annotated[Path, Option(help="RV endocardium, open at the base.")],
+    electrodes: Annotated[Path, Option(help="Nine electrodes: CSV name,x,y,z or JSON.")],
     out: OutOption,
     torso: TorsoOption = "none",
     lung: LungOption = None,
@@ -240,7 +241,7 @@ def heart_check(
     heart: HeartArgument,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Picture to write (PNG, PDF, SVG); otherwise check.png in the folder."),
+        Option(help="Picture to write (PNG, PDF, SVG); otherwise check.png in the folder."),
     ] = None,
 ) -> Result:
     """Validate a heart folder; print and draw what it holds, with warnings and their remedies.
@@ -296,12 +297,10 @@ def heart_simulate_prior(
     heart: HeartArgument,
     networks: Annotated[
         int | None,
-        typer.Option(
-            "--networks", min=1, help="Networks of the prior; by default as a fit begins with."
-        ),
+        Option("--networks", min=1, help="Networks of the prior; by default as a fit begins with."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Simulations at a time; one a core.")
+        int | None, Option("--workers", min=1, help="Simulations at a time; one a core.")
     ] = None,
     scheduler: SchedulerOption = None,
 ) -> Result:
@@ -327,7 +326,7 @@ def heart_export(
     out: OutOption,
     kind: Annotated[
         Literal["opencarp", "gmsh", "vtu"],
-        typer.Option("--format", help="openCARP in µm, Gmsh and VTU in mm."),
+        Option("--format", help="openCARP in µm, Gmsh and VTU in mm."),
     ] = "opencarp",
 ) -> Result:
     """Write a heart for other software: mesh, fibres, sheets, regions, endocardia, electrodes."""

@@ -25,37 +25,21 @@ GRACE = 1.5  # s, in which what is running may end by itself
 
 @dataclass
 class Interruption:
-    """Whether the program was asked to end.
-
-    Attributes
-    ----------
-    number : int, optional
-        The signal that asked for it.
-    over : Event
-        Set when the program has ended by itself.
-    """
+    """Which signal, if any, has asked the program to end, and whether it has ended by itself."""
 
     number: int | None = None
     over: threading.Event = field(default_factory=threading.Event)
-
-    @property
-    def asked(self) -> bool:
-        """Whether it was."""
-        return self.number is not None
 
     @property
     def status(self) -> int:
         """Exit status that a shell gives to it."""
         return 128 + (signal.SIGINT if self.number is None else self.number)
 
-    def interrupt(self, number: int, frame: FrameType | None) -> NoReturn:
-        """End what the main thread does, as Ctrl-C does in Python."""
-        self.number = number
-        raise KeyboardInterrupt
-
-    def terminate(self, number: int, frame: FrameType | None) -> NoReturn:
+    def end(self, number: int, frame: FrameType | None) -> NoReturn:
         """End what the main thread does, so that temporary files are removed."""
         self.number = number
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
         sys.exit(self.status)
 
     def watch(self, reader: int) -> None:
@@ -73,10 +57,10 @@ def ended_promptly() -> Iterator[Interruption]:
     Ctrl-C stays ignored where it is, as in a shell's background job.
     """
     interruption = Interruption()
-    handlers = {signal.SIGTERM: interruption.terminate, signal.SIGINT: interruption.interrupt}
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        del handlers[signal.SIGINT]
-    before = {number: signal.signal(number, each) for number, each in handlers.items()}
+    numbers = [signal.SIGTERM]
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        numbers.append(signal.SIGINT)
+    before = {number: signal.signal(number, interruption.end) for number in numbers}
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
@@ -96,13 +80,7 @@ def ended_promptly() -> Iterator[Interruption]:
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Say on Ctrl-C that nothing is lost; 130 is what shells expect then.
-
-    Parameters
-    ----------
-    out : Path
-        Folder that keeps what is done.
-    """
+    """Say on Ctrl-C that the folder `out` keeps what is done; 130 is what shells expect then."""
     try:
         yield
     except KeyboardInterrupt:

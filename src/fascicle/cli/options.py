@@ -9,26 +9,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
-from pydantic import BaseModel
+from typer import Argument, Option
 
 from fascicle.core.errors import InputError, given_in
 from fascicle.core.progress import Progress
 from fascicle.prediction.index_names import COMPARED, INDICES
+from fascicle.study.settings import FitSettings
 
 if TYPE_CHECKING:
     from fascicle.study.cluster import Cluster
 
 HeartArgument = Annotated[
-    str, typer.Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
+    str, Argument(metavar="HEART", help="Heart folder, or 'default' for the packaged one.")
 ]
-StudyArgument = Annotated[Path, typer.Argument(help="Finished study folder.")]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder to write.")]
-FormatOption = Annotated[
-    Literal["png", "svg", "pdf"], typer.Option("--format", help="Of the pictures.")
-]
+StudyArgument = Annotated[Path, Argument(help="Finished study folder.")]
+OutOption = Annotated[Path, Option("--out", help="Folder to write.")]
+FormatOption = Annotated[Literal["png", "svg", "pdf"], Option("--format", help="Of the pictures.")]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--scheduler",
         metavar="ADDRESS",
         help="Of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers simulate "
@@ -37,18 +36,17 @@ SchedulerOption = Annotated[
 ]
 IndexOption = Annotated[
     str,
-    typer.Option(
+    Option(
         help="Index that is compared or drawn; less is better: "
         f"{', '.join(f'{name} ({INDICES[name]})' for name in COMPARED)}."
     ),
 ]
 FixOption = Annotated[
-    list[str] | None,
-    typer.Option("--fix", help="Quantity at a value, NAME=VALUE, such as alpha=0.08."),
+    list[str] | None, Option("--fix", help="Quantity at a value, NAME=VALUE, such as alpha=0.08.")
 ]
 FreeOption = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--free",
         help="Quantity to learn, with its usual prior, such as gain; or a group of them: pose, "
         "electrodes or conductivities.",
@@ -58,58 +56,49 @@ FreeOption = Annotated[
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def settings_options(
-    settings: type[BaseModel], first: Sequence[str], panel: str, also: Mapping[str, str]
-) -> Callable[[Command], Command]:
-    """Give a command an option for every field of some settings, in place of its `**settings`.
+def option(
+    name: str, kind: Any, default: Any, *flags: str, panel: str | None, **shown: Any
+) -> inspect.Parameter:
+    """Describe an option, in a panel of the help, as a parameter of a command."""
+    annotation = Annotated[kind, Option(*flags, rich_help_panel=panel, **shown)]
+    by_keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, by_keyword, default=default, annotation=annotation)
 
-    Name, type, default, range and help are those of the field.
 
-    Parameters
-    ----------
-    settings : pydantic model
-        Whose fields become options.
-    first : sequence of str
-        Fields that stand among the other options of the command.
-    panel : str
-        Panel of the help that holds the rest.
-    also : mapping of str to str
-        Second names of options, by field.
-    """
+def with_options(command: Command, options: Sequence[inspect.Parameter]) -> Command:
+    """Give a command more options, in place of its `**named` arguments if it has them."""
+    parameters = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in inspect.signature(command, eval_str=True).parameters.values()
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+    ]
+    parameters += options
+    command.__annotations__ = {p.name: p.annotation for p in parameters}  # what Typer looks at
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return command
 
-    def option(name: str) -> inspect.Parameter:
-        field = settings.model_fields[name]
-        names = ["--" + name.replace("_", "-"), *([also[name]] if name in also else [])]
+
+def fit_options(command: Command) -> Command:
+    """Give a command an option for every field of `FitSettings`, which says all of it."""
+    first = (
+        "method", "effective", "evaluations", "prior_simulations", "gain_sd", "seed", "workers",
+        "fewest_junctions",
+    )  # fmt: skip
+    rest = [name for name in FitSettings.model_fields if name not in first]
+    options = []
+    for name in (*first, *rest):
+        field = FitSettings.model_fields[name]
+        flags = ["--" + name.replace("_", "-"), *(["--gain"] if name == "free_gain" else [])]
         ends = {
-            option: getattr(limit, kind)
+            end: getattr(limit, kind)
             for limit in field.metadata
-            for kind, option in (("ge", "min"), ("le", "max"))
+            for kind, end in (("ge", "min"), ("le", "max"))
             if hasattr(limit, kind)
         }
-        where = None if name in first else panel
-        shown = typer.Option(*names, **ends, help=field.description, rich_help_panel=where)
-        return inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=Annotated[field.annotation, shown],
-        )
-
-    def decorate(command: Command) -> Command:
-        signature = inspect.signature(command, eval_str=True)
-        own = [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-            for parameter in signature.parameters.values()
-            if parameter.kind is not inspect.Parameter.VAR_KEYWORD
-        ]
-        rest = [name for name in settings.model_fields if name not in first]
-        parameters = own + [option(name) for name in (*first, *rest)]
-        # what Typer looks at
-        command.__annotations__ = {p.name: p.annotation for p in parameters}
-        command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        return command
-
-    return decorate
+        panel = None if name in first else "The paper's method"
+        shown = {"panel": panel, "help": field.description, **ends}
+        options.append(option(name, field.annotation, field.default, *flags, **shown))
+    return with_options(command, options)
 
 
 def explicit(context: typer.Context, settings: Mapping[str, Any]) -> dict[str, Any]:

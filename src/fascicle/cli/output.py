@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import io
 import json
 import math
@@ -15,10 +14,11 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
+from fascicle.cli.options import option, with_options
 from fascicle.core.errors import InputError, OutputError
 from fascicle.core.files import outside_allowed
 from fascicle.core.progress import ProgressLines, duration, time_left, write_with_time
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bars
 
 Result = Mapping[str, Any] | Sequence[Any]  # of a command, for --json
-EVERY_COMMAND = "Every command"  # panel of the help
 
 
 class NotAllDoneError(Exception):
@@ -36,39 +35,6 @@ class NotAllDoneError(Exception):
     def __init__(self, result: Result) -> None:
         super().__init__("not all is done")
         self.result = result
-
-
-def _with_options(
-    quiet: Annotated[
-        bool,
-        typer.Option(
-            "--quiet", "-q", help="Print nothing but errors.", rich_help_panel=EVERY_COMMAND
-        ),
-    ] = False,
-    as_json: Annotated[
-        bool,
-        typer.Option(
-            "--json", help="Print the result as JSON, and no words.", rich_help_panel=EVERY_COMMAND
-        ),
-    ] = False,
-    log: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Add to this file, with times, what is said of the run.",
-            rich_help_panel=EVERY_COMMAND,
-        ),
-    ] = None,
-    allow_outside: Annotated[
-        bool,
-        typer.Option(
-            "--allow-outside",
-            help="Read files outside its folder that a file names.",
-            rich_help_panel=EVERY_COMMAND,
-        ),
-    ] = False,
-) -> None:
-    """Hold the options of every command, for `every_command`."""
 
 
 def every_command(command: Callable[..., Result]) -> Callable[..., None]:
@@ -81,16 +47,14 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
     """
 
     @functools.wraps(command)
-    def run(
-        *given: Any, quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **named: Any
-    ) -> None:
+    def run(quiet: bool, as_json: bool, log: Path | None, allow_outside: bool, **own: Any) -> None:
         status, begun = 0, time.monotonic()
         with ExitStack() as around:
             if allow_outside:
                 around.enter_context(outside_allowed())
             around.enter_context(_saying(quiet, as_json, log))
             try:
-                result = command(*given, **named)
+                result = command(**own)
             except NotAllDoneError as ended:
                 result, status = ended.result, 1
             taken = time.monotonic() - begun
@@ -101,15 +65,20 @@ def every_command(command: Callable[..., Result]) -> Callable[..., None]:
         if status:
             raise typer.Exit(status)
 
-    signature = inspect.signature(command, eval_str=True)
-    added = inspect.signature(_with_options, eval_str=True).parameters.values()
-    parameters = [
-        *signature.parameters.values(),
-        *(option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in added),
-    ]
-    run.__annotations__ = {p.name: p.annotation for p in parameters}  # what Typer looks at
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    return run
+    of_all = functools.partial(option, panel="Every command")
+    options = [
+        of_all("quiet", bool, False, "--quiet", "-q", help="Print nothing but errors."),
+        of_all("as_json", bool, False, "--json", help="Print the result as JSON, and no words."),
+        of_all(
+            "log", Path | None, None, metavar="FILE",
+            help="Add to this file, with times, what is said of the run.",
+        ),
+        of_all(
+            "allow_outside", bool, False, "--allow-outside",
+            help="Read files outside its folder that a file names.",
+        ),
+    ]  # fmt: skip
+    return with_options(run, options)
 
 
 def print_row(what: str, text: object) -> None:

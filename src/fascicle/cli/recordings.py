@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from fascicle.cli.options import FormatOption
 from fascicle.cli.output import Result, TerminalProgress, print_row, print_table
@@ -24,60 +24,52 @@ if TYPE_CHECKING:
 
 
 def target(
-    recording: Annotated[Path, typer.Argument(help=f"One of {known_formats()}.")],
+    recording: Annotated[Path, Argument(help=f"One of {known_formats()}.")],
     out: Annotated[
-        Path, typer.Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
+        Path, Option("--out", help="Target to write (netCDF, .nc); a .png goes beside it.")
     ],
-    onset: Annotated[float | None, typer.Option(help="QRS onset (ms from R, negative).")] = None,
-    offset: Annotated[float | None, typer.Option(help="QRS offset (ms from R).")] = None,
+    onset: Annotated[float | None, Option(help="QRS onset (ms from R, negative).")] = None,
+    offset: Annotated[float | None, Option(help="QRS offset (ms from R).")] = None,
     beat_class: Annotated[
-        str | None, typer.Option("--class", help="Class of the beats to use; A has the most.")
+        str | None, Option("--class", help="Class of the beats to use; A has the most.")
     ] = None,
-    beats: Annotated[
-        str | None, typer.Option(help="Numbers of the beats to use, such as 1-4,7.")
-    ] = None,
+    beats: Annotated[str | None, Option(help="Numbers of the beats to use, such as 1-4,7.")] = None,
     exclude_beat: Annotated[
-        list[str] | None, typer.Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
+        list[str] | None, Option(help="Numbers of beats to leave out, such as 3 or 3,8-9.")
     ] = None,
     leads: Annotated[
         str | None,
-        typer.Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
+        Option(help="Leads to use, such as I,II,V1-V5; limb leads are computed from two."),
     ] = None,
-    invert: Annotated[
-        list[str] | None, typer.Option(help="Lead that was recorded upside down.")
-    ] = None,
+    invert: Annotated[list[str] | None, Option(help="Lead that was recorded upside down.")] = None,
     swap: Annotated[
-        list[str] | None, typer.Option(help="Reversed electrodes or leads, such as RA-LA or V1-V2.")
+        list[str] | None, Option(help="Reversed electrodes or leads, such as RA-LA or V1-V2.")
     ] = None,
     shared_gain: Annotated[
         bool,
-        typer.Option(
-            "--shared-gain", help="All leads share one gain, whatever the file says of each."
-        ),
+        Option("--shared-gain", help="All leads share one gain, whatever the file says of each."),
     ] = False,
     digits_per_mv: Annotated[
         float | None,
-        typer.Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
+        Option(min=1.0, help="That gain: the file's numbers per mV.", show_default="1000"),
     ] = None,
-    noise: Annotated[
-        float | None, typer.Option(help="Standard deviation of a single beat (mV).")
-    ] = None,
+    noise: Annotated[float | None, Option(help="Standard deviation of a single beat (mV).")] = None,
     sampling_rate: Annotated[
-        float | None, typer.Option(help="Samples per second (Hz), if the file does not say.")
+        float | None, Option(help="Samples per second (Hz), if the file does not say.")
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
+        str | None, Option(help="Unit of the leads (nV, uV, mV, V), if the file does not.")
     ] = None,
     lowpass: Annotated[
-        float | None, typer.Option(help="Zero-phase low-pass (Hz); none by default.")
+        float | None, Option(help="Zero-phase low-pass (Hz); none by default.")
     ] = None,
     notch: Annotated[
         float | None,
-        typer.Option(help="Power-line interference to remove, 50 or 60 (Hz); none by default."),
+        Option(help="Power-line interference to remove, 50 or 60 (Hz); none by default."),
     ] = None,
     recorder_lowpass: Annotated[
         float | None,
-        typer.Option(
+        Option(
             help="The recorder's own low-pass (Hz, -3 dB), if the file does not say; estimated "
             "from the spectrum by default."
         ),

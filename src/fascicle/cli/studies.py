@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from fascicle.cli.interruption import resumable
 from fascicle.cli.options import OutOption, SchedulerOption, StudyArgument, pool_at
@@ -63,7 +64,7 @@ def study_show(study: StudyArgument) -> Result:
 @every_command
 def study_compare(
     studies: Annotated[
-        list[Path], typer.Argument(metavar="STUDY STUDY...", help="Finished study folders.")
+        list[Path], Argument(metavar="STUDY STUDY...", help="Finished study folders.")
     ],
 ) -> Result:
     """Set the parameters of several studies side by side, and say where they disagree.
@@ -131,13 +132,13 @@ def _mean_difference(one: Floats, other: Floats) -> float:
 
 def cohort(
     table: Annotated[
-        Path, typer.Argument(metavar="TABLE", help="CSV file: a patient a row (docs/files.md).")
+        Path, Argument(metavar="TABLE", help="CSV file: a patient a row (docs/files.md).")
     ],
     out: OutOption,
     scheduler: SchedulerOption = None,
     only: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="I/N",
             help="Of the rows only I, I + N, I + 2N and so on: task I of N of a job array.",
         ),
