@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from fascicle.purkinje.growth import GrowthRules, grow_tree
+from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 
 RULES = GrowthRules()
 BARE = GrowthRules(generations=0)  # bundle and fascicles only
@@ -17,12 +17,13 @@ LENGTHS = {"lv": (40.3, (12.7, 9.6)), "rv": (45.9, (12.7, 9.6))}  # mm; bundle, 
 def grow(surface, bundle=None, fascicles=None, angles=ANGLES[0], rules=RULES):
     """Grow on a surface (endocardium, chart, seed), by default with the lengths above."""
     endocardium, chart, seed = surface
-    default_bundle, default_fascicles = LENGTHS[endocardium.side]
-    return grow_tree(
-        endocardium.side, chart, seed,
-        bundle if bundle is not None else default_bundle,
-        fascicles if fascicles is not None else default_fascicles, angles, rules,
-    )  # fmt: skip
+    side, (default_bundle, default_fascicles) = endocardium.side, LENGTHS[endocardium.side]
+    fascicles = fascicles if fascicles is not None else default_fascicles
+    parameters = {f"{side}_initial_length": bundle if bundle is not None else default_bundle}
+    for k, (length, angle) in enumerate(zip(fascicles, angles, strict=True), 1):
+        parameters[f"{side}_fascicle_length_{k}"] = length
+        parameters[f"{side}_fascicle_angle_{k}"] = angle
+    return grow_from_parameters(side, chart, seed, parameters, rules)
 
 
 def path_to_root(tree, node):

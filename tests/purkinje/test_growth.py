@@ -11,7 +11,7 @@ from grown_trees import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root,
 from scipy.spatial import cKDTree
 
 from fascicle.purkinje.chart import Chart, build_chart
-from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters, grow_tree
+from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 
 
@@ -177,7 +177,8 @@ def fork_on_a_plane(repulsion):
     )
     seed = Seed(np.array([-0.2, 0.0]), 1, np.array([1.0, 0.0]))
     rules = GrowthRules(generations=1).with_values({"repulsion": repulsion})
-    tree = grow_tree("lv", chart, seed, 15.0, [5.0], [0.0], rules)
+    lengths = {"lv_initial_length": 15.0, "lv_fascicle_length_1": 5.0, "lv_fascicle_angle_1": 0.0}
+    tree = grow_from_parameters("lv", chart, seed, lengths, rules)
     return [tree.nodes[tree.labels == label, :2] for label in (2, 3)]
 
 
@@ -218,10 +219,10 @@ def test_a_stretch_that_leaves_the_endocardium_is_a_typed_outcome(
 
 def test_length_at_which_the_bundle_leaves_is_where_the_reason_says(surface):
     """The feasible set must end exactly there, not a segment earlier."""
-    outcome = grow(surface, bundle=400.0, fascicles=(), angles=(), rules=BARE)
+    outcome = grow(surface, bundle=400.0, fascicles=(0.0,), angles=(0.0,), rules=BARE)
     longest = float(outcome.reason.split("after ")[1].split(" of")[0])
-    assert isinstance(grow(surface, longest - 0.06, (), (), BARE), PurkinjeTree)
-    assert isinstance(grow(surface, longest + 0.06, (), (), BARE), InvalidTree)
+    assert isinstance(grow(surface, longest - 0.06, (0.0,), (0.0,), BARE), PurkinjeTree)
+    assert isinstance(grow(surface, longest + 0.06, (0.0,), (0.0,), BARE), InvalidTree)
 
 
 def test_any_number_of_fascicles():

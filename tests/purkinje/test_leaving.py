@@ -49,7 +49,7 @@ def test_reason_says_how_far_it_came_and_where_on_the_base(
     assert distance_to_base(endocardium, point) < np.sqrt(3) * PRINTED
     just = float(laid) - PRINTED
     if stretch == "bundle":
-        fits = grow(surface, just, (), (), BARE)
+        fits = grow(surface, just, (0.0,), (0.0,), BARE)
     else:
         other = int(stretch[-1]) - 1
         fits = grow(surface, bundle, (just,), (angles[other],), BARE)
@@ -61,7 +61,7 @@ def test_reason_says_how_far_it_came_and_where_on_the_base(
 def test_a_fascicle_that_cannot_even_begin_reports_its_own_place(surface):
     """Not the end of the fascicle grown before it: the fork lies just short of the base."""
     endocardium, _, _ = surface
-    outcome = grow(surface, 400.0, (), (), BARE)
+    outcome = grow(surface, 400.0, (0.0,), (0.0,), BARE)
     laid = float(REASON.fullmatch(outcome.reason)[3])
     back, onwards = np.pi, 0.0  # rad
     outcome = grow(surface, laid - 0.4, (20.0, 20.0), (back, onwards), BARE)

@@ -14,7 +14,7 @@ from fascicle.forward.preparation import build
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.heart import Heart
-from fascicle.purkinje.growth import GrowthRules, grow_tree
+from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree
 
 SILENCE = 1.0  # s before the first report of progress; kernels that were ran before take less
@@ -60,10 +60,9 @@ def _steps() -> Iterator[int]:
     yield 1
     heart = _smallest_heart()
     prepared = build(heart, Conduction(), template)
-    tree = grow_tree(
-        "lv", prepared.charts["lv"], prepared.seeds["lv"], 2.0, [1.0], [0.0],
-        GrowthRules(branch_length=1.0, segments=2, generations=1),
-    )  # fmt: skip
+    lengths = {"lv_initial_length": 2.0, "lv_fascicle_length_1": 1.0, "lv_fascicle_angle_1": 0.0}
+    rules = GrowthRules(branch_length=1.0, segments=2, generations=1)
+    tree = grow_from_parameters("lv", prepared.charts["lv"], prepared.seeds["lv"], lengths, rules)
     if isinstance(tree, InvalidTree):
         raise RuntimeError(f"the smallest heart has no room for its tree: {tree.reason}")
     yield 2

@@ -1,8 +1,7 @@
 """Growth of a Purkinje tree in the disk: straight walks, nearest nodes, branching.
 
-Positions are disk coordinates plus the triangle they lie in, (u, v, triangle); lengths are physical
-(mm). All directions are vectors (a, b) of the disk. Charts and seeds are those of
-`fascicle.purkinje`, named tuples of arrays.
+Positions are disk coordinates plus the triangle they lie in, (u, v, triangle), directions vectors
+(a, b) of the disk; lengths are physical (mm). Charts and seeds are those of `fascicle.purkinje`.
 """
 
 from __future__ import annotations
@@ -48,10 +47,9 @@ class Rules(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """A tree that grows: nodes and room for more, how many there are, and the hash.
+    """A tree that grows: nodes and room for more, how many there are, and the (GRID, GRID) hash.
 
-    In each cell of the hash, shape (GRID, GRID), stands a node from which `following` leads to the
-    others, or -1.
+    In each cell of the hash stands a node from which `following` leads to the others, or -1.
     """
 
     nodes: NDArray[np.void]
@@ -65,14 +63,13 @@ def repulsion(tip, nearest, metric, values):
 
     Parameters
     ----------
-    tip : tuple of 4 floats
-        The end of a branch (u, v) in the disk, and its heading (a, b), of unit length in the
-        metric.
-    nearest : tuple of 3 floats
-        The nearest node (u, v) that does not belong to the branch itself, and how far it is (mm);
-        inf if there is none.
-    metric : tuple of 3 floats
-        G₁₁, G₁₂, G₂₂ (mm²) where the tip is: (a, b) has the length √(G₁₁a² + 2G₁₂ab + G₂₂b²) mm.
+    tip : (u, v, a, b)
+        The end of a branch in the disk, and its heading, of unit length in the metric.
+    nearest : (u, v, distance)
+        The nearest node that does not belong to the branch itself, and how far it is (mm); inf if
+        there is none.
+    metric : (G₁₁, G₁₂, G₂₂)
+        In mm², where the tip is: (a, b) has the length √(G₁₁a² + 2G₁₂ab + G₂₂b²) mm.
     values : (1,) array
         Values of the term's parameters: here the weight w.
 
@@ -97,25 +94,10 @@ def _norm(metric, triangle, a, b):
 
 @kernel()
 def walk(u, v, triangle, a, b, length, chart):
-    """Walk along a direction of the disk, exactly, triangle by triangle.
+    """Walk `length` mm along a direction (a, b), of any length, exactly, triangle by triangle.
 
-    Parameters
-    ----------
-    u, v, triangle : float, float, int
-        Where the walk starts.
-    a, b : float
-        Direction; its length does not matter.
-    length : float
-        Physical length (mm).
-    chart : Chart
-        The endocardium's map to the disk.
-
-    Returns
-    -------
-    u, v, triangle : float, float, int
-        Where it ends.
-    missing : float
-        The length that was left over (mm): positive only where the walk met the base.
+    Returns where the walk ends, u, v and triangle, and the length (mm) that was left over: positive
+    only where it met the base.
     """
     points, _, triangles, neighbours, metric = chart
     while True:
@@ -162,9 +144,8 @@ def _square(u, v, node, metric, triangle):
 def _nearest(point, kin, nearest, nodes, head, metric):
     """Nearest foreign node of a point and its squared distance in its triangle's metric (mm²).
 
-    Foreign are all nodes but those of `kin`: the node that the branch starts from, the nodes of the
-    branch itself, and of its sister's those numbered `unseen` and above. Only a node that is nearer
-    replaces `nearest`.
+    Foreign are all but `kin`: the node that the branch starts from, the nodes of the branch itself,
+    and of its sister's those numbered `unseen` and above. Only a nearer node replaces `nearest`.
     """
     u, v, triangle = point
     start, own, sister, unseen = kin
@@ -215,8 +196,7 @@ def _with_room(tree, more):
 def _lay(start, heading, length, step, branch, tree, chart):
     """Lay a straight stretch of `length` mm from node `start`, the last segment shorter.
 
-    Returns the tree, the last node of the stretch (on the base, if it meets that) and what could
-    not be laid (mm).
+    Returns the tree, the last node (on the base, if it meets that) and what was not laid (mm).
     """
     tree = _with_room(tree, int(length / step) + 2)
     a, b = heading
@@ -244,10 +224,9 @@ def _turned(heading, angle):
 def _nearest_to_branch(point, kin, beside, nodes, head, metric):
     """The node from which d_CP in equation 1 of the paper counts, and its squared distance (mm²).
 
-    It is the nearest of all but the branch itself and its
-    start, and of the sister's nodes those laid in earlier rounds: the sister that moves second must
-    not see more of the first than the first sees of it, or left and right would differ. `beside` is
-    the end of the sister.
+    The nearest of all but the branch, its start, and what the sister that ends in `beside` laid in
+    this round: the sister that moves second must not see more of the first than the first sees of
+    it, or left and right would differ.
     """
     start, _, _, unseen = kin
     if beside >= unseen:
@@ -274,8 +253,8 @@ def _fork(tips, heading, angle):
 def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
     """Lay the bundle and the fascicles.
 
-    Returns which stretch left the endocardium, or GROWN; how much of it could not be laid (mm); the
-    tree; and the last node and the heading of each fascicle.
+    Returns status and missing length as `make_grow` says, the tree, and the last node and the
+    heading of each fascicle.
     """
     fascicles = len(fascicle_lengths)
     tips, heading = np.empty(fascicles, np.int64), np.empty((fascicles, 2))
@@ -295,25 +274,15 @@ def _trunk(seed, bundle_length, fascicle_lengths, fascicle_angles, step, chart):
 
 
 def make_grow(term: Callable[..., tuple[float, float]], cache: bool) -> Any:
-    """Compile growth with a term in its direction.
+    """Compile growth with a term, called as `repulsion` is, in the direction of every segment.
 
-    Parameters
-    ----------
-    term : function
-        What is added to the direction of a branch at every segment; called as `repulsion` is.
-    cache : bool
-        Whether what is compiled is kept on disk. Numba would not see that a term has changed.
-
-    Returns
-    -------
-    function
-        ``grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules, values, chart)``, of
-        `fascicle.purkinje.growth.Seed`, length of the bundle (mm), (f,) arrays of lengths (mm) of
-        the fascicles and of their angles to the bundle (rad), `Rules`, (k,) array of the values of
-        the term's parameters, and `Chart`. It gives a status: GROWN, TOO_LARGE, or which stretch
-        left the endocardium, 0 the bundle, k fascicle k; how much of that could not be laid (mm);
-        and the nodes, an array of NODE in which parents come before their children, the last being
-        where a stretch that left the endocardium met the base.
+    `cache` says whether it is kept on disk, where Numba would not see that a term has changed. What
+    is returned is called as ``grow(seed, bundle_length, fascicle_lengths, fascicle_angles, rules,
+    values, chart)``, with (f,) arrays of the fascicles' lengths (mm) and angles to the bundle
+    (rad), and the (k,) values of the term's parameters. It gives a status: GROWN, TOO_LARGE, or
+    which stretch left the endocardium, 0 the bundle, k fascicle k; how much of that could not be
+    laid (mm); and the nodes, an array of NODE in which parents come before their children, the last
+    being where a stretch that left the endocardium met the base.
     """
 
     @njit(cache=cache, nogil=True)

@@ -24,10 +24,8 @@ class Chart(NamedTuple):
 
     Attributes
     ----------
-    points : (n, 2) array
-        Position of each vertex in the disk.
-    vertices : (n, 3) array
-        Position of each vertex on the endocardium (mm).
+    points, vertices : (n, 2) and (n, 3) arrays
+        Position of each vertex in the disk, and on the endocardium (mm).
     triangles : (m, 3) array
         Vertex indices, counter-clockwise in the disk.
     neighbours : (m, 3) array
@@ -55,14 +53,12 @@ def build_chart(endocardium: Endocardium) -> Chart:
     the base, once for each coordinate (the paper's section "Purkinje network generation"). Obtuse
     triangles can make it fold; then the mean-value weights, which are positive and so give a
     bijection by Tutte's theorem, take the place of the cotangents. They do so too where the
-    harmonic map nearly folds, so that it stretches some triangle 20 times more one way
-    than the other, if they stretch less. The metric is that of the real surface in either case, so
-    lengths stay exact.
+    harmonic map stretches some triangle 20 times more one way than the other, if they stretch
+    less. The metric is that of the real surface in either case, so lengths stay exact.
 
     References
     ----------
-    J.-F. Remacle, C. Geuzaine, G. Compère and E. Marchandise, High-quality surface remeshing using
-    harmonic maps, Int J Numer Methods Eng 83 (2010) 403-425. M. S. Floater, Mean value coordinates,
+    Remacle et al., Int J Numer Methods Eng 83 (2010) 403-425. Floater, Mean value coordinates,
     Comput Aided Geom Des 20 (2003) 19-27.
 
     Raises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -13,15 +13,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats
 from fascicle.core.errors import InputError
-from fascicle.core.quantities import (
-    Quantity,
-    check,
-    checked,
-    declare,
-    default_of,
-    fascicles,
-    quantity,
-)
+from fascicle.core.quantities import Quantity, checked, declare, default_of, fascicles, quantity
 from fascicle.core.ranges import check_kind
 from fascicle.heart.endocardium import Endocardium
 from fascicle.kernels import growth
@@ -91,10 +83,8 @@ class GrowthRules:
 
     Attributes
     ----------
-    branch_length : float
-        Length of a branch (mm).
-    segments : int
-        Segments a branch is laid in.
+    branch_length, segments : float and int
+        Length of a branch (mm), and how many segments it is laid in.
     branch_angle : float
         Angle between a branch and its parent (rad).
     generations : int
@@ -160,11 +150,8 @@ def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
     offset = chart.points[direction] - point
     if offset.any():
         heading = unit(offset)
-        for triangle in np.flatnonzero((chart.triangles == root).any(axis=1)):
-            corner = int(np.flatnonzero(chart.triangles[triangle] == root)[0])
-            first, second = (
-                chart.points[chart.triangles[triangle, (corner + k) % 3]] - point for k in (1, 2)
-            )
+        for triangle, corner in np.argwhere(chart.triangles == root):
+            first, second = chart.points[np.roll(chart.triangles[triangle], -corner)[1:]] - point
             # the heading lies between the two edges that leave the root, counter-clockwise
             if _cross(first, heading) >= 0 and _cross(heading, second) >= 0:
                 return Seed(point, int(triangle), heading)
@@ -178,14 +165,8 @@ def _cross(a: Floats, b: Floats) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
-def grow_tree(
-    side: str,
-    chart: Chart,
-    seed: Seed,
-    bundle_length: float,
-    fascicle_lengths: Sequence[float],
-    fascicle_angles: Sequence[float],
-    rules: GrowthRules,
+def grow_from_parameters(
+    side: str, chart: Chart, seed: Seed, parameters: Mapping[str, float], rules: GrowthRules
 ) -> PurkinjeTree | InvalidTree:
     """Grow a tree: bundle, fascicles from its end, then generations of branches.
 
@@ -196,15 +177,12 @@ def grow_tree(
     ----------
     side : str
         ``"lv"`` or ``"rv"``.
-    chart : Chart
-        The endocardium's map to the disk.
-    seed : Seed
-        Start and heading of the bundle.
-    bundle_length : float
-        Length of the bundle (mm).
-    fascicle_lengths, fascicle_angles : sequences of the same length
-        Length (mm) of each fascicle and its angle to the bundle (rad, counter-clockwise in the
-        disk seen from inside the cavity).
+    chart, seed : Chart, Seed
+        The endocardium's map to the disk, and start and heading of the bundle there.
+    parameters : mapping of name to float
+        Lengths (mm) of the bundle and of as many fascicles as are named, and their angles to it
+        (rad, counter-clockwise in the disk seen from inside the cavity), as in
+        `fascicle.core.parameters`; of both sides.
     rules : GrowthRules
         What is held fixed.
 
@@ -224,15 +202,14 @@ def grow_tree(
     finds that it is too near another (here it is not laid), and measures with one factor of scale
     per triangle instead of its metric.
     """
-    length, angle = (quantity(f"lv_fascicle_{what}_1") for what in ("length", "angle"))
-    for known, values in ((length, (bundle_length, *fascicle_lengths)), (angle, fascicle_angles)):
-        for value in values:
-            check(known, value)
+    numbers = range(1, fascicles(side, parameters) + 1)
+    lengths = [parameters[f"{side}_fascicle_length_{k}"] for k in numbers]
+    lengths = [parameters[f"{side}_initial_length"], *lengths]
     status, missing, grown = _grow(rules.term.function)(
         seed,
-        float(bundle_length),
-        np.asarray(fascicle_lengths, float),
-        np.asarray(fascicle_angles, float),
+        float(lengths[0]),
+        np.array(lengths[1:], float),
+        np.array([parameters[f"{side}_fascicle_angle_{k}"] for k in numbers], float),
         growth.Rules(
             step=float(rules.branch_length / rules.segments),
             segments=int(rules.segments),
@@ -251,7 +228,6 @@ def grow_tree(
         )
     if status == growth.GROWN:
         return tree_of_nodes(side, grown, chart)
-    lengths = (bundle_length, *fascicle_lengths)
     return tree_outside(side, status, lengths[status], missing, grown[-1:], chart)
 
 
@@ -267,29 +243,6 @@ def tree_of_nodes(side: str, nodes: NDArray[np.void], chart: Chart) -> PurkinjeT
 def tree_outside(
     side: str, branch: int, wanted: float, missing: float, end: NDArray[np.void], chart: Chart
 ) -> InvalidTree:
-    """The outcome where a stretch leaves the endocardium.
-
-    `missing` mm of the branch were not laid, and `end`, of shape (1,), is where it met the base.
-    """
+    """The outcome where `missing` mm were not laid; `end`, of shape (1,), is on the base."""
     position = tuple(growth.lift(end, chart)[0].tolist())
     return InvalidTree(side, branch, wanted - missing, wanted, position)
-
-
-def grow_from_parameters(
-    side: str, chart: Chart, seed: Seed, parameters: Mapping[str, float], rules: GrowthRules
-) -> PurkinjeTree | InvalidTree:
-    """Grow one side's tree from named parameters, with as many fascicles as they name.
-
-    As `grow_tree`; lengths (mm) and angles (rad) of both sides are named as in
-    `fascicle.core.parameters`.
-    """
-    numbers = range(1, fascicles(side, parameters) + 1)
-    return grow_tree(
-        side,
-        chart,
-        seed,
-        parameters[f"{side}_initial_length"],
-        [parameters[f"{side}_fascicle_length_{k}"] for k in numbers],
-        [parameters[f"{side}_fascicle_angle_{k}"] for k in numbers],
-        rules,
-    )

@@ -22,9 +22,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import cKDTree
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -35,6 +34,7 @@ from fascicle.mesh.formats.mesh_file import LINE, OPENCARP_FORMATS, MeshFile
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.mesh.measures import unit
+from fascicle.mesh.topology import components_of, merged_vertices
 from fascicle.purkinje.tree import PurkinjeTree
 
 TREE_FORMATS = (".vtu", ".vtp", ".vtk", *OPENCARP_FORMATS)
@@ -123,7 +123,8 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
             raise InputError(f"{path}: {problem}")
     ends = np.flatnonzero(np.bincount(segments.ravel(), minlength=len(nodes)) == 1)
     root = int(ends[np.argmin(np.linalg.norm(nodes[ends] - near, axis=1))])
-    _, parents = breadth_first_order(_graph(segments, len(nodes)), root, directed=False)
+    graph = coo_array((np.ones(len(segments)), segments.T), (len(nodes), len(nodes))).tocsr()
+    _, parents = breadth_first_order(graph, root, directed=False)
     parents = np.where(np.arange(len(nodes)) == root, -1, parents).astype(np.int64)
     is_first = parents[segments[:, 1]] == segments[:, 0]
     child = np.where(is_first, segments[:, 1], segments[:, 0])
@@ -132,15 +133,9 @@ def read_tree(path: Path | str, side: str, near: Floats) -> PurkinjeTree:
     return PurkinjeTree(side, nodes, parents, to_parent)
 
 
-def _graph(segments: Integers, count: int) -> csr_array:
-    """The segments as edges between `count` nodes, in both directions."""
-    one_way = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), (count, count))
-    return (one_way + one_way.T).tocsr()
-
-
 def _why_no_tree(segments: Integers, count: int) -> str:
     """What keeps segments between `count` nodes from being one tree; empty if nothing does."""
-    pieces, _ = connected_components(_graph(segments, count), directed=False)
+    pieces = components_of(segments, count).max() + 1
     if pieces > 1:
         return f"the lines fall into {pieces} unconnected pieces; give one tree"
     if len(segments) != count - 1:
@@ -171,12 +166,10 @@ def _merged(points: Floats, segments: Integers, lengths: Floats) -> tuple[Floats
     Only for lines that are no tree as they stand: polylines often repeat the points they share.
     Two nodes of a tree may well lie in one place and be different nodes.
     """
-    pairs = cKDTree(points).query_pairs(SAME_POINT, output_type="ndarray")
-    _, number = connected_components(_graph(pairs, len(points)), directed=False)
-    _, first = np.unique(number, return_index=True)
-    segments = np.asarray(number, dtype=np.int64)[segments]
+    kept, number = np.unique(merged_vertices(points, SAME_POINT), return_inverse=True)
+    segments = number[segments]
     real = segments[:, 0] != segments[:, 1]  # a point repeated along a polyline is no segment
-    return points[first], segments[real], lengths[real]
+    return points[kept], segments[real], lengths[real]
 
 
 def _segments(mesh: MeshFile) -> tuple[Integers, Floats]:
