@@ -106,6 +106,7 @@ class Materials:
     """The five files of `fascicle heart import`, any of which a test replaces."""
 
     folder: Path
+    grid, surface = staticmethod(grid), staticmethod(surface)
 
     def __post_init__(self):
         self.points, self.tetrahedra = block_of_tissue()
