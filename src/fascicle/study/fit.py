@@ -23,6 +23,7 @@ from fascicle.forward.preparation import share_prepared
 from fascicle.forward.simulation import Simulation
 from fascicle.heart.folder import as_heart, load_heart, write_heart
 from fascicle.heart.heart import Heart
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.agreement import agreement
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.likelihood import likelihood_of, prior_knowledge
@@ -62,6 +63,7 @@ def fit(
     pool: Pool | None = None,
     backend: Backend | None = None,
     likelihood: Likelihood | Sequence[Likelihood] | None = None,
+    rules: GrowthRules | None = None,
     **settings: Any,
 ) -> FittedStudy:
     """Learn the Purkinje networks that explain a target, or several of one heart.
@@ -96,6 +98,9 @@ def fit(
     likelihood : Likelihood, or sequence of them, optional
         Of a posterior: what the recording says of a network, one for each recording; the page
         "Extending fascicle" shows how to write one.
+    rules : GrowthRules, optional
+        By which trees grow, perhaps with a term of your own; to resume or read the study needs the
+        same.
     **settings
         The fields of `fascicle.FitSettings`, where they are described. `method`, `seed`, `workers`,
         `fewest_junctions`; of the posterior `effective`, `evaluations`, `prior_simulations`,
@@ -130,9 +135,14 @@ def fit(
     check_study_folder(folder)
     refuse_held(folder)
     with shown_progress(progress) as shown:
-        inputs = read_inputs(heart, target, parameters or {}, checked)
+        inputs = read_inputs(heart, target, parameters or {}, checked, rules)
         inputs = replace(inputs, likelihoods=likelihoods)
         return fit_inputs(inputs, folder, shown, pool, backend)
+
+
+def _rules(given: GrowthRules | None) -> GrowthRules:
+    check_kind(given, (GrowthRules, NoneType), "rules", "fascicle.GrowthRules")
+    return given or GrowthRules()
 
 
 def _given_likelihoods(
@@ -162,11 +172,14 @@ class Inputs:
         In place of those that are made of the prior.
     config : StudyConfig
         All that decides the outcome, with their hashes.
+    rules : GrowthRules
+        By which trees grow.
     """
 
     heart: Heart
     recordings: Sequence[Recorded]
     config: StudyConfig
+    rules: GrowthRules
     likelihoods: Sequence[Likelihood] | None = None
 
 
@@ -175,8 +188,10 @@ def read_inputs(
     target: Given | list[Given],
     parameters: Mapping[str, Any],
     settings: FitSettings,
+    rules: GrowthRules | None = None,
 ) -> Inputs:
     """Read what `fit` is given, and settle what is learnt; it says what is what."""
+    rules = _rules(rules)
     heart = as_heart(heart)
     recordings = given_recordings(target)
     if settings.method == "paper" and (len(recordings) > 1 or recordings[0][1] is not None):
@@ -192,10 +207,10 @@ def read_inputs(
         **_hashes(recordings),
         space=space.parameters,
         fixed=fixed,
-        **growth_and_conduction(heart),
+        **growth_and_conduction(heart, rules),
         **settings.model_dump(),
     )
-    return Inputs(heart, recordings, config)
+    return Inputs(heart, recordings, config, rules)
 
 
 def fit_inputs(
@@ -208,7 +223,7 @@ def fit_inputs(
     """Do what is left of a study in its folder, and write its results."""
     heart, config = inputs.heart, inputs.config
     simulator, recordings = _simulated_and_compared(
-        config, heart, inputs.recordings, pool, progress, backend
+        config, heart, inputs.rules, inputs.recordings, pool, progress, backend
     )
     _check_scenarios(simulator, recordings)
     with study_lock(folder):
@@ -288,7 +303,7 @@ def _prior(simulator: PointSimulator) -> PriorSimulations | None:
     """The heart's prior simulations, if there are any and they are of this forward model."""
     model, space, fixed = simulator.model, simulator.space, simulator.fixed
     prior = PriorSimulations.of(model.heart, space, fixed)
-    if prior is None or not len(prior):
+    if prior is None or not len(prior) or model.rules != GrowthRules():  # by which it is made
         return None
     prior.check(model, space, fixed)
     return prior
@@ -309,7 +324,10 @@ def as_study(given: GivenStudy, progress: Progress | Lines | None = None) -> Fit
 
 
 def load_study(
-    folder: Path | str, progress: Progress | Lines | None = "lines", pool: Pool | None = None
+    folder: Path | str,
+    progress: Progress | Lines | None = "lines",
+    pool: Pool | None = None,
+    rules: GrowthRules | None = None,
 ) -> FittedStudy:
     """Read a finished study.
 
@@ -321,6 +339,8 @@ def load_study(
         Called while a large heart is prepared; by default lines on standard error say so.
     pool : Pool, optional
         Where networks are simulated; by default as when it was fitted, on threads.
+    rules : GrowthRules, optional
+        Those of `fit`, if it was given any.
 
     Raises
     ------
@@ -329,7 +349,7 @@ def load_study(
         present one.
     """
     check_pool(pool)
-    folder = as_path(folder, "study")
+    rules, folder = _rules(rules), as_path(folder, "study")
     study = Study.open(folder)
     result = folder / RESULT[study.config.method]
     population = read_population(result)
@@ -346,10 +366,12 @@ def load_study(
             f"{result}: its parameters are not those of the study; run 'fascicle fit' "
             "again to rewrite it"
         )
-    now = study.config.model_copy(update=growth_and_conduction(heart))
+    now = study.config.model_copy(update=growth_and_conduction(heart, rules))
     check_same(folder, study.config, now)
     with shown_progress(progress) as shown:
-        simulator, compared = _simulated_and_compared(study.config, heart, recordings, pool, shown)
+        simulator, compared = _simulated_and_compared(
+            study.config, heart, rules, recordings, pool, shown
+        )
     study.check_objective(partial(evaluate, simulator, compared))
     return FittedStudy(study, simulator, compared, population, *read_checks(result))
 
@@ -357,6 +379,7 @@ def load_study(
 def _simulated_and_compared(
     config: StudyConfig,
     heart: Heart,
+    rules: GrowthRules,
     recordings: Sequence[Recorded],
     pool: Pool | None,
     progress: Progress | None,
@@ -366,7 +389,7 @@ def _simulated_and_compared(
     if progress is not None:
         compile_kernels(progress)
     space, fixed = config.parameter_space, config.fixed
-    model = ForwardModel(heart, progress=progress)
+    model = ForwardModel(heart, rules=rules, progress=progress)
     backend = usable(backend, model, [*space.names, *fixed], recordings[0][1])
     if body := body_values(dict.fromkeys((*space.names, *fixed), 0.0)):
         model.body([*body])  # built here, not by every worker

@@ -31,6 +31,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.forward.simulation import Signals, Simulation
 from fascicle.heart.folder import as_heart
 from fascicle.heart.heart import Heart
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.study.pool import Pool, Threads, check_pool
 from fascicle.study.settings import FitSettings
 from fascicle.study.space import growth_and_conduction, study_space
@@ -79,7 +80,8 @@ class PriorSimulations:
         """Those of a heart, what is learnt and what is fixed; None for a heart without a folder."""
         if heart.folder is None:
             return None
-        held = sorted(growth_and_conduction(heart).items())
+        known = growth_and_conduction(heart, GrowthRules())
+        held = [(name, known[name]) for name in ("conduction", "growth")]
         content = f"{heart.digest} {space.parameters} {sorted(fixed.items())} {held}"
         return cls(ArrayCache(heart.folder / DISPOSABLE, "prior"), content)
 

@@ -140,10 +140,14 @@ def read_settings(path: Path | str) -> dict[str, Any]:
     return values
 
 
-def growth_and_conduction(heart: Heart) -> dict[str, Any]:
+def growth_and_conduction(heart: Heart, rules: GrowthRules) -> dict[str, Any]:
     """What the forward model of a heart holds fixed, as a study's configuration names it."""
     conduction = Conduction.of(heart)
     numbers = asdict(conduction)
     del numbers["regions"]
     regions = {f"of {region.name}": region.conductivity for region in conduction.regions}
-    return {"growth": GrowthRules().numbers, "conduction": numbers | regions}
+    return {
+        "growth": rules.numbers,
+        "growth_term": rules.term.function.__name__,
+        "conduction": numbers | regions,
+    }

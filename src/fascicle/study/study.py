@@ -27,6 +27,7 @@ from fascicle.core.files import write_text
 from fascicle.core.parameters import Parameter, ParameterSpace
 from fascicle.core.progress import Progress
 from fascicle.inference.evaluation import Evaluation, Objective
+from fascicle.purkinje.growth import REPULSION
 from fascicle.study.evaluations import Database, Journal, Record, Stage
 from fascicle.study.lock import LOCK, study_lock
 from fascicle.study.population import RESULT, Population
@@ -59,6 +60,8 @@ class StudyConfig(FitSettings):
         Quantities that are held at other values than their defaults.
     growth : dict of name to float
         Rules by which trees grow, where `fixed` does not say otherwise.
+    growth_term : str
+        Name of the function of their `fascicle.GrowthTerm`.
     conduction : dict of name to float
         Conductivities and speeds of the tissues, likewise; None where others decide it.
     version : int
@@ -75,6 +78,7 @@ class StudyConfig(FitSettings):
     space: tuple[Parameter, ...] = Field(min_length=1)
     fixed: dict[str, float] = Field(default_factory=dict)
     growth: dict[str, float]
+    growth_term: str = REPULSION.function.__name__
     conduction: dict[str, float | None]
     version: Literal[7] = FORMAT
 
@@ -294,6 +298,11 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
     there, now : StudyConfig
         The stored one, and the one that is asked for; `MAY_CHANGE` does not count.
     """
+    if there.growth_term != now.growth_term:
+        raise InputError(
+            f"{folder}: its networks grow by the term '{there.growth_term}', not by "
+            f"'{now.growth_term}'; give fascicle.fit or fascicle.load_study the same rules="
+        )
     before, after = _identity(there), _identity(now)
     different = [
         f"{name}: there {before.get(name, 'none')}, now {after.get(name, 'none')}"
@@ -307,7 +316,7 @@ def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
         more = f"; and {len(different) - 3} more" if len(different) > 3 else ""
         raise InputError(
             f"{folder}: holds another study ({listed}{more}); choose another folder (out), or give "
-            "the settings and inputs of that study"
+            "the settings, inputs and growth rules of that study"
         )
 
 
@@ -325,7 +334,7 @@ def _identity(config: StudyConfig) -> dict[str, str]:
             found[name.replace("_", " ")] = ", ".join(each[:12] or "none" for each in value)
         elif name in ("heart", "target"):
             found[name] = value[:12]  # of a hash
-        elif name not in MAY_CHANGE:
+        elif name not in (*MAY_CHANGE, "growth_term"):
             found[name] = f"{value}"
     return found
 

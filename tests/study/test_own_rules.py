@@ -1,0 +1,73 @@
+"""A likelihood and a growth rule of one's own: those of the documentation."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fascicle
+from fascicle.cli.demo import demo_recording
+from fascicle.core.errors import InputError
+from fascicle.core.quantities import QUANTITIES
+from fascicle.forward.simulation import Signals
+from fascicle.recording.target_files import write_target
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
+
+
+@pytest.fixture(scope="module")
+def target():
+    return fascicle.make_target(fascicle.read_recording(demo_recording()))
+
+
+def example(section):
+    """Names that the example of a section of the page leaves."""
+    code = PAGE.read_text().split(f"## {section}\n")[1].split("```python")[1].split("```")[0]
+    names = {"__name__": "example"}
+    exec(compile(code, str(PAGE), "exec"), names)
+    return names
+
+
+def test_the_example_of_the_documentation(target, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_target(target, tmp_path / "target.nc")
+    names = example("Likelihood")
+    fitted = names["fitted"]
+    (network,) = fitted.networks(chosen=[0])
+    found = names["likelihood"].log_likelihood(Signals.of(network.simulation))
+    assert found == pytest.approx(fitted.population.log_likelihoods[0, 0])
+    assert 0 < fitted.checks.share < 2
+    assert np.all(fitted.gains == 1)
+
+
+def test_what_is_no_likelihood_is_refused(target, tmp_path):
+    with pytest.raises(InputError, match="likelihood is 5"):
+        fascicle.fit("default", target, tmp_path / "s", likelihood=[5.0])
+
+
+def test_a_growth_rule_is_recorded_and_needed_again(target, tmp_path, monkeypatch):
+    monkeypatch.setitem(QUANTITIES, "apical_attraction", None)  # as it was, afterwards
+    del QUANTITIES["apical_attraction"]
+    term = example("Growth rule")["term"]
+    folder, rules = tmp_path / "study", fascicle.GrowthRules(term=term)
+    more = {"prior_simulations": 100, "evaluations": 200, "effective": 20}
+    more["parameters"] = {"apical_attraction": "free"}
+    fitted = fascicle.fit("default", target, folder, rules=rules, **more)
+    assert np.ptp(fitted.population.values["apical_attraction"]) > 0.05
+    assert fitted.study.config.growth_term == "to_apex"
+    for again in (
+        lambda: fascicle.load_study(folder),
+        lambda: fascicle.fit("default", target, folder, **more),
+    ):
+        with pytest.raises(InputError, match=r"'to_apex', not by 'repulsion'; .* the same rules="):
+            again()
+    opened = fascicle.load_study(folder, rules=rules)
+    assert opened.simulator.model.rules == rules
+
+    def to_apex(tip, nearest, metric, values):
+        return 0.3, 0.0
+
+    other = fascicle.GrowthRules(term=replace(term, function=to_apex))
+    with pytest.raises(InputError, match="another forward model"):
+        fascicle.load_study(folder, rules=other)
