@@ -152,6 +152,15 @@ def line_tree(points, *, root=0, side="lv") -> PurkinjeTree:
     return PurkinjeTree(side, points, parents.astype(np.int64), lengths)
 
 
+def star_tree(seed, leaves=6) -> PurkinjeTree:
+    """Star of random leaves on the top of a block of 30 x 20 x 6 mm, between vertices."""
+    tips = np.random.default_rng(seed).uniform(0, (30.0, 20.0, 6.0), (leaves, 3))
+    tips[:, 2] = 6.0
+    nodes = np.vstack([[15.0, 10.0, 8.0], tips])
+    parents = np.concatenate([[-1], np.zeros(leaves, int)])
+    return PurkinjeTree("lv", nodes, parents, np.linalg.norm(nodes - nodes[0], axis=1))
+
+
 def activate(myocardium: Myocardium, trees, root_times, cv, *, stimuli=(), times=(), **options):
     """Attach trees and stimuli (positions in mm) and solve."""
     coupling = attach(myocardium, trees, np.reshape(stimuli, (-1, 3)))

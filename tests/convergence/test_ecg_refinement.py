@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from builders import box, solve_without_trees
 
+from benchmarks import ecg_error
 from fascicle.forward.eikonal.myocardium import build_myocardium
 from fascicle.heart.conduction import Conduction
 from fascicle.mesh.measures import signed_volumes
 
 pytestmark = pytest.mark.slow
 
-BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "ecg_error.py"
 ELECTRODES = np.array(
     [
         [-80, 60, 90], [90, 50, 80], [60, -10, -90], [40, 30, 60],
@@ -38,17 +35,7 @@ PARAMETERS = {
 
 
 @pytest.fixture(scope="module")
-def ecg_error():
-    """The benchmark, whose refinement these tests share."""
-    spec = importlib.util.spec_from_file_location("ecg_error", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["ecg_error"] = module  # its dataclasses look themselves up
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def mesh(ecg_error):
+def mesh():
     """A block of oblique fibres, activated from a corner."""
     block = box((36.0, 24.0, 24.0), (9, 6, 6), jitter=0.2, fibre=(1.0, 1.0, 0.3))
     activation = 5.0 + solve_without_trees(build_myocardium(block, Conduction()), {0: 0.0})
@@ -88,7 +75,7 @@ def test_error_of_the_mesh_falls_with_the_square(mesh):
     assert 3.0 < ratio < 5.0
 
 
-def test_patients_heart_refined_twice_gives_the_same_ecg(ecg_error, crtdemo, crtdemo_model):
+def test_patients_heart_refined_twice_gives_the_same_ecg(crtdemo, crtdemo_model):
     """Each tetrahedron in 64, the same activation, as L2 norms over time.
 
     Over all leads together 0.2 %, and each lead by itself below 0.5 %. With the gradient of the

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from builders import activate, box_tissue, heart_vertices, ray_times
+from builders import activate, box_tissue, heart_vertices, ray_times, star_tree
 from clinical import SHORT_BUNDLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fascicle.forward.eikonal.activation import attach
-from fascicle.purkinje.tree import PurkinjeTree
 
 SIZE = (30.0, 20.0, 6.0)  # mm
 MYOCARDIUM = box_tissue(SIZE, (10, 7, 2), jitter=0.2, fibre=(2.0, 1.0, 0.4))
@@ -17,19 +16,15 @@ VERTICES = heart_vertices(MYOCARDIUM)
 EDGE, SLOW = 6.1, 0.2449  # the longest edge (mm), the speed across the fibre (mm/ms)
 
 
-def star(seed, leaves=6):
-    """Star of random leaves on the tissue's top, between vertices."""
-    rng = np.random.default_rng(seed)
-    tips = np.column_stack(
-        [rng.uniform(0, 30, leaves), rng.uniform(0, 20, leaves), np.full(leaves, 6.0)]
-    )
-    nodes = np.vstack([[15.0, 10.0, 8.0], tips])
-    parents = np.concatenate([[-1], np.zeros(leaves, int)])
-    return PurkinjeTree("lv", nodes, parents, np.linalg.norm(nodes - nodes[0], axis=1))
-
-
 def both(seed):
-    return [star(seed), star(seed + 1)]
+    return [star_tree(seed), star_tree(seed + 1)]
+
+
+def assert_none_later(after, before):
+    for a, b in zip(
+        (after.myocardium, *after.trees), (before.myocardium, *before.trees), strict=True
+    ):
+        assert (a <= b + 1e-9).all()
 
 
 seeds = st.integers(0, 10_000)
@@ -44,10 +39,7 @@ def test_adding_a_source_never_increases_any_time(seed, roots, point, stimulus):
     trees = both(seed)
     before = activate(MYOCARDIUM, trees, roots, 2.0)
     after = activate(MYOCARDIUM, trees, roots, 2.0, stimuli=point, times=[stimulus])
-    for a, b in zip(
-        (after.myocardium, *after.trees), (before.myocardium, *before.trees), strict=True
-    ):
-        assert (a <= b + 1e-9).all()
+    assert_none_later(after, before)
 
 
 @given(seeds, root_times, st.floats(-50.0, 50.0))
@@ -150,9 +142,6 @@ def test_monotone_on_a_heart(crtdemo_model):
             activate(myocardium, trees, roots, 3.0, stimuli=chosen[:k], times=moments[:k])
             for k in (3, 4)
         )
-        for before, after in zip(
-            (three.myocardium, *three.trees), (four.myocardium, *four.trees), strict=True
-        ):
-            assert (after <= before + 1e-9).all()
+        assert_none_later(four, three)
         captured.append((four.myocardium < three.myocardium - 1.0).any())
     assert np.mean(captured) > 0.5, "most stimuli should capture something"

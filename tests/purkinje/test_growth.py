@@ -7,45 +7,19 @@ import math
 import numpy as np
 import pytest
 from builders import half_ellipsoid
-from grown_trees import ANGLES, BARE, LENGTHS, chord_length, grow, path_to_root, stretches
+from grown_trees import ANGLES, BARE, LENGTHS, grow, on_triangles, path_to_root, stretches
 from scipy.spatial import cKDTree
 
 from fascicle.purkinje.chart import Chart, build_chart
 from fascicle.purkinje.growth import GrowthRules, Seed, find_seed, grow_from_parameters
-from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
-
-
-@pytest.mark.parametrize("angles", ANGLES)
-def test_bundle_and_fascicles_have_the_length_that_was_asked_for(surface, angles):
-    """By the stored lengths to rounding; by straight chords a little less, as the surface bends."""
-    tree = grow(surface, angles=angles, rules=BARE)
-    assert isinstance(tree, PurkinjeTree), tree
-    bundle, fascicles = LENGTHS[surface[0].side]
-    found = stretches(tree)
-    for path, wanted in zip(found, (bundle, *fascicles), strict=True):
-        assert tree.lengths[path[1:]].sum() == pytest.approx(wanted, rel=1e-12)
-        assert (tree.lengths[path[1:-1]] == 1.0).all()  # only the last segment is shorter
-        assert 0.98 * wanted < chord_length(tree, path) <= wanted * (1 + 1e-9)
-
-
-def test_fine_chords_have_the_length_that_was_asked_for(surface):
-    """With segments of 0.05 mm the chords leave the surface nowhere: 0.5 % is allowed."""
-    fine = GrowthRules(generations=0, segments=160)
-    tree = grow(surface, rules=fine)
-    bundle, fascicles = LENGTHS[surface[0].side]
-    for path, wanted in zip(stretches(tree), (bundle, *fascicles), strict=True):
-        assert chord_length(tree, path) == pytest.approx(wanted, rel=5e-3)
 
 
 def test_nodes_lie_on_the_endocardium(surface):
-    import igl
-
-    endocardium, chart, _ = surface
+    endocardium, _, _ = surface
     tree = grow(surface)
-    square, _, _ = igl.point_mesh_squared_distance(
-        tree.nodes, endocardium.vertices, np.ascontiguousarray(chart.triangles)
-    )
-    assert np.sqrt(square.max()) < 1e-6  # mm
+    _, weights, off = on_triangles(endocardium, tree.nodes)
+    assert off.max() < 1e-9  # mm
+    assert weights.min() > -1e-9
     np.testing.assert_allclose(tree.nodes[tree.root], endocardium.vertices[endocardium.root])
 
 
@@ -87,17 +61,12 @@ def test_trees_change_continuously_with_lengths(surface):
     assert np.linalg.norm(one.nodes - other.nodes, axis=1).max() < 10 * nudge
 
 
-def test_growth_is_deterministic(surface):
-    one, other = grow(surface), grow(surface)
-    for name in ("nodes", "parents", "lengths"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
-def test_junctions_are_the_leaves_each_once(surface):
-    tree = grow(surface)
+@pytest.mark.parametrize("angles", ANGLES)
+def test_junctions_are_the_leaves_each_once(surface, angles):
+    tree = grow(surface, angles=angles)
     children = np.bincount(tree.parents[tree.parents >= 0], minlength=len(tree.nodes))
     assert tree.junctions.tolist() == np.flatnonzero(children == 0).tolist()
-    assert len(np.unique(tree.nodes[tree.junctions], axis=0)) == len(tree.junctions)
+    assert len(np.unique(tree.nodes[tree.junctions].round(6), axis=0)) == len(tree.junctions)
     assert len(tree.junctions) > 20
     assert (tree.parents < np.arange(len(tree.nodes))).all()
 
@@ -198,31 +167,6 @@ def test_sisters_are_mirror_images():
     """One must not see the segment that the other laid a moment ago."""
     left, right = fork_on_a_plane(repulsion=0.1)
     np.testing.assert_allclose(left, right * [1, -1], atol=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("bundle", "fascicles", "stretch"),
-    [(400.0, (10.0, 10.0), "bundle"), (40.0, (10.0, 400.0), "fascicle 2")],
-)
-def test_a_stretch_that_leaves_the_endocardium_is_a_typed_outcome(
-    surface, bundle, fascicles, stretch
-):
-    outcome = grow(surface, bundle=bundle, fascicles=fascicles)
-    assert isinstance(outcome, InvalidTree)
-    side = surface[0].side
-    assert outcome.side == side
-    assert outcome.reason.startswith(f"{side.upper()} {stretch} leaves the endocardium after ")
-    assert "of 400.0 mm" in outcome.reason
-    laid = float(outcome.reason.split("after ")[1].split(" of")[0])
-    assert 0 < laid < 400
-
-
-def test_length_at_which_the_bundle_leaves_is_where_the_reason_says(surface):
-    """The feasible set must end exactly there, not a segment earlier."""
-    outcome = grow(surface, bundle=400.0, fascicles=(0.0,), angles=(0.0,), rules=BARE)
-    longest = float(outcome.reason.split("after ")[1].split(" of")[0])
-    assert isinstance(grow(surface, longest - 0.06, (0.0,), (0.0,), BARE), PurkinjeTree)
-    assert isinstance(grow(surface, longest + 0.06, (0.0,), (0.0,), BARE), InvalidTree)
 
 
 def test_any_number_of_fascicles():

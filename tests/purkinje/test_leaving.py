@@ -39,7 +39,7 @@ def distance_to_base(endocardium, point):
 def test_reason_says_how_far_it_came_and_where_on_the_base(
     surface, bundle, fascicles, stretch, angles
 ):
-    """A tree with just that much of the stretch fits, and ends at that place."""
+    """A tree with just that much of the stretch fits, and ends at that place; more does not fit."""
     endocardium, _, _ = surface
     outcome = grow(surface, bundle, fascicles, angles)
     assert isinstance(outcome, InvalidTree)
@@ -47,13 +47,15 @@ def test_reason_says_how_far_it_came_and_where_on_the_base(
     assert (side.lower(), which, float(wanted)) == (endocardium.side, stretch, 400.0)
     point = np.array([float(x) for x in where])
     assert distance_to_base(endocardium, point) < np.sqrt(3) * PRINTED
-    just = float(laid) - PRINTED
-    if stretch == "bundle":
-        fits = grow(surface, just, (0.0,), (0.0,), BARE)
-    else:
-        other = int(stretch[-1]) - 1
-        fits = grow(surface, bundle, (just,), (angles[other],), BARE)
+
+    def with_stretch(length):
+        if stretch == "bundle":
+            return grow(surface, length, (0.0,), (0.0,), BARE)
+        return grow(surface, bundle, (length,), (angles[int(stretch[-1]) - 1],), BARE)
+
+    fits = with_stretch(float(laid) - PRINTED)
     assert isinstance(fits, PurkinjeTree)
+    assert isinstance(with_stretch(float(laid) + PRINTED), InvalidTree)
     end = fits.nodes[fits.junctions[0]]
     assert np.linalg.norm(end - point) < 2 * PRINTED + np.sqrt(3) * PRINTED
 

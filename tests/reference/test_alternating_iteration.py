@@ -19,13 +19,13 @@ from builders import (
     line_tree,
     ray_times,
     solve_without_trees,
+    star_tree,
 )
 from clinical import SHORT_BUNDLES
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from fascicle.forward.eikonal.activation import attach
-from fascicle.purkinje.tree import PurkinjeTree
 
 HALVINGS = 50
 ROUNDS = 30
@@ -160,14 +160,15 @@ class Swept(Alternation):
         return activation.myocardium, np.concatenate([arrived, stimuli])
 
 
-def star(seed, leaves):
-    """Star of random leaves on the slab's top, between vertices."""
-    rng = np.random.default_rng(seed)
-    tips = rng.uniform(0, SLAB, (leaves, 3))
-    tips[:, 2] = SLAB[2]
-    nodes = np.vstack([[15.0, 10.0, 8.0], tips])
-    parents = np.concatenate([[-1], np.zeros(leaves, int)])
-    return PurkinjeTree("lv", nodes, parents, np.linalg.norm(nodes - nodes[0], axis=1))
+def assert_same(myocardium, trees, solver, root_times, cv, stimuli, moments):
+    """One sweep, and trees and myocardium in turn until nothing changes."""
+    swept = activate(myocardium, trees, root_times, cv, stimuli=stimuli, times=moments)
+    limit, times, rounds = solver(myocardium, trees, stimuli).run(root_times, cv, moments)
+    assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
+    assert any(flags.any() for flags in swept.retrograde)
+    np.testing.assert_allclose(swept.myocardium, limit, atol=SAME, rtol=0)
+    for one, other in zip(swept.trees, times, strict=True):
+        np.testing.assert_allclose(one, other, atol=SAME, rtol=0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -175,15 +176,8 @@ def star(seed, leaves):
 def test_on_a_slab_one_sweep_is_the_limit_of_trees_and_slab_in_turn(seed, fibre):
     """A stimulus in the tissue, before the one root fires; the other is silent."""
     myocardium = box_tissue(SLAB, (10, 7, 2), jitter=0.2, fibre=fibre)
-    trees, stimulus = [star(seed, 6), star(seed + 100, 5)], [[2.0, 3.0, 2.0]]
-    roots = (np.inf, 30.0)
-    swept = activate(myocardium, trees, roots, 2.0, stimuli=stimulus, times=[1.0])
-    myocardium, times, rounds = Straight(myocardium, trees, stimulus).run(roots, 2.0, [1.0])
-    assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
-    assert any(flags.any() for flags in swept.retrograde)
-    np.testing.assert_allclose(swept.myocardium, myocardium, atol=SAME, rtol=0)
-    for one, other in zip(swept.trees, times, strict=True):
-        np.testing.assert_allclose(one, other, atol=SAME, rtol=0)
+    trees, stimulus = [star_tree(seed, 6), star_tree(seed + 100, 5)], [[2.0, 3.0, 2.0]]
+    assert_same(myocardium, trees, Straight, (np.inf, 30.0), 2.0, stimulus, [1.0])
 
 
 CASES = [
@@ -200,10 +194,4 @@ def test_on_a_heart_one_sweep_is_the_limit_of_sweeps_in_turn(
     """Junctions that the front enters backwards are what a one-pass scheme gets wrong."""
     myocardium, trees = crtdemo_model.myocardium, crtdemo_model.grow(SHORT_BUNDLES)
     points = crtdemo_model.heart.vertices[vertices]
-    swept = activate(myocardium, trees, root_times, 3.0, stimuli=points, times=moments)
-    myocardium, times, rounds = Swept(myocardium, trees, points).run(root_times, 3.0, moments)
-    assert rounds > 1, "a case in which nothing is entered backwards proves nothing"
-    assert any(flags.any() for flags in swept.retrograde)
-    np.testing.assert_allclose(swept.myocardium, myocardium, atol=SAME, rtol=0)
-    for one, other in zip(swept.trees, times, strict=True):
-        np.testing.assert_allclose(one, other, atol=SAME, rtol=0)
+    assert_same(myocardium, trees, Swept, root_times, 3.0, points, moments)

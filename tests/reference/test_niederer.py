@@ -6,30 +6,16 @@ the best isotropic front is off by 7.5 ms (root mean square), fibres across the 
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "niederer.py"
+from benchmarks import niederer
+
 SPACING = 0.5  # mm
 
 
 @pytest.fixture(scope="module")
-def niederer():
-    """The benchmark as a module."""
-    spec = importlib.util.spec_from_file_location("niederer", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclass looks itself up there
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
-
-
-@pytest.fixture(scope="module")
-def folder(data_folder, niederer):
+def folder(data_folder):
     """The benchmark's monodomain solutions."""
     path = data_folder / "benchmarks" / "niederer2011"
     for name in (niederer.POINTS_FILE, niederer.FIELD_FILE):
@@ -39,7 +25,7 @@ def folder(data_folder, niederer):
 
 
 @pytest.fixture(scope="module")
-def finest(niederer, folder):
+def finest(folder):
     """The comparison with the finest monodomain solution."""
     return niederer.compare_points(folder, SPACING)
 
@@ -50,13 +36,13 @@ def test_nine_points_agree_with_a_fine_monodomain_solution(finest):
     assert finest.monodomain.max() > 37  # so that is 4 % of the slab's activation time
 
 
-def test_fitted_speeds_are_those_of_the_cell_model_and_conductivities(niederer, finest):
+def test_fitted_speeds_are_those_of_the_cell_model_and_conductivities(finest):
     assert finest.along == pytest.approx(0.634, abs=0.01)
     assert finest.across == pytest.approx(0.2335, abs=0.004)
     assert finest.along / finest.across == pytest.approx(niederer.speed_ratio(), rel=0.02)
 
 
-def test_difference_has_the_sign_of_the_monodomain_grids_bias(niederer, folder, finest):
+def test_difference_has_the_sign_of_the_monodomain_grids_bias(folder, finest):
     """Later along the diagonals of its tetrahedra, earlier along the axes."""
     p2, p3, p4, p8 = finest.difference[[1, 2, 3, 7]]
     assert p8 > p4 > 0.5
@@ -69,7 +55,7 @@ def test_solver_gives_the_exact_eikonal_solution(finest):
     assert finest.solver_error < 1e-9
 
 
-def test_other_speeds_along_other_axes_are_seen(niederer, finest):
+def test_other_speeds_along_other_axes_are_seen(finest):
     """Exchanged speeds, as fibres across the slab would give."""
     swapped = niederer.eikonal_times(SPACING, finest.across, finest.along, finest.monodomain[0])
     corners = swapped[[0, -1], [-1, 0], [0, 0]]  # P2, P3
@@ -77,7 +63,7 @@ def test_other_speeds_along_other_axes_are_seen(niederer, finest):
     assert corners[1] > finest.monodomain[2] + 10
 
 
-def test_coarse_monodomain_field_is_no_eikonal_solution(niederer, folder):
+def test_coarse_monodomain_field_is_no_eikonal_solution(folder):
     """Its far corner fires before nearer ones; still the diagonal stays within a few ms."""
     coarse = niederer.compare_field(folder, SPACING)
     p3, p4, p7, p8 = coarse.monodomain[[2, 3, 6, 7]]
