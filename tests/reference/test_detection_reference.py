@@ -43,6 +43,7 @@ def marked_peaks(stem):
 
 @pytest.mark.parametrize(("record", "count"), [("24", 7), ("23", 8), ("119", 8)])
 def test_every_manual_beat_and_no_other(data_folder, record, count):
+    """And in the analysis, within 20 ms of the median over the leads of the annotators' R peaks."""
     folder = data_folder / "ecg" / "ludb"
     beats, first, last = marked_peaks(folder / record)
     assert len(beats) == count
@@ -53,17 +54,10 @@ def test_every_manual_beat_and_no_other(data_folder, record, count):
     for peak, beat in zip(inside, beats, strict=True):
         assert np.abs(beat - peak).min() <= 0.02
         assert abs(np.median(beat) - peak) <= 0.03
-
-
-@pytest.mark.parametrize("record", ["24", "23", "119"])
-def test_r_peaks_of_the_analysis(data_folder, record):
-    """Within 20 ms of the median over the leads of the annotators' R peaks."""
-    folder = data_folder / "ecg" / "ludb"
-    beats, _, _ = marked_peaks(folder / record)
     analysis = analyse(read_recording(folder / f"{record}_common.hea"))
-    found = np.array([beat.time for beat in analysis.beats])
-    for marks in beats:
-        assert np.abs(found - np.median(marks)).min() <= 0.0201
+    analysed = np.array([beat.time for beat in analysis.beats])
+    for beat in beats:
+        assert np.abs(analysed - np.median(beat)).min() <= 0.0201
 
 
 def test_every_beat_that_the_machine_marked(data_folder):
@@ -125,27 +119,27 @@ def test_beats_in_noise_of_15_db(noise):
     by_rhythm = {
         rhythm: synthetic_outcome(rhythm, 15.0, range(100, 104), noise=noise) for rhythm in RHYTHMS
     }
-    found, missed, false = sum(by_rhythm.values())
-    assert found + missed > 2000
-    assert found / (found + missed) >= 0.99
-    assert found / (found + false) >= 0.99
-    for rhythm, (found, missed, false) in by_rhythm.items():
-        assert found / (found + missed) >= 0.97, rhythm
-        assert found / (found + false) >= 0.97, rhythm
+    total = sum(by_rhythm.values())
+    assert total[:2].sum() > 2000
+    assert_found(total, 0.99, 0.99)
+    for found in by_rhythm.values():
+        assert_found(found, 0.97, 0.97)
 
 
-def test_beats_in_noise_of_5_db():
-    found, missed, false = sum(synthetic_outcome(rhythm, 5.0, range(2)) for rhythm in RHYTHMS)
-    assert found / (found + missed) >= 0.98
-    assert found / (found + false) >= 0.96
+def assert_found(outcomes, sensitivity, predictive_value):
+    found, missed, false = outcomes
+    assert found / (found + missed) >= sensitivity
+    assert found / (found + false) >= predictive_value
 
 
-def test_beats_among_t_waves_as_tall_as_the_qrs():
-    found, missed, false = sum(
-        synthetic_outcome(rhythm, 15.0, range(2), tall_t=3.0) for rhythm in RHYTHMS
-    )
-    assert found / (found + missed) >= 0.98
-    assert found / (found + false) >= 0.98
+@pytest.mark.parametrize(
+    ("noise_db", "predictive_value", "options"),
+    [(5.0, 0.96, {}), (15.0, 0.98, {"tall_t": 3.0})],
+    ids=["noise", "T waves as tall as the QRS"],
+)
+def test_beats_that_are_hard_to_see(noise_db, predictive_value, options):
+    outcomes = [synthetic_outcome(rhythm, noise_db, range(2), **options) for rhythm in RHYTHMS]
+    assert_found(sum(outcomes), 0.98, predictive_value)
 
 
 def test_beats_among_t_waves_higher_than_the_qrs():
@@ -159,7 +153,5 @@ def test_beats_among_t_waves_higher_than_the_qrs():
             )
             (group,) = lead_groups(recording, np.empty((0, 2), dtype=np.int64), TargetOptions())
             total += outcome(group.times, truth)
-    found, missed, false = total
-    assert found + missed > 1900
-    assert found / (found + missed) >= 0.99
-    assert found / (found + false) >= 0.99
+    assert total[:2].sum() > 1900
+    assert_found(total, 0.99, 0.99)
