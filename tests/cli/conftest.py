@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import pyvista as pv
 
@@ -18,19 +18,13 @@ KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0
 RINGS, SPOKES = 9, 24
 
 SMALL_PARAMETERS = {
-    "lv_initial_length": 8.0,
-    "rv_initial_length": 9.0,
-    "lv_fascicle_length_1": 5.0,
-    "lv_fascicle_length_2": 6.0,
-    "rv_fascicle_length_1": 6.0,
-    "rv_fascicle_length_2": 5.0,
-    "lv_fascicle_angle_1": 0.9,
-    "lv_fascicle_angle_2": -0.6,
-    "rv_fascicle_angle_1": 0.7,
-    "rv_fascicle_angle_2": -0.4,
-    "root_time": -12.5,
-    "cv": 2.7,
-}
+    "lv_initial_length": 8.0, "rv_initial_length": 9.0,
+    "lv_fascicle_length_1": 5.0, "lv_fascicle_length_2": 6.0,
+    "rv_fascicle_length_1": 6.0, "rv_fascicle_length_2": 5.0,
+    "lv_fascicle_angle_1": 0.9, "lv_fascicle_angle_2": -0.6,
+    "rv_fascicle_angle_1": 0.7, "rv_fascicle_angle_2": -0.4,
+    "root_time": -12.5, "cv": 2.7,
+}  # fmt: skip
 
 
 def cup_radius(depth):
@@ -61,13 +55,8 @@ def cup(centre_x):
         depth = ring / RINGS
         angle = 2 * np.pi * np.arange(SPOKES) / SPOKES
         radius = cup_radius(depth)
-        points += np.column_stack(
-            [
-                centre_x + radius * np.cos(angle),
-                WIDTH / 2 + radius * np.sin(angle),
-                np.full(SPOKES, 10.0 + 45.0 * depth),
-            ]
-        ).tolist()
+        x, y = centre_x + radius * np.cos(angle), WIDTH / 2 + radius * np.sin(angle)
+        points += np.column_stack([x, y, np.full(SPOKES, 10.0 + 45.0 * depth)]).tolist()
     for k in range(SPOKES):
         following = (k + 1) % SPOKES
         triangles.append([0, 1 + k, 1 + following])
@@ -88,16 +77,12 @@ def surface(points, triangles):
     return pv.PolyData.from_regular_faces(np.asarray(points, float), np.asarray(triangles))
 
 
-def electrode_rows():
+def write_electrodes(path):
     """Nine places around the block."""
     angle = 2 * np.pi * np.arange(len(ELECTRODES)) / len(ELECTRODES)
     ring = np.column_stack([150 * np.cos(angle), 110 * np.sin(angle), 40 * np.sin(3 * angle)])
-    return [[name, *place] for name, place in zip(ELECTRODES, ring + WIDTH / 2, strict=True)]
-
-
-def write_rows(path, rows, header=("name", "x", "y", "z")):
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([list(header), *rows])
+    frame = pd.DataFrame(ring + WIDTH / 2, ELECTRODES, ["x", "y", "z"])
+    frame.to_csv(path, index_label="name")
     return path
 
 
@@ -119,7 +104,7 @@ class Materials:
             ),
             "lv-endocardium": self.save("lv.vtp", surface(*self.lv_surface)),
             "rv-endocardium": self.save("rv.vtp", surface(*self.rv_surface)),
-            "electrodes": write_rows(self.folder / "electrodes.csv", electrode_rows()),
+            "electrodes": write_electrodes(self.folder / "electrodes.csv"),
         }
 
     def save(self, name, data, **options):

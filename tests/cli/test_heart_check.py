@@ -58,16 +58,16 @@ def test_no_heart_folder(outside, refused, command):
 
 
 @pytest.mark.parametrize(
-    "content", [b"name = ", b"\xff\xfe\x00", b"a = 1\na = 2", b"a = " + b"9" * 5000]
-)
-def test_broken_manifest(heart, check_refused, content):
+    ("content", "words"),
+    [
+        (b"name = ", "not valid TOML"), (b"\xff\xfe\x00", "not valid TOML"),
+        (b"a = " + b"9" * 5000, "; import the heart again"),
+        (b"", "'format': Field required; correct it or import"),
+    ],
+)  # fmt: skip
+def test_broken_manifest(heart, check_refused, content, words):
     (heart / "heart.toml").write_bytes(content)
-    check_refused("heart.toml: not valid TOML", "; import the heart again")
-
-
-def test_empty_manifest(heart, check_refused):
-    (heart / "heart.toml").write_text("")
-    check_refused("heart.toml: 'format': Field required; correct it or import")
+    check_refused("heart.toml: ", words)
 
 
 @pytest.mark.parametrize(
@@ -75,11 +75,7 @@ def test_empty_manifest(heart, check_refused):
     [
         ('units = "mm"', 'units = "cm"', "'units': Input should be 'mm'"),
         ("fascicle heart 1", "fascicle heart 2", "'format': Input should be 'fascicle heart 1'"),
-        (
-            'units = "mm"',
-            'units = "mm"\ncolour = "red"',
-            "'colour': Extra inputs are not permitted",
-        ),
+        ('units = "mm"', 'units = "mm"\ncolour = 1', "'colour': Extra inputs are not permitted"),
         ("root = ", "roof = ", "'lv.root': Field required"),
         ("root = ", 'root = "a" #', "'lv.root': Input should be a valid integer"),
         ("[rv]", "[lvv]", "'rv': Field required"),
@@ -108,10 +104,9 @@ def test_odd_file_names(heart, check_refused, name):
     check_refused("error: ", "; ")
 
 
-@pytest.mark.parametrize("seed", [-1, 10_000])
-def test_seed_out_of_range(heart, check_refused, seed):
-    edit(heart, "root = ", f"root = {seed} #")
-    check_refused("lv_endocardium.vtp", f"LV root {seed}", "; give a number from 0 to 216")
+def test_seed_out_of_range(heart, check_refused):
+    edit(heart, "root = ", "root = 10000 #")
+    check_refused("lv_endocardium.vtp", "LV root 10000", "; give a number from 0 to 216")
 
 
 def test_root_is_direction(heart, check_refused):

@@ -131,8 +131,3 @@ def test_bad_places(refused, folder, outside, name, kind, words):
     (outside / "notes").write_text("mine")
     refused(["heart", "export", folder, "--format", kind, "--out", outside / name], words)
     assert [path.name for path in outside.iterdir()] == ["notes"]
-
-
-def test_no_heart_there(refused, outside):
-    refused(["heart", "export", outside / "none", "--out", outside / "x"], "no such heart folder")
-    assert list(outside.iterdir()) == []

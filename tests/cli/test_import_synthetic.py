@@ -12,20 +12,10 @@ import pyvista as pv
 from fascicle.heart.folder import load_heart
 
 
-def grid(materials, **data):
-    mesh = pv.UnstructuredGrid({pv.CellType.TETRA: materials.tetrahedra}, materials.points)
-    mesh.point_data.update(data)
-    return mesh
-
-
-def test_import_and_check(materials, outside, run):
+def test_import(materials, outside, run):
     ended = run(*materials.command(outside / "heart"))
     assert ended.well
     assert "729 vertices, 3072 tetrahedra" in ended.out
-    assert sorted(p.name for p in outside.iterdir()) == ["heart"]
-    ended = run("heart", "check", outside / "heart")
-    assert ended.well
-    assert "warnings" in ended.out
     heart = load_heart(outside / "heart")
     np.testing.assert_allclose(np.abs(heart.fibres @ [0.6, 0, 0.8]), 1, atol=1e-12)
     assert heart.volumes.sum() == pytest.approx(60.0**3)
@@ -43,14 +33,6 @@ def test_found_seeds_face_the_other_ventricle_near_the_base(materials, outside, 
         assert sign * (direction[0] - centre) > 5
         assert 45 < root[2] < 55  # the rim is at 55 mm, the apex at 10 mm
         assert direction[2] < root[2] - 10
-
-
-def test_given_seeds_are_kept(materials, outside, run):
-    seeds = ["--lv-root", 200, "--lv-direction", 0, "--rv-root", 180, "--rv-direction", 5]
-    assert run(*materials.command(outside / "heart", *seeds)).status == 0
-    heart = load_heart(outside / "heart")
-    assert (heart.lv.root, heart.lv.direction) == (200, 0)
-    assert (heart.rv.root, heart.rv.direction) == (180, 5)
 
 
 def test_fibres_per_cell_and_in_another_order(materials, outside, run):
@@ -87,7 +69,7 @@ def test_fibres_per_point_in_another_order(materials, outside, run):
 
 def write_tissue(materials, name):
     path = materials.folder / name
-    mesh = grid(materials, fibre=materials.fibres)
+    mesh = materials.grid(materials.points, materials.tetrahedra, {"fibre": materials.fibres})
     cells, fibres = [("tetra", materials.tetrahedra)], {"fibre": materials.fibres}
     if name.endswith(".msh"):
         version = "gmsh22" if "22" in name else "gmsh"
@@ -105,16 +87,7 @@ def write_tissue(materials, name):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "binary.vtu",
-        "ascii.vtu",
-        "binary.vtk",
-        "ascii.vtk",
-        "binary.msh",
-        "ascii.msh",
-        "ascii22.msh",
-    ],
+    "name", ["binary.vtu", "ascii.vtu", "binary.vtk", "ascii.vtk", "binary.msh", "ascii22.msh"]
 )
 def test_every_tissue_format(materials, outside, run, name):
     file = write_tissue(materials, name)
@@ -141,12 +114,8 @@ def write_surface(path, points, triangles):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "s.vtp", "ascii.vtp", "s.vtk", "ascii.vtk", "s.obj", "s.stl", "ascii.stl", "s.ply",
-        "ascii.ply", "s.msh",
-    ],
-)  # fmt: skip
+    "name", ["s.vtp", "ascii.vtk", "s.obj", "s.stl", "ascii.stl", "s.ply", "ascii.ply", "s.msh"]
+)
 def test_every_surface_format(materials, outside, run, name):
     points, triangles = materials.lv_surface
     file = write_surface(materials.folder / name, points, triangles)
@@ -186,11 +155,14 @@ def test_electrodes_as_json_in_any_order_and_case(materials, outside, run):
     assert np.ptp(first.electrodes, axis=0).max() > 250
 
 
-def test_import_again_replaces_and_keeps_nothing_old(materials, outside, run):
+def test_given_seeds_are_kept_and_nothing_of_an_import_before(materials, outside, run):
     out = outside / "heart"
-    assert run(*materials.command(out, "--lv-root", 200, "--lv-direction", 0)).status == 0
-    assert run(*materials.command(out, "--lv-root", 199, "--lv-direction", 0)).status == 0
-    assert load_heart(out).lv.root == 199
+    for root in (199, 200):
+        seeds = ["--lv-root", root, "--lv-direction", 0, "--rv-root", 180, "--rv-direction", 5]
+        assert run(*materials.command(out, *seeds)).status == 0
+    heart = load_heart(out)
+    assert (heart.lv.root, heart.lv.direction) == (200, 0)
+    assert (heart.rv.root, heart.rv.direction) == (180, 5)
     assert sorted(p.name for p in outside.iterdir()) == ["heart"]
 
 

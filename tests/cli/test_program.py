@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from fascicle.core.errors import InputError
 from fascicle.study.settings import FitSettings
 
@@ -32,23 +30,6 @@ def test_installed_program():
     assert (ended.returncode, ended.stderr) == (0, "")
     for command in ("heart", "simulate", "target", "fit", "predict", "report", "demo"):
         assert f" {command} " in ended.stdout
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("heart", "import"), ("heart import", "--lv-endocardium"), ("heart check", "HEART"),
-        ("heart refine", "--out"),
-        ("simulate", "--root-time"), ("target", "--out"), ("fit", "--effective"),
-        ("predict", "--scenario"), ("compare", "--threshold"), ("sweep", "--delay"),
-        ("report", "Finished study"), ("demo", "--out"),
-    ],
-)  # fmt: skip
-def test_help_of_every_command(run, monkeypatch, command, words):
-    monkeypatch.setenv("COLUMNS", "100")
-    ended = run(*command.split(), "--help")
-    assert (ended.status, ended.err) == (0, "")
-    assert words in ended.out
 
 
 def test_every_setting_of_a_fit_is_an_option(run, monkeypatch):

@@ -28,10 +28,8 @@ def test_every_quantity_is_listed(run):
 
 def test_fixed_in_a_simulation(run, outside):
     out = outside / "sim"
-    assert (
-        run("simulate", "default", "--fix", "alpha=0.08", "--fix", "gain=2", "--out", out).status
-        == 0
-    )
+    options = ["--fix", "alpha=0.08", "--fix", "gain=2"]
+    assert run("simulate", "default", *options, "--out", out).status == 0
     inputs = json.loads((out / "summary.json").read_text())["inputs"]["parameters"]
     assert (inputs["alpha"], inputs["gain"]) == (0.08, 2.0)
 
@@ -133,16 +131,8 @@ class TestFit:
         refused(["fit", "default", target, "--out", outside / "s", *options], words)
         assert not (outside / "s").exists()
 
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
-            ("stepz = 3", "'stepz'"),
-            ('steps = "many"', "'steps'"),
-            ("[parameters]\nkv = 3", "unknown parameter 'kv'"),
-        ],
-    )
-    def test_wrong_settings_files_are_named(self, refused, outside, target, text, words):
+    def test_wrong_settings_files_are_named(self, refused, outside, target):
         path = outside / "study.toml"
-        path.write_text(text)
+        path.write_text("[parameters]\nkv = 3")
         arguments = ["fit", "default", target, "--out", outside / "s", "--settings", path]
-        refused(arguments, path, words)
+        refused(arguments, path, "unknown parameter 'kv'")

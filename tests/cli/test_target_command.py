@@ -41,10 +41,6 @@ def flat_v2(signal):
     signal[LEADS.index("V2")] = 0.1
 
 
-def empty_first(signal):
-    signal[0] = np.nan
-
-
 def arms_exchanged(signal):
     i, ii, iii, avr, avl, avf = signal[:6].copy()
     signal[:6] = -i, iii, ii, avl, avr, avf
@@ -74,13 +70,7 @@ def test_dicom(outside, run):
     assert sorted(path.suffix for path in outside.iterdir()) == [".nc", ".png"]
     assert (outside / "mein Ziel ♥.png").read_bytes().startswith(b"\x89PNG")
     assert "Einthoven" in ended.out
-
-
-def test_both_durations_as_json(outside, run):
-    recording = get_testdata_file("waveform_ecg.dcm", download=False)
-    ended = run("target", recording, "--out", outside / "t.nc", "--json")
-    assert ended.status == 0
-    said, target = json.loads(ended.out), read_target(outside / "t.nc")
+    said = json.loads(run("target", recording, "--out", outside / "t.nc", "--json").out)
     assert said["qrs_duration_ms"] == target.qrs_duration
     assert said["global_qrs_duration_ms"] == target.global_qrs_duration
     assert (said["global_qrs_onset_ms"], said["global_qrs_offset_ms"]) == target.global_qrs
@@ -101,14 +91,10 @@ def test_csv_and_window_of_ones_own(outside, tmp_path, run):
         ({"leads": LEADS[:9]}, ("V4", "; ")),
         ({"change": flat_v2}, ("V2", "--leads I,II,III,aVR,aVL,aVF,V1,V3,V4,V5,V6")),
         ({"unit": " [furlong]"}, ("unknown unit", "furlong", "; ")),
-        ({"unit": ""}, ()),
     ],
 )
-def test_recordings_that_will_not_do(tmp_path, target_refused, run, outside, options, words):
+def test_recordings_that_will_not_do(tmp_path, target_refused, options, words):
     recording = table(tmp_path / "rec.csv", **options)
-    if options == {"unit": ""}:  # our own format, so it will do
-        assert run("target", recording, "--out", outside / "t.nc").status == 0
-        return
     target_refused(recording, recording, "; ", *words)
 
 
@@ -122,34 +108,12 @@ def test_files_that_are_no_recordings(tmp_path, target_refused):
     target_refused(tmp_path / "a.pkl", "'.pkl' recordings cannot be read; give")
 
 
-@pytest.mark.parametrize(
-    "suffix", [".csv", ".tsv", ".txt", ".hea", ".dcm", ".xml", ".scp", ".edf", ".h5", ".mat", ""]
-)
-@pytest.mark.parametrize(
-    "content", [b"", b"\0" * 500, bytes(range(256)) * 9, b"hello\n" * 9, pickle.dumps({"a": 1})]
-)
+@pytest.mark.parametrize("suffix", [".csv", ".hea", ".dcm", ".xml", ".scp", ".h5", ".mat", ""])
+@pytest.mark.parametrize("content", [b"", bytes(range(256)) * 9, pickle.dumps({"a": 1})])
 def test_rubbish(tmp_path, target_refused, suffix, content):
     path = tmp_path / f"rubbish{suffix}"
     path.write_bytes(content)
     target_refused(path, path)
-
-
-@pytest.mark.parametrize("cut", [0.01, 0.3, 0.9, 0.999])
-def test_truncated_dicom(tmp_path, target_refused, cut):
-    from pathlib import Path
-
-    whole = Path(get_testdata_file("waveform_ecg.dcm", download=False)).read_bytes()
-    path = tmp_path / "cut.dcm"
-    path.write_bytes(whole[: int(cut * len(whole))])
-    target_refused(path, path, "; ")
-
-
-@pytest.mark.parametrize(
-    ("onset", "offset"), [("nan", 50), (-40, "nan"), ("inf", 50), (50, -40), (-1e6, 50), (-40, 1e6)]
-)
-def test_windows_that_cannot_be(tmp_path, target_refused, onset, offset):
-    recording = table(tmp_path / "rec.csv")
-    target_refused(recording, "; ", extra=("--onset", onset, "--offset", offset))
 
 
 def made(run, outside, recording, *options):
@@ -250,6 +214,8 @@ def hum(signal):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (("--onset", "nan", "--offset", "50"), "; "),
+        (("--onset", "50", "--offset", "-40"), "; "),
         (("--class", "B"), "there is no class B; the beats are of class A"),
         (("--beats", "77"), "there is no beat 77"),
         (("--beats", "4-x"), "give numbers such as 3 or 1-4,7"),
