@@ -28,8 +28,6 @@ from fascicle.study.fitted import FittedStudy
 SETTINGS: dict[str, Any] = {
     "method": "paper", "initial": 60, "steps": 60, "samples": 10, "draws": 500_000, "rounds": 4,
 }  # fmt: skip
-
-
 BLOCK = "left-bundle-branch-block"  # what the demonstration's pacings are for
 
 
@@ -59,15 +57,9 @@ def run_demo(
 ) -> tuple[Analysis, FittedStudy, dict[str, Predicted]]:
     """Make the target, fit, draw the figures, compare three pacings for a left bundle branch block.
 
-    Parameters
-    ----------
-    out : Path
-        Folder that gets ``target.nc`` and ``target.png``, ``study``, ``pacings`` and
-        ``report.html``; run again, the study resumes.
-    progress : Progress
-        Called with the stage, and how far it is.
-    free_gain : bool
-        Whether simulations are scaled: the heart and its body are somebody else's.
+    The folder `out` gets ``target.nc`` and ``target.png``, ``study``, ``pacings`` and
+    ``report.html``; run again, the study resumes. With `free_gain` simulations are scaled: the
+    heart and its torso are somebody else's.
     """
     analysis = analyse(read_recording(demo_recording()))
     write_target(analysis.target, out / "target.nc")

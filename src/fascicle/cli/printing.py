@@ -21,11 +21,10 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
     from fascicle.reporting.names import MEASURES
 
     print_row("total activation time", f"{simulation.total_activation_time:.1f} ms")
-    for key, value in (
-        ("qrs_duration_ms", simulation.qrs_duration),
-        ("global_qrs_duration_ms", simulation.global_qrs_duration),
+    for measure, value in (
+        (MEASURES["qrs_duration_ms"], simulation.qrs_duration),
+        (MEASURES["global_qrs_duration_ms"], simulation.global_qrs_duration),
     ):
-        measure = MEASURES[key]
         print_row(measure.name, f"{value:.0f} {measure.unit} ({measure.meaning})")
     for side, tree in summary["trees"].items():
         retrograde, inactive = tree["retrograde_junctions"], tree["not_activated_junctions"]
@@ -47,10 +46,7 @@ def print_simulation(simulation: Simulation, summary: Mapping[str, Any]) -> None
 
 
 def print_fit(fitted: FittedStudy, summary: Mapping[str, Any]) -> None:
-    """Print whether to trust a study, how well its networks match, and what the ECG determines.
-
-    `summary` is its summary.json.
-    """
+    """Print of a study and its summary.json: verdict, match, and what the ECG determines."""
     from fascicle.study.population import Posterior
 
     population, count = fitted.population, len(fitted.study.records())
@@ -147,10 +143,7 @@ def print_verdict(fitted: FittedStudy) -> None:
 def print_prediction(
     predicted: Mapping[str, Predicted], prior: Mapping[str, Predicted] | None = None
 ) -> None:
-    """Print indices of scenarios: medians, and 90 % of the networks.
-
-    With those of networks of the prior, say whether the ECG determines them, too.
-    """
+    """Print indices of scenarios; with those of the prior, whether the ECG determines them."""
     from fascicle.reporting.names import MEASURES, index_label, index_name
     from fascicle.study.statements import prediction_statement
 
@@ -242,18 +235,10 @@ def comparison_result(
     threshold: float,
     parameters: Mapping[str, Floats],
 ) -> dict[str, Any]:
-    """Compare the first of two named scenarios with the second, by every index and closely by one.
+    """Compare the first of two scenarios with the second, by every index and closely by one.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The two.
-    predicted : mapping of name to Predicted
-        Them, and what could be measured.
-    index, threshold
-        Index that is looked at closely, and the gain that matters, in its unit.
-    parameters : mapping of name to (n,) array
-        Of the networks.
+    `predicted` holds the two and what could be measured, `parameters` those of the networks;
+    `threshold` is the gain that matters, in the unit of `index`.
     """
     from fascicle.prediction.comparison import compare, missing_blocks
     from fascicle.prediction.index_names import COMPARED

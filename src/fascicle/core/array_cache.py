@@ -20,15 +20,7 @@ from fascicle.core.files import atomic_path
 
 @dataclass(frozen=True)
 class ArrayCache:
-    """NPZ files in a folder; their names are hashes of a key and of this package's version.
-
-    Attributes
-    ----------
-    folder : Path
-        Made when something is written.
-    kind : str
-        What the names begin with.
-    """
+    """NPZ files in a folder, named by their kind and a hash of a key and of this version."""
 
     folder: Path
     kind: str
@@ -50,22 +42,13 @@ class ArrayCache:
             return None
 
     def write(self, key: str, arrays: Mapping[str, Any], *, compress: bool = False) -> None:
-        """Write arrays, whole or not at all.
-
-        Raises
-        ------
-        InputError
-            If the disk is full, or nothing can be written there.
-        """
+        """Write arrays, whole or not at all; OutputError where that cannot be done."""
         save = np.savez_compressed if compress else np.savez
         with atomic_path(self.file(key)) as temporary:
             save(temporary, allow_pickle=False, **arrays)
 
     def keep(self, key: str, arrays: Mapping[str, Any], most: int | None = None) -> None:
-        """Write arrays where that can be done: else they are computed again next time.
-
-        Where there are then more than `most` files, the oldest go.
-        """
+        """Write arrays where that can be done; of more than `most` files the oldest go."""
         # a full disk, a folder of somebody else, or another process that tidies up
         with suppress(OSError, InputError):
             self.write(key, arrays)

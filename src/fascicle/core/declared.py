@@ -93,13 +93,7 @@ class Table:
 
     @classmethod
     def of(cls, values: Any, number: int | None = None) -> Self:
-        """Make one of a table of a file, the `number`-th of its kind.
-
-        Raises
-        ------
-        InputError
-            If a key is unknown or missing, or a value cannot be.
-        """
+        """Make one of a table of a file, the `number`-th of its kind."""
         if not isinstance(values, Mapping):
             brackets = f"[{cls.table}]" if cls.once else f"[[{cls.table}]]"
             raise InputError(f"'{cls.table}' is {shown(values)}; it must be a table: {brackets}")

@@ -41,12 +41,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Give a temporary path, with the same suffix, that takes the place of `path` on success.
 
     The temporary file lies in the same folder, so the rename is atomic; on any error, and on
-    Ctrl-C, it is removed and what stood at `path` stays.
-
-    Raises
-    ------
-    OutputError
-        If nothing can be written there, or the disk is full.
+    Ctrl-C, it is removed and what stood at `path` stays. OutputError is that nothing can be written
+    there, or the disk is full.
     """
     check_writable(path)
     with _replaced(path, is_folder=False) as temporary:
@@ -74,13 +70,9 @@ def atomic_folder(folder: Path, disposable: Collection[str] = ()) -> Iterator[Pa
     """Give a temporary folder that takes the place of `folder` on success.
 
     A folder that stands there already is replaced only once the new one is complete, and only if
-    the new one has every file that the old one has: what others put there is not lost.
-    Files whose names are `disposable` may go.
-
-    Raises
-    ------
-    OutputError
-        If `folder` holds anything that would be lost, is a file, or the disk is full.
+    the new one has every file that the old one has, but those that are `disposable`: what others
+    put there is not lost. OutputError is that it would be, that `folder` is a file, or that the
+    disk is full.
     """
     check_folder(folder)
     folder = folder.resolve()  # a link stays a link
@@ -182,17 +174,10 @@ def as_path(value: object, what: str, needed: str = "a path") -> Path:
 
 
 def check_file(path: Path, formats: Iterable[str], purpose: str) -> None:
-    """Refuse a path that is no file, or of a format that is not read, in one line.
+    """Refuse a path that is no file, or whose suffix is none of `formats`, such as ``".csv"``.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    formats : iterable of str
-        The suffixes that are read, such as ``".csv"``. Never those of Python pickles, which run
-        code when they are opened.
-    purpose : str
-        What the file holds, for the message.
+    Those of Python pickles, which run code when they are opened, are never among them. `purpose`
+    is what the file holds, for the message.
     """
     if not os.path.isfile(path):
         reason = "is a folder, not a file" if os.path.isdir(path) else "no such file"
@@ -231,11 +216,8 @@ def is_outside_allowed() -> bool:
 def named_by(file: Path, name: str) -> Path:
     """Path of a file that another file names, from that one's folder.
 
-    Raises
-    ------
-    FileError
-        If it lies outside that folder, also by a link, unless that is allowed
-        (`outside_allowed`): a file from somebody else must not choose what is read here.
+    One outside that folder, also by a link, is refused unless that is allowed (`outside_allowed`):
+    a file from somebody else must not choose what is read here.
     """
     if "\0" in name:
         raise FileError(f"{file}: names '{printable(name)}', which is no file; correct the name")

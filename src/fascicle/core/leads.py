@@ -18,13 +18,9 @@ ELECTRODES: tuple[str, ...] = ("RA", "LA", "LL", "V1", "V2", "V3", "V4", "V5", "
 
 
 def lead_matrix() -> Floats:
-    """Matrix that turns electrode potentials into leads.
+    """Matrix (12, 9) that turns potentials, as in `ELECTRODES`, into leads, as in `LEADS`.
 
-    Returns
-    -------
-    (12, 9) array
-        ``leads = lead_matrix() @ potentials`` with rows in the order of `LEADS` and columns in the
-        order of `ELECTRODES`. Every row sums to zero: no lead sees a common potential.
+    Every row sums to zero: no lead sees a common potential.
     """
     ra, la, ll, *chest = np.eye(len(ELECTRODES))
     wilson = (ra + la + ll) / 3
@@ -34,21 +30,10 @@ def lead_matrix() -> Floats:
 
 
 def limb_leads_from(recorded: Collection[str]) -> Floats | None:
-    """Matrix that computes the six limb leads from two that were recorded.
+    """Matrix (6, 6) that computes the limb leads from two that were recorded.
 
-    Two potential differences determine all six, by Einthoven's and Goldberger's laws.
-
-    Parameters
-    ----------
-    recorded : collection of str
-        Names of limb leads; the first two in the order of `LEADS` that are there count, so that
-        I and II are used where both exist.
-
-    Returns
-    -------
-    (6, 6) array or None
-        ``limb = matrix @ limb`` in the order of `LIMB_LEADS`; columns of unused leads are zero.
-        None where fewer than two are recorded.
+    Two potential differences determine all six, by Einthoven's and Goldberger's laws. The first two
+    in the order of `LIMB_LEADS` count; columns of the others are zero. None where there are fewer.
     """
     columns = [k for k, lead in enumerate(LIMB_LEADS) if lead in recorded][:2]
     if len(columns) < 2:
@@ -60,21 +45,11 @@ def limb_leads_from(recorded: Collection[str]) -> Floats | None:
 
 
 def independent_rows(present: Booleans) -> Integers:
-    """Rows of leads that are no combination of one another, of those that are present.
+    """Rows of two limb leads (I and II where both are there) and the chest leads, if `present`.
 
-    For sums of energies, in which no direction may count twice. Means over leads, such as the root
-    mean square, take `fascicle.recording.detection.complete_leads`, which keeps all limb leads
+    No lead is then a combination of others, for sums of energies. Means over leads, such as the
+    root mean square, take `fascicle.recording.detection.complete_leads`, which keeps all limb leads
     where I or II is missing.
-
-    Parameters
-    ----------
-    present : (12,) array of bool
-        Which leads there are.
-
-    Returns
-    -------
-    (k,) array
-        Two limb leads (I and II where both are there) and the chest leads, increasing.
     """
     limb = np.flatnonzero(present[: len(LIMB_LEADS)])[:2]
     chest = len(LIMB_LEADS) + np.flatnonzero(present[len(LIMB_LEADS) :])

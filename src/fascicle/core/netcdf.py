@@ -23,22 +23,8 @@ DAMAGED: tuple[type[Exception], ...] = (
 def load_netcdf(path: Path, group: str = "/") -> xr.Dataset:
     """Load one group of a file, in a child process: HDF5 may crash or never end.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    group : str
-        Its name.
-
-    Returns
-    -------
-    xarray.Dataset
-        Variables as they are stored: what fills gaps is not replaced, times are not decoded.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or there is no such group.
+    Variables are as they are stored: what fills gaps is not replaced, times are not decoded.
+    InputError is that the file cannot be read, or has no such group.
     """
     import xarray as xr
 

@@ -149,18 +149,8 @@ class ParameterSpace:
 def free(name: str, **prior: Any) -> Parameter:
     """A quantity as a parameter to be learnt, with its declared range and prior.
 
-    Parameters
-    ----------
-    name : str
-        A quantity of `fascicle.core.quantities`.
-    **prior
-        What is otherwise: `lower`, `upper`, `prior`, `median`, `sd`; the prior is then uniform
-        unless they say another one.
-
-    Raises
-    ------
-    ValueRefusedError
-        If the quantity is unknown or can only be fixed, or the prior is impossible.
+    `prior` is what is otherwise of it: `lower`, `upper`, `prior`, `median`, `sd`; the prior is then
+    uniform unless they say another one.
     """
     known = quantity(name)
     if known.is_integer:
@@ -189,13 +179,7 @@ NETWORK_SPACE = network_space()
 
 
 def complete(values: Mapping[str, Any]) -> dict[str, float]:
-    """Check the parameters of a network: names, numbers, ranges, and that none is missing.
-
-    Raises
-    ------
-    ValueRefusedError
-        With the name, of the first that is wrong.
-    """
+    """Check the parameters of a network: names, numbers, ranges, and that none is missing."""
     numbers = checked(values)
     for name in numbers:
         if quantity(name).changes is Changes.STUDY:
@@ -213,13 +197,7 @@ def complete(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def read_parameters(path: Path | str) -> dict[str, float]:
-    """Read the parameters of a network from a TOML file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or not TOML, or a parameter is unknown, missing or impossible.
-    """
+    """Read the parameters of a network from a TOML file."""
     path = Path(path)
     check_file(path, (".toml",), "parameters")
     values = read_toml(path, "write lines like 'cv = 3.0'")

@@ -54,12 +54,9 @@ def check_progress(progress: object) -> None:
 
 @contextmanager
 def shown_progress(wanted: Progress | Lines | None) -> Iterator[Progress | None]:
-    """Give the progress callback that a caller of the Python interface asks for.
+    """Give the callback that a caller of the Python interface wants.
 
-    Parameters
-    ----------
-    wanted : Progress, "lines" or None
-        A callback; lines on standard error, while the context lasts; or nothing.
+    "lines" are written on standard error while the context lasts.
     """
     callback = progress_of(wanted)
     try:
@@ -103,15 +100,7 @@ def stage_name(stage: str) -> str:
 
 
 class ProgressLines:
-    """Lines that say how far a stage is: after 2 s, then every 10 s, and at its end.
-
-    Parameters
-    ----------
-    say : callable
-        Says a line.
-    first, every : float
-        Time (s) after which a stage is spoken of, and then again.
-    """
+    """Lines that `say` how far a stage is: at first, then every so many seconds, at its end."""
 
     def __init__(self, say: Callable[[str], None], first: float = 2.0, every: float = 10.0) -> None:
         self._say, self._first, self._every = say, first, every

@@ -229,13 +229,7 @@ def default_of(name: str) -> float:
 
 
 def quantity(name: str) -> Quantity:
-    """Look a quantity up; ``region_N_conductivity`` is there for every label N.
-
-    Raises
-    ------
-    ValueRefusedError
-        If there is none of this name.
-    """
+    """Look a quantity up; ``region_N_conductivity`` is there for every label N."""
     if name in QUANTITIES:
         return QUANTITIES[name]
     if not region_labels([str(name)]):
@@ -267,13 +261,7 @@ def fascicle_names(side: str, count: int) -> list[str]:
 
 
 def fascicles(side: str, names: Iterable[str]) -> int:
-    """How many fascicles of a side have parameters of these names.
-
-    Raises
-    ------
-    ValueRefusedError
-        Unless they are numbered 1, 2, … and each has a length and an angle.
-    """
+    """Count the fascicles of a side by these names: from 1, each a length and an angle."""
     pattern = rf"{side}_fascicle_(?:length|angle)_(\d+)"
     found = {name: int(m[1]) for name in names if (m := re.fullmatch(pattern, name))}
     count = max(found.values(), default=0)
@@ -284,19 +272,7 @@ def fascicles(side: str, names: Iterable[str]) -> int:
 
 
 def checked(values: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers of quantities as floats, each within what is possible.
-
-    Parameters
-    ----------
-    values : mapping of name to number
-        Python's or NumPy's numbers, in the units of `QUANTITIES`.
-
-    Raises
-    ------
-    ValueRefusedError
-        With the name, the value and the range, of the first that is unknown, no number, not finite
-        or impossible.
-    """
+    """Numbers of Python or NumPy, by the names of quantities, as floats that are possible."""
     check_kind(values, Mapping, "parameters", "a dict of names to numbers")
     return {name: check(quantity(name), value) for name, value in values.items()}
 

@@ -21,18 +21,9 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Possible values of one kind of number.
+    """Possible values, in a unit or none, of one kind of number, and what these mean.
 
-    Attributes
-    ----------
-    unit : str
-        Of its values; empty where it has none.
-    low, high : float
-        Least and largest.
-    meaning : str
-        What such numbers are.
-    also : float, optional
-        One more possible value: 0, which blocks, or infinity, which is never.
+    `also` is one more possible value: 0, which blocks, or infinity, which is never.
     """
 
     unit: str
@@ -166,10 +157,7 @@ def shown(value: object) -> str:
 
 
 def short_repr(self: Any) -> str:
-    """Name and fields of a dataclass on one line: numbers and names as they are, arrays by shape.
-
-    To be a class's ``__repr__``.
-    """
+    """Be the ``__repr__`` of a dataclass: its fields on one line, arrays by their shape."""
     fields = (
         f"{field.name}={_short(getattr(self, field.name))}"
         for field in dataclasses.fields(self)

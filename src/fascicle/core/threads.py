@@ -29,18 +29,11 @@ def blas_threads() -> int:
 
 
 def in_chunks(work: Callable[[slice], None], count: int, size: int) -> None:
-    """Call `work` on consecutive slices, on as many threads as BLAS may use.
+    """Call `work` on consecutive slices of `size` of `count` items, on as many threads as BLAS may.
 
-    Each slice is worked on by one thread from beginning to end. That gives the same bits whatever
-    the number of threads, and no thread waits for another at every operation, which on a busy
-    machine costs far more than the work.
-
-    Parameters
-    ----------
-    work : callable
-        Called with each slice; writes its result where no other call does.
-    count, size : int
-        What is sliced has length `count`, a slice at most `size`.
+    `work` writes its result where no other call does. Each slice is worked on by one thread from
+    beginning to end. That gives the same bits whatever the number of threads, and no thread waits
+    for another at every operation, which on a busy machine costs far more than the work.
     """
     slices = [slice(start, min(start + size, count)) for start in range(0, count, size)]
     workers = max(1, min(blas_threads(), len(slices)))
