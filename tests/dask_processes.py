@@ -6,6 +6,8 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
+import pytest
+
 LOST = r"^tcp://\S+: the Dask scheduler was lost; what is evaluated is kept: start it again"
 
 
@@ -21,6 +23,25 @@ def a_worker_of(address, threads=1):
     with _process("worker", address, "--no-nanny", "--nthreads", f"{threads}") as process:
         _last_word(process, "Registered to:")
         yield
+
+
+@contextmanager
+def a_local_cluster(threads):
+    """Give a cluster of two processes that starts each again that is killed.
+
+    It gives up a worker who is not there 15 s after it was lost, if it is not told otherwise:
+    under load a new process takes longer.
+    """
+    distributed = pytest.importorskip("distributed")
+    import dask
+
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "1 hour"}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=threads, processes=True, dashboard_address=None
+        ) as found,
+    ):
+        yield found
 
 
 @contextmanager

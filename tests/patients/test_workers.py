@@ -16,7 +16,7 @@ import fascicle
 from fascicle.core.errors import InputError, OutputError
 from fascicle.patients.outcome import Status
 from fascicle.patients.table import read_table
-from tests.dask_processes import LOST, a_scheduler, a_worker_of
+from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 distributed = pytest.importorskip("distributed")
 # so that a worker can be killed within
@@ -30,9 +30,7 @@ LONGER = {
 
 @pytest.fixture(scope="module")
 def address():
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None
-    ) as found:
+    with a_local_cluster(threads=2) as found:
         yield found.scheduler_address
 
 

@@ -29,7 +29,7 @@ from fascicle.forward import model as model_module
 from fascicle.forward.primitives import His
 from fascicle.study.pool import ExecutorPool, Pool, Threads, parts
 from fascicle.study.target_comparison import evaluate, networks
-from tests.dask_processes import LOST, a_scheduler, a_worker_of
+from tests.dask_processes import LOST, a_local_cluster, a_scheduler, a_worker_of
 
 KILLS = 10
 
@@ -176,10 +176,7 @@ def pause(point, simulator, recordings):
 
 @pytest.fixture(scope="module")
 def cluster():
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as found:
+    with a_local_cluster(threads=1) as found:
         yield found
 
 
@@ -225,6 +222,8 @@ class TestCluster:
         self, cluster, simulator, recordings, points, expected
     ):
         """Nothing is lost, and nothing is counted twice."""
+        from distributed.core import Status
+
         from fascicle.study.cluster import Cluster
 
         def watch(*news):
@@ -238,13 +237,13 @@ class TestCluster:
         def kill():
             while len(killed) < KILLS and not ended.is_set():
                 time.sleep(rng.uniform(0.3, 1.5))
-                # one that is just ending answers nothing, and may be gone before it is killed
-                processes = pool.client.run(os.getpid, on_error="ignore")
-                if processes:
-                    victim = rng.choice(list(processes.values()))
+                # a nanny starts none again that ends before it has said that it runs
+                processes = [nanny.process for nanny in list(cluster.workers.values())]
+                running = {p.pid for p in processes if p and p.status is Status.running}
+                if alive := sorted(running.difference(killed)):
+                    killed.append(rng.choice(alive))
                     with suppress(ProcessLookupError):
-                        os.kill(victim, signal.SIGKILL)
-                        killed.append(victim)
+                        os.kill(killed[-1], signal.SIGKILL)
 
         killer = threading.Thread(target=kill)
         killer.start()
