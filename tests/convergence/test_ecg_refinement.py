@@ -1,7 +1,5 @@
 """The ECG of one activation on ever finer bins and meshes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -13,8 +13,6 @@ The reference has an error of its own, which a first-order one would make the or
 So the maximum converges with order 1, not more: at 4 mm the fibre turns by 40° within an element.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import activate, box_tissue, conduction_for, ray_times

@@ -6,8 +6,6 @@ junction. Wanted: 0.5 ms at edges of 1 mm. Measured: 1e-13 ms within reach and u
 beyond, but where two fronts collide: early by up to `COLLISION`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import (

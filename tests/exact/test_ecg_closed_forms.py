@@ -9,8 +9,6 @@ Gᵢn·ΔU per area, n pointing to where it goes. With Gᵢn = σᵢn an electro
 Bioelectricity, on double layers). A lost 1/(4πσ), a cm for a mm or a wrong sign all show.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import box

@@ -1,7 +1,5 @@
 """The histogram of an element's front: the share of its volume that each bin sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The closed-form local solver against a brute-force minimum over the simplex."""
 
-from __future__ import annotations
-
 import numpy as np
 from builders import _best_on_row, brute_force
 from hypothesis import assume, example, given, settings

@@ -1,7 +1,5 @@
 """Nodes leave the queue in the order of their buckets, wherever the buckets lie in the ring."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Properties of the coupled problem whatever the trees."""
 
-from __future__ import annotations
-
 import numpy as np
 from builders import activate, box_tissue, heart_vertices, ray_times, star_tree
 from clinical import SHORT_BUNDLES

@@ -1,7 +1,5 @@
 """The surfaces that trees grow on in these tests."""
 
-from __future__ import annotations
-
 import pytest
 from builders import half_ellipsoid
 

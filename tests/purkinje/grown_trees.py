@@ -1,7 +1,5 @@
 """Trees grown on the surfaces that these tests share, and paths in them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

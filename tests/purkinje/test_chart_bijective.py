@@ -1,7 +1,5 @@
 """The chart: bijective, on the disk, oriented as seen from the blood, with exact lengths."""
 
-from __future__ import annotations
-
 import igl
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Lengths on the endocardium, measured without the package's metric, walks or stored lengths."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The compiled growth against the same rules written down plainly, and what moves nodes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from grown_trees import ANGLES, LENGTHS, grow

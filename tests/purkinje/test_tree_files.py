@@ -1,7 +1,5 @@
 """Trees read from lines: by point numbers where these make a tree, else by position."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import pyvista as pv

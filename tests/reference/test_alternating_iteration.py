@@ -7,8 +7,6 @@ myocardium. Measured, the largest difference anywhere: 3e-13 ms on
 the slab, 2e-11 on the heart.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from builders import (

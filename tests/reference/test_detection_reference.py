@@ -1,7 +1,5 @@
 """Beats against manual and machine marks, and against what synthetic recordings consist of."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The mean shape of 1000 hearts, from a labelled surface to an ECG, as its user would have it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from clinical import assert_left_bundle_branch_block, assert_normal

@@ -4,8 +4,6 @@ The bounds are what was measured, rounded up by about a tenth. A wrong anisotrop
 the best isotropic front is off by 7.5 ms (root mean square), fibres across the slab by 34 ms.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

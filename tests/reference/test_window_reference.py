@@ -1,7 +1,5 @@
 """The QRS window against manual and machine marks, and against the exact ends in synthetic ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How the hot kernels are compiled, and what they say in LLVM's own terms."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from llvmlite import ir

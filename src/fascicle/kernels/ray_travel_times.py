@@ -23,14 +23,8 @@ POINTS = np.array(
 ) * (1.0 - 3.0 * INSET) + INSET  # fmt: skip
 
 
-def _monomials(weights):
-    """The products of two barycentric coordinates: a², b², c², ab, ac, bc."""
-    a, b, c = weights.T
-    return np.stack([a * a, b * b, c * c, a * b, a * c, b * c], axis=1)
-
-
-# Row i: what monomial i of a point contributes to the weight of each of the six
-BASIS = np.linalg.inv(_monomials(POINTS))
+# Row i: what a², b², c², ab, ac and bc of a point (a, b, c) add to the weight of each of the six
+BASIS = np.linalg.inv(POINTS[:, [0, 1, 2, 0, 0, 1]] * POINTS[:, [0, 1, 2, 1, 2, 2]])
 
 
 @kernel(inline="always")

@@ -140,10 +140,7 @@ class Seed(NamedTuple):
 def find_seed(endocardium: Endocardium, chart: Chart) -> Seed:
     """Start of the bundle: the root vertex, in the triangle that the heading points into.
 
-    Raises
-    ------
-    InputError
-        If root and direction are one vertex, or the heading points out of the endocardium.
+    Raises `InputError` if there is none, or root and direction are one vertex.
     """
     root, direction = endocardium.root, endocardium.direction
     point = chart.points[root]

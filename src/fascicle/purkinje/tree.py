@@ -12,9 +12,8 @@ from fascicle.core.ranges import short_repr
 
 # A tree with fewer junctions than this has hardly branched. In 500 networks drawn from the ranges
 # of `NETWORK_SPACE`, the packaged heart's trees have a median of 280 (left) and 345 (right)
-# junctions; 1 % of the right ones have fewer than 50, all of these fewer than 20. On crtdemo the
-# right trees have a median of 210, 0.4 % below 50. In its small left ventricle few junctions are
-# usual (median 66, a third below 50).
+# junctions, 1 % of the right ones fewer than 50; crtdemo's right ones 210, 0.4 % fewer than 50. In
+# its small left ventricle few junctions are usual (median 66, a third below 50).
 FEW_JUNCTIONS = 50
 
 
@@ -26,10 +25,8 @@ class PurkinjeTree:
     ----------
     side : str
         ``"lv"`` or ``"rv"``.
-    nodes : (n, 3) array
-        Positions (mm); the root is the node without a parent.
-    parents : (n,) array
-        The node each one hangs on; -1 at the root.
+    nodes, parents : (n, 3) and (n,) arrays
+        Positions (mm), and the node each one hangs on; -1 at the root.
     lengths : (n,) array
         Length of the segment to the parent (mm), measured along the endocardium; 0 at the root.
     labels : (n,) array, optional
@@ -76,21 +73,16 @@ class PurkinjeTree:
         return parts
 
     def _labels_from_forks(self) -> Integers:
-        children: list[list[int]] = [[] for _ in self.parents]
-        for node, parent in enumerate(self.parents):
-            if parent >= 0:
-                children[parent].append(node)
         labels = np.full(len(self.parents), len(self.parents), dtype=np.int64)
 
-        def label_until_fork(node: int, label: int) -> int:
+        def label_until_fork(node: int, label: int) -> Integers:
             labels[node] = label
-            while len(children[node]) == 1:
-                node = children[node][0]
+            while len(children := np.flatnonzero(self.parents == node)) == 1:
+                node = children[0]
                 labels[node] = label
-            return node
+            return children
 
-        fork = label_until_fork(self.root, 0)
-        for k, start in enumerate(children[fork], 1):
+        for k, start in enumerate(label_until_fork(self.root, 0), 1):
             label_until_fork(start, k)
         return labels
 
@@ -105,10 +97,8 @@ class InvalidTree:
         ``"lv"`` or ``"rv"``.
     branch : int
         What left the endocardium: 0, the bundle; k, fascicle k.
-    grown, wanted : float
-        How long it was when it left, and how long it was to be (mm).
-    position : tuple of three float
-        Where it left (mm).
+    grown, wanted, position : float, float, and tuple of three float
+        How long it was when it left, how long it was to be, and where it left (mm).
     """
 
     side: str

@@ -1,7 +1,5 @@
 """What stands in for a card, and a card where there is one."""
 
-from __future__ import annotations
-
 import pytest
 from emulated import BACKWARD, FORWARD, RANDOM, Emulated
 

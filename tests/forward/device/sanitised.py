@@ -5,8 +5,6 @@
 The first two are written by `test_races`; the rest compiles the kernels.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

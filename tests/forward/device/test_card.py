@@ -1,7 +1,5 @@
 """Without a card: one line that says so. And the source is CUDA that compiles."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -5,8 +5,6 @@ networks. The ECG's histogram is summed in another order, whose rounding the run
 to 1e-6 of an element's contribution at most: by 2e-10 mV in these networks.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """No kernel reads or writes where it must not, and none of what another thread is writing."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
