@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from benchmarks.references import unbounded
+from fascicle.build.refinement import CHILDREN, in_eight
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import Electrocardiograph, build_electrocardiograph
 from fascicle.forward.ecg.lead_field import nodal_gradients, unbounded_gradients
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import barycentric_gradients, signed_volumes
-from fascicle.mesh.refinement import CHILDREN, in_eight
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

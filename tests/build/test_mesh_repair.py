@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fascicle.build.anatomy import Anatomy
-from fascicle.build.mesh_repair import repaired_edges
+from fascicle.build.volume_meshing import repaired_edges
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.heart.validate import check_tetrahedra
 from fascicle.mesh.measures import closed_volume, signed_volumes

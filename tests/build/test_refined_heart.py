@@ -1,4 +1,4 @@
-"""A heart on a finer mesh: what is inherited, and that its model is the coarse one's."""
+"""Every tetrahedron in eight: no gaps, what is inherited, and the same model."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import block_of_random_tissue
+from builders import block_of_random_tissue, box
 
-from fascicle.build.refinement import refined
+from fascicle.build.refinement import CHILDREN, in_eight, refined
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.forward.ecg.lead_field import nodal_gradients
@@ -16,10 +16,9 @@ from fascicle.forward.model import ForwardModel
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.folder import load_heart, write_heart
 from fascicle.heart.heart import LeadFields
-from fascicle.mesh.measures import barycentric_gradients
+from fascicle.mesh.measures import barycentric_gradients, signed_volumes
+from fascicle.mesh.topology import TETRAHEDRON_FACES, boundary_triangles
 from fascicle.torso.lead_fields import is_up_to_date, key_of
-
-PER_PARENT = 8
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +38,11 @@ def finer(block):
 
 
 def test_tetrahedra_inherit_what_their_parent_has(block, finer):
-    assert len(finer.tetrahedra) == PER_PARENT * len(block.tetrahedra)
+    assert len(finer.tetrahedra) == CHILDREN * len(block.tetrahedra)
     for name in ("fibres", "sheets", "regions"):
-        expected = np.repeat(getattr(block, name), PER_PARENT, axis=0)
+        expected = np.repeat(getattr(block, name), CHILDREN, axis=0)
         np.testing.assert_array_equal(getattr(finer, name), expected)
-    np.testing.assert_allclose(finer.volumes, np.repeat(block.volumes / 8, PER_PARENT))
+    np.testing.assert_allclose(finer.volumes, np.repeat(block.volumes / 8, CHILDREN))
 
 
 def test_the_rest_stays(block, finer):
@@ -59,7 +58,7 @@ def test_gradients_of_the_lead_fields_stay(block, finer):
         slopes = barycentric_gradients(heart.vertices, heart.tetrahedra)
         return nodal_gradients(heart.lead_fields.values, heart.tetrahedra, slopes)
 
-    expected = np.repeat(gradients(block), PER_PARENT, axis=1)
+    expected = np.repeat(gradients(block), CHILDREN, axis=1)
     np.testing.assert_allclose(gradients(finer), expected, atol=1e-12)
 
 
@@ -94,3 +93,62 @@ def test_the_model_of_the_finer_packaged_heart(default_heart, default_model, tmp
     difference = coarse.leads[:, :length] - fine.leads[:, :length]
     share = np.linalg.norm(difference) / np.linalg.norm(fine.leads)
     assert 0.01 < share < 0.07
+
+
+@pytest.fixture(scope="module")
+def cells():
+    return box((20.0, 15.0, 10.0), (4, 3, 3), jitter=0.2)
+
+
+@pytest.fixture(scope="module")
+def cut(cells):
+    return in_eight(cells.vertices, cells.tetrahedra)
+
+
+def test_each_child_has_an_eighth_of_the_volume(cells, cut):
+    volumes = signed_volumes(cut.vertices, cut.tetrahedra)
+    np.testing.assert_allclose(volumes, np.repeat(cells.volumes / 8, CHILDREN), rtol=1e-11)
+
+
+def test_children_lie_in_their_parent(cells, cut):
+    """As the volumes add up, the children then fill it."""
+    corners = cells.vertices[cells.tetrahedra]
+    centres = cut.vertices[cut.tetrahedra].mean(axis=1).reshape(-1, CHILDREN, 3)
+    offset = (centres - corners[:, :1])[..., None]
+    axes = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    inner = np.linalg.solve(axes[:, None], offset)[..., 0]
+    assert inner.min() > 0
+    assert inner.sum(axis=2).max() < 1
+
+
+def test_conforming(cells, cut):
+    """Every face belongs to two tetrahedra, or to one and the boundary, which is the old one's."""
+    faces = np.sort(cut.tetrahedra[:, TETRAHEDRON_FACES].reshape(-1, 3), axis=1)
+    _, count = np.unique(faces, axis=0, return_counts=True)
+    old, _ = boundary_triangles(cells.tetrahedra)
+    assert set(count) == {1, 2}
+    assert (count == 1).sum() == 4 * len(old)
+    assert np.unique(cut.tetrahedra).tolist() == list(range(len(cut.vertices)))
+
+
+def test_new_vertices_are_midpoints_of_old_ones(cells, cut):
+    count = len(cells.vertices)
+    np.testing.assert_array_equal(cut.vertices[:count], cells.vertices)
+    middle = cells.vertices[cut.edges].mean(axis=1)
+    np.testing.assert_array_equal(cut.vertices[count:], middle)
+    at_all = cut.at_vertices(np.stack([cells.vertices[:, 0], 3 * cells.vertices[:, 1]]))
+    np.testing.assert_allclose(at_all, [cut.vertices[:, 0], 3 * cut.vertices[:, 1]])
+
+
+@pytest.mark.parametrize("longest", [0, 1, 2])
+def test_octahedron_is_cut_along_its_shortest_diagonal(longest):
+    """The regular one's three are alike; stretched along one of them, the others are shorter."""
+    tetrahedron = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    tetrahedron[:, longest] *= 3.0
+    cut = in_eight(tetrahedron, np.array([[0, 2, 1, 3]]))
+    pairs = cut.tetrahedra[:, [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]].reshape(-1, 2)
+    inner = cut.vertices[pairs].mean(axis=1)
+    through_the_middle = pairs[np.abs(inner).max(axis=1) < 1e-12]
+    ends = cut.vertices[through_the_middle]
+    np.testing.assert_allclose(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 2.0)
+    assert len(ends) == 4

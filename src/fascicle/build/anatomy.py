@@ -21,12 +21,8 @@ class Source:
         A closed surface, a segmentation or a tetrahedral mesh; None if there are parts.
     parts : mapping of str to Path
         Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
-    labels : mapping of str to int, optional
-        Which number in the file stands for what.
-    label_array : str, optional
-        The array of labels.
-    labels_file : Path, optional
-        Labels of a surface whose file holds none.
+    labels, label_array, labels_file : optional
+        Which number in the file stands for what, the array of labels, or a file of them.
     remesh : bool, optional
         Whether to mesh the inside of a tetrahedral mesh again.
     """
@@ -67,28 +63,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A labelled mesh, and what else its files say.
+    """A labelled mesh, and what else its files say."""
 
-    Attributes
-    ----------
-    mesh : LabelledMesh
-        Tetrahedra and their labelled boundary; labels are 0 as long as they are not known.
-    fibres, sheets : (m, 3) array, optional
-        Unit directions, where the source has them.
-    notes : tuple of str
-        What was decided on the way, for people.
-    guessed : bool
-        Whether the labels were found from the shape, so that they should be looked at.
-    own_mesh : bool
-        Whether the tetrahedra are the source's own.
-    values : mapping of name to float
-        The patient's values of quantities of `fascicle.core.quantities`.
-    """
-
-    mesh: LabelledMesh
-    fibres: Floats | None = None
+    mesh: LabelledMesh  # labels are 0 as long as they are not known
+    fibres: Floats | None = None  # unit directions (m, 3), where the source has them
     sheets: Floats | None = None
-    notes: tuple[str, ...] = ()
-    guessed: bool = False
-    own_mesh: bool = False
-    values: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()  # what was decided on the way, for people
+    guessed: bool = False  # labels from the shape, which should be looked at
+    own_mesh: bool = False  # tetrahedra of the source
+    values: Mapping[str, float] = field(default_factory=dict)  # the patient's, of quantities

@@ -1,21 +1,169 @@
-"""Smooth borders between the parts of a closed surface, and a base that is nowhere too narrow."""
+"""The dual graph of a closed surface: random walkers, ambient occlusion, smooth borders."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
+import igl
 import numpy as np
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from fascicle.build.dual_graph import DualGraph
 from fascicle.core.arrays import Booleans, Floats, Integers
+from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import Label, LabelledSurface
-from fascicle.mesh.topology import TRIANGLE_EDGES, boundary_loops, unique_edges
+from fascicle.mesh.measures import edge_lengths, triangle_areas, triangle_normals, unit
+from fascicle.mesh.topology import (
+    TRIANGLE_EDGES,
+    boundary_loops,
+    components_of,
+    directed_edges,
+    unique_edges,
+)
 
 NARROWEST = 2.0  # mm between endocardium and epicardium, so that a thin wall, too, ends in a rim
+
+
+@dataclass(frozen=True)
+class DualGraph:
+    """A closed surface as a graph of its triangles.
+
+    Attributes
+    ----------
+    vertices, triangles : (n, 3) and (m, 3) arrays
+        Positions (mm) and vertex indices, counter-clockwise seen from outside the tissue.
+    """
+
+    vertices: Floats
+    triangles: Integers
+
+    @cached_property
+    def centres(self) -> Floats:
+        """Centroids (mm), shape (m, 3)."""
+        return np.asarray(self.vertices[self.triangles].mean(axis=1))
+
+    @cached_property
+    def areas(self) -> Floats:
+        """Areas (mm²), shape (m,)."""
+        return triangle_areas(self.vertices, self.triangles)
+
+    @cached_property
+    def normals(self) -> Floats:
+        """Unit normals out of the tissue, shape (m, 3)."""
+        return unit(triangle_normals(self.vertices, self.triangles))
+
+    @cached_property
+    def edges(self) -> tuple[Integers, Integers]:
+        """Triangles on both sides of each edge (e, 2), and the edge's vertices (e, 2)."""
+        edges = np.sort(directed_edges(self.triangles), axis=1)
+        order = np.lexsort(edges.T)
+        owner = np.repeat(np.arange(len(self.triangles)), 3)[order]
+        return owner.reshape(-1, 2), edges[order][::2]
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """Length of each edge (mm), shape (e,)."""
+        return edge_lengths(self.vertices, self.edges[1])
+
+    @cached_property
+    def smooth_normals(self) -> Floats:
+        """Unit normals averaged over 1 mm, shape (m, 3)."""
+        mass = diags_array(self.areas)
+        system = mass + self.laplacian(np.ones(len(self.lengths)))
+        solved = splu(csc_array(system)).solve(self.areas[:, np.newaxis] * self.normals)
+        return unit(np.asarray(solved))
+
+    @cached_property
+    def crease_weights(self) -> Floats:
+        """Weight of each edge (e,): 1 between triangles in a plane, nearly 0 across a crease."""
+        ahead, behind = self.normals[self.edges[0][:, 0]], self.normals[self.edges[0][:, 1]]
+        angle = np.arccos(np.clip(np.einsum("ij,ij->i", ahead, behind), -1.0, 1.0))
+        # 1/e at 0.5 rad; a little keeps the graph connected across sharp edges
+        return np.asarray(np.maximum(np.exp(-((angle / 0.5) ** 2)), 1e-4))
+
+    def laplacian(self, weights: Floats) -> csr_array:
+        """Finite-volume Laplacian on triangles, its fluxes times a weight for each edge."""
+        pair = self.edges[0]
+        between = np.linalg.norm(self.centres[pair[:, 0]] - self.centres[pair[:, 1]], axis=1)
+        conductance = weights * self.lengths / np.maximum(between, 1e-3 * self.lengths.mean())
+        count = len(self.triangles)
+        half = coo_array((conductance, (pair[:, 0], pair[:, 1])), shape=(count, count)).tocsr()
+        whole = csr_array(half + half.T)
+        return csr_array(diags_array(np.asarray(whole.sum(axis=1)).ravel()) - whole)
+
+    def components(self, chosen: Booleans) -> Integers:
+        """Number the connected pieces of chosen triangles, the largest area first; -1 elsewhere."""
+        pair = self.edges[0][chosen[self.edges[0]].all(axis=1)]
+        piece = components_of(pair, len(self.triangles))
+        area = np.bincount(piece, np.where(chosen, self.areas, 0.0))
+        rank = np.argsort(np.argsort(-area, kind="stable"), kind="stable")
+        return np.where(chosen, rank[piece], -1)
+
+    def random_walker(self, seeds: Integers, labels: int) -> Integers:
+        """Label every triangle as a random walker from it would first arrive.
+
+        The walker goes along the surface and seldom crosses creases (Grady 2006, IEEE Trans Pattern
+        Anal Mach Intell 28:1768-1783). Seeds (m,) are -1 where a triangle has none of the labels.
+        """
+        free, fixed = np.flatnonzero(seeds < 0), np.flatnonzero(seeds >= 0)
+        if not free.size:
+            return seeds
+        laplacian = self.laplacian(self.crease_weights)
+        arrivals = np.eye(labels)[seeds[fixed]]
+        inner = splu(csc_array(laplacian[free][:, free]))
+        chance = inner.solve(np.asarray(-(laplacian[free][:, fixed] @ arrivals)))
+        result = seeds.copy()
+        result[free] = np.argmax(chance, axis=1)
+        return result
+
+
+def openness(graph: DualGraph, progress: StageProgress = no_progress) -> Floats:
+    """One minus the ambient occlusion of each triangle (m,), from 0 to 1, by Lambert's cosine.
+
+    Rays leave over the half space before a triangle and either meet the surface again or do not;
+    a triangle on a plane is open (1), one in a well is not (0).
+
+    Notes
+    -----
+    `igl.ambient_occlusion` serves less well: it has no cosine, its rays come from a global random
+    generator, so labels differ from run to run, and it takes 14 s for the 50,000 triangles of a
+    statistical mean heart with as many rays, where this takes 5 s. The two correlate by 0.994.
+    """
+    count, samples, rays, chunk = len(graph.triangles), 6000, 48, 500
+    chosen = np.arange(count)
+    if count > samples:  # the others take it from the nearest of them
+        share = graph.areas / graph.areas.sum()
+        chosen = np.random.default_rng(0).choice(count, samples, replace=False, p=share)
+    tree = igl.AABB()
+    tree.init(graph.vertices, graph.triangles)
+    # the half space about z by the cosine law: a sunflower's seeds, lifted
+    radius = np.sqrt((np.arange(rays) + 0.5) / rays)
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(rays)
+    directions = np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1
+    )
+    seen = np.empty(len(chosen))
+    for start in range(0, len(chosen), chunk):
+        some = chosen[start : start + chunk]
+        normals = graph.normals[some]
+        first = unit(np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)]))
+        frames = np.stack([first, np.cross(normals, first), normals], axis=1)
+        towards = np.einsum("rk,skj->srj", directions, frames).reshape(-1, 3)
+        origins = np.repeat(graph.centres[some] + 1e-3 * normals, rays, axis=0)
+        met, _, _ = tree.intersect_ray_first(
+            graph.vertices, graph.triangles, origins, np.ascontiguousarray(towards)
+        )
+        seen[start : start + chunk] = (met.reshape(-1, rays) < 0).mean(axis=1)
+        progress(min(start + chunk, len(chosen)), len(chosen))
+    # the mean of the four nearest samples that face the same way, not those across a thin wall:
+    # samples that face away count as 10 mm farther
+    place = np.hstack([graph.centres, 10.0 * graph.smooth_normals])
+    _, nearest = cKDTree(place[chosen]).query(place, k=4)
+    return np.asarray(seen[nearest].mean(axis=1))
 
 
 class Region(IntEnum):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,23 +22,12 @@ from fascicle.heart.validate import check_tetrahedra
 Seeds = Mapping[str, tuple[ChosenSeed, ChosenSeed]]
 
 
-@dataclass(frozen=True)
-class BuiltHeart:
-    """A heart, and what to say about how it was made.
-
-    Attributes
-    ----------
-    heart : Heart
-        Ready to simulate.
-    anatomy : Anatomy
-        What it was made of.
-    notes : tuple of str
-        What was decided on the way, for people.
-    """
+class BuiltHeart(NamedTuple):
+    """A heart, what it was made of, and what was decided on the way, for people."""
 
     heart: Heart
     anatomy: Anatomy
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
 
 def build_heart(
@@ -77,8 +67,7 @@ def build_heart(
     anatomy = read_anatomy(source, edge_length, progress)
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
-    options = torso if torso is not None else TorsoOptions()
-    heart, notes = in_torso(heart, anatomy.mesh, options, progress)
+    heart, notes = in_torso(heart, anatomy.mesh, torso or TorsoOptions(), progress)
     kept = []  # what the source had already, so that options about it do nothing
     if anatomy.own_mesh:
         kept.append("mesh: as in the file; the edge length is its own")
@@ -98,8 +87,7 @@ def heart_of(
 
     Parameters are those of `build_heart`.
     """
-    mesh, seeds = anatomy.mesh, seeds if seeds is not None else {}
-    fibres, sheets = anatomy.fibres, anatomy.sheets
+    mesh, fibres, sheets = anatomy.mesh, anatomy.fibres, anatomy.sheets
     if fibres is None:
         ruled = rule_based_fibres(mesh, angles, stage_progress(progress, "fibres"))
         fibres, sheets = ruled.fibre, ruled.sheet
@@ -107,7 +95,7 @@ def heart_of(
         side: (mesh.name, own.vertices, own.triangles, own.valve if own.valve.any() else None)
         for side, own in zip(("lv", "rv"), endocardia(mesh), strict=True)
     }
-    chosen = {side: seeds.get(side, (None, None)) for side in surfaces}
+    chosen = {side: (seeds or {}).get(side, (None, None)) for side in surfaces}
     left, right = seeded_endocardia(surfaces, chosen)
     unplaced = np.full((len(ELECTRODES), 3), np.nan)
     heart = Heart(mesh.vertices, mesh.tetrahedra, fibres, left, right, unplaced, name)

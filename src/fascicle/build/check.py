@@ -15,7 +15,7 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, long_axis
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.measures import enclosed_volume, signed_volumes
+from fascicle.mesh.measures import enclosed_volume, signed_volumes, unit
 from fascicle.mesh.quality import Quality, quality
 from fascicle.purkinje.chart import Chart
 from fascicle.torso.electrode_sites import electrode_warnings
@@ -23,20 +23,15 @@ from fascicle.torso.lead_fields import is_up_to_date
 
 DISTORTED = 12.0  # stretch of a chart in one direction over the other
 LAYERS = 5  # in which the helix angle is given, from endocardium to epicardium
-MOST = 20_000  # tetrahedra whose angles are measured
 WALLS = ("LV free wall", "septum", "RV free wall")
 
 
 @dataclass(frozen=True)
 class HelixAngles:
-    """Fibre angles through one wall.
+    """Fibre angles through one wall, at tetrahedra (k,).
 
-    Attributes
-    ----------
-    depth : (k,) array
-        Of tetrahedra: 0 at the endocardium (in the septum: the left one), 1 at the other side.
-    angle : (k,) array
-        Of their fibres to the circumference, within the wall (degrees, above -90, up to 90).
+    The depth is 0 at the endocardium (in the septum: the left one), 1 at the other side; the angle
+    is to the circumference, within the wall (degrees, above -90, up to 90).
     """
 
     depth: Floats
@@ -55,27 +50,13 @@ class HelixAngles:
 
 @dataclass(frozen=True)
 class HeartCheck:
-    """Figures about a heart.
-
-    Attributes
-    ----------
-    mesh : LabelledMesh
-        The heart with its boundary labelled.
-    rows : tuple of (str, str)
-        What, and its value with the unit.
-    warnings : tuple of str
-        One line each, with what to do.
-    walls : Walls
-        Thickness.
-    helix : mapping of str to HelixAngles
-        By wall.
-    """
+    """Figures about a heart, whose boundary is labelled in its mesh."""
 
     mesh: LabelledMesh
-    rows: tuple[tuple[str, str], ...]
-    warnings: tuple[str, ...]
+    rows: tuple[tuple[str, str], ...]  # what, and its value with the unit
+    warnings: tuple[str, ...]  # one line each, with what to do
     walls: Walls
-    helix: Mapping[str, HelixAngles]
+    helix: Mapping[str, HelixAngles]  # by wall
 
 
 def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
@@ -103,7 +84,7 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
     rows += _torso_rows(heart)
     warnings = [
         *_size_warnings(heart, walls, shape, charts),
-        *_fibre_warnings(helix),
+        *_fibre_warnings(helix[WALLS[0]]),
         *_lead_field_warnings(heart),
         *electrode_warnings(heart),
     ]
@@ -123,7 +104,7 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     point of the one to that of the other, and along it towards the base. No Laplace problem is
     solved, so this is also a second opinion on rule-based fibres.
     """
-    some = slice(None, None, 1 + len(heart.tetrahedra) // MOST)
+    some = slice(None, None, 1 + len(heart.tetrahedra) // 20_000)  # enough to be measured
     centres, fibres = heart.vertices[heart.tetrahedra[some]].mean(axis=1), heart.fibres[some]
     surfaces = (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
     distances, nearest = np.full((3, len(centres)), np.inf), np.zeros((3, len(centres), 3))
@@ -148,9 +129,8 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
 
 def _helix(fibres: Floats, outward: Floats, up: Floats) -> Floats:
     """Angle of fibres to the circumference (degrees)."""
-    across = outward / np.linalg.norm(outward, axis=1, keepdims=True)
-    along = up - (across @ up)[:, None] * across
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = unit(outward)
+    along = unit(up - (across @ up)[:, None] * across)
     around = np.cross(along, across)
     angle = np.arctan2(np.einsum("ij,ij->i", fibres, along), np.einsum("ij,ij->i", fibres, around))
     return np.asarray(90 - (90 - np.degrees(angle)) % 180)
@@ -179,10 +159,8 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
 
 
 def _torso_rows(heart: Heart) -> list[tuple[str, str]]:
-    distance = np.linalg.norm(
-        heart.electrodes[:, None] - heart.vertices[None, :: max(1, len(heart.vertices) // 2000)],
-        axis=2,
-    ).min(axis=1)
+    some = heart.vertices[:: max(1, len(heart.vertices) // 2000)]
+    distance = np.linalg.norm(heart.electrodes[:, None] - some, axis=2).min(axis=1)
     near = int(np.argmin(distance))
     rows = [("electrodes", f"9; nearest to the heart {ELECTRODES[near]}, {distance[near]:.0f} mm")]
     if heart.torso is None:
@@ -203,7 +181,7 @@ def _size_warnings(
     warnings = []
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
     # outside these, somebody should look; human adults, healthy or not
-    for what, value, (low, high), unit, remedy in (
+    for what, value, (low, high), units, remedy in (
         ("LV cavity", lv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("RV cavity", rv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("myocardium", heart.volumes.sum() / 1e3, (60.0, 450.0), "ml", "check units and surfaces"),
@@ -212,7 +190,7 @@ def _size_warnings(
     ):
         if np.isfinite(value) and not low <= value <= high:
             warnings.append(
-                f"{what}: {value:.3g} {unit}; human adults have {low:g} to {high:g}; {remedy}"
+                f"{what}: {value:.3g} {units}; human adults have {low:g} to {high:g}; {remedy}"
             )
     if shape.angles.min() < 5.0:
         warnings.append(
@@ -242,13 +220,10 @@ def _lead_field_warnings(heart: Heart) -> list[str]:
     return [f"{heart.name}: its lead fields are out of date; they are solved again when needed"]
 
 
-def _fibre_warnings(helix: Mapping[str, HelixAngles]) -> list[str]:
+def _fibre_warnings(free_wall: HelixAngles) -> list[str]:
     """Fibres that turn the wrong way: in human hearts a right-handed helix lines the LV."""
-    angles = helix[WALLS[0]]
-    if not angles.depth.size:
-        return []
-    inside, *_, outside = angles.in_layers()
-    if not inside + 20.0 < outside:
+    inside, *_, outside = free_wall.in_layers()
+    if not inside + 20.0 < outside:  # nor where there are none
         return []
     return [
         f"fibres: the helix angle of the LV free wall goes from {inside:.0f} degrees inside to "

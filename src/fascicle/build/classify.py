@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.borders import Region, smoothed_regions
-from fascicle.build.dual_graph import DualGraph, openness
+from fascicle.build.borders import DualGraph, Region, openness, smoothed_regions
 from fascicle.build.surface_checks import (
     check_edges,
     closed_by_fan,

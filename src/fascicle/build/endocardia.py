@@ -49,15 +49,13 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
     """
     labels = cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels)
     return (
-        _endocardium(mesh, labels, Label.LV_ENDOCARDIUM, "LV"),
-        _endocardium(mesh, labels, Label.RV_ENDOCARDIUM, "RV"),
+        _endocardium(mesh, labels, Label.LV_ENDOCARDIUM),
+        _endocardium(mesh, labels, Label.RV_ENDOCARDIUM),
     )
 
 
-def _endocardium(
-    mesh: LabelledMesh, labels: Integers, label: Label, side: str
-) -> EndocardialSurface:
-    name = f"{mesh.name}: {side} endocardium"
+def _endocardium(mesh: LabelledMesh, labels: Integers, label: Label) -> EndocardialSurface:
+    name = f"{mesh.name}: {label.name[:2]} endocardium"
     own = mesh.triangles[labels == label]
     if not len(own):
         raise InputError(f"{name}: no triangle of the boundary has label {label}; label it")
@@ -87,11 +85,11 @@ def _cap(vertices: Floats, loop: Integers, name: str) -> Integers:
 def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integers) -> Integers:
     """Labels (m,) of the triangles of a closed surface (mm) from those of their corners (n,).
 
-    Whether the points on the edge of the base are labelled as base or as what lies below differs
-    between programs, so two rules are tried: basal is a triangle with any basal corner, or one with
-    three. Both lead the border along points, where a majority of corners would lead it to and fro.
-    The rule that keeps endocardium and epicardium apart is taken; between equals, the one whose
-    borders of the base lie on the sharper edges.
+    Whether points on the edge of the base are labelled as base differs between programs, so two
+    rules are tried: basal is a triangle with any basal corner, or one with three. Both lead the
+    border along points, where a majority of corners would lead it to and fro. The rule that keeps
+    endocardium and epicardium apart is taken; between equals, the one whose borders of the base lie
+    on the sharper edges.
     """
     corners = at_points[triangles]
     kinds = np.array(sorted(Label), dtype=np.int64)
@@ -106,7 +104,7 @@ def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integer
 
 def _border_cost(vertices: Floats, triangles: Integers, labels: Integers) -> tuple[float, float]:
     """Length of border from endocardium to epicardium, and bluntness of the base's borders."""
-    edges, across, _ = interior_edges(triangles)
+    edges, across = interior_edges(triangles)
     one, other = labels[across].T
     length = edge_lengths(vertices, edges)
     touch = (one != other) & ~np.isin(one, BASAL) & ~np.isin(other, BASAL)
@@ -124,7 +122,7 @@ def cleaned_labels(vertices: Floats, triangles: Integers, labels: Integers) -> I
     spur, a triangle with two neighbours of the base, becomes base, and so do the triangles around a
     vertex where an endocardium touches itself.
     """
-    edges, across, _ = interior_edges(triangles)
+    edges, across = interior_edges(triangles)
     length = edge_lengths(vertices, edges)
     area = triangle_areas(vertices, triangles)
     labels = labels.copy()

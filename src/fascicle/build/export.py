@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
-from fascicle.core.files import DISK_FULL, atomic_folder, atomic_path
+from fascicle.core.files import atomic_folder, atomic_path
 from fascicle.heart.electrodes import write_electrodes
 from fascicle.heart.endocardium import Endocardium
 from fascicle.heart.folder import cell_arrays, write_mesh
@@ -34,17 +33,18 @@ ONE_REGION = 1  # the tag of every element of a heart without regions
 def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
     """Write a heart for other software, whole or not at all.
 
+    openCARP and Gmsh have the whole boundary, labelled by
+    `fascicle.heart.labelled_surface.labelled_mesh`, so that 'heart build' reads it.
+
     Parameters
     ----------
     heart : Heart
         The heart.
     out : Path
-        openCARP: a folder, see `write_opencarp`; the files are called
-        ``heart``. VTU: a file; tetrahedra with the cell arrays ``fibre``, ``sheet`` and ``region``
-        and the point arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh: a file
-        (format 2.2), see `write_gmsh`. VTU and Gmsh are in mm, openCARP in µm. openCARP and Gmsh
-        have the whole boundary, labelled by `fascicle.heart.labelled_surface.labelled_mesh`, so
-        that `fascicle.build.labelled_files.labelled_tetrahedra` reads it.
+        openCARP (µm): a folder, see `write_opencarp`; the files are called ``heart``. VTU (mm): a
+        file; tetrahedra with the cell arrays ``fibre``, ``sheet`` and ``region`` and the point
+        arrays ``lead_field_RA``, ... (kΩ), as far as the heart has them. Gmsh (mm): a file, see
+        `write_gmsh`.
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
@@ -66,16 +66,7 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
             f"{out}: trees are exported for openCARP only; for other software use the VTU files of "
             "'fascicle simulate'"
         )
-    write = write_mesh if kind == "vtu" else write_gmsh
-    try:
-        write(heart, out)
-    except OSError as error:
-        if error.errno not in DISK_FULL:
-            raise
-        raise InputError(
-            f"{out}: could not be written ({error.strerror}); free some space or choose another "
-            "place (--out)"
-        ) from None
+    (write_mesh if kind == "vtu" else write_gmsh)(heart, out)
 
 
 def write_gmsh(heart: Heart, path: Path) -> None:
@@ -88,7 +79,13 @@ def write_gmsh(heart: Heart, path: Path) -> None:
     import meshio
 
     surface = labelled_mesh(heart)
-    tags, groups = _volume_groups(heart)
+    tags, groups = np.full(len(heart.tetrahedra), ONE_REGION), {}
+    if heart.regions is None:
+        groups["myocardium"] = np.array([ONE_REGION, 3])
+    else:  # numbers of groups start at 1, while regions may be 0 or less
+        regions, which = np.unique(heart.regions, return_inverse=True)
+        tags = which.astype(np.int64) + 1
+        groups = {f"region {region}": np.array([k, 3]) for k, region in enumerate(regions, 1)}
     cells, numbers = [("tetra", heart.tetrahedra)], [tags]
     for label, name in SURFACE_NAMES.items():
         triangles = surface.having(label)
@@ -105,21 +102,8 @@ def write_gmsh(heart: Heart, path: Path) -> None:
         meshio.gmsh.write(temporary, mesh, fmt_version="2.2", binary=True)
 
 
-def _volume_groups(heart: Heart) -> tuple[Integers, dict[str, Integers]]:
-    """Group number of each tetrahedron, and number and dimension of each group by name.
-
-    Numbers of groups start at 1, while regions may be 0 or less.
-    """
-    if heart.regions is None:
-        tags = np.full(len(heart.tetrahedra), ONE_REGION)
-        return tags, {"myocardium": np.array([ONE_REGION, 3])}
-    regions, which = np.unique(heart.regions, return_inverse=True)
-    groups = {f"region {region}": np.array([k, 3]) for k, region in enumerate(regions, 1)}
-    return which.astype(np.int64) + 1, groups
-
-
 def write_opencarp(
-    heart: Heart, surface: LabelledMesh, stem: Path, trees: Iterable[PurkinjeTree] = ()
+    heart: Heart, surface: LabelledMesh, stem: Path, trees: Sequence[PurkinjeTree] = ()
 ) -> None:
     """Write a heart for openCARP.
 
@@ -136,7 +120,11 @@ def write_opencarp(
     axes = [heart.fibres] if heart.sheets is None else [heart.fibres, heart.sheets]
     write_directions(opencarp_file(stem, ".lon"), axes)
     for label, name in SURFACE_NAMES.items():
-        _write_surface(stem.with_name(f"{stem.name}_{name}"), surface.having(label))
+        triangles = surface.having(label)
+        if len(triangles):
+            part = stem.with_name(f"{stem.name}_{name}")
+            write_surf(opencarp_file(part, ".surf"), triangles)
+            write_vtx(opencarp_file(part, ".vtx"), np.unique(triangles))
     for endocardium in heart.endocardia:
         _write_endocardium(
             stem.with_name(f"{stem.name}_{endocardium.side}_endocardium"), endocardium, heart
@@ -144,14 +132,6 @@ def write_opencarp(
     write_electrodes(stem.with_name("electrodes.csv"), heart.electrodes)
     for tree in trees:
         write_opencarp_tree(stem.with_name(f"{tree.side}_tree"), tree)
-
-
-def _write_surface(stem: Path, triangles: Integers) -> None:
-    """Write triangles of the mesh, and their vertices; nothing if there are none."""
-    if not len(triangles):
-        return
-    write_surf(opencarp_file(stem, ".surf"), triangles)
-    write_vtx(opencarp_file(stem, ".vtx"), np.unique(triangles))
 
 
 def _write_endocardium(stem: Path, endocardium: Endocardium, heart: Heart) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import igl
@@ -30,25 +29,20 @@ SAME_POINT = 1e-3  # mm; points closer than this are one (STL repeats them)
 CLEAR = 0.7  # of the spacing that inner points of the base keep from the loops
 
 
-@dataclass(frozen=True)
-class OpenSurface:
-    """An open surface (mm) that is one manifold piece, oriented, and what it is in messages."""
+class OpenSurface(NamedTuple):
+    """An open surface (mm), one oriented manifold piece, its name in messages, boundary loops."""
 
     what: str
     vertices: Floats
     triangles: Integers
-
-    @property
-    def loops(self) -> list[Integers]:
-        """Boundary loops, as vertex indices."""
-        return boundary_loops(self.triangles)
+    loops: list[Integers]
 
 
 class Outline(NamedTuple):
     """The boundary loops that a base is spanned between, one after the other.
 
-    Their vertices (k, 3) in mm, their edges (k, 2) as indices of these points, the names of the
-    parts that they belong to, and which of these each point belongs to (k,).
+    Their vertices (k, 3) in mm, their edges (k, 2), the names of the parts, and whose of these
+    each point is (k,).
     """
 
     points: Floats
@@ -87,29 +81,27 @@ def join_surfaces(
     progress : StageProgress
         Called with the steps done and in all.
     """
-    names = ("epicardium", "LV endocardium", "RV endocardium")
     parts = [
-        _clean_part(*surface, f"{name}: {what}", 1)
-        for surface, what in zip((epicardium, lv, rv), names, strict=True)
+        _clean_part(*surface, name, what, 1)
+        for surface, what in (
+            (epicardium, "epicardium"),
+            (lv, "LV endocardium"),
+            (rv, "RV endocardium"),
+        )
     ]
-    given = None if base is None else _clean_part(*base, f"{name}: base", 3)
+    given = None if base is None else _clean_part(*base, name, "base", 3)
     progress(1, 3)
-    _check_places(*parts)
+    _check_places(name, *parts)
     progress(2, 3)
-    parts = [replace(part, what=what) for what, part in zip(names, parts, strict=True)]
     outline = _outline_of(parts)
     inner, between = (
         _made_base(outline, name) if given is None else _fitted_base(outline, given, name)
     )
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    number = np.concatenate(
-        [
-            *(part.loops[0] + start for part, start in zip(parts, starts, strict=False)),
-            starts[-1] + np.arange(len(inner)),
-        ]
-    )
+    number = [part.loops[0] + start for part, start in zip(parts, starts, strict=False)]
+    number.append(starts[-1] + np.arange(len(inner)))
     triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
-    triangles.append(number[between])
+    triangles.append(np.concatenate(number)[between])
     vertices = np.vstack([*(part.vertices for part in parts), inner])
     whole = np.vstack(triangles)
     check_edges(name, vertices, whole, closed=True)
@@ -120,18 +112,21 @@ def join_surfaces(
     return LabelledSurface(vertices, whole, of_triangles, name)
 
 
-def _clean_part(vertices: Floats, triangles: Integers, what: str, needed: int) -> OpenSurface:
+def _clean_part(
+    vertices: Floats, triangles: Integers, whole: str, what: str, needed: int
+) -> OpenSurface:
     """A part in mm with repeated points merged, one manifold piece with the loops that it needs."""
-    vertices = np.asarray(vertices, dtype=float)
-    check_units(what, vertices[np.unique(triangles)])
+    name = f"{whole}: {what}"
+    check_units(name, vertices[np.unique(triangles)])
     merged = merged_vertices(vertices, SAME_POINT)[triangles]
     points, triangles = without_unused_vertices(vertices, merged[whole_triangles(merged)])
-    check_edges(what, points, triangles)
-    part = OpenSurface(what, points, oriented_piece(what, points, triangles))
-    loops = sorted(part.loops, key=len, reverse=True)
+    check_edges(name, points, triangles)
+    triangles = oriented_piece(name, points, triangles)
+    loops = boundary_loops(triangles)
     touching = sum(np.unique(loop).size != loop.size for loop in loops)
     if len(loops) == needed and not touching:
-        return part
+        return OpenSurface(what, points, triangles, loops)
+    loops.sort(key=len, reverse=True)
     where = ", ".join(
         f"{len(loop)} vertices about {place(points[loop].mean(axis=0))}" for loop in loops[:4]
     )
@@ -140,15 +135,13 @@ def _clean_part(vertices: Floats, triangles: Integers, what: str, needed: int) -
         found = "no boundary loop (it is closed)"
     elif touching:
         found += f", {touching} of which touch themselves"
-    kind = (
-        "it must be open at the base, with one boundary loop"
-        if needed == 1
-        else "it must have three: one towards the epicardium and one around each cavity"
-    )
-    raise InputError(f"{what}: the surface has {found}; {kind}")
+    kind = "it must be open at the base, with one boundary loop"
+    if needed == 3:
+        kind = "it must have three: one towards the epicardium and one around each cavity"
+    raise InputError(f"{name}: the surface has {found}; {kind}")
 
 
-def _check_places(epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> None:
+def _check_places(name: str, epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> None:
     """Refuse endocardia that leave the epicardium, or reach into one another, below the base.
 
     Openings are closed by fans, which leave the winding number close to 0 or 1 below the base.
@@ -158,16 +151,13 @@ def _check_places(epicardium: OpenSurface, lv: OpenSurface, rv: OpenSurface) -> 
         deep = distance > 10.0  # mm; nearer to the base the fan's shape matters
         for bad, where in (
             (deep & (_winding(outer, part.vertices) < 0.6), "outside the epicardium"),
-            (
-                deep & (_winding(other, part.vertices) > 0.4),
-                f"within the {other.what.split(': ')[-1]}",
-            ),
+            (deep & (_winding(other, part.vertices) > 0.4), f"within the {other.what}"),
         ):
             if bad.any():
                 raise InputError(
-                    f"{part.what}: {int(bad.sum())} of {len(bad)} vertices lie {where} (first at "
-                    f"{place(part.vertices[np.argmax(bad)])}); give parts of one heart, in one "
-                    "frame, that do not cross"
+                    f"{name}: {part.what}: {int(bad.sum())} of {len(bad)} vertices lie {where} "
+                    f"(first at {place(part.vertices[np.argmax(bad)])}); give parts of one heart, "
+                    "in one frame, that do not cross"
                 )
 
 
@@ -231,8 +221,8 @@ def _fitted_base(outline: Outline, base: OpenSurface, name: str) -> Base:
     _check_gap(outline, base, boundary, name)
     flat, centre, frame = _flattened(outline)
     own = (base.vertices - centre) @ frame.T
-    a, b, c = (own[base.triangles[:, k], :2] for k in range(3))
-    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    a, b, c = own[base.triangles, :2].transpose(1, 2, 0)
+    area = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
     folded = min(area[area > 0].sum(), -area[area < 0].sum()) / np.abs(area).sum()
     if folded > 0.05:
         raise InputError(
@@ -280,16 +270,13 @@ def _triangulated(
 def _check_gap(outline: Outline, base: OpenSurface, boundary: Integers, name: str) -> None:
     """Refuse a base whose boundary loops are more than 2.5 mm from those of the parts."""
     edges, shared = unique_edges(base.triangles)
-    to_base, _, _ = igl.point_mesh_squared_distance(
-        outline.points, base.vertices, edges[shared == 1]
-    )
-    from_base, _, _ = igl.point_mesh_squared_distance(
-        base.vertices[boundary], outline.points, outline.sides
-    )
-    _, nearest = cKDTree(outline.points).query(base.vertices[boundary])
-    points = np.vstack([outline.points, base.vertices[boundary]])
+    rim = base.vertices[boundary]
+    to_base = igl.point_mesh_squared_distance(outline.points, base.vertices, edges[shared == 1])
+    from_base = igl.point_mesh_squared_distance(rim, outline.points, outline.sides)
+    _, nearest = cKDTree(outline.points).query(rim)
+    points = np.vstack([outline.points, rim])
     owner = np.concatenate([outline.owner, outline.owner[nearest]])
-    gap = np.sqrt(np.concatenate([to_base, from_base]))
+    gap = np.sqrt(np.concatenate([to_base[0], from_base[0]]))
     worst = int(np.argmax(gap))
     if gap[worst] > 2.5:
         raise InputError(

@@ -43,15 +43,12 @@ from fascicle.mesh.topology import (
 
 
 class LabelArray(NamedTuple):
-    """An array of labels in a file: where, its values (k,), and what they belong to.
-
-    `groups` are the names of Gmsh's physical groups by number, None where these are no groups.
-    """
+    """An array of labels in a file: where, its values (k,), and what they belong to."""
 
     source: str
     values: Floats | Integers
     of_triangles: bool
-    groups: Mapping[int, str] | None
+    groups: Mapping[int, str] | None  # names of Gmsh's physical groups, if these are any
 
 
 def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
@@ -88,24 +85,20 @@ def labelled_surface(
     mesh: MeshFile,
     array: str | None = None,
     names: Mapping[str, int] | None = None,
-    labels_file: Path | str | None = None,
+    labels_file: Path | None = None,
 ) -> LabelledSurface:
-    """The surface of a file with the labels of its triangles.
-
-    Repeated points are merged, and labels of points brought to triangles.
+    """The surface of a file (mm) with the labels of its triangles; repeated points are merged.
 
     Parameters
     ----------
     mesh : MeshFile
-        A file of triangles, in mm.
+        A file of triangles.
     array : str, optional
         Name of the array of labels, one a triangle or one a point, if it is none of `LABEL_NAMES`.
     names : mapping of str to int, optional
-        Which number in the file stands for which label, as ``{"lv": 3}``; names are what
-        `label_of` understands. Those not named have `Label`'s number.
+        Which number stands for which label, as ``{"lv": 3}``; the others have `Label`'s number.
     labels_file : Path, optional
-        A text file with one whole number a triangle or point, in the order of the surface file,
-        instead of an array in it; STL files hold none.
+        A text file with one whole number a triangle or point, instead of an array.
     """
     check_units(str(mesh.path), mesh.points)
     triangles = mesh.require(TRIANGLE, "triangles")
@@ -119,7 +112,7 @@ def labelled_surface(
                 "(--label-array) or give a file of labels (--labels-file)"
             )
     else:
-        values = _read_numbers(Path(labels_file))
+        values = _read_numbers(labels_file)
         if len(values) not in (len(triangles), len(mesh.points)):
             raise InputError(
                 f"{labels_file}: {len(values)} labels, but {mesh.path} has {len(triangles)} "
@@ -170,7 +163,7 @@ def labelled_tetrahedra(
     Parameters
     ----------
     mesh : MeshFile
-        VTK, VTU, Gmsh or openCARP file; in mm, openCARP's in µm.
+        Points in mm.
     array : str, optional
         Name of the array of labels, if it has another one.
     names : mapping of str to Label, optional
@@ -196,9 +189,7 @@ def labelled_tetrahedra(
     check_tetrahedra(name, vertices, tetrahedra)
     triangles, _ = boundary_triangles(tetrahedra)
     boundary = np.unique(file_tetrahedra)[triangles]
-    labels = label_boundary(mesh, boundary, array, names if names is not None else {})
-    if labels is None:
-        labels = np.zeros(len(triangles), dtype=np.int64)
+    labels = _label_boundary(mesh, boundary, array, names if names is not None else {})
     names_of_regions = ("region", "regions", "elemtag", "elemtags", "tag", "tags", GROUP)
     region = _named(mesh.cell_data.get(TETRAHEDRON, {}), names_of_regions)
     regions = None if region is None else region_labels(mesh, region[0])
@@ -220,32 +211,30 @@ def _named(arrays: Mapping[str, Floats], names: tuple[str, ...]) -> tuple[str, F
 def _directions(mesh: MeshFile, names: tuple[str, ...]) -> Floats | None:
     """Unit directions of the tetrahedra, from a cell or else a point array so named."""
     tetrahedra = mesh.cells[TETRAHEDRON]
-    found = _named(mesh.cell_data.get(TETRAHEDRON, {}), names)
-    per_cell = found is not None
-    found = found if found is not None else _named(mesh.point_data, names)
+    of_cells = _named(mesh.cell_data.get(TETRAHEDRON, {}), names)
+    found = of_cells or _named(mesh.point_data, names)
     if found is None:
         return None
     title, values = f"{mesh.path}: array '{found[0]}'", np.asarray(found[1], dtype=float)
     if values.shape[1:] != (3,):
         raise InputError(f"{title} has shape {values.shape}; give three components, or rename it")
-    at = np.arange(len(tetrahedra)) if per_cell else np.unique(tetrahedra)
-    check_fibres(title, values[at])
-    return unit(values) if per_cell else average_to_tetrahedra(values, tetrahedra)
+    check_fibres(title, values if of_cells else values[np.unique(tetrahedra)])
+    return unit(values) if of_cells else average_to_tetrahedra(values, tetrahedra)
 
 
-def label_boundary(
+def _label_boundary(
     mesh: MeshFile, boundary: Integers, array: str | None, names: Names
-) -> Integers | None:
-    """Label each triangle (b, 3) of the boundary by the mesh's file, or others in its folder.
+) -> Integers:
+    """Labels (b,) of boundary triangles (b, 3) by the mesh's file, or others in its folder.
 
-    None if nothing is labelled.
+    They are 0 if nothing is labelled.
     """
     if mesh.path.suffix.lower() in OPENCARP_FORMATS and array is None:
         found = _from_surface_files(mesh, boundary, names)
     else:
         found = _from_array(mesh, boundary, array, names)
     if found is None:
-        return None
+        return np.zeros(len(boundary), dtype=np.int64)
     source, labels = found
     missing = missing_parts(labels)
     without = np.flatnonzero(labels == 0)

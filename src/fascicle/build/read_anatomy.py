@@ -12,35 +12,29 @@ from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
 from fascicle.build.join import join_surfaces
 from fascicle.build.labelled_files import has_labels, labelled_surface, labelled_tetrahedra
-from fascicle.build.mesh_repair import repaired_edges
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.surface_checks import check_sides
 from fascicle.build.surface_meshing import is_coarse, subdivided
 from fascicle.build.surface_repair import closed_surface, prepared_surface
-from fascicle.build.volume_meshing import check_memory, mesh_surface, remeshed_anatomy
+from fascicle.build.volume_meshing import (
+    check_memory,
+    mesh_surface,
+    remeshed_anatomy,
+    repaired_edges,
+)
 from fascicle.core.errors import InputError
 from fascicle.core.files import check_file
 from fascicle.core.progress import Progress, stage_progress
 from fascicle.heart.label_names import labels_by_number
-from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
+from fascicle.heart.labelled_surface import LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
 
 
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
-    """Read the files and mesh what is not a mesh yet.
-
-    Parameters
-    ----------
-    source : Source
-        The files.
-    edge_length : float
-        Of the tetrahedra (mm); a mesh of the user's own does not change.
-    progress : Progress, optional
-        Progress callback.
-    """
+    """Read the files and mesh what is not a mesh yet, with this edge length (mm)."""
     if source.file is None:
         source.check_unused("separate surfaces", "labels", "label_array", "labels_file", "remesh")
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
@@ -48,14 +42,9 @@ def read_anatomy(source: Source, edge_length: float, progress: Progress | None =
             part: (mesh.points, mesh.require(TRIANGLE, "triangles"))
             for part, mesh in meshes.items()
         }
-        joined = join_surfaces(
-            parts["lv"],
-            parts["rv"],
-            parts["epicardium"],
-            parts.get("base"),
-            str(source.parts["epicardium"]),
-            stage_progress(progress, "surface"),
-        )
+        lv, rv, epicardium = (parts[part] for part in ("lv", "rv", "epicardium"))
+        name, report = str(source.parts["epicardium"]), stage_progress(progress, "surface")
+        joined = join_surfaces(lv, rv, epicardium, parts.get("base"), name, report)
         return _meshed(*_fine_enough(joined, edge_length), edge_length, progress)
     segmentations = (".nii", ".nii.gz", ".nrrd", ".nhdr")
     if source.file.name.lower().endswith(segmentations):
@@ -108,7 +97,6 @@ def _from_segmentation(
     source: Source, file: Path, edge_length: float, progress: Progress | None
 ) -> Anatomy:
     source.check_unused("a segmentation", "label_array", "labels_file", "remesh")
-    notes: list[str] = []
     segmentation = read_segmentation(file)
     if source.labels is None:
         there = ", ".join(map(str, np.unique(segmentation.labels)))
@@ -120,7 +108,7 @@ def _from_segmentation(
     unknown = [name for name in source.labels if name not in known]
     if unknown:
         raise InputError(f"--labels: unknown '{unknown[0]}'; the parts are {', '.join(known)}")
-    labels = SegmentationLabels(**source.labels)
+    labels, notes = SegmentationLabels(**source.labels), []
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
@@ -134,7 +122,7 @@ def _from_segmentation(
         return replace(anatomy, notes=tuple(notes))
     scar = "region_1_conductivity"  # the quantity that says how it conducts
     notes.append(f"scar: region 1; it does not conduct ({scar} = 0 in heart.toml)")
-    mesh: LabelledMesh = anatomy.mesh
+    mesh = anatomy.mesh
     centres = mesh.vertices[mesh.tetrahedra].mean(axis=1)
     mesh = replace(mesh, regions=regions_at(segmentation, labels, centres))
     return replace(anatomy, mesh=mesh, notes=tuple(notes), values={scar: 0.0})
@@ -147,12 +135,8 @@ def _from_tetrahedra(source: Source, mesh: MeshFile, progress: Progress | None) 
     if not read.mesh.labels.any():
         unlabelled = f"{mesh.path}, which has no labels (--label-array names one)"
         source.check_unused(unlabelled, "labels")
-        found = classify_surface(
-            read.mesh.vertices,
-            read.mesh.triangles,
-            str(mesh.path),
-            stage_progress(progress, "surface"),
-        )
+        report = stage_progress(progress, "surface")
+        found = classify_surface(read.mesh.vertices, read.mesh.triangles, str(mesh.path), report)
         read = replace(read, mesh=replace(read.mesh, labels=found.labels), guessed=True)
     check_sides(read.mesh)
     return remeshed_anatomy(read) if source.remesh else read

@@ -17,24 +17,16 @@ from fascicle.heart.validate import check_units
 
 @dataclass(frozen=True)
 class Segmentation:
-    """A label map and where it lies.
+    """A label map (i, j, k), where 0 is background, and where it lies.
 
-    Attributes
-    ----------
-    labels : (i, j, k) integer array
-        The label of each voxel; 0 is background.
-    affine : (4, 4) array
-        From voxel indices (of voxel centres) to mm, in the coordinates that the file has.
-    name : str
-        What to call it in messages; usually the file.
-    space : str
-        ``"RAS"`` or ``"LPS"`` if these are the patient's axes, otherwise empty.
+    The affine (4, 4) leads from indices of voxel centres to mm, in the coordinates of the file,
+    whose name stands in messages; the space is empty if these are not the patient's axes.
     """
 
     labels: NDArray[np.integer[Any]]
     affine: Floats
     name: str = "segmentation"
-    space: str = ""
+    space: str = ""  # "RAS" or "LPS"
 
     def __post_init__(self) -> None:
         spacing, axes = self.spacing, self.affine[:3, :3]
@@ -72,20 +64,11 @@ class SegmentationLabels:
     given as a tuple of them. Other conventions: ACDC has 3 for LV blood, 1 for RV blood and 2 for
     LV myocardium; UK Biobank (Bai et al., J Cardiovasc Magn Reson 20:65, 2018) 1, 3 and 2; MM-WHS
     (Zhuang and Shen, Med Image Anal 31:77–87, 2016) 500, 600 and 205. None of them has an RV wall.
-
-    Attributes
-    ----------
-    lv, rv : int or tuple of int
-        Blood of the ventricles.
-    myocardium : int or tuple of int
-        Muscle, without the scar.
-    scar : int, tuple of int, or None
-        Scar, a part of the tissue; `None` where none was segmented.
     """
 
-    lv: int | tuple[int, ...] = 1
+    lv: int | tuple[int, ...] = 1  # blood
     rv: int | tuple[int, ...] = 2
-    myocardium: int | tuple[int, ...] = 3
+    myocardium: int | tuple[int, ...] = 3  # without the scar
     scar: int | tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -98,15 +81,12 @@ class SegmentationLabels:
 
     def parts(self) -> list[tuple[str, tuple[int, ...]]]:
         """Name and numbers of each part."""
-        named = [
-            ("LV blood", self.lv),
-            ("RV blood", self.rv),
-            ("myocardium", self.myocardium),
-            ("scar", self.scar),
-        ]
+        given = (self.lv, self.rv, self.myocardium, self.scar)
         return [
             (name, part if isinstance(part, tuple) else (part,))
-            for name, part in named
+            for name, part in zip(
+                ("LV blood", "RV blood", "myocardium", "scar"), given, strict=True
+            )
             if part is not None
         ]
 
@@ -185,11 +165,9 @@ def _parts(segmentation: Segmentation, labels: SegmentationLabels) -> dict[str, 
     for name, numbers in labels.parts():
         masks[name] = np.isin(segmentation.labels, numbers)
         if not masks[name].any():
-            found, counts = np.unique(segmentation.labels, return_counts=True)
-            there = [
-                f"{value} ({count} voxels)" for value, count in zip(found, counts, strict=True)
-            ]
-            more = f" and {len(found) - 12} more" if len(found) > 12 else ""
+            counted = zip(*np.unique(segmentation.labels, return_counts=True), strict=True)
+            there = [f"{value} ({count} voxels)" for value, count in counted]
+            more = f" and {len(there) - 12} more" if len(there) > 12 else ""
             raise InputError(
                 f"{segmentation.name}: {name} (label {', '.join(map(str, numbers))}) has 0 voxels; "
                 f"the map has labels {', '.join(there[:12])}{more}; say which label is {name}"

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import igl
 import numpy as np
 from scipy.ndimage import binary_fill_holes, label, map_coordinates
 
-from fascicle.build.base_plane import BasePlane, blood_faces, find_base_plane
-from fascicle.build.level_sets import Grid, closed_by, grid_below, level_set
+from fascicle.build.level_sets import (
+    BasePlane,
+    Grid,
+    blood_faces,
+    closed_by,
+    find_base_plane,
+    grid_below,
+    level_set,
+)
 from fascicle.build.segmentation import Masks, Segmentation, SegmentationLabels, masks_of
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
@@ -27,8 +34,7 @@ RV_WALL = 3.0  # mm
 BALLS = (1.5, 2.0, 4.0, 6.0)  # mm, radius
 
 
-@dataclass(frozen=True)
-class _Levels:
+class _Levels(NamedTuple):
     """Signed distances to epicardium and both endocardia at a grid's nodes, below the base.
 
     `gaps` is the distance to the epicardium before holes in the wall were closed.
@@ -38,9 +44,6 @@ class _Levels:
     lv: Floats
     rv: Floats
     gaps: Floats
-
-    def below(self, layers: int) -> _Levels:
-        return _Levels(*(part[:, :, :layers] for part in (self.outer, self.lv, self.rv, self.gaps)))
 
 
 def surface_from_segmentation(
@@ -55,39 +58,35 @@ def surface_from_segmentation(
     grid whose top layer is the base plane; the tissue lies where the largest of outer, −LV and −RV
     is negative, and its surface is found by marching cubes (Lorensen and Cline, SIGGRAPH Comput
     Graph 21:163–169, 1987). Triangles end on the plane, so the borders of the base are sharp.
-
     Where less than 80 % of the RV's blood has tissue around it, as in maps of the LV myocardium
-    alone, a wall of 3 mm is put around it.
-
-    A line is added to the notes for everything found or changed: small components, an added wall,
-    the base plane, mended cavities.
+    alone, a wall of 3 mm is put around it. The notes get a line for everything found or changed.
 
     Returns
     -------
     LabelledSurface
         Closed, in the segmentation's frame (mm), edges near 1 mm. The base is an annulus with two
-        holes, the endocardia are disks, and the epicardium is one.
+        holes, the endocardia and the epicardium are disks.
     """
     notes = notes if notes is not None else []
-    steps = 6
     masks = _coarsened(masks_of(segmentation, labels, notes))
-    progress(1, steps)
+    progress(1, 6)
     plane = find_base_plane(masks)
     grid = grid_below(plane, masks, EDGE)
-    progress(2, steps)
+    progress(2, 6)
     lv = level_set(masks.lv, masks, plane, grid)
     rv = level_set(masks.rv, masks, plane, grid)
-    progress(3, steps)
+    progress(3, 6)
     filled = binary_fill_holes(masks.lv | masks.rv | masks.tissue)
     outer = level_set(filled, masks, plane, grid)
-    progress(4, steps)
+    progress(4, 6)
     levels = _walled(lv, rv, _with_rv_wall(masks, plane, outer, rv, notes))
     layers = _base_layer(levels, masks.name)
     below = (grid.shape[2] - layers) * grid.edge
     notes.append(f"{masks.name}: cut at {plane.how}, {below:g} mm below it")
-    progress(5, steps)
-    surface = _closed_surface(levels.below(layers), grid, masks.name, notes)
-    progress(steps, steps)
+    progress(5, 6)
+    levels = _Levels(*(part[:, :, :layers] for part in levels))
+    surface = _closed_surface(levels, grid, masks.name, notes)
+    progress(6, 6)
     return surface
 
 
@@ -196,10 +195,10 @@ def _closed_surface(levels: _Levels, grid: Grid, name: str, notes: list[str]) ->
         attempts[part] += 1
     for kind, attempt in attempts.items():
         if attempt:
-            how = "threads of blood were taken away"
-            if attempt > 1:
-                gap = 2 * BALLS[attempt - 1]
-                how = f"gaps up to {gap:g} mm wide around papillary muscles were filled"
+            gap = 2 * BALLS[attempt - 1]
+            how = f"gaps up to {gap:g} mm wide around papillary muscles were filled"
+            if attempt == 1:
+                how = "threads of blood were taken away"
             notes.append(f"{name}: {kind.words}: {how}, to leave no handles")
     return surface
 

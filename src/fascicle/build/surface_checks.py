@@ -57,9 +57,8 @@ def oriented_piece(name: str, vertices: Floats, triangles: Integers) -> Integers
 
 
 class WallThickness(NamedTuple):
-    """Vertices (k,) of the endocardium of a wall, and its thickness (mm) at each."""
+    """Thickness (mm) of a wall at vertices (k,) of its endocardium."""
 
-    vertices: Integers
     thickness: Floats
 
     @property
@@ -84,24 +83,18 @@ def wall_thickness(tissue: LabelledSurface | LabelledMesh) -> Walls:
     where the right endocardium is nearer than the epicardium; the septal part of the right one is
     left out. The distance never exceeds the thickness along any other direction.
     """
-    epicardium, left, right = (
-        tissue.having(label)
-        for label in (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
-    )
-    of_left, of_right = np.unique(left), np.unique(right)
+    vertices, epicardium = tissue.vertices, tissue.having(Label.EPICARDIUM)
+    left, right = (tissue.having(Label.LV_ENDOCARDIUM), tissue.having(Label.RV_ENDOCARDIUM))
 
-    def distances(at: Integers, to: Integers) -> Floats:
-        vertices = tissue.vertices
-        return np.asarray(np.sqrt(igl.point_mesh_squared_distance(vertices[at], vertices, to)[0]))
+    def distances(of: Integers, to: Integers) -> Floats:
+        at = vertices[np.unique(of)]
+        return np.asarray(np.sqrt(igl.point_mesh_squared_distance(at, vertices, to)[0]))
 
-    outwards, across = distances(of_left, epicardium), distances(of_left, right)
-    rv_outwards = distances(of_right, epicardium)
-    is_septum, is_free = across < outwards, rv_outwards <= distances(of_right, left)
-    return Walls(
-        lv=WallThickness(of_left[~is_septum], outwards[~is_septum]),
-        septum=WallThickness(of_left[is_septum], across[is_septum]),
-        rv=WallThickness(of_right[is_free], rv_outwards[is_free]),
-    )
+    outwards, across = distances(left, epicardium), distances(left, right)
+    rv_outwards = distances(right, epicardium)
+    is_septum, is_free = across < outwards, rv_outwards <= distances(right, left)
+    free_walls = WallThickness(outwards[~is_septum]), WallThickness(rv_outwards[is_free])
+    return Walls(free_walls[0], WallThickness(across[is_septum]), free_walls[1])
 
 
 def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
@@ -111,18 +104,15 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
     lie as flat as they can (an edge length over √2 each). As medians count, a few thin places do
     not matter, such as those at the apex and next to the base.
     """
-    medians = {
-        "left ventricle's free wall": walls.lv.median,
-        "septum": walls.septum.median,
-        "right ventricle's free wall": walls.rv.median,
-    }
-    there = {wall: median for wall, median in medians.items() if np.isfinite(median)}
-    thinnest = min(there, key=lambda wall: there[wall])
-    largest = there[thinnest] / (2 * np.sqrt(0.5))
+    names = ("left ventricle's free wall", "septum", "right ventricle's free wall")
+    thickness, thinnest = min(
+        (wall.median, what) for what, wall in zip(names, walls, strict=True) if wall.thickness.size
+    )
+    largest = thickness / (2 * np.sqrt(0.5))
     if edge_length > largest:
         raise InputError(
             f"{name}: an edge length of {edge_length:g} mm is too coarse for the {thinnest}, "
-            f"{there[thinnest]:.2g} mm thick (median): fewer than two elements fit across; give "
+            f"{thickness:.2g} mm thick (median): fewer than two elements fit across; give "
             f"{np.floor(largest * 100) / 100:.2f} mm or less"
         )
 

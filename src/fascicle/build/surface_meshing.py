@@ -21,11 +21,10 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
     """Triangles with this mean edge length, and the borders between labels where they were.
 
     A first pass removes the noise of a surface from marching cubes. It keeps sharp edges, without
-    which the narrow end of the right cavity would be folded; the second does not look for them
-    (angle=0), which would keep every badly shaped triangle, and keeps the borders between labels
-    alone. Mmg's mean length is not the size that it is given, so the size is corrected by what came
-    out. Mmg stays far nearer to the surface than it may: on a heart the volume changes by 0.02 %,
-    the walls by 0.06 mm at 2 mm; with less leave it follows the noise of borders.
+    which the narrow end of the right cavity would be folded; the second keeps the borders between
+    labels alone (angle=0), as edges would keep badly shaped triangles. Mmg's mean length is not the
+    size that it is given, so the size is corrected by what came out. Mmg stays far nearer to the
+    surface than it may: on a heart the volume changes by 0.02 %, the walls by 0.06 mm at 2 mm.
     """
     smooth = _remeshed(
         without_short_edges(surface, 0.3 * edge_length),
@@ -66,10 +65,9 @@ def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSu
     """Bring the two ends of every shorter edge (mm) together, where the surface stays one.
 
     That is where the ends have no common neighbour but the corners of the edge's two triangles (the
-    link condition; Dey et al. 1999, Publ Inst Math 66:23-45). Mmg alone does as well where
-    triangles are fine, but not where edges are as long as walls are thick: on ellipsoids with walls
-    of 12 mm and edges of 8 mm the worst radius ratio is 0.11 instead of 0.27, and helix angles at
-    the endocardium are off by up to 4.6 instead of 1.1 degrees.
+    link condition; Dey et al. 1999, Publ Inst Math 66:23-45). Mmg alone does not do as well where
+    edges are as long as walls are thick: at 8 of 12 mm helix angles at the endocardium are off by
+    up to 4.6 instead of 1.1 degrees.
     """
     while True:
         edges = np.asarray(igl.edges(surface.triangles))
@@ -83,9 +81,8 @@ def without_short_edges(surface: LabelledSurface, shortest: float) -> LabelledSu
         vertices[target[moved]] = (vertices[target[moved]] + vertices[moved]) / 2
         triangles = target[surface.triangles]
         keep = (np.diff(np.sort(triangles, axis=1), axis=1) != 0).all(axis=1)
-        labels = surface.labels[keep]
         surface = compacted(
-            replace(surface, vertices=vertices, triangles=triangles[keep], labels=labels)
+            LabelledSurface(vertices, triangles[keep], surface.labels[keep], surface.name)
         )
 
 
@@ -117,18 +114,12 @@ def is_coarse(surface: LabelledSurface, edge_length: float) -> bool:
 def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSurface, str]:
     """Make a coarse surface smooth and finer: Loop subdivision, corrected for its shrinking.
 
-    Loop's surface does not pass through the vertices that it comes from: walls of one or two
-    triangles would shrink. So each vertex is first moved by as much as it would be missed by (one
-    step of progressive interpolation; more make a flat base undulate), or by half of it where walls
-    would cut one another. Then the finer surface is moved along its normals by the hundredths of a
-    mm that give the volume back.
-
-    Loop 1987, Smooth subdivision surfaces based on triangles (thesis, University of Utah). Cheng,
-    Fan, Lai et al. 2009, Loop subdivision surface based progressive interpolation, J Comput Sci
-    Technol 24:39-46.
-
-    The mean edge is then at most two edge lengths; remeshing does the rest. A note for people says
-    what was done.
+    Loop's surface (1987, thesis, University of Utah) does not pass through the vertices that it
+    comes from: thin walls would shrink. So each vertex is first moved by as much as it would be
+    missed by (one step of progressive interpolation, Cheng et al. 2009, J Comput Sci Technol
+    24:39-46; more make a flat base undulate), or by half of it where walls would cut one another.
+    Then the finer surface is moved along its normals by the hundredths of a mm that give the volume
+    back. The mean edge is then at most two edge lengths. A note for people says what was done.
     """
     given = closed_surface(surface)
     before = mean_edge_length(given.vertices, given.triangles)

@@ -30,13 +30,11 @@ LARGEST_HOLE = 20.0  # mm, length of its boundary; 6 mm across, so no valve or v
 
 
 def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
-    """Make a labelled surface fit for meshing, or say what is wrong with it.
+    """Make a labelled surface closed, one piece that does not cut itself and faces outwards.
 
     Repeated vertices and triangles, triangles without an area, holes with a boundary of at most
     20 mm, triangles facing the wrong way and small components of labels are repaired. Where parts
-    cut through one another, it is replaced by the surface of what lies within.
-
-    Afterwards it is closed, in one piece, does not cut itself, and faces outwards.
+    cut through one another, it is replaced by the surface of what lies within. The rest is refused.
     """
     missing = missing_parts(surface.labels)
     if missing:
@@ -49,8 +47,9 @@ def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
     cuts = self_intersections(closed.vertices, closed.triangles)
     if len(cuts):
         closed = _without_cuts(closed, cuts)
-    labels = cleaned_labels(closed.vertices, closed.triangles, closed.labels)
-    cleaned = replace(closed, labels=labels)
+    cleaned = replace(
+        closed, labels=cleaned_labels(closed.vertices, closed.triangles, closed.labels)
+    )
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
         name = f"{surface.name}: {label.words}"
         if not boundary_loops(oriented_piece(name, cleaned.vertices, cleaned.having(label))):
@@ -78,32 +77,25 @@ def compacted(surface: LabelledSurface) -> LabelledSurface:
 def _with_holes_filled(surface: LabelledSurface) -> LabelledSurface:
     """Close small holes by a fan of triangles, which take the label of most around them."""
     check_edges(surface.name, surface.vertices, surface.triangles)
-    oriented = oriented_piece(surface.name, surface.vertices, surface.triangles)
-    loops = boundary_loops(oriented)
-    vertices, triangles, labels = [surface.vertices], [oriented], [surface.labels]
+    vertices, labels = surface.vertices, surface.labels
+    triangles = oriented_piece(surface.name, vertices, surface.triangles)
+    loops = boundary_loops(triangles)
     for loop in loops:
-        ring = surface.vertices[loop]
+        middle = surface.vertices[loop].mean(axis=0)
         length = loop_length(surface.vertices, loop)
         if length > LARGEST_HOLE:
             raise InputError(
                 f"{surface.name}: the surface is not closed: a hole {length:.0f} mm around at "
-                f"{place(ring.mean(axis=0))}, {len(loops)} holes in all; close it (holes up to "
+                f"{place(middle)}, {len(loops)} holes in all; close it (holes up to "
                 f"{LARGEST_HOLE:g} mm around are closed here)"
             )
-        if len(loop) == 3:
-            filling = loop[::-1][None]
-        else:
-            filling = fan(loop, sum(map(len, vertices)))
-            vertices.append(ring.mean(axis=0, keepdims=True))
+        filling = loop[::-1][None]
+        if len(loop) > 3:
+            filling, vertices = fan(loop, len(vertices)), np.vstack([vertices, middle])
         around = surface.labels[np.isin(surface.triangles, loop).sum(axis=1) >= 2]
-        triangles.append(filling)
-        labels.append(np.full(len(filling), np.bincount(around).argmax()))
-    return replace(
-        surface,
-        vertices=np.concatenate(vertices),
-        triangles=np.concatenate(triangles).astype(np.int64),
-        labels=np.concatenate(labels),
-    )
+        triangles = np.concatenate([triangles, filling])
+        labels = np.append(labels, np.full(len(filling), np.bincount(around).argmax()))
+    return replace(surface, vertices=vertices, triangles=triangles, labels=labels)
 
 
 def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:

@@ -43,13 +43,12 @@ class TorsoOptions:
     lungs : tuple of Path
         Closed surfaces, with a skin of the user's own.
     measures : mapping of name to float
-        Height (m), weight (kg) and chest girth (cm) of the person, as far as they are known, to
-        scale the idealised torso.
+        Height (m), weight (kg) and chest girth (cm), as far as they are known, to scale the
+        idealised torso.
     pose : {"standard", "ras", "lps"}
         See `fascicle.torso.heart_pose.body_frame`.
     electrodes : Path, optional
-        File of positions, which the idealised torso is fitted to; without it, they are at its
-        standard places.
+        Positions that the idealised torso is fitted to; by default those of its standard places.
     """
 
     torso: str = "idealised"
@@ -90,29 +89,27 @@ class TorsoOptions:
 def in_torso(
     heart: Heart, mesh: LabelledMesh, options: TorsoOptions, progress: Progress | None = None
 ) -> tuple[Heart, tuple[str, ...]]:
-    """Put torso, electrodes and lead fields around a heart.
+    """Put torso, electrodes and lead fields around a heart, whose own electrodes do not count.
 
-    Its own electrodes do not count; the mesh is its tetrahedra with their boundary labelled. The
-    notes say how the torso was fitted.
+    The mesh is its tetrahedra with their boundary labelled. Notes say how the torso was fitted.
     """
     source = str(options.electrodes) if options.electrodes is not None else mesh.name
     notes: tuple[str, ...] = ()
     surfaces: TorsoSurfaces | None = None
-    if options.positions is None:
+    positions = options.positions
+    if positions is None:
         surfaces = idealised_torso(mesh, BodySize(**options.measures), options.pose)
         positions = surfaces.electrodes
         assert positions is not None
-        heart = _with_electrodes(heart, positions, source)
-    else:
-        heart = _with_electrodes(heart, options.positions, source)
-        if options.torso == "idealised":
-            check_not_exchanged(source, heart)
-            surfaces, fitted = fitted_torso(
-                mesh, heart.electrodes, source, options.measures, options.pose
-            )
-            notes = tuple(_notes_on_fit(heart, fitted, options.pose))
-        elif options.torso != "none":
-            surfaces = read_torso_surfaces(Path(options.torso), options.lungs, mesh)
+    heart = replace(heart, electrodes=positions)
+    check_electrodes(source, positions, heart)
+    check_not_mirrored(source, heart)
+    if surfaces is None and options.torso == "idealised":
+        check_not_exchanged(source, heart)
+        surfaces, fitted = fitted_torso(mesh, positions, source, options.measures, options.pose)
+        notes = tuple(_notes_on_fit(heart, fitted, options.pose))
+    elif options.torso not in ("idealised", "none"):
+        surfaces = read_torso_surfaces(Path(options.torso), options.lungs, mesh)
     if surfaces is None:
         return heart, notes
     check_on_skin(source, distances_to_skin(heart.electrodes, surfaces.skin))
@@ -120,13 +117,6 @@ def in_torso(
     heart = replace(heart, torso=torso)
     fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
     return replace(heart, lead_fields=fields), notes
-
-
-def _with_electrodes(heart: Heart, positions: Floats, source: str) -> Heart:
-    heart = replace(heart, electrodes=positions)
-    check_electrodes(source, positions, heart)
-    check_not_mirrored(source, heart)
-    return heart
 
 
 def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:

@@ -59,8 +59,8 @@ def signed_volumes(vertices: Floats, tetrahedra: Integers) -> Floats:
 
 def solid_centroid(vertices: Floats, tetrahedra: Integers) -> Floats:
     """Centroid (3,) of tetrahedra, by volume."""
-    centres, volumes = vertices[tetrahedra].mean(axis=1), signed_volumes(vertices, tetrahedra)
-    return np.asarray(np.average(centres, axis=0, weights=volumes))
+    volumes = signed_volumes(vertices, tetrahedra)
+    return np.asarray(np.average(vertices[tetrahedra].mean(axis=1), axis=0, weights=volumes))
 
 
 def principal_axes(vectors: Floats) -> Floats:

@@ -47,8 +47,7 @@ def tetrahedralise(
 ) -> tuple[Floats, Integers, Integers]:
     """Fill the domains between closed surfaces by Netgen, which changes none of these.
 
-    Schöberl 1997, Comput Vis Sci 1:41-52. A domain that Netgen cannot fill is reported on standard
-    error and left out. Netgen prints every crossing it finds, whatever its message level.
+    Schöberl 1997, Comput Vis Sci 1:41-52.
 
     Parameters
     ----------
@@ -76,7 +75,7 @@ def tetrahedralise(
         index = mesh.Add(netgen.FaceDescriptor(bc=face, domin=inner, domout=outer, surfnr=face))
         mesh.AddElements(dim=2, index=index, data=as_int32(triangles + count), base=0)
         count += len(vertices)
-    with signals_restored(), _kept_quiet() as printed:
+    with signals_restored(), _kept_quiet() as printed:  # it prints every crossing that it finds
         try:
             mesh.GenerateVolumeMesh(netgen.MeshingParameters(**parameters))
         except netgen.NgException as error:
@@ -92,7 +91,7 @@ def tetrahedralise(
     vertices = np.array(mesh.Coordinates(), dtype=float, order="C")
     volume = float(signed_volumes(vertices, tetrahedra).sum())
     missing = 1 - volume / sum(interface.enclosed for interface in interfaces)
-    if abs(missing) > 1e-6:  # more than rounding
+    if abs(missing) > 1e-6:  # more than rounding: it leaves out what it cannot fill
         why = f" ({failure[1].strip()})" if failure else ""
         raise InputError(
             f"{what}: {missing:.2%} could not be filled with tetrahedra{why}; {remedy}"
@@ -132,11 +131,10 @@ def _kept_quiet() -> Iterator[IO[bytes]]:
 def remeshed_triangles(
     vertices: Floats, triangles: Integers, labels: Integers, **options: float
 ) -> tuple[Floats, Integers, Integers]:
-    """Triangulate a labelled surface again by Mmg, which keeps the borders between labels.
+    """Triangulate a labelled surface (mm) again by Mmg, which keeps the borders between labels.
 
-    Positions (n, 3) are in mm; the options are Mmg's: ``hsiz``, ``hmin``, ``hmax`` and ``hausd``
-    (mm), ``angle`` (1: keep sharp edges). Dapogny, Dobrzynski and Frey 2014, J Comput Phys
-    262:358-378.
+    Its options are ``hsiz``, ``hmin``, ``hmax`` and ``hausd`` (mm), ``angle`` (1: keep sharp
+    edges). Dapogny, Dobrzynski and Frey 2014, J Comput Phys 262:358-378.
     """
     import mmgpy
 
@@ -158,8 +156,7 @@ def remeshed_tetrahedra(
 ) -> tuple[Floats, Integers, Integers, Integers]:
     """Mesh the inside of a labelled boundary (b, 3) again by Mmg; the boundary stays.
 
-    The options are Mmg's: ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it. The new
-    triangles of the boundary are in Mmg's order.
+    Its options are ``hsiz``, the edge length (mm), or ``optim=1``, which keeps it.
     """
     import mmgpy
 
@@ -180,20 +177,11 @@ def remeshed_tetrahedra(
 
 
 def constrained_delaunay(places: Floats, loops: Sequence[Integers]) -> tuple[Integers, Integers]:
-    """Triangulate what lies between closed lines, whose sides are kept, by VTK.
+    """Triangulate what lies between closed lines in a plane, whose sides are kept, by VTK.
 
-    Parameters
-    ----------
-    places : (n, 2) array
-        Points in the plane.
-    loops : sequence of (k,) arrays
-        The points along each line, the outermost line first.
-
-    Returns
-    -------
-    triangles, missing : (m, 3) and (s,) arrays
-        Indices of the points, and the first points of the sides that are no edge of the boundary:
-        with any of these lines cross or touch, and the triangles are of no use.
+    Given are points (n, 2) and, for each line, the outermost first, those along it (k,). The second
+    result (s,) are the first points of sides that are not an edge of the triangles' boundary: if
+    there are any, lines cross or touch, and the triangles (m, 3) are of no use.
     """
     import pyvista as pv
 
@@ -232,10 +220,10 @@ def marching_cubes(values: Floats) -> tuple[Floats, Integers]:
 
 
 def as_int32(array: Integers) -> NDArray[np.int32]:
-    """Copy in the type and memory order that the meshers need; Mmg misreads any other."""
+    """Array in the type and memory order that the meshers need; Mmg misreads any other."""
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
 def as_float64(array: Floats) -> Floats:
-    """Likewise for positions."""
+    """Positions likewise."""
     return np.ascontiguousarray(array, dtype=np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import igl
 import igl.predicates
@@ -13,23 +13,12 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 
 
-@dataclass(frozen=True)
-class Quality:
+class Quality(NamedTuple):
     """Shape and size of the tetrahedra of a mesh.
 
-    Attributes
-    ----------
-    vertices : int
-        How many there are.
-    volumes : (m,) array
-        Volume of each tetrahedron (mm³).
-    angles : (m,) array
-        Smallest dihedral angle of each (degrees). That of a regular tetrahedron is 70.5.
-    radius_ratios : (m,) array
-        Three times the inscribed sphere's radius over the circumscribed one's: 1 for a regular
-        tetrahedron, 0 for a flat one.
-    edges : (e,) array
-        Lengths (mm).
+    Number of vertices; of each tetrahedron (m,) the volume (mm³), the smallest dihedral angle
+    (degrees; 70.5 if regular), and three times the radius of the inscribed sphere over that of the
+    circumscribed one (1 if regular, 0 if flat); the lengths of the edges (e,) (mm).
     """
 
     vertices: int
@@ -44,7 +33,6 @@ class Quality:
         return float((self.angles < 10.0).mean())
 
     def __str__(self) -> str:
-        """One line for the reader."""
         return (
             f"{self.vertices} vertices, {len(self.volumes)} tetrahedra, "
             f"{self.volumes.sum() / 1000:.1f} ml, edges {self.edges.mean():.2f} mm "

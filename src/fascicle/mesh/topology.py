@@ -51,13 +51,13 @@ def boundary_triangles(tetrahedra: NDArray[np.integer]) -> tuple[Integers, Integ
     return np.asarray(triangles, dtype=np.int64), np.asarray(owner, dtype=np.int64)
 
 
-def interior_edges(triangles: Integers) -> tuple[Integers, Integers, Integers]:
-    """Edges (e, 2) between two triangles, these triangles (e, 2), and each edge's row there."""
+def interior_edges(triangles: Integers) -> tuple[Integers, Integers]:
+    """Edges (e, 2) between two triangles, and these triangles (e, 2)."""
     neighbours, _ = igl.triangle_triangle_adjacency(triangles)
     triangle, side = np.nonzero(np.asarray(neighbours) > np.arange(len(triangles))[:, None])
     across = np.column_stack([triangle, np.asarray(neighbours)[triangle, side]])
     edges = np.column_stack([triangles[triangle, side], triangles[triangle, (side + 1) % 3]])
-    return edges.astype(np.int64), across.astype(np.int64), side
+    return edges.astype(np.int64), across.astype(np.int64)
 
 
 def without_unused_vertices(vertices: Floats, cells: Integers) -> tuple[Floats, Integers]:

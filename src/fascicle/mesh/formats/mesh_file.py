@@ -24,24 +24,8 @@ def damaged(path: Path, found: object) -> InputError:
 class MeshFile:
     """Points and cells of a file, whatever its format.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    points : (n, 3) array
-        Positions, as they stand in the file.
-    cells : dict of VTK cell number to (m, k) array
-        Point indices of the cells of each kind.
-    point_data : dict of name to array
-        Arrays with one row a point.
-    cell_data : dict of VTK cell number to dict of name to array
-        Arrays with one row a cell of that kind.
-    others : dict of name to int
-        How many cells of kinds that are not used here the file holds as well.
-    has_polylines : bool
-        Whether a line of the file has become several, which then share its cell data.
-    groups : dict of name to (dimension, number)
-        Physical groups of a Gmsh file; the cells' numbers are in the cell array `GROUP`.
+    Points (n, 3) are as they stand in the file. Cells are point indices (m, k) of each kind by
+    VTK's number; arrays have one row a point, or a cell of a kind.
     """
 
     path: Path
@@ -49,8 +33,9 @@ class MeshFile:
     cells: dict[int, Integers]
     point_data: dict[str, Floats] = field(default_factory=dict)
     cell_data: dict[int, dict[str, Floats]] = field(default_factory=dict)
-    others: dict[str, int] = field(default_factory=dict)
-    has_polylines: bool = False
+    others: dict[str, int] = field(default_factory=dict)  # how many cells of other kinds there are
+    has_polylines: bool = False  # a line has become several, which share its cell data
+    # dimension and number of Gmsh's physical groups; cells have the number in the array `GROUP`
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def cell_array(self, kind: int, name: str) -> Floats | None:

@@ -1,9 +1,8 @@
 """PLY files and Gmsh files of format 4 by meshio, and Gmsh files of format 2.
 
-VTK's PLY reader crashes on truncated binary files and fills up text ones. meshio mixes up element
-data of Gmsh's format 2 where there are cells of several kinds, and takes no data of some elements
-only, as Gmsh writes fibres of tetrahedra that lie beside triangles. The format is that of the Gmsh
-reference manual, section "MSH file format version 2 (Legacy)".
+VTK's PLY reader crashes on truncated files. meshio mixes up element data of Gmsh's format 2 (Gmsh
+reference manual, "MSH file format version 2 (Legacy)") where there are cells of several kinds, and
+takes none of some elements only, as Gmsh writes fibres of tetrahedra among triangles.
 """
 
 from __future__ import annotations
@@ -106,7 +105,7 @@ def read_gmsh22(path: Path, content: bytes) -> MeshFile:
 def _parsed(path: Path, content: bytes) -> MeshFile:
     header = gmsh22_header(content)
     is_binary = header is not None and header[1] == b"1"
-    nodes, elements = np.empty((0, 4)), list[tuple[int, int, Integers]]()
+    nodes, elements = np.empty((0, 4)), list[tuple[int, Integers]]()
     groups: dict[str, tuple[int, int]] = {}
     data: dict[str, dict[str, Floats]] = {"NodeData": {}, "ElementData": {}}
     for name, body in _sections(content):
@@ -127,22 +126,18 @@ def _parsed(path: Path, content: bytes) -> MeshFile:
         raise ValueError("no nodes or no elements")
     ids = nodes[:, 0].astype(np.int64)
     cells, cell_data, others = {}, {}, {}
-    for kind in sorted({kind for kind, _, _ in elements}):
+    for kind in sorted({kind for kind, _ in elements}):
         type_name = ELEMENTS[kind][0]
-        tables = [(tags, table) for of, tags, table in elements if of == kind]
-        if type_name not in USED:
-            if type_name != "vertex":
-                others[type_name] = sum(len(table) for _, table in tables)
-            continue
-        corners = np.concatenate([table[:, 1 + tags :] for tags, table in tables])
-        places = _places(corners, ids)
-        if (places < 0).any():
-            raise ValueError(f"no node {corners[places < 0][0]}")
-        cells[USED[type_name]] = places
-        tags_of_group = [table[:, 1] if tags else np.zeros(len(table)) for tags, table in tables]
-        numbers = np.concatenate([table[:, 0] for _, table in tables])
-        arrays = _arrays(data["ElementData"], numbers)
-        cell_data[USED[type_name]] = {GROUP: np.concatenate(tags_of_group).astype(float)} | arrays
+        rows = np.concatenate([rows for of, rows in elements if of == kind])
+        if type_name in USED:
+            places = _places(rows[:, 2:], ids)
+            if (places < 0).any():
+                raise ValueError(f"no node {rows[:, 2:][places < 0][0]}")
+            cells[USED[type_name]] = places
+            arrays = {GROUP: rows[:, 1].astype(float)} | _arrays(data["ElementData"], rows[:, 0])
+            cell_data[USED[type_name]] = arrays
+        elif type_name != "vertex":
+            others[type_name] = len(rows)
     point_data = _arrays(data["NodeData"], ids)
     return MeshFile(path, nodes[:, 1:].copy(), cells, point_data, cell_data, others, groups=groups)
 
@@ -186,8 +181,14 @@ def _table(rows: int, body: bytes, columns: int, is_binary: bool) -> Floats:
     return np.column_stack([read["id"].astype(float), read["values"]])
 
 
-def _text_elements(count: int, body: bytes) -> list[tuple[int, int, Integers]]:
-    """Type, number of tags, and a table of number, tags and nodes, of each block of elements."""
+def _untagged(table: Integers, tags: int) -> Integers:
+    """Number, group (0 without tags) and nodes of elements, from number, tags and nodes."""
+    group = table[:, 1] if tags else np.zeros(len(table), dtype=np.int64)
+    return np.column_stack([table[:, 0], group, table[:, 1 + tags :]]).astype(np.int64)
+
+
+def _text_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
+    """Type of each block of elements, and their numbers, groups and nodes."""
     by_shape: dict[tuple[int, int], list[str]] = {}
     lines = body.decode("ascii").strip().splitlines()
     if len(lines) != count:
@@ -196,14 +197,14 @@ def _text_elements(count: int, body: bytes) -> list[tuple[int, int, Integers]]:
         kind, tags = line.split(maxsplit=3)[1:3]
         by_shape.setdefault((int(kind), int(tags)), []).append(line)
     parts = []
-    for (kind_number, tag_count), rows in by_shape.items():
+    for (of, n), rows in by_shape.items():
         numbers = np.array(" ".join(rows).split(), dtype=np.int64)
-        table = numbers.reshape(len(rows), 3 + tag_count + ELEMENTS[kind_number][1])
-        parts.append((kind_number, tag_count, np.delete(table, (1, 2), axis=1)))
+        table = numbers.reshape(len(rows), 3 + n + ELEMENTS[of][1])
+        parts.append((of, _untagged(np.delete(table, (1, 2), axis=1), n)))
     return parts
 
 
-def _binary_elements(count: int, body: bytes) -> list[tuple[int, int, Integers]]:
+def _binary_elements(count: int, body: bytes) -> list[tuple[int, Integers]]:
     parts, at = [], 0
     while count > 0:
         kind, rows, tags = map(int, np.frombuffer(body, "<i4", 3, at))
@@ -211,7 +212,7 @@ def _binary_elements(count: int, body: bytes) -> list[tuple[int, int, Integers]]
             raise ValueError(f"a block of {rows} elements with {tags} tags")
         columns = 1 + tags + ELEMENTS[kind][1]
         table = np.frombuffer(body, "<i4", rows * columns, at + 12).reshape(rows, columns)
-        parts.append((kind, tags, table.astype(np.int64)))
+        parts.append((kind, _untagged(table, tags)))
         at += 12 + table.nbytes
         count -= rows
     return parts

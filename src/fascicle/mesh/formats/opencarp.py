@@ -42,22 +42,11 @@ def opencarp_file(path: Path | str, suffix: str) -> Path:
 
 
 def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
-    """Read `.pts` and `.elem`, and `.lon` where there is one.
+    """Read `.pts` and `.elem`, and `.lon` where there is one, given any of them or their stem.
 
     Coordinates are in µm and become mm; those that span less than 3000 are taken to be in mm
     already: as µm it would be 3 mm, less than any ventricle or tree; as mm more than any torso.
-
-    Parameters
-    ----------
-    path : path
-        The stem (``heart`` for ``heart.pts``, ``heart.elem`` and ``heart.lon``) or one of these.
-    purpose : str
-        What to call it in an error.
-
-    Returns
-    -------
-    MeshFile
-        In mm, with the cell arrays ``region`` (the tags), ``fibre`` and ``sheet`` where there are.
+    Cell arrays are ``region`` (the tags), ``fibre`` and ``sheet`` where there are.
     """
     file = opencarp_file(path, ".pts")
     points = _table(file, _counted_lines(file, purpose), (3,))

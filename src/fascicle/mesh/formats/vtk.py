@@ -28,7 +28,8 @@ def read_vtk(path: Path) -> MeshFile:
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkAppendFilter
 
-    _check_stated_counts(path)
+    if path.suffix.lower() in (".vtu", ".vtp"):
+        _check_stated_counts(path)
     reader = _vtk_reader(path)
     with _vtk_complaints() as complaints:
         reader.Update()
@@ -43,7 +44,7 @@ def read_vtk(path: Path) -> MeshFile:
     if data.IsA("vtkPolyData"):
         as_grid = vtkAppendFilter()
         as_grid.AddInputData(data)
-        with _vtk_complaints() as complaints:
+        with _vtk_complaints():
             as_grid.Update()
             data = as_grid.GetOutput()
     try:
@@ -65,9 +66,10 @@ def read_vtk(path: Path) -> MeshFile:
 
 
 def _check_stated_counts(path: Path) -> None:
-    """Refuse an XML file that states more points or cells than a file of its size may hold."""
-    if path.suffix.lower() not in (".vtu", ".vtp"):
-        return  # others state sizes too, but VTK compares them with the file, or memory is limited
+    """Refuse an XML file that states more points or cells than a file of its size may hold.
+
+    Others state sizes too, but VTK compares them with the file, or memory is limited.
+    """
     most = Limits.of(path).memory / 8  # a point takes 12 bytes at least, a cell 9
     pattern = rb'NumberOf(Points|Cells|Verts|Lines|Strips|Polys)\s*=\s*"\s*(\d+)'
     for what, number in re.findall(pattern, path.read_bytes()):
