@@ -20,19 +20,8 @@ NEEDED = ("patient", "heart", "recording")  # columns
 def read_table(path: Path | str, cohort: Path) -> list[Patient]:
     """Read the table of a cohort; its paths count from its folder.
 
-    Parameters
-    ----------
-    path : path
-        Text in UTF-8: a line that names the columns, then a line for each patient. Columns are
-        separated by commas, semicolons or tabs.
-    cohort : Path
-        Folder of the cohort.
-
-    Raises
-    ------
-    InputError
-        With the line, if it is not such a table, names a patient twice, or has an impossible
-        setting.
+    A line names the columns, which commas, semicolons or tabs separate; then comes a line for each
+    patient. Refusals name the line.
     """
     path = as_path(path, "table")
     check_file(path, (".csv", ".tsv"), "table of patients")

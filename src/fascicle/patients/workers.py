@@ -39,19 +39,8 @@ def fit_on_workers(
     """Fit patients, a worker each; outcomes as soon as they are there.
 
     Where a worker is lost, its patient goes on at another one, with the evaluations that are kept.
-
-    Parameters
-    ----------
-    cluster : Cluster
-        Its workers may come and go.
-    patients : sequence of Patient
-        Their folders must be seen by the workers.
-    report : callable
-        Called with what is at work.
-    attempts : int
-        Of a patient whose workers were lost, or who is held by another process.
-    pause : float
-        Time (s) before who is held is tried again.
+    So many `attempts` has a patient whose workers were lost, or who is held by another process;
+    who is held is tried again after a `pause` (s).
 
     Raises
     ------

@@ -16,18 +16,11 @@ def since_first(activation: Floats | Singles) -> Floats:
 
 
 def activation_maps(activations: Floats | Singles) -> dict[str, Floats]:
-    """Activation over networks at each vertex, from the first activation of each network on.
+    """Activation over networks at each of n vertices, from the first of each network on.
 
-    Parameters
-    ----------
-    activations : (n_networks, n) array
-        Activation times (ms); inf where no front arrives.
-
-    Returns
-    -------
-    dict of str to (n,) array
-        Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
-        fifth. What no network reaches is NaN; elsewhere those that do reach it count.
+    Mean and standard deviation (ms), and how probable it is that the vertex is among the latest
+    fifth, of activation times (n_networks, n), inf where no front arrives. What no network reaches
+    is NaN; elsewhere those that do reach it count.
     """
     times = since_first(activations)
     reached = np.isfinite(times).sum(axis=0)

@@ -65,15 +65,7 @@ class Agreement:
 
 
 def agreement(target: Target, networks: Sequence[Network]) -> Agreement:
-    """Measure how networks agree with a recording.
-
-    Parameters
-    ----------
-    target : Target
-        The recording.
-    networks : sequence of Network
-        Simulated in its scenario.
-    """
+    """Measure how networks, simulated in the scenario of a recording, agree with it."""
     window = target.qrs_samples
     recorded = np.where(target.used[:, None], target.mean[:, window], np.nan)
     predicted = np.mean([network.predicted[:, window] for network in networks], axis=0)

@@ -28,15 +28,7 @@ _READING = Lock()
 
 
 class WorkerData(WorkerPlugin):
-    """What every worker is given when it joins, such as a forward model; unpacked when first used.
-
-    Parameters
-    ----------
-    name : str
-        Of its content.
-    content : bytes
-        Pickled.
-    """
+    """What every worker is given when it joins, pickled; unpacked when first used."""
 
     def __init__(self, name: str, content: bytes) -> None:
         self.name, self.content = name, content

@@ -55,13 +55,7 @@ class Database:
         self.path = path
 
     def prepare(self) -> Path | None:
-        """Make the tables where they are missing.
-
-        Returns
-        -------
-        Path or None
-            Where a damaged file has been moved; a new one has taken its place.
-        """
+        """Make missing tables; where a damaged file, replaced by a new one, has been moved."""
         try:
             self._make_tables()
             self.records()
@@ -180,36 +174,17 @@ def _record(row: tuple[Any, ...]) -> Record:
 
 @dataclass
 class Journal:
-    """One pass over a study: what is stored is read, what is missing is made and stored.
-
-    Attributes
-    ----------
-    database : Database
-        Where it is stored.
-    objective : Objective
-        Evaluates points.
-    dimension : int
-        d, the number of coordinates of a point.
-    seed : int
-        Of every random number.
-    workers : int
-        Evaluations at a time.
-    known : dict of bytes to Record
-        Every stored evaluation, of this pass or an earlier one, by the bytes of its point.
-    before : frozenset of bytes
-        Points of those of earlier passes.
-    records : list of Record
-        What this pass has asked for so far, in order.
-    """
+    """One pass over a study: what is stored is read, what is missing is made and stored."""
 
     database: Database
     objective: Objective
-    dimension: int
+    dimension: int  # d, the number of coordinates of a point
     seed: int
-    workers: int
+    workers: int  # evaluations at a time
+    # every stored evaluation, of this pass or an earlier one, by the bytes of its point
     known: dict[bytes, Record] = field(init=False)
-    before: frozenset[bytes] = field(init=False)
-    records: list[Record] = field(default_factory=list, init=False)
+    before: frozenset[bytes] = field(init=False)  # points of those of earlier passes
+    records: list[Record] = field(default_factory=list, init=False)  # asked for so far, in order
 
     def __post_init__(self) -> None:
         self.known = {_bytes(r.evaluation.point): r for r in self.database.records()}

@@ -162,25 +162,13 @@ def _given_likelihoods(
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a study is of.
-
-    Attributes
-    ----------
-    heart : Heart
-    recordings : sequence of (Target, Scenario or None)
-    likelihoods : sequence of Likelihood, optional
-        In place of those that are made of the prior.
-    config : StudyConfig
-        All that decides the outcome, with their hashes.
-    rules : GrowthRules
-        By which trees grow.
-    """
+    """What a study is of."""
 
     heart: Heart
     recordings: Sequence[Recorded]
-    config: StudyConfig
+    config: StudyConfig  # all that decides the outcome, with hashes of the others
     rules: GrowthRules
-    likelihoods: Sequence[Likelihood] | None = None
+    likelihoods: Sequence[Likelihood] | None = None  # in place of those made of the prior
 
 
 def read_inputs(
@@ -292,11 +280,12 @@ def _likelihoods(
     progress: Progress | None,
 ) -> list[Likelihood]:
     """The built-in likelihood of each recording."""
-    rng, gain_sd = np.random.default_rng([config.seed, PRIOR]), _gain_sd(config)
-    known = (prior_knowledge(simulator, r.target, r.scenario, rng, progress) for r in recordings)
-    return [
-        likelihood_of(r.target, each, gain_sd) for r, each in zip(recordings, known, strict=True)
-    ]
+    rng = np.random.default_rng([config.seed, PRIOR])
+    found: list[Likelihood] = []
+    for each in recordings:
+        known = prior_knowledge(simulator, each.target, each.scenario, rng, progress)
+        found.append(likelihood_of(each.target, known, _gain_sd(config)))
+    return found
 
 
 def _prior(simulator: PointSimulator) -> PriorSimulations | None:

@@ -36,31 +36,14 @@ from fascicle.study.simulator import PointSimulator
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """What networks of the prior tell.
+    """What networks of the prior tell: covariances of the leads, of shape (n_leads, n_leads)."""
 
-    Attributes
-    ----------
-    pattern : (n_leads, n_leads) array
-        Covariance of the leads of the discrepancy, of unit mean variance.
-    roughness : (n_leads, n_leads) array
-        Covariance of the leads (mV²) of what changes by next to nothing change, over the QRS.
-    """
-
-    pattern: Floats
-    roughness: Floats
+    pattern: Floats  # of the discrepancy, of unit mean variance
+    roughness: Floats  # of what changes by next to nothing change, over the QRS (mV²)
 
 
 def likelihood_of(target: Target, known: PriorKnowledge, gain_sd: float) -> QrsLikelihood:
-    """Make the likelihood of a target, with what is known of its independent leads beforehand.
-
-    Parameters
-    ----------
-    target : Target
-        What was recorded.
-    known : PriorKnowledge
-    gain_sd : float
-        Standard deviation of the gain about 1.
-    """
+    """Make the likelihood of a target; `gain_sd` is the standard deviation of the gain about 1."""
     modes = cosines(target.qrs.shape[1])
     smooth, discrepancy = matern(len(modes)), discrepancy_in_time(len(modes))
     known_covariance = beat_noise(target) + separable(known.roughness, smooth, modes)
@@ -78,16 +61,7 @@ def prior_knowledge(
 ) -> PriorKnowledge:
     """Simulate 100 networks of the prior, and each once more with next to nothing changed.
 
-    Parameters
-    ----------
-    simulator : PointSimulator
-        Forward model, and the prior.
-    target, scenario : Target, Scenario or None
-        What was recorded, and in what; its independent leads are compared.
-    rng : numpy.random.Generator
-        Draws the networks.
-    progress : Progress, optional
-        Called as networks are simulated.
+    The independent leads of the target, which was recorded in the scenario, are compared.
     """
     count, rows = 100, independent_rows(target.used)
     points = rng.random((count, len(simulator.space)))

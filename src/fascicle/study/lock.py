@@ -19,17 +19,7 @@ class HeldError(InputError):
 
 @contextmanager
 def study_lock(folder: Path) -> Iterator[None]:
-    """Hold the study in `folder`, made if it is missing, while the block runs.
-
-    A block within the block holds it, too.
-
-    Raises
-    ------
-    HeldError
-        If another process, or another thread, holds the study.
-    InputError
-        If the folder cannot be written.
-    """
+    """Hold the study in `folder`, made if it is missing, while the block runs, or blocks within."""
     lock = FileLock(folder.resolve() / LOCK, blocking=False, is_singleton=True)
     try:
         folder.mkdir(parents=True, exist_ok=True)

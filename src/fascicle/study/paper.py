@@ -28,19 +28,7 @@ from fascicle.study.settings import FitSettings
 
 @dataclass(frozen=True)
 class PaperFit:
-    """One pass through the stages.
-
-    Attributes
-    ----------
-    settings : FitSettings
-        Sizes of the stages, and the rules of acceptance.
-    space : ParameterSpace
-        The d parameters that are learnt.
-    journal : Journal
-        Gives points and evaluations, stored ones where there are any.
-    progress : Progress, optional
-        Called after every batch of evaluations.
-    """
+    """One pass through the stages."""
 
     settings: FitSettings
     space: ParameterSpace

@@ -73,15 +73,9 @@ class Population:
 
 @dataclass(frozen=True)
 class PaperPopulation(Population):
-    """What the paper's rule of acceptance keeps.
+    """What the paper's rule of acceptance keeps."""
 
-    Attributes
-    ----------
-    distances : (n,) array
-        Total-variation distance of the per-beat errors from the best network's.
-    """
-
-    distances: Floats
+    distances: Floats  # (n,), total variation of the per-beat errors from the best network's
 
     __repr__ = short_repr
 
@@ -165,22 +159,9 @@ def write_population(
 ) -> None:
     """Write the networks as ArviZ InferenceData, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        The netCDF file.
-    population : Population
-        The n networks. Of a posterior, each run of the sampler is a chain.
-    space : ParameterSpace
-        Units and priors of the parameters.
-    targets : sequence of Target
-        The recorded beats, as observed data. Variables of all but the first end in their numbers:
-        ``ecg_2``.
-    predicted : (n, 12, n_time) array or sequence of Prediction
-        The networks' ECGs aligned with the target's time (mV); of a posterior with the noise, too,
-        and of each recording.
-    attributes : mapping
-        Of the file: what the networks are, and where they come from.
+    Of a posterior, each run of the sampler is a chain. Variables of all recordings but the first
+    end in their numbers: ``ecg_2``. `predicted` holds the networks' ECGs, (n, 12, n_time), aligned
+    with the target's time (mV); of a posterior with the noise, too, and of each recording.
     """
     with warnings.catch_warnings():  # announces its next major version at every import
         warnings.simplefilter("ignore", FutureWarning)
@@ -344,10 +325,7 @@ def read_population(path: Path) -> Population:
 
 
 def read_checks(path: Path) -> tuple[Checks | None, Floats | None]:
-    """How a posterior compares with its recordings, and its gains (n,) for the first of them.
-
-    None of a population of the paper's method.
-    """
+    """How a posterior compares with its recordings, and its gains (n,); None of the paper's."""
     stats = load_netcdf(path, "sample_stats")
     gains = stats["gain"].to_numpy().ravel() if "gain" in stats else None
     if "discrepancy_over_signal" not in stats.attrs:

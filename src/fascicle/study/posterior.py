@@ -31,19 +31,8 @@ RUNS = 2
 class PosteriorFit:
     """One pass through the runs of the sampler.
 
-    Attributes
-    ----------
-    settings : FitSettings
-        Sizes of the runs.
-    space : ParameterSpace
-        The d parameters that are learnt.
-    journal : Journal
-        Gives evaluations with their likelihoods, stored ones where there are any.
-    recordings : int
-        How many there are. The posterior of the first alone is sampled first, from which that of
-        all goes on: what the others add is seen, too.
-    progress : Progress, optional
-        Called after every batch of evaluations.
+    Of several recordings the posterior of the first alone is sampled first, from which that of all
+    goes on: what the others add is seen, too.
     """
 
     settings: FitSettings

@@ -62,25 +62,13 @@ class Checks:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What n networks predict for the recording.
+    """What n networks predict for the recording."""
 
-    Attributes
-    ----------
-    ecg : (n, 12, n_time) array
-        Without noise and discrepancy, at the times of the target (mV).
-    noisy : (n, 12, n_time) array
-        With both (mV).
-    gains, shifts, discrepancies : (n,) arrays
-        Drawn for each: gain, time of the first activation from the recorded onset (ms), σ (mV).
-    checks : Checks
-        Against the recording.
-    """
-
-    ecg: Floats
-    noisy: Floats
-    gains: Floats
-    shifts: Floats
-    discrepancies: Floats
+    ecg: Floats  # (n, 12, n_time), without noise and discrepancy, at the target's times (mV)
+    noisy: Floats  # the same with both
+    gains: Floats  # (n,), as the following drawn for each
+    shifts: Floats  # of the first activation from the recorded onset (ms)
+    discrepancies: Floats  # σ (mV)
     checks: Checks
 
     __repr__ = short_repr
@@ -89,18 +77,7 @@ class Prediction:
 def predict_recording(
     target: Target, likelihood: Likelihood, networks: Sequence[Network], rng: np.random.Generator
 ) -> Prediction:
-    """Draw what n networks of a posterior predict for a recording, and compare it with that.
-
-    Parameters
-    ----------
-    target : Target
-        What was recorded.
-    likelihood : Likelihood
-        Of that target.
-    networks : sequence of Network
-    rng : numpy.random.Generator
-        Draws what `likelihood` draws.
-    """
+    """Draw what n networks of a posterior predict for a recording, and compare it with that."""
     rows, window = independent_rows(target.used), target.qrs_samples
     drawn = [likelihood.predictive(Signals.of(each.simulation), rng) for each in networks]
     rarer, unexplained = np.empty((len(drawn), len(rows))), np.empty(len(drawn))
@@ -145,13 +122,7 @@ def _axis(target: Target, noisy: Floats) -> float:
 
 
 def frontal_axis(ecg: Floats) -> float:
-    """Angle (degrees) of the QRS in the frontal plane, from the areas in leads I and aVF.
-
-    Parameters
-    ----------
-    ecg : (12, n) array
-        The QRS (mV).
-    """
+    """Angle (degrees) of a QRS (12, n) in the frontal plane, from the areas in leads I and aVF."""
     area = ecg.sum(axis=1)
     # aVF is shorter than I by the factor √3/2 of augmented leads
     return float(np.degrees(np.arctan2(2 / np.sqrt(3) * area[5], area[0])))

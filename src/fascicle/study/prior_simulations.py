@@ -60,18 +60,10 @@ def signals_of(
 
 @dataclass(frozen=True)
 class PriorSimulations:
-    """The stored simulations of one forward model and prior.
+    """The stored simulations of one forward model and prior."""
 
-    Attributes
-    ----------
-    cache : ArrayCache
-        In the heart's folder.
-    content : str
-        What they depend on.
-    """
-
-    cache: ArrayCache
-    content: str
+    cache: ArrayCache  # in the heart's folder
+    content: str  # what they depend on
 
     @classmethod
     def of(

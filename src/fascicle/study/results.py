@@ -34,20 +34,14 @@ def write_results(
 ) -> None:
     """Write networks, trees, activation map and summary into the study's folder.
 
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    networks : sequence of Network
-        Its population, simulated.
-    agreements : sequence of Agreement
-        Of the population with each recording.
-    predictions : sequence of Prediction
-        Of a posterior, of each recording.
+    `networks` are the simulated population; `agreements` and, of a posterior, `predictions` are of
+    each recording.
     """
-    population, folder = fitted.population, fitted.folder
+    from fascicle import __version__
+
+    population, folder, config = fitted.population, fitted.folder, fitted.study.config
     heart, space = fitted.simulator.model.heart, fitted.simulator.space
-    result = folder / RESULT[fitted.study.config.method]
+    result = folder / RESULT[config.method]
     result.unlink(missing_ok=True)  # not finished while this is under way
     shown = range(0, len(networks), max(1, len(networks) // TREES_WRITTEN))[:TREES_WRITTEN]
     _write_networks(
@@ -76,23 +70,16 @@ def write_results(
         space,
         [recording.target for recording in fitted.recordings],
         predictions or predicted,
-        {"networks_are": fitted.statements.networks_called, "verdict": fitted.verdict}
-        | _provenance(fitted),
+        {
+            "networks_are": fitted.statements.networks_called,
+            "verdict": fitted.verdict,
+            "created_by": f"fascicle {__version__}",
+            "heart": config.heart,
+            "target": config.target,
+            "recording": _sources(fitted),
+            "configuration": config.model_dump_json(),
+        },
     )
-
-
-def _provenance(fitted: FittedStudy) -> dict[str, str]:
-    """Where a result comes from, for the attributes of its file."""
-    from fascicle import __version__
-
-    config = fitted.study.config
-    return {
-        "created_by": f"fascicle {__version__}",
-        "heart": config.heart,
-        "target": config.target,
-        "recording": _sources(fitted),
-        "configuration": config.model_dump_json(),
-    }
 
 
 def _sources(fitted: FittedStudy) -> str:
@@ -102,11 +89,8 @@ def _sources(fitted: FittedStudy) -> str:
 
 def spread(values: Floats) -> dict[str, float]:
     """Minimum, median and maximum of `values` (n,), for a summary."""
-    return {
-        "minimum": float(values.min()),
-        "median": float(np.median(values)),
-        "maximum": float(values.max()),
-    }
+    found = {"minimum": values.min(), "median": np.median(values), "maximum": values.max()}
+    return {name: float(value) for name, value in found.items()}
 
 
 def _write_networks(folder: Path, networks: Mapping[str, Network]) -> None:
@@ -145,7 +129,7 @@ def _summary(
         "networks_with_few_junctions": sum(has_few_junctions(n) for n in networks),
         "parameters": {name: spread(v) for name, v in population.values.items() if len(v)},
         **(
-            _posterior_summary(fitted)
+            _posterior_summary(fitted, population)
             if isinstance(population, Posterior)
             else {
                 "networks_wanted": fitted.study.config.samples,
@@ -157,10 +141,8 @@ def _summary(
     }
 
 
-def _posterior_summary(fitted: FittedStudy) -> dict[str, object]:
+def _posterior_summary(fitted: FittedStudy, posterior: Posterior) -> dict[str, object]:
     """What only a posterior has."""
-    posterior = fitted.population
-    assert isinstance(posterior, Posterior)
     return {
         "log_evidences": posterior.log_evidences.tolist(),
         "effective_sample_sizes": posterior.effective.tolist(),

@@ -14,17 +14,13 @@ Method = Literal["posterior", "paper"]
 # Settings that only one of the methods has
 OF_THE_POSTERIOR = ("effective", "evaluations", "prior_simulations", "gain_sd")
 OF_THE_PAPER = (
-    "samples",
-    "tolerance",
-    "draws",
-    "refit_after",
-    "rounds",
-    "initial",
-    "steps",
-    "refit_every",
-    "leads",
-    "free_gain",
-)
+    "samples", "tolerance", "draws", "refit_after", "rounds", "initial", "steps", "refit_every",
+    "leads", "free_gain",
+)  # fmt: skip
+
+
+def _whole(default: int, least: int, most: int, description: str) -> Any:
+    return Field(default, ge=least, le=most, description=description)
 
 
 class FitSettings(BaseModel):
@@ -32,89 +28,74 @@ class FitSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    samples: int = Field(default=30, ge=1, le=100_000, description="Networks wanted.")
-    workers: int = Field(
-        default=2,  # not the number of cores, so that the same settings give the same result
-        ge=1,
-        le=1024,
-        description="Simulations at a time.",
-    )
+    samples: int = _whole(30, 1, 100_000, "Networks wanted.")
+    # not the number of cores, so that the same settings give the same result
+    workers: int = _whole(2, 1, 1024, "Simulations at a time.")
     tolerance: float = Field(
-        default=0.9,
+        0.9,
         gt=0,
         le=1,
         description="Largest difference of a network's errors, beat by beat, from the best "
         "network's (total variation, 0 to 1).",
     )
-    draws: int = Field(
-        default=5_000_000,
-        ge=1,
-        le=1_000_000_000,
-        description="Uniform draws for the informed prior in each round.",
+    draws: int = _whole(
+        5_000_000, 1, 1_000_000_000, "Uniform draws for the informed prior in each round."
     )
-    refit_after: int = Field(
-        default=50,
-        ge=1,
-        le=1_000_000,
-        description="Rejections in a row after which the surrogate is fitted again.",
+    refit_after: int = _whole(
+        50, 1, 1_000_000, "Rejections in a row after which the surrogate is fitted again."
     )
-    rounds: int = Field(
-        default=20,
-        ge=1,
-        le=1_000_000,
-        description="Rounds of candidates at most, each after a fit of the surrogate; the paper "
-        "has no such limit.",
+    rounds: int = _whole(
+        20,
+        1,
+        1_000_000,
+        "Rounds of candidates at most, each after a fit of the surrogate; the paper has no such "
+        "limit.",
     )
-    initial: int = Field(default=250, ge=2, le=100_000, description="Latin hypercube points.")
-    steps: int = Field(default=300, ge=0, le=100_000, description="Bayesian-optimisation steps.")
-    refit_every: int = Field(
-        default=10,
-        ge=1,
-        le=100_000,
-        description="Steps after which the surrogate's hyper-parameters are fitted again; in the "
-        "paper at every step (1). It knows every evaluation at once.",
+    initial: int = _whole(250, 2, 100_000, "Latin hypercube points.")
+    steps: int = _whole(300, 0, 100_000, "Bayesian-optimisation steps.")
+    refit_every: int = _whole(
+        10,
+        1,
+        100_000,
+        "Steps after which the surrogate's hyper-parameters are fitted again; in the paper at "
+        "every step (1). It knows every evaluation at once.",
     )
-    effective: int = Field(
-        default=300, ge=20, le=100_000, description="Effective sample size, and networks to draw."
+    effective: int = _whole(300, 20, 100_000, "Effective sample size, and networks to draw.")
+    evaluations: int = _whole(
+        24_000,
+        200,
+        10_000_000,
+        "Simulations at most, in addition to those of the prior; where they are too few, the "
+        "result says so.",
     )
-    evaluations: int = Field(
-        default=24_000,
-        ge=200,
-        le=10_000_000,
-        description="Simulations at most, in addition to those of the prior; where they are too "
-        "few, the result says so.",
-    )
-    prior_simulations: int = Field(
-        default=8000,
-        ge=100,
-        le=1_000_000,
-        description="Networks of the prior to begin with. 'fascicle heart simulate-prior' makes "
-        "them once for all recordings of a heart.",
+    prior_simulations: int = _whole(
+        8000,
+        100,
+        1_000_000,
+        "Networks of the prior to begin with. 'fascicle heart simulate-prior' makes them once for "
+        "all recordings of a heart.",
     )
     gain_sd: float = Field(
-        default=0.3,
+        0.3,
         ge=0,
         le=3,
         description="Standard deviation of the gain of the simulated ECG about 1; 0 fixes it.",
     )
     method: Method = Field(
-        default="posterior",
+        "posterior",
         description="'paper': what the paper does and nothing else, with the speed constant alpha "
         "fixed; it gives a population of networks, not a posterior. 'posterior' learns alpha, too.",
     )
     leads: Literal["12", "8"] = Field(
-        default="12",
+        "12",
         description="Leads that are compared: all 12, as in the paper, or the 8 independent ones.",
     )
-    fewest_junctions: int = Field(
-        default=0,
-        ge=0,
-        le=100_000,
-        description="A network with a tree of fewer junctions does not count as one.",
+    fewest_junctions: int = _whole(
+        0, 0, 100_000, "A network with a tree of fewer junctions does not count as one."
     )
-    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Of all random numbers.")
+    seed: int = _whole(0, 0, 2**63 - 1, "Of all random numbers.")
     free_gain: bool = Field(
-        default=False,
+        False,
         description="Scale each simulated ECG by its best gain, one for all leads, before it is "
         "compared.",
     )

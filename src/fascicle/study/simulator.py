@@ -19,30 +19,14 @@ from fascicle.torso.variation.conductor import InvalidBody
 
 @dataclass(frozen=True)
 class PointSimulator:
-    """Simulates points of the unit cube, or named parameters.
-
-    Attributes
-    ----------
-    model : ForwardModel
-        Of the heart.
-    space : ParameterSpace
-        What is learnt: from a point to named parameters.
-    fixed : mapping of name to float
-        Quantities that are held at other values than their defaults.
-    pool : Pool
-        Where simulations run.
-    prior : PriorSimulations, optional
-        Networks that need not be simulated again.
-    backend : Backend, optional
-        What simulates intrinsic beats in place of the pool.
-    """
+    """Simulates points of the unit cube."""
 
     model: ForwardModel
-    space: ParameterSpace
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    space: ParameterSpace  # what is learnt: from a point to named parameters
+    fixed: Mapping[str, float] = field(default_factory=dict)  # at other values than defaults
     pool: Pool = field(default=Threads(1), compare=False)
-    prior: PriorSimulations | None = None
-    backend: Backend | None = field(default=None, compare=False)
+    prior: PriorSimulations | None = None  # networks that need not be simulated again
+    backend: Backend | None = field(default=None, compare=False)  # in place of the pool
 
     __repr__ = short_repr
 

@@ -33,28 +33,13 @@ PARAMETERS = "parameters"  # table of a settings file
 def study_space(
     method: Method, wanted: Mapping[str, Any], heart: Heart
 ) -> tuple[ParameterSpace, dict[str, float]]:
-    """Free and fixed quantities of a study.
+    """What a study learns, and what else differs from the defaults of quantities.
 
-    Parameters
-    ----------
-    method : str
-        ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and speed in
-        the trees; ``"posterior"`` also the speed constant of the myocardium, where the heart does
-        not say it.
-    wanted : mapping of name to value
-        What differs; a group of `GROUPS` stands for all of its quantities, where it is ``"free"``,
-        and what is said of one of them alone counts. A number is a fixed value, ``"free"`` the
-        usual prior, a mapping one with other `lower`, `upper`, `prior`, `median` or `sd`
-        (`fascicle.core.parameters.Parameter`).
-    heart : Heart
-        Its own values and regions.
-
-    Returns
-    -------
-    space : ParameterSpace
-        What is learnt.
-    fixed : dict of name to float
-        What is not, and differs from the defaults; the heart's own values are the heart's.
+    The method ``"paper"`` learns the paper's parameters of bundles and fascicles, root time and
+    Purkinje conduction velocity; ``"posterior"`` also the speed constant of the myocardium, where
+    the heart does not say it. `wanted` says what differs, as `parameters` of `fascicle.fit`; a
+    group of `GROUPS` that is ``"free"`` stands for all of its quantities, of which what is said of
+    one alone counts.
     """
     chosen = {name: _chosen(name, value) for name, value in without_groups(wanted).items()}
     numbers = {

@@ -61,15 +61,9 @@ class Caution(Enum):
         "intervals are those of a model that does not fit the ECG",
     )
 
-    @property
-    def brief(self) -> str:
-        """What a sentence begins with."""
-        return self.value[0]
-
-    @property
-    def text(self) -> str:
-        """What stands above tables and figures, and in files."""
-        return self.value[1]
+    def __init__(self, brief: str, text: str) -> None:
+        self.brief = brief  # what a sentence begins with
+        self.text = text  # what stands above tables and figures, and in files
 
 
 class Kind(StrEnum):
@@ -104,15 +98,9 @@ class ResultWarning:
 class ParameterStatement:
     """What the ECG says of one parameter.
 
-    Attributes
-    ----------
-    name, unit : str
-    median, lower, upper : float
-        Of the posterior; `lower` and `upper` bound its 90 % credible interval.
-    contraction : float
-        1 less the posterior's variance over the prior's, in shares of the prior; 0 to 1.
-    first_alone : float, optional
-        Of several recordings, half of the 90 % interval that the first alone leaves.
+    `lower` and `upper` bound the posterior's 90 % credible interval; `contraction` is 1 less its
+    variance over the prior's, in shares of the prior, 0 to 1; `first_alone`, of several recordings,
+    half of the 90 % interval that the first alone leaves.
     """
 
     name: str
@@ -156,13 +144,7 @@ class Correlated:
 
 
 class Statements:
-    """All that a result says of itself.
-
-    Parameters
-    ----------
-    result : Result
-        A fitted study.
-    """
+    """All that a result says of itself."""
 
     def __init__(self, result: Result) -> None:
         self._result = result
@@ -214,7 +196,7 @@ class Statements:
     def parameters(self) -> tuple[ParameterStatement, ...]:
         """What the ECG says of every parameter; nothing where the runs do not agree."""
         posterior = self._result.population
-        if not isinstance(posterior, Posterior) or not posterior.converged:
+        if not (isinstance(posterior, Posterior) and posterior.converged):
             return ()
         alone = posterior.first_alone or {}
         return tuple(
@@ -225,10 +207,7 @@ class Statements:
     @cached_property
     def correlated(self) -> tuple[Correlated, ...]:
         """Pairs of parameters whose rank correlation is beyond 0.7; none of what is not agreed."""
-        posterior = self._result.population
-        if not isinstance(posterior, Posterior) or not posterior.converged:
-            return ()
-        return correlated(posterior)
+        return correlated(self._result.population) if self.converged else ()
 
     @cached_property
     def warnings(self) -> tuple[ResultWarning, ...]:
@@ -383,15 +362,7 @@ def _poor_fit(result: Result) -> str:
 
 
 def how_to_go_on(posterior: Posterior, effective: int, evaluations: int) -> str:
-    """Say with which settings a fit whose runs do not agree goes on; empty if they agree.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of two runs.
-    effective, evaluations : int
-        The settings of both together.
-    """
+    """Say with which settings, of both runs, a fit goes on whose runs do not agree; else empty."""
     if posterior.converged:
         return ""
     if posterior.evaluations.sum() < evaluations:

@@ -44,43 +44,23 @@ SAME_LOSS = 1e-6  # relative; another machine rounds otherwise, another model di
 class StudyConfig(FitSettings):
     """All that decides the outcome of a study; two runs with equal ones give equal results.
 
-    To resume a study is to give the same, but for `MAY_CHANGE`.
-
-    Attributes
-    ----------
-    heart, target : str
-        Hashes of the heart and of the target, of several the first.
-    other_targets : tuple of str
-        Hashes of the other targets.
-    scenarios : tuple of str
-        Hashes of the scenarios of all targets, empty where a target has none.
-    space : tuple of Parameter
-        What is learnt, in which ranges and with which priors.
-    fixed : dict of name to float
-        Quantities that are held at other values than their defaults.
-    growth : dict of name to float
-        Rules by which trees grow, where `fixed` does not say otherwise.
-    growth_term : str
-        Name of the function of their `fascicle.GrowthTerm`.
-    conduction : dict of name to float
-        Conductivities and speeds of the tissues, likewise; None where others decide it.
-    version : int
-        Format of the study folder.
+    To resume a study is to give the same, but for `MAY_CHANGE`. Heart, targets and scenarios are
+    named by hashes.
     """
 
     # a delay may be infinite, which is no number in strict JSON
     model_config = ConfigDict(ser_json_inf_nan="constants")
 
     heart: str
-    target: str
+    target: str  # of several the first
     other_targets: tuple[str, ...] = ()
-    scenarios: tuple[str, ...] = Field(default=("",), min_length=1)
-    space: tuple[Parameter, ...] = Field(min_length=1)
-    fixed: dict[str, float] = Field(default_factory=dict)
-    growth: dict[str, float]
-    growth_term: str = REPULSION.function.__name__
-    conduction: dict[str, float | None]
-    version: Literal[7] = FORMAT
+    scenarios: tuple[str, ...] = Field(default=("",), min_length=1)  # "" of an intrinsic beat
+    space: tuple[Parameter, ...] = Field(min_length=1)  # what is learnt
+    fixed: dict[str, float] = Field(default_factory=dict)  # at other values than their defaults
+    growth: dict[str, float]  # rules, where `fixed` does not say otherwise
+    growth_term: str = REPULSION.function.__name__  # name of the function of a GrowthTerm
+    conduction: dict[str, float | None]  # of the tissues, likewise; None where others decide it
+    version: Literal[7] = FORMAT  # of the folder
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -89,13 +69,7 @@ class StudyConfig(FitSettings):
 
 
 class Study:
-    """A study folder.
-
-    Attributes
-    ----------
-    folder : Path
-    config : StudyConfig
-    """
+    """A study folder."""
 
     def __init__(self, folder: Path, config: StudyConfig) -> None:
         self.folder = folder
@@ -108,14 +82,7 @@ class Study:
     ) -> Study:
         """Open the study in `folder`, a new one if the folder is empty or missing.
 
-        Parameters
-        ----------
-        folder : Path
-            Where it is, or is to be.
-        config : StudyConfig
-            What it is, or is to be.
-        progress : Progress, optional
-            Called if the database was damaged, and was moved aside.
+        `progress` is called if the database was damaged, and was moved aside.
         """
         check_study_folder(folder)
         with study_lock(folder):
@@ -155,14 +122,8 @@ class Study:
         """Do what is left of the study, and give its result.
 
         A finished study gives its result again. Of what is stored a few points are evaluated again,
-        to see that the forward model is still the same.
-
-        Parameters
-        ----------
-        objective : Objective
-            Must give the same result for the same point whenever it is asked.
-        progress : Progress, optional
-            Called after every batch of evaluations.
+        to see that the forward model is still the same: `objective` must give the same result for
+        the same point whenever it is asked.
         """
         with study_lock(self.folder):
             self.check_objective(objective)
@@ -289,15 +250,7 @@ def _read(folder: Path) -> StudyConfig:
 
 
 def check_same(folder: Path, there: StudyConfig, now: StudyConfig) -> None:
-    """Refuse to mix two studies in one folder.
-
-    Parameters
-    ----------
-    folder : Path
-        For the message.
-    there, now : StudyConfig
-        The stored one, and the one that is asked for; `MAY_CHANGE` does not count.
-    """
+    """Refuse another study than is there; `MAY_CHANGE` does not count."""
     if there.growth_term != now.growth_term:
         raise InputError(
             f"{folder}: its networks grow by the term '{there.growth_term}', not by "

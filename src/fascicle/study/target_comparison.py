@@ -61,30 +61,14 @@ class Network:
 
 @dataclass(frozen=True)
 class TargetComparison:
-    """A recording, and how simulations are compared with it.
-
-    Attributes
-    ----------
-    target : Target
-        What was recorded.
-    scenario : Scenario, optional
-        In which, such as paced from a known site; None for the intrinsic beat.
-    likelihood : Likelihood, optional
-        If evaluations are to have one.
-    free_gain : bool
-        Whether each simulation is scaled by its best global gain first.
-    independent_leads : bool
-        Whether at most eight leads are compared: of the limb leads two, which say the rest.
-    fewest_junctions : int
-        A network with a tree of fewer is infeasible.
-    """
+    """A recording, and how simulations are compared with it."""
 
     target: Target
-    scenario: Scenario | None = None
-    likelihood: Likelihood | None = None
-    free_gain: bool = False
-    independent_leads: bool = False
-    fewest_junctions: int = 0
+    scenario: Scenario | None = None  # in which it was recorded; None for the intrinsic beat
+    likelihood: Likelihood | None = None  # if evaluations are to have one
+    free_gain: bool = False  # whether each simulation is scaled by its best global gain first
+    independent_leads: bool = False  # of the limb leads two at most, which say the rest
+    fewest_junctions: int = 0  # a network with a tree of fewer is infeasible
 
     __repr__ = short_repr
 
@@ -153,20 +137,9 @@ def null_loss(recordings: Sequence[TargetComparison]) -> float:
 def evaluate(
     simulator: PointSimulator, recordings: Sequence[TargetComparison], points: Sequence[Floats]
 ) -> Iterator[Evaluation]:
-    """Evaluate points of the unit cube: all that the inference ever sees.
+    """Evaluate points (d,) of the unit cube, in order: all that the inference ever sees.
 
-    Parameters
-    ----------
-    simulator : PointSimulator
-        Makes ECGs of points.
-    recordings : sequence of TargetComparison
-        What they are compared with. Losses add up; the beats are those of the first.
-    points : sequence of (d,) arrays
-
-    Yields
-    ------
-    Evaluation
-        In the order of the points, as soon as they are there.
+    Losses of several recordings add up; the beats are those of the first.
     """
     size = simulator.backend.batch if simulator.backend is not None else max(1, len(points))
     for start in range(0, len(points), size):
