@@ -66,7 +66,7 @@ def scenario_ecg(predicted: Mapping[str, Predicted], name: str) -> list[Axes]:
     ----------
     predicted : mapping of name to Predicted
     name : str
-        The scenario.
+        Of the scenario.
     """
     _check_predicted(predicted)
     return _shown(scenario_ecg_figure(predicted, name))

@@ -15,7 +15,7 @@ from fascicle.forward.simulation import Simulation
 from fascicle.heart.fibres import Wall
 from fascicle.heart.sites import APEX, Places, places
 from fascicle.prediction.index_names import INDICES
-from fascicle.prediction.indices import Territories, indices, segment_times, vectorcardiogram
+from fascicle.prediction.indices import Territories, indices, vectorcardiogram
 from fascicle.recording.window import qrs_window, qrs_windows
 
 LENGTH, SPEED = 180.0, 0.9  # mm, mm/ms: a plane front takes 200 ms
@@ -35,6 +35,10 @@ def territories(bar):
     segment = np.floor(x / LENGTH * CELLS).astype(np.int64)
     wall = np.select([segment == 0, segment <= 9], [Wall.RV, Wall.SEPTUM], Wall.LV)
     return Territories.of(bar, Places(segment, wall, x, x, x))
+
+
+def segment_times(activation, territories):
+    return territories.segment_means(territories.times(activation))[1:]
 
 
 def simulated(activation, leads=None, onset=0.0):

@@ -92,9 +92,10 @@ def test_only_what_faces_the_eye_is_seen(block, pixels):
     axes = new_figure(3, 3).subplots()
     near = Surface(block.vertices, block.boundary[0], {"color": "red"})
     far = Surface(block.vertices, block.boundary[0][:, ::-1], {"color": "blue"})
-    draw_surfaces(axes, view, near, far, box=view.box(block.vertices))
+    box = view.box(block.vertices)
+    draw_surfaces(axes, view, near, far, box=box, size=np.ptp(box, axis=0))
     assert np.argmax(pixels(axes, middle)[0]) == 0
-    draw_surfaces(axes, view, far, box=view.box(block.vertices))
+    draw_surfaces(axes, view, far, box=box, size=np.ptp(box, axis=0))
     shown = np.asarray(axes.images[-1].get_array())
     assert np.argmax(shown[shown.shape[0] // 2, shown.shape[1] // 2, :3]) == 2
 

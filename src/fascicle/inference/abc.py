@@ -25,12 +25,7 @@ class InformedPrior:
 
         p(θ) = exp(−(μ(θ) − y_min)² / 2s²) / √(2πs²)
 
-    Attributes
-    ----------
-    loss : LossGP
-        Gives μ (mV²) and σ² (mV⁴).
-    y_min, variance_min : float
-        Mean (mV²) and variance (mV⁴) predicted at the best point.
+    `loss` gives μ (mV²) and σ² (mV⁴); y_min and σ²_min are those of the best point.
     """
 
     loss: LossGP
@@ -41,13 +36,12 @@ class InformedPrior:
     def at(cls, loss: LossGP, best: Floats) -> InformedPrior:
         """Make the prior whose reference is θ_min, the best point (d,) of the optimisation."""
         mean, variance = loss.predict(best[None, :])
-        return cls(loss, float(mean[0]), float(variance[0]))
+        return cls(loss, mean.item(), variance.item())
 
     def density(self, mean: Floats, variance: Floats) -> Floats:
         """Density p(θ) (1/mV²) of points with predictions μ (mV²) and σ² (mV⁴), (m,) each."""
         s2 = variance + self.variance_min
-        density = np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2)
-        return np.asarray(density)
+        return np.asarray(np.exp(-0.5 * (mean - self.y_min) ** 2 / s2) / np.sqrt(2 * math.pi * s2))
 
     def bound(self, mean: Floats, variance_limit: Floats) -> Floats:
         """Bound p(θ) (1/mV²) for all variances up to `variance_limit` (m,), shape (m,).
@@ -77,37 +71,22 @@ def draw_candidates(
 ) -> tuple[Floats, Floats]:
     """Rejection sampling from the informed prior, the densest points first, as in the paper.
 
-    Of `draws` uniform points those with p(θ) > r·p_max pass, r ~ U(0, 1). A variance, the costly
-    part, is computed only where r·p_max is below `InformedPrior.bound`; elsewhere the point is
-    rejected whatever its variance is, so the accepted set is exactly that of the full computation.
+    Of `draws` uniform points (`chunk` at a time) those with p(θ) > r·p_max pass, r ~ U(0, 1). A
+    variance, the costly part, is computed only where r·p_max is below `InformedPrior.bound`;
+    elsewhere the point is rejected whatever its variance is, so the accepted set is exactly that of
+    the full computation.
 
     p_max needs the least variance of all draws. It is taken over every point whose variance is
-    computed: those that survive the bound, and in each chunk the 1000 nearest to the
-    data in the metric of the kernel, where the variance is small. As the minimum falls from chunk
-    to chunk, p_max only grows; so a point let go against an earlier p_max would be rejected
-    against the final one too, and the kept ones are judged against the final one at the end.
-    Were the true minimum missed, p_max would be a little too small: the compromise that the paper
-    makes as well.
-
-    Parameters
-    ----------
-    rng : Generator
-        The only source of randomness.
-    prior : InformedPrior
-        The density.
-    draws : int
-        Number of uniform draws.
-    limit : int, optional
-        Return at most so many.
-    progress : callable
-        Called with the draws done and their total.
-    chunk : int
-        Draws at a time.
+    computed: those that survive the bound, and in each chunk the 1000 nearest to the data in the
+    metric of the kernel, where the variance is small. From chunk to chunk p_max only grows, so a
+    point rejected against an earlier one would be rejected against the final one, too. Were the
+    true minimum missed, p_max would be a little too small: the paper makes that compromise as well.
 
     Returns
     -------
     points : (m, d) array
-        In the unit cube, by falling p(θ). The first few are modes, not draws from the prior.
+        In the unit cube, by falling p(θ), at most `limit`. The first few are modes, not draws from
+        the prior.
     density : (m,) array
         p(θ) (1/mV²).
     """
@@ -154,15 +133,9 @@ def _screen(
 class ErrorDensity:
     """Kernel density estimate q(e; θ) of the errors of θ over the recorded beats.
 
-    q(e) = Σₖ exp(−(e − eₖ)² / 2h²) / (n h √(2π)), the Gaussian `KernelDensity` of scikit-learn,
-    which the tests compare with; in one dimension it is one line of NumPy.
-
-    Attributes
-    ----------
-    errors : (n,) array
-        Mismatch with each beat (mV²).
-    bandwidth : float
-        h (mV²).
+    q(e) = Σₖ exp(−(e − eₖ)² / 2h²) / (n h √(2π)), with eₖ the mismatch with each beat, `errors`
+    (n,), and h the `bandwidth` (mV²): the Gaussian `KernelDensity` of scikit-learn, which the tests
+    compare with.
     """
 
     errors: Floats
@@ -170,11 +143,7 @@ class ErrorDensity:
 
     @classmethod
     def fit(cls, errors: Floats) -> ErrorDensity:
-        """Choose the bandwidth by leave-one-out cross-validation.
-
-        The likelihood of every beat under the others is a closed form, so each beat is left out
-        once whatever their number (n from 2 to some hundreds).
-        """
+        """Choose the bandwidth by leave-one-out cross-validation over n beats, 2 or more."""
         e = np.asarray(errors, dtype=np.float64)
         spread = float(e.std(ddof=1))
         scale = max(float(np.abs(e).max()), 1e-12)
@@ -227,17 +196,7 @@ def _left_out(errors: Floats, bandwidth: float) -> float:
 
 @dataclass(frozen=True)
 class Accepted:
-    """Outcome of the rejection sampling.
-
-    Attributes
-    ----------
-    reference : Evaluation
-        θ_min.
-    evaluations : tuple of Evaluation
-        Those that are accepted.
-    distances : (n,) array
-        Total variation from the reference, each.
-    """
+    """Reference θ_min, what is accepted, and the total variation of each from it (n,)."""
 
     reference: Evaluation
     evaluations: tuple[Evaluation, ...]
@@ -270,11 +229,9 @@ def sample(
     propose : callable
         Gives the candidates of a round, shape (m, d), in the order in which to try them.
     objective : Objective
-        Evaluates them, `workers` at a time.
-    samples, tolerance, refit_after, rounds, workers
-        As in `fascicle.FitSettings`.
-    progress : callable
-        Called with the numbers accepted, evaluated, and of the round.
+        Evaluates them, `workers` at a time; numbers and tolerance are those of
+        `fascicle.FitSettings`.
+    progress : RoundProgress
     """
     density = ErrorDensity.fit(reference.beat_errors)
     accepted: list[Evaluation] = []

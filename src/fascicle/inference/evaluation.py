@@ -52,17 +52,10 @@ class Evaluation:
         return self.reason is None
 
 
-# Evaluates several points of the unit cube, on as many cores as the caller allows; outcomes come in
-# the order of the points, as soon as they are there.
+# Evaluates points of the unit cube; outcomes come in their order, as soon as they are there.
 Objective = Callable[[Sequence[Floats]], Iterable[Evaluation]]
 
 
 def best_of(evaluations: Iterable[Evaluation]) -> Evaluation:
-    """Find the feasible evaluation with the lowest loss, the first of equals.
-
-    Raises
-    ------
-    ValueError
-        If none is feasible.
-    """
+    """Find the feasible evaluation with the lowest loss, the first of equals; there must be one."""
     return min((e for e in evaluations if e.feasible), key=lambda e: e.loss)

@@ -1,8 +1,7 @@
 """Zero-mean Gaussian process with the exponential kernel: its hyper-parameters and predictions.
 
-The marginal likelihood and its gradient are written out here: with n ≲ 1000 points the closed form
-costs a sixth of GPyTorch's autograd graph, uses no random numbers and is bitwise repeatable. The
-Gaussian process of scikit-learn is the second implementation that the tests compare with.
+With n ≲ 1000 points the closed form of the marginal likelihood costs a sixth of GPyTorch's autograd
+graph and is bitwise repeatable. The tests compare with the Gaussian process of scikit-learn.
 """
 
 from __future__ import annotations
@@ -24,23 +23,13 @@ from fascicle.core.threads import in_chunks, one_thread
 class Hyperparameters:
     """Kernel k(x, x') = variance · exp(−|(x − x') / length_scales|) and noise variance.
 
-    Attributes
-    ----------
-    length_scales : tuple of d floats
-        In the units of the input.
-    variance, noise : float
-        η² of the paper and σₙ², in the squared unit of the (standardised) output.
+    Length scales have the units of the input; `variance` and `noise`, η² of the paper and σₙ², the
+    squared unit of the (standardised) output.
     """
 
     length_scales: tuple[float, ...]
     variance: float
     noise: float
-
-    @classmethod
-    def default(cls, dimension: int) -> Hyperparameters:
-        """Take the modes of the priors."""
-        *length_scales, variance, noise = map(math.exp, _prior(dimension)[0])
-        return cls(tuple(length_scales), variance, noise)
 
     def to_json(self) -> str:
         """As text; every float comes back exactly."""
@@ -89,10 +78,9 @@ def _cholesky(covariance: Floats) -> Floats:
 
 
 def _bordered(whitener: Floats, covariance: Floats, variance: float) -> Floats:
-    """L⁻¹ of a covariance matrix with one more row: `covariance` (n,), `variance` on the diagonal.
+    """L⁻¹ of a matrix with one more row: `covariance` k (n,), `variance` on the diagonal.
 
-    With w = L⁻¹k, k the covariances, the new row of L is (wᵀ, s), s² = variance − |w|², and that
-    of L⁻¹ is (−wᵀL⁻¹, 1) / s.
+    With w = L⁻¹k the new row of L is (wᵀ, s), s² = variance − |w|², and of L⁻¹ (−wᵀL⁻¹, 1) / s.
     """
     count = len(covariance)
     w = whitener @ covariance
@@ -147,16 +135,8 @@ def fit(
 ) -> Hyperparameters:
     """Hyper-parameters of highest posterior density (L-BFGS-B on the logarithms).
 
-    Parameters
-    ----------
-    points : (n, d) array
-        In the unit cube.
-    outputs : (n,) array
-        Of mean zero and variance near one.
-    start : Hyperparameters or None
-        Where to start; None starts at the modes of the priors.
-    iterations : int
-        At most so many L-BFGS-B iterations.
+    Points (n, d) lie in the unit cube, outputs (n,) have mean zero and a variance near one. Without
+    a `start` the search starts at the modes of the priors.
     """
     dimension = points.shape[1]
     centre, spread = _prior(dimension)
@@ -171,8 +151,8 @@ def fit(
         z = (vector - centre) / spread
         return 0.5 * float(z @ z) - value, z / spread - gradient
 
-    begin = start if start is not None else Hyperparameters.default(dimension)
-    first = np.clip(begin.to_logarithms(), bounds[:, 0], bounds[:, 1])
+    begin = centre if start is None else start.to_logarithms()
+    first = np.clip(begin, bounds[:, 0], bounds[:, 1])
     options = {"maxiter": iterations}
     result = minimize(negative, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return Hyperparameters.from_logarithms(result.x)
@@ -184,7 +164,6 @@ class ExponentialGP:
 
     Attributes
     ----------
-    hyperparameters : Hyperparameters
     centre : (d,) array
         Subtracted from the input, so that the expanded square of a distance loses few digits.
     scaled : (n, d) array
@@ -293,9 +272,8 @@ class ExponentialGP:
             left = np.column_stack([c, np.ones(len(c)), (c * c).sum(1)])
             kernel = left @ right
             np.maximum(kernel, 0, out=kernel)
-            np.sqrt(kernel, out=kernel)
-            np.negative(kernel, out=kernel)
-            np.exp(kernel, out=kernel)
+            for function in (np.sqrt, np.negative, np.exp):
+                function(kernel, out=kernel)
             mean[part] = kernel @ self.alpha
             nearness[part] = kernel.max(1)
 

@@ -1,10 +1,9 @@
 """One run of adaptive importance sampling: weighted draws from the posterior, and the evidence.
 
-Draws from the prior come first; they may be many, and are the same for every recording. Where
-their likelihoods are high, a Student's t distribution is placed, more points are drawn from it, and
-so on. Every point counts with its posterior density over the density of all that was
-drawn from, so early and poor proposals do no harm. Points live in normal scores: the prior is a
-standard normal.
+Draws from the prior come first, the same for every recording. Where their likelihoods are high, a
+Student's t distribution is placed, more points are drawn from it, and so on. Every point counts
+with its posterior density over the density of all that was drawn from, so early and poor proposals
+do no harm. Points live in normal scores: the prior is a standard normal.
 
 The likelihood of a network jumps with the smallest change of its parameters, so that single points
 have weights that no neighbour has. The largest weights are replaced by what a generalised Pareto
@@ -40,23 +39,12 @@ LogLikelihoods = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class State:
-    """Where a run stands.
-
-    Attributes
-    ----------
-    log_evidence : float
-    effective : float
-        Effective sample size.
-    tail : float
-        Shape k of the largest weights; beyond `TRUSTED` they say too little.
-    evaluations : int
-        Beside the prior's.
-    """
+    """Where a run stands."""
 
     log_evidence: float
-    effective: float
-    tail: float
-    evaluations: int
+    effective: float  # sample size
+    tail: float  # shape k of the largest weights; beyond `TRUSTED` they say too little
+    evaluations: int  # without the prior's
 
 
 @dataclass(frozen=True)
@@ -67,9 +55,8 @@ class SamplingRun:
     ----------
     points : (n, d) array
         In the unit cube.
-    weights : (n,) array
-        Of the points; they add up to 1.
-    log_likelihoods : (n,) array
+    weights, log_likelihoods : (n,) arrays
+        Of the points; the weights add up to 1.
     state : State
         At the end.
     complete : bool
@@ -135,14 +122,12 @@ def sampling(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Of all random numbers.
     prior : (n, d) array
         Draws from the prior.
     effective : int
         Effective sample size to reach.
     most : int
-        Evaluations beside the prior's after which the run stops, complete or not.
+        Evaluations, without the prior's, after which the run stops, complete or not.
     begun : SamplingRun, optional
         Of another posterior under the same prior, with the same draws of it: its points count
         here, too, and its evaluations are not among `most`.
@@ -246,16 +231,9 @@ MEANS_APART = 0.5  # standard deviations between the means of a parameter
 
 @dataclass(frozen=True)
 class RunAgreement:
-    """How far two runs are apart.
+    """Differences of two runs, and whether both reached their effective sample.
 
-    Attributes
-    ----------
-    log_evidence : float
-        Difference of the log-evidences.
-    means : (d,) array
-        Difference of the means of each parameter, in standard deviations of both together.
-    complete : bool
-        Whether both reached their effective sample.
+    Those of the means (d,) are in standard deviations of both runs together.
     """
 
     log_evidence: float
@@ -274,11 +252,9 @@ class RunAgreement:
 
 def agreement(first: SamplingRun, second: SamplingRun) -> RunAgreement:
     """Compare two runs of different seeds on the same likelihood."""
-    means = [run.weights @ run.points for run in (first, second)]
-    variances = [
-        run.weights @ (run.points - mean) ** 2
-        for run, mean in zip((first, second), means, strict=True)
-    ]
+    runs = first, second
+    means = [run.weights @ run.points for run in runs]
+    variances = [r.weights @ (r.points - m) ** 2 for r, m in zip(runs, means, strict=True)]
     apart = np.abs(means[0] - means[1])
     together = np.sqrt(np.mean(variances, axis=0) + apart**2 / 4)
     return RunAgreement(

@@ -29,7 +29,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.special import erfcx, ndtr
@@ -42,14 +41,9 @@ from fascicle.inference.surrogates import FeasibilityGP, LossGP, Observations
 
 
 def latin_hypercube(rng: np.random.Generator, count: int, dimension: int) -> Floats:
-    """Latin hypercube sample of the unit cube, shape (count, dimension).
+    """Sample (count, dimension) of the unit cube, after McKay et al. (Technometrics 21, 1979).
 
     Every coordinate has exactly one point in each of `count` equal intervals.
-
-    References
-    ----------
-    M. D. McKay, R. J. Beckman, W. J. Conover, "A comparison of three methods for selecting values
-    of input variables in the analysis of output from a computer code", Technometrics 21 (1979).
     """
     return np.asarray(qmc.LatinHypercube(d=dimension, rng=rng).random(count), dtype=np.float64)
 
@@ -151,13 +145,7 @@ def iterations(start: Hyperparameters | None) -> int:
 class FeasibleLogImprovement:
     """log EI(x) + log P(x is feasible), after Gardner et al. (ICML 2014).
 
-    Attributes
-    ----------
-    gp : ExponentialGP
-        Of the standardised loss.
-    feasibility : FeasibilityGP
-    best : float
-        The standardised loss to improve on.
+    `gp` is of the standardised loss; `best` is what it is to improve on.
     """
 
     gp: ExponentialGP
@@ -188,27 +176,20 @@ def maximise(
 ) -> Floats:
     """Find the best point of the unit cube for an acquisition function, shape (d,).
 
-    Uniform raw points and perturbations of the best points, the best few of each polished by
-    L-BFGS-B.
-
-    Parameters
-    ----------
-    rng : Generator
-        The only source of randomness.
-    acquisition : FeasibleLogImprovement
-    best_points : (k, d) array
-        What is perturbed: the kernel has a cusp there.
-    known : (n, d) array
-        The result keeps away from these, see `first_apart`.
+    Uniform raw points and perturbations of the best points (k, d), where the kernel has a cusp; the
+    best few of each are polished by L-BFGS-B. The result keeps away from known points (n, d), see
+    `first_apart`.
     """
     uniform = rng.random((2000, best_points.shape[1]))
     local = perturbed(rng, best_points, 1000)
     raw, values = [uniform, local], [acquisition(uniform), acquisition(local)]
-    starts = np.vstack([x[_descending(v)[:4]] for x, v in zip(raw, values, strict=True)])
+    starts = np.vstack(
+        [x[np.argsort(-v, kind="stable")[:4]] for x, v in zip(raw, values, strict=True)]
+    )
     polished = _polished(acquisition, starts)
-    candidates = np.vstack([polished, *raw])
-    order = _descending(np.concatenate([acquisition(polished), *values]))
-    return first_apart(candidates[order], known)
+    values = [acquisition(polished), *values]
+    order = np.argsort(-np.concatenate(values), kind="stable")
+    return first_apart(np.vstack([polished, *raw])[order], known)
 
 
 def first_apart(candidates: Floats, known: Floats) -> Floats:
@@ -218,10 +199,6 @@ def first_apart(candidates: Floats, known: Floats) -> Floats:
     """
     distance, _ = cKDTree(known).query(candidates, p=np.inf, distance_upper_bound=1e-4)
     return np.asarray(candidates[np.isinf(distance).argmax()])  # none is found: infinite
-
-
-def _descending(values: Floats) -> NDArray[np.intp]:
-    return np.argsort(-values, kind="stable")
 
 
 def _polished(acquisition: FeasibleLogImprovement, starts: Floats) -> Floats:
@@ -264,11 +241,7 @@ def log_h(u: Floats | float) -> Floats:
 
 
 def log_expected_improvement(mean: Floats | float, variance: Floats | float, best: float) -> Floats:
-    """Logarithm of the expected improvement below `best`.
-
-    `mean` and `variance` (m,) are of the normal predictions, in the unit of the output and its
-    square.
-    """
+    """Logarithm of the expected improvement below `best` of normal predictions (m,)."""
     deviation = np.sqrt(variance)
     return np.asarray(log_h((best - mean) / deviation) + np.log(deviation))
 

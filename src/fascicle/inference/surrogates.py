@@ -16,15 +16,7 @@ from fascicle.inference.gaussian_process import ExponentialGP, Hyperparameters, 
 
 @dataclass(frozen=True)
 class Observations:
-    """Points of the unit cube with their losses.
-
-    Attributes
-    ----------
-    points : (n, d) array
-        In the unit cube.
-    losses : (n,) array
-        Mismatch (mV²); NaN where the parameters give no tree.
-    """
+    """Points (n, d) of the unit cube and their losses (n,) (mV²), NaN without a tree."""
 
     points: Floats
     losses: Floats
@@ -53,14 +45,9 @@ class Observations:
 
 @dataclass(frozen=True)
 class LossGP:
-    """Zero-mean process on the standardised losses of the feasible points.
+    """Zero-mean process `gp` on the standardised losses of the feasible points.
 
-    Attributes
-    ----------
-    gp : ExponentialGP
-        Of the standardised loss.
-    offset, scale : float
-        Mean and standard deviation of the losses (mV²).
+    `offset` and `scale` are the mean and the standard deviation of the losses (mV²).
     """
 
     gp: ExponentialGP
@@ -107,14 +94,8 @@ class FeasibilityGP:
 
     The probability is Φ((b + m(x)) / √(v(x) + σₙ²)) with b the mean label: least-squares
     classification (Rasmussen & Williams 2006, section 6.5). It needs no approximate inference, so
-    it is fast and always has a solution.
-
-    Attributes
-    ----------
-    gp : ExponentialGP or None
-        Of label − `offset`; None as long as every known point is feasible: the probability is 1.
-    offset : float
-        Mean label.
+    it is fast and always has a solution. The process `gp` is of the labels less b, the `offset`;
+    None as long as every known point is feasible: the probability is 1.
     """
 
     gp: ExponentialGP | None

@@ -6,7 +6,6 @@ import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,14 +31,9 @@ Trees = Sequence[tuple[PurkinjeTree, ...]]  # of each network
 
 @dataclass(frozen=True)
 class PredictionCache:
-    """The predictions of one population that are on disk, a file a scenario.
+    """The predictions of one population that are in a study's folder, a file a scenario.
 
-    Attributes
-    ----------
-    fitted : FittedStudy
-        Its folder holds them.
-    population : str
-        SHA-256 of its networks and gains, and of what a study is of.
+    `population` is the SHA-256 of its networks and gains, and of what a study is of.
     """
 
     fitted: FittedStudy
@@ -58,10 +52,6 @@ class PredictionCache:
     def _cache(self) -> ArrayCache:
         return ArrayCache(self.fitted.folder / "predictions", self.population[:12])
 
-    def file(self, scenario: Scenario) -> Path:
-        """The file of a scenario without trees of its own."""
-        return self._cache.file(scenario_text(scenario))
-
     def read(self, scenarios: Mapping[str, Scenario]) -> dict[str, Predicted]:
         """Read what there is of scenarios; a file that is damaged is none."""
         files = {
@@ -78,13 +68,7 @@ class PredictionCache:
         }
 
     def write(self, predicted: Mapping[str, Predicted]) -> None:
-        """Keep predictions, where the study can be written to; not those with trees of their own.
-
-        Parameters
-        ----------
-        predicted : mapping of name to Predicted
-            What scenarios do in all networks of the study.
-        """
+        """Keep predictions where that can be done; not those with trees of their own."""
         folder = self._cache.folder
         if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
             return  # a study that may only be read is simulated again each time

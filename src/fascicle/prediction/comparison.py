@@ -35,14 +35,7 @@ MEASURABLE = {
 def missing_blocks(name: str, predicted: Mapping[str, Predicted], against: str) -> str:
     """Say that a pacing lacks a block of what it is compared with; empty if it does not.
 
-    His bundle pacing, which may capture below a block, is no such pacing.
-
-    Parameters
-    ----------
-    name, against : str
-        The pacing, and the scenario that it is compared with.
-    predicted : mapping of name to Predicted
-        Both of them.
+    His bundle pacing, which may capture below a block, lacks none.
     """
     pacing, other = predicted[name].scenario, predicted[against].scenario
     missing = sorted(other.blocks - pacing.blocks)
@@ -108,8 +101,8 @@ class Comparison:
         """Share of the reduction's variance, in ranks, that each parameter alone explains.
 
         Squared rank correlations, adjusted for how few networks there are, the largest first; none
-        of fewer than `FEWEST` independent ones. Of parameters that are strongly correlated each has
-        the same share; what no parameter goes with by itself is in none.
+        of fewer than `FEWEST` independent ones. Parameters that are strongly correlated have the
+        same share each; what no parameter goes with by itself is in none.
 
         Parameters
         ----------

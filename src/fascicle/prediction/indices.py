@@ -6,7 +6,6 @@ Definitions and sources stand in docs/predictions.md, which a test holds to the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,14 +35,10 @@ KORS = np.array(
 
 @dataclass(frozen=True)
 class Territories:
-    """Volumes of a heart's elements, and where these lie.
+    """Volumes (mm³) of a heart's elements, and where these lie.
 
     Attributes
     ----------
-    tetrahedra : (m, 4) array
-        Vertices of each.
-    volumes : (m,) array
-        Of each (mm³).
     segment : (m,) array
         Of the left ventricle, 1 to 17; 0 in the free wall of the right one.
     left_free_wall : (m,) bool array
@@ -77,7 +72,7 @@ class Territories:
         The first is that of the right ventricle's free wall.
         """
         volumes = np.where(np.isfinite(times), self.volumes, 0.0)
-        total = np.bincount(self.segment, volumes * _finite(times), APEX + 1)
+        total = np.bincount(self.segment, volumes * np.where(volumes > 0, times, 0.0), APEX + 1)
         active = np.bincount(self.segment, volumes, APEX + 1)
         means = np.full(APEX + 1, np.nan)
         return np.asarray(np.divide(total, active, out=means, where=active > 0))
@@ -86,24 +81,12 @@ class Territories:
 def indices(
     simulation: Simulation, territories: Territories, stimulus: float | None = None
 ) -> dict[str, float]:
-    """Compute all indices of a simulation.
+    """Compute all indices of a simulation whose first stimulus is given at a time (ms).
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Of the heart of the territories.
-    territories : Territories
-        Where its elements lie.
-    stimulus : float, optional
-        When the first stimulus is given (ms); of an intrinsic beat none: what is counted from it is
-        then NaN, as is what refers to a wave that is not there.
+    Without a stimulus what is counted from it is NaN, as is what refers to a wave that is not
+    there.
     """
     return {**_of_activation(simulation.activation, territories), **_of_ecg(simulation, stimulus)}
-
-
-def segment_times(activation: Floats, territories: Territories) -> Floats:
-    """Mean activation time of each segment of the left ventricle (ms), shape (17,); NaN in scar."""
-    return territories.segment_means(territories.times(activation))[1:]
 
 
 def vectorcardiogram(leads: Floats) -> Floats:
@@ -115,7 +98,10 @@ def _of_activation(activation: Floats, territories: Territories) -> dict[str, fl
     times = territories.times(activation)
     right, *segments = territories.segment_means(times)
     begin, end = _ends(activation)
-    late = _activated(times, territories.volumes, (0.9, 0.95))
+    reached = np.flatnonzero(np.isfinite(times))
+    order = reached[np.argsort(times[reached])]
+    done = np.cumsum(territories.volumes[order])  # of the volume that is reached at all
+    late = times[order][np.searchsorted(done, done[-1] * np.array((0.9, 0.95)))]
     free = territories.left_free_wall & np.isfinite(times)
     left_free = np.average(times[free], weights=territories.volumes[free]) if free.any() else np.nan
     return {
@@ -134,19 +120,6 @@ def _ends(times: Floats) -> tuple[float, float]:
     """First and last of the times that are reached (ms); NaN of none."""
     reached = times[np.isfinite(times)]
     return (float(reached.min()), float(reached.max())) if reached.size else (np.nan, np.nan)
-
-
-def _finite(times: Floats) -> Floats:
-    return np.where(np.isfinite(times), times, 0.0)
-
-
-def _activated(times: Floats, volumes: Floats, shares: Sequence[float]) -> Floats:
-    """When these shares of the volume that is reached at all are active (ms)."""
-    reached = np.isfinite(times)
-    times, volumes = times[reached], volumes[reached]
-    order = np.argsort(times)
-    done = np.cumsum(volumes[order])
-    return np.asarray(times[order][np.searchsorted(done, done[-1] * np.array(shares))])
 
 
 def _of_ecg(simulation: Simulation, stimulus: float | None) -> dict[str, float]:

@@ -37,13 +37,7 @@ PRIOR_NETWORKS = 60
 
 
 def with_intrinsic_beat(scenarios: Mapping[str, Scenario]) -> dict[str, Scenario]:
-    """The heart's intrinsic beat, which others are compared with, and then the scenarios.
-
-    Raises
-    ------
-    InputError
-        If another scenario has its name.
-    """
+    """The heart's intrinsic beat, and the scenarios, none of which may have its name."""
     if scenarios.get(INTRINSIC, Scenario()) != Scenario():
         raise InputError(
             f"{scenarios[INTRINSIC].source or 'a scenario'}: '{INTRINSIC}' is the intrinsic beat, "
@@ -148,22 +142,10 @@ def simulate_scenarios(
     progress: Progress | None = None,
     of: str = "",
 ) -> dict[str, Predicted]:
-    """Simulate scenarios in networks.
+    """Simulate scenarios in networks, which were simulated in the scenario of a recording.
 
-    Parameters
-    ----------
-    simulator : PointSimulator
-        Of the study: heart, and where to simulate.
-    recording : TargetComparison
-        In whose scenario the networks were simulated, and whose filters the ECGs pass.
-    networks : sequence of Network
-        The n networks, simulated.
-    scenarios : mapping of name to Scenario
-        What to simulate.
-    progress : Progress, optional
-        Called as networks are done, a stage for each scenario.
-    of : str
-        What the stages are called beside the scenario's name.
+    The ECGs pass the recording's filters. A scenario is a stage of the progress, of its name and
+    the text `of`.
     """
     model, response = simulator.model, recording.target.response
     territories = Territories.of(model.heart, model.sites.places)
@@ -204,15 +186,7 @@ def _simulate(
 
 
 def prior_networks(simulator: PointSimulator, progress: Progress | None = None) -> list[Network]:
-    """Networks of the prior, which know nothing of the recording.
-
-    Parameters
-    ----------
-    simulator : PointSimulator
-        Its space is the prior.
-    progress : Progress, optional
-        Called as networks are simulated.
-    """
+    """Networks of the prior, the simulator's space, which know nothing of the recording."""
     points = prior_points(len(simulator.space), PRIOR_NETWORKS)
     report, networks = stage_progress(progress, "networks of the prior"), []
     for done, point in enumerate(points, 1):
@@ -225,12 +199,7 @@ def prior_networks(simulator: PointSimulator, progress: Progress | None = None) 
 
 
 def qrs_aligned(*predicted: Predicted) -> tuple[Floats, list[Floats]]:
-    """ECGs as the recorder would have them, from the QRS onsets on, on one time axis.
-
-    Parameters
-    ----------
-    *predicted : Predicted
-        Scenarios, each in n networks.
+    """ECGs of scenarios as the recorder would have them, from the QRS onsets on, on one time axis.
 
     Returns
     -------

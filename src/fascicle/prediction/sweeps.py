@@ -25,14 +25,7 @@ RADIUS = "capture radius (mm)"
 
 
 class Sweep(NamedTuple):
-    """A family of scenarios.
-
-    Attributes
-    ----------
-    varied : str
-        What differs, and its unit: `SEGMENT`, `DELAY` or `RADIUS`.
-    scenarios : dict of segment (1 to 17), delay or radius to Scenario
-    """
+    """A family of scenarios by segment (1 to 17), delay (ms) or radius (mm): what is `varied`."""
 
     varied: str
     scenarios: dict[float, Scenario]
@@ -40,17 +33,7 @@ class Sweep(NamedTuple):
 
 @dataclass(frozen=True)
 class Swept:
-    """What a family of scenarios does in n networks.
-
-    Attributes
-    ----------
-    varied : str
-        As of the `Sweep`.
-    predicted : dict of segment, delay or radius to Predicted
-        Of those that can be simulated.
-    impossible : dict of segment, delay or radius to str
-        Of the others, why not.
-    """
+    """What a `Sweep` does in n networks, and why some of its scenarios cannot be simulated."""
 
     varied: str
     predicted: dict[float, Predicted]
@@ -65,20 +48,9 @@ class Swept:
 def simulate_sweep(
     fitted: FittedStudy, sweep: Sweep, networks: int, progress: Progress | None = None
 ) -> Swept:
-    """Simulate a family of scenarios in some networks of a study.
+    """Simulate a family of scenarios in so many networks, evenly spread over a study's population.
 
     A segment may hold no tissue, or scar that nothing fires: the others are simulated all the same.
-
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    sweep : Sweep
-        What to simulate.
-    networks : int
-        How many networks, evenly spread over the population.
-    progress : Progress, optional
-        Called after each network that is simulated.
 
     Raises
     ------
@@ -106,19 +78,14 @@ def simulate_sweep(
 
 
 def delays(scenario: Scenario, given: str) -> Sweep:
-    """The scenario with its last stimulus so long after its first; negative, before it.
+    """The scenario with its last stimulus so long (ms) after its first; negative, before it.
 
     Parameters
     ----------
     scenario : Scenario
-        With two stimuli at least, the last of which moves.
+        With two stimuli at least.
     given : str
-        ``"first:last:step"`` (ms), both ends included.
-
-    Raises
-    ------
-    InputError
-        If the scenario has fewer stimuli, or the delays are not three numbers that go up.
+        ``"first:last:step"``, numbers that go up, both ends included.
     """
     stimuli = scenario.of(Stimulus)
     if len(stimuli) < 2:
@@ -131,20 +98,7 @@ def delays(scenario: Scenario, given: str) -> Sweep:
 
 
 def segments(scenario: Scenario, layer: str) -> Sweep:
-    """The scenario with its last stimulus of the tissue in each segment of the left ventricle.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        With a stimulus of the tissue.
-    layer : str
-        One of `LAYERS`.
-
-    Raises
-    ------
-    InputError
-        If there is no such stimulus or layer.
-    """
+    """The scenario with its last stimulus of the tissue in each segment, in one of `LAYERS`."""
     if layer not in LAYERS:
         raise InputError(f"there is no layer '{layer}'; choose {' or '.join(LAYERS)}")
     moved = _of_the_myocardium(scenario)[-1:]
@@ -155,20 +109,7 @@ def segments(scenario: Scenario, layer: str) -> Sweep:
 
 
 def radii(scenario: Scenario, given: str) -> Sweep:
-    """The scenario with other capture radii of its stimuli of the tissue.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        With a stimulus of the tissue.
-    given : str
-        ``"first:last:step"`` (mm), both ends included.
-
-    Raises
-    ------
-    InputError
-        If there is no such stimulus, or the radii are not three numbers that go up.
-    """
+    """The scenario with other capture radii (mm) of its stimuli of the tissue, as of `delays`."""
     changed = _of_the_myocardium(scenario)
     return Sweep(RADIUS, {r: _changed(scenario, changed, radius=r) for r in _numbers(given)})
 

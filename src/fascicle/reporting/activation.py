@@ -41,12 +41,10 @@ SPREAD = "standard deviation (ms)"
 
 @dataclass(frozen=True)
 class ActivationRow:
-    """One activation of the heart: a row of the figure.
+    """One activation of the heart: a row of the figure, by its label.
 
     Attributes
     ----------
-    label : str
-        Name of the row.
     activation : (n,) array
         Time at each vertex of the heart (ms); inf or NaN where none arrives.
     trees : tuple of (PurkinjeTree, (n_nodes,) array)
@@ -79,21 +77,15 @@ def total_time(value: float) -> str:
 def activation_figure(heart: Heart, rows: Sequence[ActivationRow], what: str) -> Figure:
     """Draw activations of one heart, or other times, as isochrone bands, one row each.
 
-    Parameters
-    ----------
-    heart : Heart
-        The heart, in any frame.
-    rows : sequence of ActivationRow
-        Activations; all share the colours. Hearts share one scale in space, networks another.
-    what : str
-        The times, with their unit, and what happens at time 0.
+    All rows share the colours, all hearts one scale in space, all Purkinje networks another.
 
     Returns
     -------
     Figure
         Row by row the views of `heart_views`, then each side's Purkinje network on its endocardium,
-        seen from that side through the near wall; last the colour bar, named `what`, which spans
-        the times of the hearts: earlier or later ones of the networks share its pointed ends.
+        seen from that side through the near wall; last the colour bar, named `what` the times are,
+        which spans those of the hearts: earlier or later ones of the Purkinje networks share its
+        pointed ends.
     """
     views = heart_views(heart)
     sides = {tree.side for row in rows for tree, _ in row.trees}
@@ -149,11 +141,9 @@ def _bands(rows: Sequence[ActivationRow]) -> BoundaryNorm:
     levels = step * (bottom + np.arange(count + 1))
     nodes = np.concatenate([np.empty(0), *(t for row in rows for _, t in row.trees)])
     nodes = nodes[np.isfinite(nodes)]
-    outside = bool((nodes < levels[0]).any()), bool((nodes > levels[-1]).any())
-    ends: dict[tuple[bool, bool], Any] = {
-        (True, True): "both", (True, False): "min", (False, True): "max", (False, False): "neither",
-    }  # fmt: skip
-    return BoundaryNorm(levels, matplotlib.colormaps[COLOURS].N, extend=ends[outside])
+    early, late = (nodes < levels[0]).any(), (nodes > levels[-1]).any()
+    ends: Any = ("both" if late else "min") if early else ("max" if late else "neither")
+    return BoundaryNorm(levels, matplotlib.colormaps[COLOURS].N, extend=ends)
 
 
 def _coloured(heart: Heart, activation: Floats, norm: BoundaryNorm) -> list[Surface]:

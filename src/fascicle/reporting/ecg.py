@@ -26,17 +26,12 @@ class EcgGroup:
 
     Attributes
     ----------
-    name : str
-        What the legend calls them.
-    member : str
-        What one of them belongs to: ``"beat"`` or ``"network"``.
+    name, member : str
+        What the legend calls them, and one of them: ``"beat"`` or ``"network"``.
     time : (t,) array
         Time (ms).
     leads : (n, 12, t) array
-        Potential (mV), leads in the order of `fascicle.core.leads.LEADS`; NaN where an ECG has
-        ended.
-    colour : str
-        Colour of line and band.
+        Potential (mV); NaN where an ECG has ended.
     share : float
         Of the ECGs that the band holds at every time, in the middle; 1 for their range.
     """
@@ -89,24 +84,8 @@ def ecg_figure(
 ) -> Figure:
     """Draw groups of 12-lead ECGs over one another in the clinical 3 × 4 layout.
 
-    Parameters
-    ----------
-    groups : sequence of EcgGroup
-        Drawn in this order, each with its own time axis.
-    title : str
-        Heading.
-    notes : sequence of str
-        One a lead, written beside its name.
-    time_zero : str
-        What happens at time 0.
-    caption : str
-        Written below.
-
-    Returns
-    -------
-    Figure
-        Axes row by row, all with the same limits (ms, mV). Lines
-        are means over a group, bands hold its `share`.
+    Lines are means over a group, bands hold its `share`; every group has its own time axis, and all
+    axes have the same limits (ms, mV). There is a note for each lead, and a caption below.
     """
     figure = style.new_figure(10.0, 6.2, title)
     grid = figure.subplots(ROWS, len(LEADS) // ROWS, sharex=True, sharey=True)

@@ -45,18 +45,11 @@ WALL_COLOURS = dict(zip(WALLS, (Colour.VERMILION, Colour.GREEN, Colour.BLUE), st
 
 @style.styled
 def labels_figure(surface: LabelledSurface | LabelledMesh) -> Figure:
-    """Draw labels from the front, the back and the base, and without the epicardium.
+    """Draw labels from the front, the back and the base, and without the epicardium, to one scale.
 
-    Parameters
-    ----------
-    surface : LabelledSurface or LabelledMesh
-        Closed, or a mesh's boundary, with base, epicardium and both endocardia, in any frame.
-
-    Returns
-    -------
-    Figure
-        Four views in one scale, in which every label has a colour; the legend gives the area of
-        each. The front is where it is if LV and RV are labelled rightly.
+    The surface is closed, or a mesh's boundary, with base, epicardium and both endocardia, in any
+    frame. The legend gives the area of each label. The front is where it is if LV and RV are
+    labelled rightly.
     """
     views = _label_views(surface)
     boxes = [view.box(surface.vertices[np.unique(surface.triangles)]) for view in views]
@@ -116,19 +109,9 @@ def _label_views(surface: LabelledSurface | LabelledMesh) -> list[View]:
 def check_figure(heart: Heart, check: HeartCheck) -> Figure:
     """Draw what a person should look at before trusting a heart.
 
-    Parameters
-    ----------
-    heart : Heart
-        The heart.
-    check : HeartCheck
-        What `fascicle.build.check.check_heart` found.
-
-    Returns
-    -------
-    Figure
-        Above: endocardia with the bundles' roots and directions, fibres on the epicardium and on
-        the endocardia. Below: the torso with its electrodes from the front and from the left;
-        helix angles through the walls, and their thickness.
+    Above: endocardia with the bundles' roots and directions, fibres on the epicardium and on the
+    endocardia. Below: the torso with its electrodes from the front and from the left; helix angles
+    through the walls, and their thickness.
     """
     view = heart_views(heart)["anterior"]
     size = largest([view.box(heart.vertices)])

@@ -37,26 +37,11 @@ def pair_figure(
     *,
     title: str = "",
 ) -> Figure:
-    """Lower-triangle pair plot on the whole prior range.
+    """Lower-triangle pair plot on the whole prior range, d (d+1)/2 axes, row by row.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-        The d free parameters; its ranges are the axes' limits.
-    samples : mapping of name to (n,) array
-        The networks, each parameter in its own unit.
-    best : mapping of name to float
-        The best-fitting parameters, marked in every panel.
-    truth : mapping of name to float, optional
-        The parameters that made a synthetic target, marked in every panel.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    Figure
-        d (d+1)/2 axes, row by row: scatter below the diagonal; on it, the histogram as a density
-        against the prior as a broken line.
+    Scatter below the diagonal; on it, the histogram as a density against the prior as a broken
+    line. Every panel marks the best-fitting parameters, and those of a synthetic target's `truth`.
+    Samples are the networks', (n,) of each of the d parameters in its own unit.
     """
     count = len(space)
     figure = style.new_figure(0.95 * count + 2.5, 0.95 * count + 2.0, title)
@@ -130,15 +115,7 @@ def _name_outer(axes: Axes, x: Parameter, y: Parameter, *, bottom: bool, left: b
 
 @style.styled
 def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
-    """Histograms of networks over the priors, on the whole ranges.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-        Priors and units.
-    values : mapping of name to (n,) array
-        Of the networks.
-    """
+    """Histograms of networks, (n,) of each parameter, over the priors, on the whole ranges."""
     count = len(space.parameters)
     rows = -(-count // 4)
     figure = style.new_figure(8.4, 1.35 * rows)
@@ -161,20 +138,9 @@ def prior_figure(space: ParameterSpace, values: Mapping[str, Floats]) -> Figure:
 def convergence_figure(losses: Floats, stages: Sequence[str], null: float) -> Figure:
     """Loss of every evaluation and the best so far, against the null loss.
 
-    Parameters
-    ----------
-    losses : (n,) array
-        Loss (mV²) in the order of evaluation; NaN where the parameters were infeasible.
-    stages : sequence of n str
-        Stage of each evaluation, such as ``"initial"``, ``"optimisation"``, ``"rejection"``.
-    null : float
-        Loss of a flat line (mV²).
-
-    Returns
-    -------
-    Figure
-        One panel: dots on a logarithmic axis, running best as steps, infeasible ones as ticks along
-        the upper edge, stages shaded and named, a broken line at the null loss.
+    Losses (n,) (mV²) in the order of evaluation, NaN where the parameters were infeasible, are dots
+    on a logarithmic axis, the running best steps, infeasible ones ticks along the upper edge. The
+    stages (n,) are shaded and named; a broken line is the loss of a flat line, `null`.
     """
     figure = style.new_figure(7.0, 3.8)
     axes = figure.subplots()

@@ -52,20 +52,7 @@ def write_prediction(
     ``indices.png``, and a folder for each scenario: ``ecgs.nc``, ``ecg.png``, ``activation.vtu``
     (of the networks with the least, median and largest total activation time; mean, standard
     deviation, and how probably each vertex is in the latest-activated 20 %), ``activation.png`` and
-    ``activation-spread.png``.
-
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    predicted : mapping of name to Predicted
-        What `fascicle.predict` found.
-    out : Path
-        Folder to write.
-    kind : str
-        Of the pictures: ``"png"``, ``"svg"`` or ``"pdf"``.
-    progress : Progress, optional
-        Called after each scenario.
+    ``activation-spread.png``. Pictures are of one of the `KINDS`.
     """
     report = stage_progress(progress, "pictures")
     heart, caution = fitted.simulator.model.heart, fitted.statements.caution_text
@@ -100,18 +87,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
     """Write what a family of scenarios does.
 
     The folder holds ``indices.csv`` (every index of every scenario and network), ``summary.json``
-    and ``sweep.png``.
-
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    swept : Swept
-        What `fascicle.prediction.sweeps.simulate_sweep` found.
-    name, index : str
-        Of the scenario that was varied, and what to draw.
-    out : Path
-        Folder to write.
+    and ``sweep.png``, one index over what was varied in the scenario `name`.
     """
     named = {swept.called(key): found for key, found in swept.predicted.items()}
     values = {key: found.indices[index] for key, found in named.items()}
@@ -132,18 +108,7 @@ def write_sweep(fitted: FittedStudy, swept: Swept, name: str, index: str, out: P
 def draw_simulation(
     heart: Heart, simulation: Simulation, folder: Path, kind: str, time_zero: str
 ) -> list[Path]:
-    """Write ``ecg`` and ``activation`` into a simulation's folder.
-
-    Parameters
-    ----------
-    heart, simulation : Heart, Simulation
-        What was simulated.
-    folder : Path
-        Where to.
-    kind : str
-        Of the files: ``"png"``, ``"svg"`` or ``"pdf"``.
-    time_zero : str
-        What happens at time 0.
+    """Write ``ecg`` and ``activation``, pictures of one of the `KINDS`, into a simulation's folder.
 
     Returns
     -------

@@ -30,19 +30,9 @@ CLASSES = (Colour.VERMILION, Colour.GREEN, Colour.PURPLE, Colour.ORANGE, Colour.
 def recording_figure(analysis: Analysis) -> Figure:
     """Draw the page from which a cardiologist judges a target.
 
-    The strip above shows up to ten seconds of all leads as they were recorded, beats numbered and
-    coloured by class. The panels below show the target: its beats, their mean and spread, and the
-    QRS window.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        A recording, its beats and the target.
-
-    Returns
-    -------
-    Figure
-        A4, upright. The first axes hold the strip, twelve more the leads, row by row.
+    An upright A4. The strip above shows up to ten seconds of all leads as they were recorded, beats
+    numbered and coloured by class. The panels below, row by row, show the target: its beats, their
+    mean and spread, and the QRS window.
     """
     name = PureWindowsPath(analysis.recording.source).name or analysis.recording.source
     figure = style.new_figure(8.27, 11.69)

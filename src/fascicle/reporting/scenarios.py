@@ -45,10 +45,7 @@ HALF, MOST = (25, 75), (5, 95)  # percentiles of what half and 90 % of the netwo
 def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
     """Draw indices of scenarios, a row each, the first, the intrinsic beat, in grey.
 
-    Returns
-    -------
-    Figure
-        A panel for each index of `SHOWN`: the median, and what half and 90 % of the networks span.
+    A panel for each index of `SHOWN`: the median, and what half and 90 % of the networks span.
     """
     figure = style.new_figure(8.7, 2 * (0.65 + 0.28 * len(predicted)))
     panels = figure.subplots(2, len(SHOWN) // 2, sharey=True)
@@ -66,20 +63,7 @@ def index_figure(predicted: Mapping[str, Predicted]) -> Figure:
 
 
 def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure:
-    """Draw the ECG of a scenario over that of the intrinsic beat: means, and what 90 % span.
-
-    Parameters
-    ----------
-    predicted : mapping of name to Predicted
-        The intrinsic beat among them.
-    name : str
-        The scenario.
-
-    Raises
-    ------
-    InputError
-        If there is no such scenario.
-    """
+    """Draw the ECG of a scenario over that of the intrinsic beat: means, and what 90 % span."""
     intrinsic, found = _with_intrinsic(predicted, name)
     shown = [intrinsic] if found is intrinsic else [intrinsic, found]
     time, ecgs = qrs_aligned(*shown)
@@ -95,21 +79,9 @@ def scenario_ecg_figure(predicted: Mapping[str, Predicted], name: str) -> Figure
 def scenario_activation_figure(
     heart: Heart, predicted: Mapping[str, Predicted], name: str
 ) -> Figure:
-    """Draw the networks with the least, median and largest total activation time.
+    """Draw a scenario in the networks with the least, median and largest total activation time.
 
-    Parameters
-    ----------
-    heart : Heart
-        That of the study.
-    predicted : mapping of name to Predicted
-        The intrinsic beat among them, whose median network stands above, in the same colours.
-    name : str
-        The scenario.
-
-    Raises
-    ------
-    InputError
-        If there is no such scenario.
+    The intrinsic beat in its median network stands above, in the same colours.
     """
     intrinsic, found = _with_intrinsic(predicted, name)
     rows = [_row(found, which, k) for which, k in found.extremes().items()]
@@ -119,15 +91,7 @@ def scenario_activation_figure(
 
 
 def spread_figure(heart: Heart, predicted: Mapping[str, Predicted]) -> Figure:
-    """Draw how far the networks' activations are apart, a row a scenario, in the same colours.
-
-    Parameters
-    ----------
-    heart : Heart
-        That of the study.
-    predicted : mapping of name to Predicted
-        The scenarios.
-    """
+    """Draw how far the networks' activations are apart, a row a scenario, in the same colours."""
     rows = [
         ActivationRow(textwrap.fill(name, 22), found.maps["activation_sd"])
         for name, found in predicted.items()
@@ -154,15 +118,7 @@ def _row(found: Predicted, label: str, number: int) -> ActivationRow:
 
 
 def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
-    """Draw an index over what was varied in a scenario: a curve, or a bull's eye of the segments.
-
-    Parameters
-    ----------
-    swept : Swept
-        What `fascicle.prediction.sweeps.simulate_sweep` found.
-    index, name : str
-        What to draw, and of which scenario.
-    """
+    """Draw an index over what was varied: a curve, or a bull's eye of the segments."""
     values = {key: found.indices[index] for key, found in swept.predicted.items()}
     if swept.varied != SEGMENT:
         return curve_figure(values, index, swept.varied, name)
@@ -178,19 +134,7 @@ def sweep_figure(swept: Swept, index: str, name: str) -> Figure:
 
 @style.styled
 def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: str) -> Figure:
-    """Draw an index over what was varied: median, and what half and 90 % of the networks span.
-
-    Parameters
-    ----------
-    values : mapping of float to (n,) array
-        Of the networks.
-    index : str
-        One of `INDICES`.
-    varied : str
-        What was varied, and its unit.
-    name : str
-        Of the scenario.
-    """
+    """Draw an index (n,) over what was varied: median, and what half and 90 % of networks span."""
     title = f"{style.short(name)}: median, half and 90 % of the networks"
     figure = style.new_figure(5.6, 3.6, title)
     axes, found = figure.subplots(), np.array(list(values.values()))
@@ -204,25 +148,16 @@ def curve_figure(values: Mapping[float, Floats], index: str, varied: str, name: 
 
 @style.styled
 def bulls_eye_figure(values: Floats, title: str, unit: str) -> Figure:
-    """Draw a value of each segment of the left ventricle, seen from the apex.
-
-    Parameters
-    ----------
-    values : (17,) array
-        In the order of `fascicle.heart.sites.SEGMENTS`; NaN is left white.
-    title, unit : str
-        What they are.
-    """
+    """Draw values (17,) of the segments of the left ventricle, seen from the apex; NaN is white."""
     figure = style.new_figure(4.6, 4.2, title)
     axes = figure.add_subplot(projection="polar")
     # less is lighter, and better; ordered for every colour vision
     colours = ScalarMappable(Normalize(np.nanmin(values), np.nanmax(values)), "cividis_r")
-    number = 0
+    number = iter(values)
     for ring, count in enumerate((6, 6, 4, 1)):  # sectors from outside, the anterior one first
         for sector in range(count):
             angle = np.radians(90 + sector * 360 / count)
-            _draw_segment(axes, 4 - ring, angle, 2 * np.pi / count, values[number], colours)
-            number += 1
+            _draw_segment(axes, 4 - ring, angle, 2 * np.pi / count, next(number), colours)
     axes.set_axis_off()
     axes.set_ylim(0, 4)
     walls = {"anterior": 90, "septal": 180, "inferior": 270, "lateral": 0}

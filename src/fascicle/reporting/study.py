@@ -43,16 +43,8 @@ def drawings(
 ) -> dict[str, Drawing]:
     """Draw a study: its recordings, networks and predictions, and the heart they rest on.
 
-    What shows networks which may not be relied on says so.
-
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    networks : sequence of Network
-        Its population, simulated.
-    predicted : mapping of name to Predicted, optional
-        Scenarios over it, the intrinsic beat first.
+    What shows networks which may not be relied on says so. The networks are the simulated
+    population; the intrinsic beat is the first of the predictions.
     """
     check_population(fitted)
     model, space, population = fitted.simulator.model, fitted.simulator.space, fitted.population
@@ -116,23 +108,12 @@ def loss_figure(fitted: FittedStudy) -> Figure:
     return convergence_figure(losses, [record.stage for record in records], fitted.null_loss)
 
 
-def recorded_ecg_figure(
-    fitted: FittedStudy, recording: int = 0, networks: Sequence[Network] | None = None
-) -> Figure:
-    """Draw recorded and predicted QRS of one recording.
+def recorded_ecg_figure(fitted: FittedStudy, recording: int, networks: Sequence[Network]) -> Figure:
+    """Draw recorded and predicted QRS of one recording, counted from 0.
 
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    recording : int
-        Which of its recordings, counted from 0.
-    networks : sequence of Network, optional
-        Its population in that recording's scenario, if simulated before.
+    The networks are the population in that recording's scenario.
     """
     check_population(fitted)
-    if networks is None:
-        networks = fitted.networks(recording=recording)
     target = fitted.recordings[recording].target
     return _ecg(target, networks, agreement(target, networks))
 

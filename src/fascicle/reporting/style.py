@@ -74,15 +74,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def new_figure(width: float, height: float, title: str = "") -> Figure:
-    """Figure in a constrained layout, of no pyplot window and no global state.
-
-    Parameters
-    ----------
-    width, height : float
-        Size (inch).
-    title : str
-        Written above from the left, in as many lines as it takes.
-    """
+    """Figure (inch) in a constrained layout, of no pyplot window and no global state."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     if title:

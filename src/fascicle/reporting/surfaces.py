@@ -19,12 +19,10 @@ from fascicle.mesh.measures import unit
 
 @dataclass(frozen=True)
 class View:
-    """An orthographic camera.
+    """An orthographic camera; its name stands above the picture.
 
     Attributes
     ----------
-    name : str
-        What to write above the picture.
     axes : (3, 3) array
         Rows are the unit vectors to the right, upwards and away from the eye; right-handed as
         right × up = towards the eye.
@@ -52,16 +50,9 @@ class View:
 
 @dataclass(frozen=True)
 class Surface:
-    """Something to draw.
+    """Vertices (n, 3) (mm) and triangles (m, 3) to draw; `pyvista.Plotter.add_mesh` has the look.
 
-    Attributes
-    ----------
-    vertices : (n, 3) array
-        Positions (mm).
-    triangles : (m, 3) array
-        Vertex indices; only those that turn counter-clockwise to the eye are seen.
-    look : mapping
-        As `pyvista.Plotter.add_mesh` takes it: ``color``, ``opacity``, ``scalars``, ``cmap``, …
+    Only triangles that turn counter-clockwise to the eye are seen.
     """
 
     vertices: Floats
@@ -74,13 +65,8 @@ def heart_views(heart: Heart) -> dict[str, View]:
 
     The long axis runs from the centre of the left endocardium's opening to its farthest point; the
     patient's left is where the left cavity lies from the right one, across that axis; the front
-    follows, as in every heart that is not mirrored.
-
-    Returns
-    -------
-    dict of name to View
-        ``"RV side"``, ``"anterior"`` and ``"LV side"`` with the base up, and ``"base"`` as tipping
-        the anterior view towards the eye brings it: the front down, the left on the right.
+    follows, as in every heart that is not mirrored. The base is up, and in the view of that name
+    as tipping the anterior view towards the eye brings it: the front down, the left on the right.
     """
     base, apex = long_axis(heart.lv.vertices, heart.lv.triangles)
     towards_left = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
@@ -95,21 +81,10 @@ def heart_views(heart: Heart) -> dict[str, View]:
 
 
 def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, Floats]:
-    """Unit vectors to the left, the back and upwards, and the centre of what is shown.
+    """Unit vectors to the left, the back and upwards, the rows of (3, 3), and a centre (3,) (mm).
 
-    Parameters
-    ----------
-    up, left : (3,) array
-        Upwards, and roughly to the patient's left (mm).
-    positions : (n, 3) array
-        What is shown (mm).
-
-    Returns
-    -------
-    frame : (3, 3) array
-        Rows are the unit vectors.
-    centre : (3,) array
-        Middle of the box along them that holds the positions (mm).
+    It is the middle of the box along them that holds the positions (n, 3); `left` need not be
+    perpendicular to `up`.
     """
     up = unit(up)
     left = unit(left - (left @ up) * up)
@@ -118,25 +93,12 @@ def upright_frame(up: Floats, left: Floats, positions: Floats) -> tuple[Floats, 
     return frame, (along.min(axis=0) + along.max(axis=0)) / 2 @ frame
 
 
-def draw_surfaces(
-    axes: Axes, view: View, *surfaces: Surface, box: Floats, size: Floats | None = None
-) -> None:
+def draw_surfaces(axes: Axes, view: View, *surfaces: Surface, box: Floats, size: Floats) -> None:
     """Draw surfaces into axes, which then are in mm and show no frame.
 
-    Parameters
-    ----------
-    axes : Axes
-        Where to.
-    view : View
-        From where.
-    *surfaces : Surface
-        What.
-    box : (2, 2) array
-        Lower left and upper right corner (mm) of what is shown.
-    size : (2,) array, optional
-        Width and height (mm) about the middle of the box; by default those of the box.
+    Shown is a width and height, `size` (2,) (mm), about the middle of a box of the screen, of which
+    `box` (2, 2) has the lower left and the upper right corner (mm).
     """
-    size = np.ptp(box, axis=0) if size is None else size
     low, high = box.mean(axis=0) - size / 2, box.mean(axis=0) + size / 2
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_axis_off()

@@ -28,13 +28,7 @@ GLOBAL_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": (
 
 @style.styled
 def target_figure(target: Target) -> Figure:
-    """Draw the beats of a target over one another, lead by lead, with the QRS window.
-
-    Returns
-    -------
-    Figure
-        Axes row by row: I, aVR, V1, V4, II and so on.
-    """
+    """Draw the beats of a target over one another, lead by lead, with the QRS window."""
     figure = style.new_figure(10.0, 6.2)
     draw_target(figure, target)
     return figure

@@ -18,10 +18,7 @@ from fascicle.reporting.style import Colour
 def template_figure(progress: Progress | None = None) -> tuple[Figure, dict[str, dict[str, float]]]:
     """Action potentials of the three cell types in a cable, and the template of the ECG.
 
-    Parameters
-    ----------
-    progress : Progress, optional
-        Called when a cable is done; the first time on a machine each takes seconds.
+    The first time on a machine each cable takes seconds.
 
     Returns
     -------

@@ -61,17 +61,7 @@ def correlations(fitted: FittedStudy) -> list[str]:
 def prediction(
     name: str, predicted: Mapping[str, Predicted], against: str, caution: Caution | None
 ) -> str:
-    """QRS durations and total activation time of a scenario, and how it compares.
-
-    Parameters
-    ----------
-    name, against : str
-        The scenario, and the one that it is compared with.
-    predicted : mapping of name to Predicted
-        Both, the intrinsic beat among them.
-    caution : Caution, optional
-        Why numbers are not to be taken for facts.
-    """
+    """QRS durations and total activation time of a scenario, and how it compares with another."""
     found, other = predicted[name], predicted[against]
     said = []
     for index in ("global_qrs_duration", "qrs_duration", "total_activation_time"):
@@ -85,8 +75,10 @@ def prediction(
     if undone := missing_blocks(name, predicted, against):
         sentence = f"{sentence}. Take care: {undone}"
     beat = "the intrinsic beat" if against == INTRINSIC else against
-    gain, loss = (
-        compare(*pair, "total_activation_time") for pair in ((found, other), (other, found))
-    )
-    change = f"shortened by {gain}" if gain.median >= 0 else f"prolonged by {loss}"
-    return f"{sentence}. Activation {change} against {beat}; P(shorter) = {gain.probability():.2f}."
+    index = "total_activation_time"
+    reduction = compare(found, other, index)
+    change = f"shortened by {reduction}"
+    if reduction.median < 0:
+        change = f"prolonged by {compare(other, found, index)}"
+    shorter = f"P(shorter) = {reduction.probability():.2f}"
+    return f"{sentence}. Activation {change} against {beat}; {shorter}."

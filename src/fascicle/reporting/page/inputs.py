@@ -115,17 +115,7 @@ def _held(name: str, value: float) -> Row:
 
 
 def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> list[str]:
-    """What to type, a line each, for a shell; the settings go into a file first.
-
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    predicted : mapping of name to Predicted
-        What its report predicts, the intrinsic beat among them.
-    against : str
-        That of them which the others are compared with.
-    """
+    """What to type, a line each, for a shell; the settings go into a file first."""
     lines: list[str] = []
     given: list[str] = []
     for number, recording in enumerate(fitted.recordings, 1):

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment
+from markupsafe import Markup
 from PIL import Image
 
 from fascicle.core.errors import InputError
@@ -107,23 +109,7 @@ def write_report(
     figures: Sequence[str] = (),
     against: str = INTRINSIC,
 ) -> list[Path]:
-    """Write the report of what is simulated already.
-
-    Parameters
-    ----------
-    fitted : FittedStudy
-        The study.
-    networks : sequence of Network
-        Its population, simulated.
-    predicted : mapping of name to Predicted
-        Scenarios over it, the intrinsic beat first.
-    out : Path
-        File to write.
-    figures : sequence of str
-        As of `report`, which says what is returned, too.
-    against : str
-        The scenario that the others are compared with, if not the intrinsic beat.
-    """
+    """Write the `report` of a population and of scenarios over it, the intrinsic beat first."""
     drawn = drawings(fitted, networks, predicted)
     content = {
         **_content(fitted, predicted, against),
@@ -212,8 +198,6 @@ def _furthest(fitted: FittedStudy) -> tuple[str, float] | None:
 
 
 def _template() -> Any:
-    from jinja2 import Environment
-
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["named"] = parameter_name
     return environment.from_string(str(_file("page.html")))
@@ -221,13 +205,9 @@ def _template() -> Any:
 
 def _file(name: str) -> Any:
     """A file of the page, which is inserted as it is."""
-    from markupsafe import Markup
-
     return Markup((files("fascicle") / "reporting" / "page" / name).read_text(encoding="utf-8"))
 
 
 def _safe(content: Mapping[str, Any]) -> Any:
     """JSON that no browser takes for the end of its script."""
-    from markupsafe import Markup
-
     return Markup(json.dumps(content, allow_nan=False).replace("<", "\\u003c"))

@@ -25,22 +25,10 @@ MAPS = (
 
 
 def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
-    """Surface of a heart with the activations of scenarios, for ``fascicleViewer``.
+    """Surface of a heart with the activations of scenarios, JSON for ``fascicleViewer``.
 
     Fields of one name have one scale, so that colours mean the same in all scenarios. It ends where
     the last of these fields does: one slow network does not stretch that of the median ones.
-
-    Parameters
-    ----------
-    heart : Heart
-        The heart.
-    predicted : mapping of name to Predicted
-        Scenarios over its networks.
-
-    Returns
-    -------
-    dict
-        Of texts, numbers and base64, for JSON.
     """
     triangles = heart.boundary[0]
     shown, numbered = np.unique(triangles, return_inverse=True)
@@ -50,13 +38,11 @@ def scene(heart: Heart, predicted: Mapping[str, Predicted]) -> dict[str, Any]:
     points = np.concatenate([heart.vertices, *nodes])
     low, high = points.min(axis=0), points.max(axis=0)
     fields = {name: _fields(each, shown) for name, each in predicted.items()}
-    tops: dict[str, float] = {}
-    for field in (field for its in fields.values() for field in its):
-        known = field["values"][np.isfinite(field["values"])]
-        tops[field["name"]] = max(tops.get(field["name"], 0.0), float(known.max(initial=0.0)))
-    for field in (field for its in fields.values() for field in its):
-        top = tops[field["name"]] or 1.0
-        field.update(low=0.0, high=top, values=_quantised(field["values"], 0.0, top))
+    for alike in zip(*fields.values(), strict=True):
+        values = np.concatenate([field["values"] for field in alike])
+        top = float(values[np.isfinite(values)].max(initial=0.0)) or 1.0
+        for field in alike:
+            field.update(low=0.0, high=top, values=_quantised(field["values"], 0.0, top))
     anterior = heart_views(heart)["anterior"].axes
     surface = {
         "name": "heart",
