@@ -196,7 +196,7 @@ def _muse_rate(path: Path) -> float:
         float(texts.get(tag, "").replace(",", ".") or 0) for tag in ("samplebase", "sampleexponent")
     )
     # a tenth is not exact: 4883 * 10**-1.0 is not 488.3
-    return base * 10.0**exponent if exponent > 0 else base / 10.0**-exponent
+    return base * math.pow(10, exponent) if exponent > 0 else base / math.pow(10, -exponent)
 
 
 def _filters(record: Any, leads: Sequence[Any]) -> Filters:
