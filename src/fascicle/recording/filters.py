@@ -166,6 +166,12 @@ def resample(signal: Floats, sampling_rate: float) -> Floats:
     return np.asarray(resample_poly(signal, up, down, axis=-1, padtype="line"))
 
 
+def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:
+    """Block means (mV) of a signal (..., n), and their rate (Hz), not below 250 Hz."""
+    factor = max(int(rate / 250.0), 1)
+    return block_means(signal, factor), rate / factor
+
+
 def block_means(signal: Floats, factor: int) -> Floats:
     """Means of each `factor` successive samples, (..., n) to (..., n // factor)."""
     whole = signal.shape[-1] // factor * factor

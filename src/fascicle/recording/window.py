@@ -1,14 +1,9 @@
 """Where the QRS begins and ends, of all leads together and in the outermost leads, and how surely.
 
-Both windows are read from spatial velocity, the speed at which leads leave a straight line. A beat
-is isoelectric where that is below a level, or below a little more than in the quietest stretch
-nearby: noise, an ending P wave or a rising ST segment are what the QRS has to stand out from.
-
 The *window*, of the spatial velocity of all leads together, is what losses and likelihoods see. The
-*global window* runs from the onset in the outermost leads to the offset there. Thresholds of trials
-and guidelines (120, 130, 150 ms) rest on its duration, which cardiologists and electrocardiographs
-measure lead by lead; it is longer. `benchmarks/qrs_window.py` measures the errors on simulated
-ECGs, `benchmarks/global_qrs.py` those against manual marks.
+*global window*, of the outermost leads, is longer; thresholds of guidelines (120, 130, 150 ms) rest
+on its duration. `benchmarks/qrs_window.py` measures the errors on simulated ECGs,
+`benchmarks/global_qrs.py` those against manual marks.
 """
 
 from __future__ import annotations
@@ -26,15 +21,14 @@ from fascicle.recording.detection import complete_leads
 from fascicle.recording.filters import MAINS, Filter, FilterKind
 
 SMOOTHING = 4.0  # ms; standard deviation of the Gaussian derivative
-# Error of the method where there is no noise (ms), bias included: 95 % within two of it on the
-# simulated ECGs of `benchmarks/qrs_window.py`.
+# Error of the method where there is no noise (ms), bias included: 95 % within two of it
 ONSET_ERROR, OFFSET_ERROR = 5.0, 7.0
 CORE_SMOOTHING = 10.0  # ms; leaves 1 % of 50 Hz interference
 STANDS_OUT = 1.8  # speed over that of the quietest stretch nearby from which it is more than noise
 ESCALATION = 1.1  # by which a level rises that is too low for noise
 WINDOWS = 50  # mean beats, changed by noise, in which the window is found again
-# Share of the highest speed of all leads together from which one lead moves: at 25 to 30 dB above
-# the noise of a mean beat, so that recordings and simulated ECGs without noise have the same level.
+# Share of the highest speed of all leads together from which one lead moves: 25 to 30 dB above the
+# noise of a mean beat, so that recordings and simulated ECGs without noise have the same level.
 ONE_LEAD_LEVEL = 0.035
 
 
@@ -82,23 +76,18 @@ class _Velocity:
     def speed(self, turning: float, trend: Floats | float = 0.0) -> Floats:
         """Root mean square over the leads, (n,), of how fast they leave lines of slope `trend`.
 
-        Curvature counts as speed when multiplied by `turning` (ms). At each instant the fastest of
-        four or more leads is left out, so that none decides alone.
+        Of four or more leads the fastest is left out at each instant, so that none decides alone.
         """
         power = (self.slope - trend) ** 2 + (turning * self.curvature) ** 2
         if len(power) >= 4:
             power = np.sort(power, axis=0)[:-1]
         return np.asarray(np.sqrt(power.mean(axis=0)))
 
-    def highest(self, turning: float, step: float) -> float:
-        """Highest speed (mV/ms), see `_highest`."""
-        return _highest(self.speed(turning), step)
+    def highest(self, step: float) -> list[float]:
+        """Highest speeds (mV/ms), by the measures of the onset and of the offset."""
+        return [_highest(self.speed(search.turning), step) for search in (_ONSET, _OFFSET)]
 
-    def lead(self, row: int) -> _Velocity:
-        """Velocity of one lead alone."""
-        return _Velocity(self.slope[[row]], self.curvature[[row]], self.smoothing)
-
-    def ends(self, core: tuple[int, int], levels: tuple[float, float], step: float) -> list[int]:
+    def ends(self, core: tuple[int, int], levels: list[float], step: float) -> list[int]:
         """First and last sample outside the core from which the leads are isoelectric."""
         last = self.slope.shape[1] - 1
         backward = _Velocity(-self.slope[:, ::-1], self.curvature[:, ::-1], self.smoothing)
@@ -117,11 +106,7 @@ def spatial_velocity(signal: Floats, step: float) -> Floats:
 
 
 def smoothing_against_ringing(filters: Sequence[Filter]) -> float:
-    """Smoothing (ms) under which steep low-passes that a recording has passed do not show.
-
-    Without it the ringing before and after a QRS counts as QRS: in 30 simulated ECGs behind a
-    low-pass at 35 Hz, of order 20, the onset was found 25 ms early and the offset 31 ms late.
-    """
+    """Smoothing (ms) under which the ringing of steep low-passes does not count as QRS."""
     ringing = [
         # so wide a Gaussian leaves 4 % of the ringing: exp(-2 (0.4 pi)^2)
         1000.0 * 0.4 / one.frequency
@@ -141,12 +126,12 @@ def qrs_windows(
     the fastest, of :math:`\sqrt{(\dot V - \dot V_0)^2 + (\tau \ddot V)^2}`, with derivatives by a
     Gaussian, :math:`\tau` a time and :math:`\dot V_0` the slope of the PR or ST segment next to the
     QRS. Isoelectric is what is slower than a share of the highest speed, or than `STANDS_OUT` times
-    the quietest stretch near the QRS where that is more. Power-line interference is subtracted.
+    the quietest stretch near the QRS: noise, an ending P wave or a rising ST segment. Power-line
+    interference is subtracted.
 
     For the global window the same rule is applied to each lead alone, with `ONE_LEAD_LEVEL` times
     the highest speed of all leads together. The onset is the earliest mark that three other leads
-    confirm within 12 ms, the offset the latest, within 10 ms: one noisy lead does not decide. Leads
-    that never move so fast have no marks.
+    confirm within 12 ms, the offset the latest, within 10 ms.
 
     Parameters
     ----------
@@ -156,8 +141,7 @@ def qrs_windows(
     step : float
         Sampling step (ms).
     not_before : int
-        Sample before which the onset cannot be: the end of a pacing spike. Nothing before it is
-        looked at.
+        First sample that is looked at: the end of a pacing spike.
     smoothing : float
         Least smoothing (ms); see `smoothing_against_ringing`.
 
@@ -166,13 +150,11 @@ def qrs_windows(
     ValueError
         When no lead is there, none moves, or one of many alone.
 
-    Notes
-    -----
-    Spatial velocity as in vectorcardiography, with one window for all leads, and the global
-    duration, as the CSE working party measures them (Willems et al., Eur. Heart J. 6:815, 1985);
-    the outermost mark that others confirm as in P. Laguna et al., Comput. Biomed. Res. 27:45
-    (1994), within the intervals of J. P. Martínez et al., IEEE Trans. Biomed. Eng. 51:570 (2004).
-    Marks of single leads are ours.
+    References
+    ----------
+    J. L. Willems et al., Eur. Heart J. 6:815 (1985), on both windows; P. Laguna et al., Comput.
+    Biomed. Res. 27:45 (1994), and J. P. Martínez et al., IEEE Trans. Biomed. Eng. 51:570 (2004), on
+    the outermost mark that others confirm.
     """
     beat = signal[:, not_before:]
     core, together = _core_and_velocity(beat, step, smoothing)
@@ -210,10 +192,8 @@ def _window(
     core: tuple[int, int], velocity: _Velocity, step: float, not_before: int
 ) -> tuple[int, int]:
     """First and last sample of the QRS of all leads together."""
-    levels = (
-        _ONSET.level * velocity.highest(_ONSET.turning, step),
-        _OFFSET.level * velocity.highest(_OFFSET.turning, step),
-    )
+    fastest = velocity.highest(step)
+    levels = [_ONSET.level * fastest[0], _OFFSET.level * fastest[1]]
     onset, offset = velocity.ends(core, levels, step)
     smeared = _smeared(velocity)
     # How much further out than the first and last activation the ends are found in simulated ECGs
@@ -234,17 +214,11 @@ def _outermost_ends(
     beat: Floats, core: tuple[int, int], together: _Velocity, step: float
 ) -> tuple[int, int]:
     """First and last sample of the QRS in the outermost leads that others confirm."""
-    there = beat[np.isfinite(beat).all(axis=1)]
-    velocity = _Velocity.of(_without_interference(there, core, step), together.smoothing, step)
-    levels = (
-        ONE_LEAD_LEVEL * together.highest(_ONSET.turning, step),
-        ONE_LEAD_LEVEL * together.highest(_OFFSET.turning, step),
-    )
-    marks = [
-        one.ends(core, levels, step)
-        for one in map(velocity.lead, range(len(there)))
-        if ONE_LEAD_LEVEL * one.highest(_ONSET.turning, step) > ONE_LEAD_LEVEL * levels[0]
-    ]
+    leads = _without_interference(beat[np.isfinite(beat).all(axis=1)], core, step)
+    alone = [_Velocity.of(lead[None], together.smoothing, step) for lead in leads]
+    levels = [ONE_LEAD_LEVEL * highest for highest in together.highest(step)]
+    moving = [one for one in alone if one.highest(step)[0] > levels[0]]
+    marks = [one.ends(core, levels, step) for one in moving]
     onsets, offsets = np.array(marks).T
     smeared = round(_smeared(together) / step)
     onset = _confirmed(onsets, 12.0 / step) + smeared
@@ -299,10 +273,10 @@ def _highest(speed: Floats, step: float) -> float:
 
 
 def _core_of(leads: Floats, step: float) -> tuple[int, int]:
-    """First and last sample of the fastest stretch of a beat (k, n), joined over gaps of 40 ms.
+    """First and last sample of the stretch of a beat (k, n) that is surely QRS.
 
-    Surely QRS is what has a fifth of the highest speed. Where that is longer than any QRS, because
-    noise or a T wave are fast, the level rises.
+    It has a fifth of the highest speed, but for gaps of 40 ms; where that is longer than any QRS,
+    because noise or a T wave are fast, the level rises.
     """
     # In the core curvature counts much: tall T waves are steep, but turn slowly.
     speed = _Velocity.of(leads, CORE_SMOOTHING, step).speed(turning=10.0)
@@ -329,10 +303,7 @@ def _core_of(leads: Floats, step: float) -> tuple[int, int]:
 def _isoelectric_from(
     velocity: _Velocity, core: int, search: _Search, level: float, step: float
 ) -> int:
-    """First sample after the core from which the leads keep to a straight line.
-
-    The line is found where they are slow by the first measure, then all is measured against it.
-    """
+    """First sample after the core from which the leads keep to the line that they are slow on."""
     end = core + _slow_after(velocity.speed(search.turning), core, level, search.reach, step)
     start = end + round(5.0 / step)  # nearer, the slope of the QRS is smoothed in
     beyond = velocity.slope[:, start : start + round(search.trend / step)]
@@ -345,8 +316,7 @@ def _isoelectric_from(
 def _slow_after(speed: Floats, core: int, level: float, reach: float, step: float) -> int:
     """Count the samples after the core until the leads are slower than the level for 10 ms.
 
-    Beyond the end of the array nothing moves. When nothing is below the level within `reach`, the
-    level rises.
+    Beyond the end of the array nothing moves. Where none are within `reach`, the level rises.
     """
     quiet, furthest = max(round(10.0 / step), 1), round(reach / step)
     outward = speed[core:]
@@ -370,35 +340,16 @@ def window_uncertainty(
     noise: float | None = None,
     smoothing: float = SMOOTHING,
 ) -> tuple[float, float]:
-    """Standard deviations of the ends of the QRS that `qrs_window` finds in the mean beat.
+    """Standard deviations (ms) of the ends of the QRS that `qrs_window` finds in the mean beat.
 
-    What noise does is seen by finding the window again in `WINDOWS` mean beats: of beats drawn with
-    replacement (bootstrap) or, where the noise is stated, with that much noise added. The method's
-    own error, `ONSET_ERROR` and `OFFSET_ERROR`, adds to it.
-
-    Parameters
-    ----------
-    beats : (n_beats, 12, n) array
-        Aligned beats (mV); leads that are not there are NaN in every beat.
-    step, not_before, smoothing
-        As in `qrs_windows`.
-    noise : float, optional
-        Standard deviation of every sample of a beat (mV); needed where there is one beat.
-
-    Returns
-    -------
-    onset_sd, offset_sd : float
-        Standard deviations (ms); two of them hold 95 % of the errors.
-
-    Notes
-    -----
-    Bootstrap after Efron, Ann. Statist. 7:1 (1979). The draws are the same in every call.
+    Of aligned beats (n_beats, 12, n), mV. The window is found again in `WINDOWS` mean beats: of
+    beats drawn with replacement (bootstrap, Efron, Ann. Statist. 7:1, 1979) or, where the `noise`
+    (mV) of a beat is stated, as for a single one, with that much noise added. The method's own
+    error, `ONSET_ERROR` and `OFFSET_ERROR`, adds to it. The draws are the same in every call.
     """
     rng = np.random.default_rng(0)
     n_beats = len(beats)
     if noise is None:
-        if n_beats < 2:
-            raise ValueError("one beat says nothing about its noise; state it")
         draws = rng.multinomial(n_beats, np.full(n_beats, 1 / n_beats), size=WINDOWS) / n_beats
         means = np.tensordot(draws, beats, axes=1)
         inflation = n_beats / (n_beats - 1)  # the drawn beats vary about their mean, not the true

@@ -35,24 +35,12 @@ class Check:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One check with its figure.
-
-    Attributes
-    ----------
-    check : Check
-        What was checked.
-    value : float
-        The figure found; NaN where the recording does not allow the check.
-    severity : Severity
-        What follows.
-    message : str
-        One line that says what was found and what to do; empty where there is nothing to say.
-    """
+    """One check with its figure."""
 
     check: Check
-    value: float
+    value: float  # NaN where the recording does not allow the check
     severity: Severity
-    message: str = ""
+    message: str = ""  # one line: what was found and what to do; empty where all is fine
 
 
 def listed(leads: Collection[str]) -> str:

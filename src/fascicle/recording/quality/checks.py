@@ -15,7 +15,7 @@ from scipy.signal import butter, sosfiltfilt, welch
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, LIMB_LEADS
 from fascicle.recording.filter_estimate import estimated_lowpass
-from fascicle.recording.filters import MAINS, Filter, FilterKind, FilterOrigin, block_means
+from fascicle.recording.filters import MAINS, Filter, FilterKind, FilterOrigin, coarse
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out, listed
 from fascicle.recording.quality.limb_leads import check_identities, check_reversal
 from fascicle.recording.recording import Recording
@@ -39,21 +39,18 @@ class LeadCheck(Check):
 
     def of(self, recording: Recording) -> CheckResult:
         """Outcome in a recording."""
-        figures = {
-            lead: self.figure(values, recording.sampling_rate)
-            for lead, values in measured(recording).items()
-        }
+        rate, leads = recording.sampling_rate, measured(recording)
+        figures = {lead: self.figure(values, rate) for lead, values in leads.items()}
         largest = max(figures.values())
-        over, lost = (
-            [lead for lead, figure in figures.items() if figure > limit]
-            for limit in (self.limit, self.refused)
-        )
+        named, advice = [lead for lead in figures if figures[lead] > self.limit], self.advice
+        lost, severity = [lead for lead in named if figures[lead] > self.refused], Severity.WARNING
         if lost and len(lost) < len(figures):
-            what = self.message.format(leads=listed(lost), largest=largest)
+            named, severity = lost, Severity.FATAL
             advice = f"go on without: {leave_out(recording, lost)}"
-            return self.found(largest, f"{what}; {advice}", Severity.FATAL)
-        what = self.message.format(leads=listed(over), largest=largest) if over else ""
-        return self.found(largest, what and f"{what}; {self.advice}")
+        if not named:
+            return self.found(largest)
+        what = self.message.format(leads=listed(named), largest=largest)
+        return self.found(largest, f"{what}; {advice}", severity)
 
 
 def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
@@ -64,11 +61,9 @@ def check_leads(recording: Recording) -> tuple[CheckResult, ...]:
 def check_recording(
     recording: Recording, peaks: Integers, filters: Sequence[Filter]
 ) -> tuple[CheckResult, ...]:
-    """Every check of a recording with a signal in each lead, also those that are fine.
+    """Every other check, also those that are fine, of a recording without pacing spikes.
 
-    Of a recording without pacing spikes, whose R peaks are at the samples `peaks` (n_beats,), and
-    the filters that it has passed. Leads may be absent, or recorded one group after another. NaN is
-    the figure of a check that the recording does not allow; its message says so.
+    The R peaks are at the samples `peaks` (n_beats,); `filters` are those that it has passed.
     """
     return (
         *check_identities(recording),
@@ -87,18 +82,8 @@ def measured(recording: Recording) -> dict[str, Floats]:
     }
 
 
-def coarse(signal: Floats, rate: float) -> tuple[Floats, float]:
-    """Block means (mV) of a signal (..., n), and their rate (Hz), not below 250 Hz."""
-    factor = max(int(rate / 250.0), 1)
-    return block_means(signal, factor), rate / factor
-
-
 def _check_flatness(recording: Recording) -> list[CheckResult]:
-    """Find leads without signal, and leads that lose it for a while.
-
-    The figures are the smallest standard deviation of a lead (uV), and the longest time (s) over
-    which a lead stays at one value.
-    """
+    """Smallest standard deviation of a lead (uV), and longest time (s) at one value."""
     leads = measured(recording)
     spread = {lead: 1e3 * float(values.std()) for lead, values in leads.items()}
     flat = [lead for lead in leads if spread[lead] < FLAT.limit]
@@ -114,14 +99,15 @@ def _check_flatness(recording: Recording) -> list[CheckResult]:
         if lead not in flat
     }
     long = [lead for lead, seconds in constant.items() if seconds > CONSTANT.limit]
-    longest, message = max(constant.values(), default=0.0), ""
+    longest = max(constant.values(), default=0.0)
+    if not long:
+        return [finding, CONSTANT.found(longest)]
     severity = Severity.FATAL if len(long) == len(constant) else Severity.WARNING
-    if long:
-        where = "any lead" if severity is Severity.FATAL else listed(long)
-        message = (
-            f"no signal in {where} for up to {longest:.1f} s: electrode off, or the file was "
-            "filled up; cut the recording to the part with signal"
-        )
+    where = "any lead" if severity is Severity.FATAL else listed(long)
+    message = (
+        f"no signal in {where} for up to {longest:.1f} s: electrode off, or the file was filled "
+        "up; cut the recording to the part with signal"
+    )
     return [finding, CONSTANT.found(longest, message, severity)]
 
 
@@ -132,10 +118,7 @@ def _longest_constant(values: Floats) -> int:
 
 
 def _check_duplicates(recording: Recording) -> list[CheckResult]:
-    """Find leads that are the same as another, or its exact negative.
-
-    The figure is the largest absolute correlation between two leads of the same size.
-    """
+    """Largest absolute correlation between two leads of the same size."""
     leads = {}  # that move: mean zero and standard deviation one, and what that was (mV)
     for lead, values in measured(recording).items():
         x, _ = coarse(values, recording.sampling_rate)
@@ -163,18 +146,11 @@ def _check_duplicates(recording: Recording) -> list[CheckResult]:
 
 
 def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filter]) -> CheckResult:
-    """Say what the recorder's low-pass, of the file, the user or the spectrum, does to the QRS.
-
-    One that the user states is set against the spectrum of the beats.
-    """
-    own = [
-        one
-        for one in filters
-        if one.kind is FilterKind.LOW_PASS and one.origin is not FilterOrigin.APPLIED
-    ]
-    if not own:
+    """What the recorder's low-pass does to the QRS; a stated one is set against the spectrum."""
+    lowpasses = (one for one in filters if one.kind is FilterKind.LOW_PASS)
+    lowpass = next((one for one in lowpasses if one.origin is not FilterOrigin.APPLIED), None)
+    if lowpass is None:
         return LOWPASS.found(math.nan)
-    (lowpass,) = own
     messages = []
     if lowpass.frequency < LOWPASS.limit:
         much = "strongly " if lowpass.frequency <= 40.0 else ""  # Hz; small deflections vanish
@@ -199,9 +175,9 @@ def _check_lowpass(recording: Recording, peaks: Integers, filters: Sequence[Filt
 
 
 def _noise(values: Floats, rate: float) -> float:
-    """Robust standard deviation (uV) of what a moving average of 12 ms (37 Hz) takes off.
+    """Standard deviation (uV) of what a moving average of 12 ms (37 Hz) takes off.
 
-    By the median absolute deviation: the QRS takes too little of the time to count.
+    By the median absolute deviation, for which the QRS takes too little of the time to count.
     """
     fast = values - uniform_filter1d(values, max(round(0.012 * rate), 1), mode="nearest")
     fast = fast[:: max(len(fast) // 200_000, 1)]

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.leads import LEADS, LIMB_LEADS, lead_matrix, limb_leads_from
-from fascicle.recording.filters import block_means
+from fascicle.recording.filters import coarse
 from fascicle.recording.morphology import cut
 from fascicle.recording.quality.check_result import Check, CheckResult, Severity, leave_out
 from fascicle.recording.recording import Recording
@@ -34,19 +34,12 @@ CLASSIC = {
 
 
 def check_identities(recording: Recording) -> list[CheckResult]:
-    r"""Compare the limb leads that were recorded with what the others among them say.
+    """Compare the limb leads that were recorded with what the others among them say.
 
-    The figure of an identity is the 99th percentile of \|what should be zero\| less its median,
-    after the baseline and what is faster than about 37 Hz have been taken off each lead, so that
-    neither drift nor noise of single leads counts. It is fine up to 0.05 mV, or up to 5 % of the
-    limb leads' height where that is more. Computed leads satisfy the identities by construction and
-    do not count; leads that were recorded one group after another are compared where they overlap.
-
-    Returns
-    -------
-    list of CheckResult
-        One for each independent identity; the first broken one carries the explanation. A single
-        one, NaN, where no three limb leads were recorded at the same time.
+    The figure of an identity is the 99th percentile of what should be zero, after the baseline and
+    what is faster than about 37 Hz have been taken off each lead; it is fine up to 0.05 mV or 5 %
+    of the limb leads' height. The first broken identity carries the explanation. Leads that were
+    recorded one group after another are compared where they overlap.
 
     References
     ----------
@@ -105,36 +98,31 @@ def _check_group(recording: Recording, rows: list[int], time: slice) -> list[Che
 def _detrended(leads: Floats, rate: float) -> Floats:
     """Leads (m, n), mV, without baseline and with less noise, about 0.6 to 37 Hz.
 
-    Moving averages cost the same at any width, so that half an hour takes a moment; they are
-    linear, so that whatever holds between leads still holds.
+    By moving averages, which are linear: whatever holds between leads still holds.
     """
-    factor = max(int(rate / 250.0), 1)  # Hz; enough to see the QRS
-    coarse, rate = block_means(leads, factor), rate / factor
+    leads, rate = coarse(leads, rate)
     width = max(round(0.5 * rate), 1)  # s
-    baseline = uniform_filter1d(coarse, width, axis=-1, mode="nearest")
+    baseline = uniform_filter1d(leads, width, axis=-1, mode="nearest")
     baseline = uniform_filter1d(baseline, width, axis=-1, mode="nearest")
     width = max(round(0.012 * rate), 1)
-    return np.asarray(uniform_filter1d(coarse - baseline, width, axis=-1, mode="nearest"))
+    return np.asarray(uniform_filter1d(leads - baseline, width, axis=-1, mode="nearest"))
 
 
 def _check_gains(
     recording: Recording, rows: list[int], leads: Floats, zeros: Floats
 ) -> list[CheckResult]:
-    """Find gains per lead that break identities by little, where digits do not break them at all.
-
-    Small limb leads hide gains that are several times too high or low in the chest leads.
-    """
+    """Find wrong gains per lead: the digits obey the identities, also where leads are small."""
     gains = recording.digits_per_millivolt
     if gains is None or not (gains[rows] > 0).all():
         return []
     ratio = float(gains[rows].max() / gains[rows].min())
     digits = gains[rows][:, None] * leads
     misfit, misfit_of_digits = _worst(leads, zeros), _worst(digits, zeros)
-    height, height_of_digits = _height(leads), max(_height(digits), 1.0)
+    height = max(_height(digits), 1.0)
     wrong = (
         ratio > GAINS.limit
-        and misfit_of_digits <= max(3.0, 0.01 * height_of_digits)  # each lead was rounded
-        and misfit * height_of_digits > 3.0 * misfit_of_digits * height
+        and misfit_of_digits <= max(3.0, 0.01 * height)  # each lead was rounded
+        and misfit * height > 3.0 * misfit_of_digits * _height(leads)
     )
     message = f"the gains differ {ratio:.2f}-fold: {WRONG_GAINS}" if wrong else ""
     return [GAINS.found(ratio, message, Severity.FATAL)]
@@ -142,12 +130,12 @@ def _check_gains(
 
 def _identities(rows: list[int]) -> tuple[list[str], Floats]:
     """Labels and coefficients of the independent identities of some limb leads."""
-    absent = [row for row in range(len(LIMB_LEADS)) if row not in rows]
-    classic = {
-        label: np.array(zero) for label, zero in CLASSIC.items() if not np.array(zero)[absent].any()
-    }
-    if len(classic) == len(rows) - 2:
-        return list(classic), np.array(list(classic.values()))[:, rows]
+    zeros = np.array(list(CLASSIC.values()))
+    whole = ~np.delete(zeros, rows, axis=1).any(axis=1)
+    if whole.sum() == len(rows) - 2:
+        return [name for name, there in zip(CLASSIC, whole, strict=True) if there], zeros[whole][
+            :, rows
+        ]
     names = [LIMB_LEADS[row] for row in rows]
     from_two = limb_leads_from(names)
     assert from_two is not None  # there are at least three
@@ -158,14 +146,11 @@ def _identities(rows: list[int]) -> tuple[list[str], Floats]:
 def _explain(
     recording: Recording, rows: list[int], leads: Floats, zeros: Floats
 ) -> tuple[Severity, str]:
-    """Find the simplest change of the leads that makes their relations hold.
+    """Find the simplest change of the leads (m, n) that makes their relations (m - 2, m) hold.
 
-    Tried in this order: one lead upside down or two exchanged; one lead with another gain, or wrong
-    altogether; each lead with a gain of its own. Reversed electrodes are not among them: they leave
-    every relation intact.
-
-    Of leads (m, n) without baseline (mV), `rows` of the limb leads, whose relations `zeros`
-    (m - 2, m) are not all zero. FATAL when there is an explanation, WARNING when there is none.
+    One lead upside down or two exchanged; else one lead with another gain, or wrong altogether;
+    else each lead with a gain of its own. Reversed electrodes leave every relation intact. FATAL
+    when there is an explanation, WARNING when there is none.
     """
     leads = _thinned(leads)
     names, before = [LIMB_LEADS[row] for row in rows], _worst(leads, zeros)
@@ -212,10 +197,7 @@ def _explain(
 
 
 def _misfits(leads: Floats, zeros: Floats) -> Floats:
-    """How far (mV) each relation ``zeros @ leads`` of leads (m, n) is from constant, shape (k,).
-
-    The 99th percentile of the absolute value less its median.
-    """
+    """How far (mV) each relation ``zeros @ leads`` is from constant: its 99th percentile, (k,)."""
     rest = zeros @ _thinned(leads)
     rest = np.abs(rest - np.median(rest, axis=1, keepdims=True))
     return np.asarray(np.percentile(rest, 99.0, axis=1))
@@ -279,14 +261,13 @@ def _factors(leads: Floats, zeros: Floats) -> Floats | None:
 
 
 def check_reversal(recording: Recording, peaks: Integers) -> CheckResult:
-    """Suspect the right arm's electrode of having been exchanged with another limb's, by beats.
+    """Suspect the right arm's electrode of having been exchanged with another limb's.
 
-    Leads I and II look to the left and down, as V6 does: P wave and QRS mostly have the same sense
-    in all three. Reversed arms turn lead I upside down, and reversed right arm and left leg lead
-    II; V6 (or V5) stays as it is. The figure is the lower mean of the correlations of I or II with
-    V6 in the P wave and in the QRS, so that a QRS axis to the right alone does not count (a P wave
-    that is negative in lead I is the better sign). Reversed left arm and left leg look like a
-    turned axis. The `peaks` (n_beats,) are samples of the R peaks.
+    Leads I and II look to the left and down, as V6 (or V5) does. Reversed arms turn lead I upside
+    down, and reversed right arm and left leg lead II. The figure is the lower mean of the
+    correlations of I or II with V6 in P wave and QRS, so that a QRS axis to the right alone does
+    not count. Reversed left arm and left leg look like a turned axis. The `peaks` (n_beats,) are
+    samples of the R peaks.
 
     References
     ----------
