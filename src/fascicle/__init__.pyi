@@ -6,7 +6,6 @@ from .core.parameters import EXAMPLE_PARAMETERS as EXAMPLE_PARAMETERS
 from .core.parameters import NETWORK_SPACE as NETWORK_SPACE
 from .core.quantities import QUANTITIES as QUANTITIES
 from .core.quantities import Quantity as Quantity
-from .forward.cable.action_potential_table import read_action_potential as read_action_potential
 from .forward.cable.template import cell_action_potential as cell_action_potential
 from .forward.device.backend import GpuBackend as GpuBackend
 from .forward.example import example_parameters as example_parameters
@@ -23,6 +22,7 @@ from .forward.scenario import Scenario as Scenario
 from .forward.scenario_files import read_scenarios as read_scenarios
 from .forward.simulation import SimulatedBeat as SimulatedBeat
 from .forward.simulation import Simulation as Simulation
+from .heart.action_potential import read_action_potential as read_action_potential
 from .heart.conduction import Conduction as Conduction
 from .heart.conduction import Region as Region
 from .heart.folder import load_heart as load_heart

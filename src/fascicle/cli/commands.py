@@ -102,7 +102,7 @@ def simulate(
         Option(
             metavar="TABLE",
             help="CSV table time_ms,potential_mV of the action potential, 0 ms at the upstroke, "
-            "in place of ten Tusscher and Panfilov's (docs/extending.md).",
+            "in place of the heart's or ten Tusscher and Panfilov's (docs/extending.md).",
         ),
     ] = None,
     kind: FormatOption = "png",
@@ -127,11 +127,11 @@ def simulate(
     speed = 0.0                    # factor on the speed; 0 blocks
     ```
     """
-    from fascicle.forward.cable.action_potential_table import read_action_potential
     from fascicle.forward.compile_kernels import compile_kernels
     from fascicle.forward.model import ForwardModel
     from fascicle.forward.scenario_files import find_scenario, read_scenario
     from fascicle.forward.simulation_files import simulate_inputs, write_simulation
+    from fascicle.heart.action_potential import read_action_potential
     from fascicle.heart.conduction import Conduction
     from fascicle.heart.folder import load_heart
     from fascicle.reporting.prediction import draw_simulation
@@ -150,8 +150,10 @@ def simulate(
         simulation, inputs = simulate_inputs(make_model, params, lv_tree, rv_tree, overrides, case)
     if scenario is not None:
         inputs["scenario"] = str(scenario)
-    built_in = "built-in (ten Tusscher-Panfilov)"
-    inputs["action_potential"] = str(action_potential) if template is not None else built_in
+    built_in = (
+        "built-in (ten Tusscher-Panfilov)" if loaded.action_potential is None else "heart.toml"
+    )
+    inputs["action_potential"] = built_in if action_potential is None else str(action_potential)
     summary = write_simulation(loaded, simulation, out, inputs)
     zero = "firing of the first root" if case is None else "time 0 of the scenario"
     pictures = draw_simulation(loaded, simulation, out, kind, zero)

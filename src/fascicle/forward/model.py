@@ -95,7 +95,8 @@ class ForwardModel:
     rules : GrowthRules, optional
         What is held fixed while trees grow.
     action_potential : ActionPotential, optional
-        The template U; `fascicle.forward.cable.template.default_template` if not given.
+        The template U; if not given the heart's, or that of
+        `fascicle.forward.cable.template.default_template`.
     prepared : Prepared, optional
         What `fascicle.forward.preparation.prepare` makes of heart and conduction, if it is at hand.
     progress : Progress, optional
@@ -137,9 +138,8 @@ class ForwardModel:
         self.heart = heart
         self.conduction = conduction if conduction is not None else Conduction.of(heart)
         self.rules = rules if rules is not None else GrowthRules()
-        self.action_potential = (
-            action_potential if action_potential is not None else default_template()
-        )
+        given = action_potential if action_potential is not None else heart.action_potential
+        self.action_potential = given if given is not None else default_template()
         if prepared is None:
             prepared = prepare(heart, self.conduction, self.action_potential, progress)
         self.prepared = prepared

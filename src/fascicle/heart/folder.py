@@ -27,6 +27,7 @@ from fascicle.core.files import (
 )
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.quantities import SPEED, check_one_speed, checked, region_labels
+from fascicle.heart.action_potential import read_action_potential, write_action_potential
 from fascicle.heart.assembly import assemble_heart
 from fascicle.heart.conduction import SPEEDS, Region
 from fascicle.heart.electrodes import write_electrodes
@@ -47,6 +48,7 @@ FILES = {
     "rv_endocardium": "rv_endocardium.vtp",
     "electrodes": "electrodes.csv",
     "torso": "torso.vtu",
+    "action_potential": "action_potential.csv",
 }
 
 
@@ -81,6 +83,7 @@ class Manifest(_Strict):
     rv_endocardium: str
     electrodes: str
     torso: str | None = None
+    action_potential: str | None = None
     lead_fields: LeadFieldKeys | None = None
     lv: Seeds
     rv: Seeds
@@ -145,8 +148,18 @@ def load_heart(path: Path | str) -> Heart:
     if manifest.lead_fields is not None:
         keys = manifest.lead_fields
         lead_fields = LeadFields(_read_lead_fields(mesh), keys.heart, keys.torso)
+    table = None
+    if manifest.action_potential is not None:
+        table = read_action_potential(named_by(path, manifest.action_potential))
     values = _patient_values(path, manifest.values, heart)
-    return replace(heart, folder=folder, torso=torso, lead_fields=lead_fields, values=values)
+    return replace(
+        heart,
+        torso=torso,
+        lead_fields=lead_fields,
+        values=values,
+        action_potential=table,
+        folder=folder,
+    )
 
 
 def _read_manifest(folder: Path) -> Manifest:
@@ -265,6 +278,8 @@ def write_heart(heart: Heart, folder: Path) -> None:
         write_electrodes(temporary / FILES["electrodes"], heart.electrodes)
         if heart.torso is not None:
             write_torso(temporary / FILES["torso"], heart.torso)
+        if heart.action_potential is not None:
+            write_action_potential(temporary / FILES["action_potential"], heart.action_potential)
         (temporary / MANIFEST).write_text(_manifest_text(heart), encoding="utf-8")
 
 
@@ -277,8 +292,9 @@ def _manifest_text(heart: Heart) -> str:
         "units": "mm",
         **FILES,
     }
-    if heart.torso is None:
-        del content["torso"]
+    for optional in ("torso", "action_potential"):
+        if getattr(heart, optional) is None:
+            del content[optional]
     if heart.lead_fields is not None:
         keys = heart.lead_fields
         content["lead_fields"] = {"heart": keys.key, "torso": keys.torso}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.ranges import short_repr
+from fascicle.heart.action_potential import TabulatedPotential
 from fascicle.heart.endocardium import Endocardium
 from fascicle.mesh.measures import edge_lengths, signed_volumes
 from fascicle.mesh.topology import boundary_triangles
@@ -85,6 +86,8 @@ class Heart:
     values : mapping of name to float
         Quantities of `fascicle.core.quantities` that are this patient's, such as ``alpha`` or
         ``region_1_conductivity``; the models of the heart start from them.
+    action_potential : TabulatedPotential, optional
+        Of the ECG, in place of the built-in one.
     folder : Path, optional
         Where what is computed from it once is kept: mostly, where it was read from.
     """
@@ -101,6 +104,7 @@ class Heart:
     torso: Torso | None = None
     lead_fields: LeadFields | None = None
     values: Mapping[str, float] = field(default_factory=dict)
+    action_potential: TabulatedPotential | None = None
     folder: Path | None = None
 
     __repr__ = short_repr
@@ -146,6 +150,8 @@ class Heart:
             arrays += [self.torso.vertices, self.torso.tetrahedra, self.torso.tissues]
         if self.values:
             arrays.append(np.array([repr(sorted(self.values.items()))]))
+        if self.action_potential is not None:
+            arrays += [self.action_potential.times, self.action_potential.potentials]
         return digest_of(*(array for array in arrays if array is not None))
 
 

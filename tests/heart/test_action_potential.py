@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle import read_action_potential
+from fascicle import EXAMPLE_PARAMETERS, ForwardModel, load_heart, read_action_potential
 from fascicle.core.errors import InputError
 from fascicle.forward.cable.template import default_template
 from fascicle.forward.ecg.electrocardiogram import build_electrocardiograph
 from fascicle.forward.ecg.lead_field import unbounded_gradients
 from fascicle.heart.conduction import Conduction
+from fascicle.heart.folder import write_heart
 from fascicle.mesh.measures import barycentric_gradients
 from tests.builders import box
 
@@ -104,3 +105,25 @@ def test_another_table_is_refused(tmp_path, rows, header, words):
         read_action_potential(path)
     assert str(refused.value).startswith(str(path))
     assert "; give " in str(refused.value)
+
+
+def test_a_heart_brings_its_own(tmp_path):
+    """A table named in heart.toml: of every model of the heart, of its digest and of copies."""
+    write_heart(load_heart("default"), tmp_path / "heart")
+    manifest = tmp_path / "heart" / "heart.toml"
+    manifest.write_text('action_potential = "u.csv"\n' + manifest.read_text())
+    with pytest.raises(InputError, match=re.escape("u.csv")):
+        load_heart(tmp_path / "heart")
+    write(tmp_path / "heart" / "u.csv", [(t / 3, u) for t, u in RISE])
+    heart = load_heart(tmp_path / "heart")
+    assert heart.digest != load_heart("default").digest
+    write_heart(heart, tmp_path / "copy")
+    copy = load_heart(tmp_path / "copy")
+    assert copy.digest == heart.digest
+    assert copy.action_potential.times.tobytes() == heart.action_potential.times.tobytes()
+    given = read_action_potential(tmp_path / "heart" / "u.csv")
+    own = ForwardModel(copy).simulate(EXAMPLE_PARAMETERS).ecg
+    same = ForwardModel("default", action_potential=given).simulate(EXAMPLE_PARAMETERS).ecg
+    other = ForwardModel("default").simulate(EXAMPLE_PARAMETERS).ecg
+    np.testing.assert_array_equal(own, same)
+    assert own.shape != other.shape or not np.allclose(own, other)

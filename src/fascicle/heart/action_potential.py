@@ -1,10 +1,11 @@
-"""The action potential of the ECG, read from a table."""
+"""The action potential of the ECG as a table."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
@@ -84,6 +85,15 @@ def read_action_potential(path: str | PathLike[str]) -> TabulatedPotential:
     times, potentials = (_numbers(f"{file}: {n}", frame.iloc[:, k]) for k, n in enumerate(COLUMNS))
     _check(str(file), times, potentials)
     return TabulatedPotential(times, potentials)
+
+
+def write_action_potential(path: Path, table: TabulatedPotential) -> None:
+    """Write a table that `read_action_potential` reads, to the last bit."""
+    import pandas as pd
+
+    pd.DataFrame(dict(zip(COLUMNS, (table.times, table.potentials), strict=True))).to_csv(
+        path, index=False
+    )
 
 
 def _numbers(what: str, cells: object) -> Floats:
