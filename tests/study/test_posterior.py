@@ -141,32 +141,21 @@ def test_too_few_evaluations_have_not_converged(tmp_path):
 
 
 class TestHowToGoOn:
-    def test_with_as_many_evaluations_as_the_slower_run_needs(self, done):
-        slow = replace(
-            done[1],
-            converged=False,
-            effective=np.array([20.0, 40.0]),
-            evaluations=np.array([12_000.0, 12_000.0]),
-        )
-        said = how_to_go_on(slow, 300, 24_000)
-        assert (
-            "60 of 300 effective draws after 24000 evaluations in addition to those of the prior"
-            in said
-        )
-        assert "--evaluations 180000 goes on" in said  # 12,000 / 20 * 300
-
-    def test_with_twice_as_many_where_they_are_nearly_there(self, done):
-        almost = replace(
-            done[1],
-            converged=False,
-            effective=np.array([149.0, 160.0]),
-            evaluations=np.array([500.0, 500.0]),
-        )
-        assert "--evaluations 2000 " in how_to_go_on(almost, 300, 1000)
-
-    def test_with_more_draws_where_both_ended_and_disagree(self, done):
-        apart = replace(done[1], converged=False, evaluations=np.array([1000.0, 2000.0]))
-        assert "--effective 600 goes on" in how_to_go_on(apart, 300, 24_000)
+    @pytest.mark.parametrize(
+        ("draws", "made", "most", "said"),
+        [
+            # as many as the slower run needs: 12,000 / 20 * 300
+            ((20.0, 40.0), (12_000.0, 12_000.0), 24_000, "60 of 300 effective draws after 24000 "),
+            ((20.0, 40.0), (12_000.0, 12_000.0), 24_000, "--evaluations 180000 goes on"),
+            # twice as many where they are nearly there
+            ((149.0, 160.0), (500.0, 500.0), 1000, "--evaluations 2000 "),
+            # more draws where both ended and disagree
+            ((150.0, 150.0), (1000.0, 2000.0), 24_000, "--effective 600 goes on"),
+        ],
+    )
+    def test_with_which_numbers(self, done, draws, made, most, said):
+        numbers = {"effective": np.array(draws), "evaluations": np.array(made)}
+        assert said in how_to_go_on(replace(done[1], converged=False, **numbers), 300, most)
 
     def test_it_is_enough(self, tmp_path):
         """What is advised to a fit with too few evaluations lets it converge."""
@@ -211,10 +200,6 @@ def test_verdict_and_caution(done, checks, words, caution):
     assert apart.parameters == apart.correlated == ()
 
 
-def test_the_paper_s_population_needs_no_caution():
-    assert said_of(SimpleNamespace()).caution is None
-
-
 def test_what_the_ecg_constrains(done):
     cv, root_time = said_of(done[1]).parameters
     assert not cv.constrained
@@ -226,6 +211,7 @@ def test_what_the_ecg_constrains(done):
         r"-3\d\.\d ms \(90 % CrI -4\d\.\d–-3\d\.\d\), constrained by the ECG", str(root_time)
     )
     assert said_of(done[1]).correlated == ()
+    assert said_of(SimpleNamespace()).caution is None  # a population of the paper's method
 
 
 def test_what_the_first_recording_alone_constrains(done):

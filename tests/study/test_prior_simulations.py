@@ -13,11 +13,11 @@ from fascicle.heart.folder import write_heart
 from fascicle.inference.evaluation import Evaluation
 from fascicle.study import prior_simulations as tested
 from fascicle.study.fit import load_study
-from fascicle.study.pool import Pool
 from fascicle.study.prior_simulations import PriorSimulations, prior_points, simulate_prior
 from fascicle.study.simulator import PointSimulator
 from fascicle.study.space import study_space
 from fascicle.study.target_comparison import TargetComparison, evaluate
+from tests.study.test_pool import Counting
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +29,6 @@ def heart(tmp_path_factory):
         patch.setattr(tested, "PART", 6)
         simulate_prior(folder, 7, workers=2)
         yield fascicle.load_heart(folder)
-
-
-class Counting(Pool):
-    """Runs everything here, as it would elsewhere, and counts it."""
-
-    sent = 0
-
-    def map(self, function, items, *shared):
-        self.sent += len(items)
-        return (function(item, *shared) for item in items)
 
 
 @pytest.fixture(scope="module")
@@ -99,12 +89,10 @@ def test_elsewhere_it_is_the_same(heart, tmp_path):
             np.testing.assert_array_equal(other[name], values)
 
 
-def test_another_prior_has_other_simulations(heart):
+def test_what_is_not_there(heart):
+    """Another prior, and a point."""
     space, fixed = study_space("posterior", {"cv": 2.5}, heart)
     assert len(PriorSimulations.of(heart, space, fixed)) == 0
-
-
-def test_a_point_that_is_not_there(heart):
     assert stored_of(heart).get(np.full(13, 0.5)) is None
 
 
