@@ -3,35 +3,32 @@
 import igl
 import numpy as np
 import pytest
+from shapes import read_labelled_surface, volume_of
 
 from fascicle.build.join import join_surfaces
 from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
+from fascicle.mesh.measures import triangle_areas
+from fascicle.mesh.meshing import remeshed_triangles
+from fascicle.mesh.topology import without_unused_vertices
 
 LV, RV, EPI, BASE = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM, Label.BASE)
 
 
 @pytest.fixture(scope="module")
 def geo1(data_folder):
-    """Vertices, triangles and labels of the statistical mean heart."""
-    pv = pytest.importorskip("pyvista")
-    mesh = pv.read(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
-    triangles = mesh.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
-    at_corners = np.asarray(mesh["class"])[triangles]
-    labels = np.where((at_corners == BASE).any(axis=1), BASE, at_corners.max(axis=1))
-    return np.asarray(mesh.points, dtype=float), triangles, labels
+    """The statistical mean heart."""
+    return read_labelled_surface(data_folder / "hearts" / "cobiveco-geo1" / "heart.vtp")
 
 
 @pytest.fixture(scope="module")
 def parts(geo1):
     """Its parts, by label."""
-    vertices, triangles, labels = geo1
-    result = {}
-    for label in (LV, RV, EPI, BASE):
-        used, local = np.unique(triangles[labels == label], return_inverse=True)
-        result[label] = (vertices[used], local.reshape(-1, 3).astype(np.int64))
-    return result
+    return {
+        label: without_unused_vertices(geo1.vertices, geo1.having(label))
+        for label in (LV, RV, EPI, BASE)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -44,16 +41,8 @@ def coarse(parts):
 
 
 def remeshed(vertices, triangles, edge):
-    import mmgpy
-
-    mesh = mmgpy.MmgMeshS(
-        np.ascontiguousarray(vertices), np.ascontiguousarray(triangles, dtype=np.int32)
-    )
-    mesh.remesh(hmax=1.3 * edge, hmin=0.6 * edge, hausd=0.15, verbose=-1)
-    return (
-        np.asarray(mesh.get_vertices(), dtype=float),
-        np.asarray(mesh.get_triangles(), dtype=np.int64),
-    )
+    same, sizes = np.zeros(len(triangles), dtype=int), {"hmax": 1.3 * edge, "hmin": 0.6 * edge}
+    return remeshed_triangles(vertices, triangles, same, hausd=0.15, **sizes)[:2]
 
 
 def joined(parts, base=True):
@@ -72,13 +61,8 @@ def jittered(parts, size):
     return result
 
 
-def volume(vertices, triangles):
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6
-
-
-def area(vertices, triangles):
-    return igl.doublearea(vertices, triangles).sum() / 2
+def area(surface, label):
+    return triangle_areas(surface.vertices, surface.having(label)).sum()
 
 
 def assert_heart(surface, geo1, tolerance):
@@ -89,21 +73,18 @@ def assert_heart(surface, geo1, tolerance):
     assert len(np.unique(np.sort(directed, axis=1), axis=0)) == len(directed) // 2
     assert np.max(igl.bfs_orient(triangles)[1]) == 0
     assert len(vertices) - len(triangles) // 2 == 2  # Euler characteristic of a sphere
-    assert volume(vertices, triangles) == pytest.approx(volume(*geo1[:2]), rel=tolerance)
+    assert volume_of(surface) == pytest.approx(volume_of(geo1), rel=tolerance)
     for label, rims in ((LV, 1), (RV, 1), (EPI, 1), (BASE, 3)):
         assert len(igl.boundary_loop_all(surface.having(label))) == rims
         if label != BASE:
-            there = geo1[1][geo1[2] == label]
-            assert area(vertices, surface.having(label)) == pytest.approx(
-                area(geo1[0], there), rel=0.01
-            )
+            assert area(surface, label) == pytest.approx(area(geo1, label), rel=0.01)
 
 
 def test_parts_that_weld_do_not_move(parts, geo1):
     surface = joined(parts)
     assert_heart(surface, geo1, 1e-9)
-    assert sorted(map(tuple, surface.vertices)) == sorted(map(tuple, geo1[0]))
-    assert np.bincount(surface.labels).tolist() == np.bincount(geo1[2]).tolist()
+    assert sorted(map(tuple, surface.vertices)) == sorted(map(tuple, geo1.vertices))
+    assert np.bincount(surface.labels).tolist() == np.bincount(geo1.labels).tolist()
 
 
 @pytest.mark.parametrize("base", [True, False])
@@ -117,7 +98,7 @@ def test_made_base_keeps_the_parts(parts, geo1):
     given = np.vstack([parts[label][0] for label in (LV, RV, EPI)])
     kept = set(map(tuple, surface.vertices))
     assert all(tuple(point) in kept for point in given)
-    assert area(surface.vertices, surface.having(BASE)) == pytest.approx(1400, rel=0.1)
+    assert area(surface, BASE) == pytest.approx(1400, rel=0.1)
 
 
 def refused(parts, message, base=True):
@@ -148,9 +129,8 @@ def test_hole_and_closed_part(coarse, geo1):
         {**coarse, EPI: (vertices, holed)},
         r"epicardium: the surface has 2 boundary loops .* 3 vertices",
     )
-    refused(
-        {**coarse, EPI: geo1[:2]}, r"epicardium: the surface has no boundary loop \(it is closed\)"
-    )
+    closed = geo1.vertices, geo1.triangles
+    refused({**coarse, EPI: closed}, r"epicardium: the surface has no boundary loop \(it is clos")
 
 
 def test_base_without_holes_and_crowded_edge(coarse):

@@ -9,10 +9,12 @@ import igl
 import numpy as np
 import pytest
 from phantoms import (
+    ALIGNED,
     BASE,
     LABELS,
     LV_OUTER,
     OBLIQUE,
+    SCAR_CENTRE,
     ellipsoid_segmentation,
     exact_distance,
     exact_volumes,
@@ -21,11 +23,11 @@ from phantoms import (
     segmentation_volumes,
 )
 
-from fascicle.build.segmentation import Segmentation
+from fascicle.build.segmentation import Segmentation, SegmentationLabels, regions_at
 from fascicle.build.segmentation_surface import RV_WALL, surface_from_segmentation
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label
-from fascicle.mesh.topology import boundary_loops
+from fascicle.mesh.topology import boundary_loops, unique_edges
 
 MAPS = {
     "isotropic, oblique": ((1.5, 1.5, 1.5), {"slices": OBLIQUE}),
@@ -50,10 +52,7 @@ def volume(vertices, triangles):
 
 
 def euler(triangles):
-    edges = np.unique(
-        np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0
-    )
-    return len(np.unique(triangles)) - len(edges) + len(triangles)
+    return len(np.unique(triangles)) - len(unique_edges(triangles)[0]) + len(triangles)
 
 
 def check_topology(surface):
@@ -223,3 +222,35 @@ def test_small_components_are_dropped_and_noted():
     assert notes[0].startswith("map: 1 small components of tissue (0.22 ml in all)")
     plain = ellipsoid_segmentation((3.0, 3.0, 3.0))
     assert plain.to_heart(surface.vertices).min(axis=0)[0] > -LV_OUTER[0] - 1.5
+
+
+@pytest.mark.parametrize("slices", [ALIGNED, OBLIQUE])
+def test_scar_is_where_it_was_segmented(slices):
+    """Points spread evenly over the tissue, as centroids of tetrahedra are."""
+    phantom = ellipsoid_segmentation((1.5, 1.5, 1.5), slices=slices)
+    low, high = np.array([-40.0, -15.0, -25.0]), np.array([-15.0, 15.0, 5.0])
+    points = np.random.default_rng(0).uniform(low, high, (100_000, 3))
+    ml = np.prod(high - low) / 1000 / len(points)
+    points = points[np.isin(labels_at(points), (3, 4))]
+    tagged = regions_at(phantom.segmentation, LABELS, points @ phantom.turn.T + phantom.centre)
+    exact = labels_at(points) == 4
+    counted = segmentation_volumes(phantom.segmentation, LABELS)["scar"]
+    assert tagged.sum() * ml == pytest.approx(counted, rel=0.03)
+    assert tagged.sum() == pytest.approx(exact.sum(), rel=0.05)
+    off = points[tagged == 1].mean(axis=0) - points[exact].mean(axis=0)
+    assert np.abs(off).max() < 0.3
+
+
+def test_outside_the_map_and_without_scar_there_is_none():
+    phantom = ellipsoid_segmentation((3.0, 3.0, 3.0))
+    scar = SCAR_CENTRE @ phantom.turn.T + phantom.centre
+    points = np.array([scar, scar + 500, scar - 500])
+    assert regions_at(phantom.segmentation, LABELS, points).tolist() == [1, 0, 0]
+    without = SegmentationLabels(1, 2, (3, 4))
+    assert regions_at(phantom.segmentation, without, points).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("labels", [(1, 1, 3, None), (1, 2, (3, 2), None), (0, 2, 3, None)])
+def test_labels_that_mean_two_things_are_refused(labels):
+    with pytest.raises(InputError, match="give each part its own numbers"):
+        SegmentationLabels(*labels)
