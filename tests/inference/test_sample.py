@@ -68,34 +68,24 @@ def test_accepted_set_is_the_known_disc(objective, workers):
     assert seen[-1] == (20, objective.evaluated, 1)
 
 
-def test_rejections_end_a_round_and_rounds_end_the_sampling(objective):
-    far = np.full((400, 2), 0.01)
-    asked = []
+@pytest.mark.parametrize(
+    ("candidates", "asked"),
+    [
+        (np.full((400, 2), 0.01), [(0, 0), (1, 10), (2, 20)]),  # all too far
+        (np.empty((0, 2)), [(0, 0), (1, 0), (2, 0)]),
+        (np.array([[0.95, 0.6]] * 5), [(0, 0), (1, 5), (2, 10)]),  # no tree
+    ],
+)
+def test_rejections_end_a_round_and_rounds_end_the_sampling(objective, candidates, asked):
+    seen = []
 
     def propose(number):
-        asked.append((number, objective.evaluated))
-        return far
+        seen.append((number, objective.evaluated))
+        return candidates
 
     result = sample(evaluate(CENTRE), propose, objective, refit_after=10, rounds=3)
-    assert asked == [(0, 0), (1, 10), (2, 20)]
-    assert (objective.evaluated, len(result.evaluations)) == (30, 0)
-
-
-def test_rounds_without_candidates_end(objective):
-    asked = []
-
-    def propose(number):
-        asked.append(number)
-        return np.empty((0, 2))
-
-    sample(evaluate(CENTRE), propose, objective, rounds=4)
-    assert (asked, objective.evaluated) == ([0, 1, 2, 3], 0)
-
-
-def test_infeasible_candidates_are_rejected(objective):
-    outside = np.array([[0.95, 0.6]] * 5)
-    result = sample(evaluate(CENTRE), lambda _: outside, objective, rounds=1)
-    assert (objective.evaluated, len(result.evaluations)) == (5, 0)
+    assert seen == asked
+    assert (objective.evaluated, len(result.evaluations)) == (3 * asked[1][1], 0)
 
 
 def test_a_better_candidate_is_rejected_like_any_other(objective):

@@ -40,10 +40,6 @@ def test_counts_networks():
         "0 ms (90 % CrI 0 to 0)"
     )
     assert compare(b, a, "qrs_duration").probability() == 1 - found.probability()
-
-
-def test_a_threshold_is_a_number():
-    found = compare(*[predicted(qrs_duration=[1.0, 2.0])] * 2, "qrs_duration")
     with pytest.raises(InputError, match="threshold is '10'; give a number"):
         found.probability("10")
 
@@ -76,8 +72,6 @@ def test_other_networks_are_refused():
     with pytest.raises(InputError, match="3 networks cannot be compared with 2; predict both"):
         compare(three, two, "qrs_area")
 
-
-def test_as_many_networks_of_another_study_are_refused():
     def grown(*tips):
         trees = [
             SimpleNamespace(nodes=np.array([[0.0, 0.0, 0.0], [tip, 0.0, 0.0]])) for tip in tips
