@@ -15,6 +15,7 @@ from fascicle.cli.demo import demo_recording
 from fascicle.core.quantities import QUANTITIES
 from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import with_intrinsic_beat
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target_files import read_target
 from fascicle.reporting.page.inputs import (
     commands,
@@ -50,7 +51,7 @@ def made(default_heart, default_model, tmp_path_factory):
         space, fixed = study_space(checked.method, parameters, default_heart)
         config = StudyConfig(
             heart="h", target="t", space=space.parameters, fixed=fixed,
-            **growth_and_conduction(default_heart), **checked.model_dump(),
+            **growth_and_conduction(default_heart, GrowthRules()), **checked.model_dump(),
         )  # fmt: skip
         target = target or SimpleNamespace(provenance={})
         return SimpleNamespace(
@@ -101,10 +102,9 @@ def test_a_speed_that_stands_for_alpha_leaves_no_alpha(made):
 
 def test_recordings_by_name(made):
     target = SimpleNamespace(provenance={"source": "/tmp/a.hea", "beats_used": "9"})
-    assert recordings(made({}, target)) == [
-        ("recording", "/tmp/a.hea"),
-        ("target", "beats_used: 9"),
-    ]
+    assert dict(recordings(made({}, target))) == {
+        "recording": "/tmp/a.hea", "target": "beats_used: 9",
+    }  # fmt: skip
 
 
 def test_the_target_s_command_makes_it_again(command, tmp_path):
