@@ -127,16 +127,11 @@ def test_larger_files_may_take_more(path):
     assert read_isolated(greedy, path) == 2**28
 
 
-def test_endless_loop_is_a_refusal(path, monkeypatch):
-    monkeypatch.setattr(isolated, "SECONDS", 1.0)
-    with pytest.raises(InputError, match="not read within 1 s of computing"):
-        read_isolated(endless, path)
-
-
-def test_waiting_is_a_refusal(path, monkeypatch):
-    monkeypatch.setattr(isolated, "SECONDS", 0.2)
-    with pytest.raises(InputError, match="not read within 0 s of computing"):
-        read_isolated(asleep, path)
+@pytest.mark.parametrize(("reader", "seconds"), [(endless, 1.0), (asleep, 0.2)])
+def test_what_does_not_end_is_a_refusal(path, monkeypatch, reader, seconds):
+    monkeypatch.setattr(isolated, "SECONDS", seconds)
+    with pytest.raises(InputError, match=f"not read within {seconds:.0f} s of computing"):
+        read_isolated(reader, path)
 
 
 def test_bugs_stay_loud(path):
