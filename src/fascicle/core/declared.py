@@ -78,13 +78,21 @@ class Table:
 
         @wraps(checked)
         def init(self: Table, *values: Any, **named: Any) -> None:
-            given = dict(zip(cls.key_names(), values, strict=False)) | named
+            keys = cls.key_names()
+            if len(values) > len(keys):
+                raise TypeError(f"{cls.__name__} takes {len(keys)} values, {len(values)} given")
+            given = dict(**dict(zip(keys, values, strict=False)), **named)
             try:
                 checked(self, **given)
             except ValidationError as error:
                 raise ValueRefusedError(f"{table}: {_complaint(error, given)}") from None
 
         setattr(cls, "__init__", init)  # noqa: B010  mypy forbids the assignment
+
+    @classmethod
+    def header(cls) -> str:
+        """What one begins with in a file: ``[his]``, or ``[[stimulus]]``."""
+        return f"[{cls.table}]" if cls.once else f"[[{cls.table}]]"
 
     @classmethod
     def key_names(cls) -> list[str]:
@@ -95,8 +103,8 @@ class Table:
     def of(cls, values: Any, number: int | None = None) -> Self:
         """Make one of a table of a file, the `number`-th of its kind."""
         if not isinstance(values, Mapping):
-            brackets = f"[{cls.table}]" if cls.once else f"[[{cls.table}]]"
-            raise InputError(f"'{cls.table}' is {shown(values)}; it must be a table: {brackets}")
+            found = f"'{cls.table}' is {shown(values)}"
+            raise InputError(f"{found}; it must be a table: {cls.header()}")
         which = f"{cls.table} {number}" if number is not None else cls.table
         for key in values:
             if key not in cls.key_names():
@@ -110,9 +118,8 @@ class Table:
     @classmethod
     def reference(cls) -> str:
         """A Markdown table of its keys: what they mean, their ranges and defaults."""
-        brackets = f"[{cls.table}]" if cls.once else f"[[{cls.table}]]"
         summary = (cls.__doc__ or "").partition("\n")[0]
-        rows = [f"`{brackets}`: {summary}", "", "| key | meaning | values | default |"]
+        rows = [f"`{cls.header()}`: {summary}", "", "| key | meaning | values | default |"]
         rows.append("|---|---|---|---|")
         hints = get_type_hints(cls, include_extras=True)
         for field in fields(cls):  # type: ignore[arg-type]
