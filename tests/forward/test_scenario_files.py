@@ -13,9 +13,9 @@ from builders import case
 
 from fascicle.core.errors import InputError
 from fascicle.core.parameters import EXAMPLE_PARAMETERS
-from fascicle.forward.primitives import SlowConduction, Stimulus
+from fascicle.forward.primitives import His, InactiveRoot, JunctionDelays, SlowConduction, Stimulus
 from fascicle.forward.scenario import Scenario
-from fascicle.forward.scenario_files import read_scenario
+from fascicle.forward.scenario_files import read_scenario, scenario_text
 from fascicle.forward.simulation_files import (
     simulate_inputs,
     sites_table,
@@ -94,6 +94,41 @@ def file(tmp_path):
     return write
 
 
+class TestPython:
+    """Tables made in Python."""
+
+    def test_too_many_values(self):
+        with pytest.raises(TypeError, match="InactiveRoot takes 1 values, 2 given"):
+            InactiveRoot("lv", "rv")
+
+    def test_a_value_given_twice(self):
+        with pytest.raises(TypeError, match="multiple values"):
+            InactiveRoot("lv", tree="rv")
+
+    def test_headers(self):
+        assert (His.header(), Stimulus.header()) == ("[his]", "[[stimulus]]")
+
+    def test_written_and_read_again_is_equal(self, file):
+        """Whatever the order in which the primitives were given, and whatever is in their texts."""
+        scenario = Scenario(
+            (
+                His(-3.25, left=0.0),
+                JunctionDelays(retrograde=np.inf),
+                InactiveRoot("b 'n\" \\d"),
+                SlowConduction("rv", 0.1, centre=(1 / 3, 2.0, -1e-7), radius=4.0),
+                Stimulus(5.0, site="l'apex"),
+                InactiveRoot("a"),
+                Stimulus(-20.0, (1.0, 2.5, -3.0), radius=2.0),
+            )
+        )
+        assert [one.table for one in scenario.primitives[:3]] == [
+            "stimulus",
+            "stimulus",
+            "slow_conduction",
+        ]
+        assert read_scenario(file(scenario_text(scenario))) == (scenario, ())
+
+
 class TestReading:
     def test_everything(self, file):
         scenario, regions = read_scenario(file(EVERYTHING))
@@ -150,6 +185,7 @@ class TestRefusals:
             ("[delay]\nboth = 1", ["delay: unknown key 'both'; known: anterograde, retrograde"]),
             ("[stimulus]\ntime = 0", ["'stimulus' must be in double brackets: [[stimulus]]"]),
             ("[[delay]]\nanterograde = 1", ["'delay' is [", "must be a table: [delay]"]),
+            ("his = []", ["'his' is []", "must be a table: [his]"]),
             ("stimulus = 3", ["[[stimulus]]"]),
             ("stimulus = [3]", ["'stimulus' is 3", "[[stimulus]]"]),
             ("[[inactive_root]]\ntree = 1", ["inactive_root 1: 'tree' is 1"]),

@@ -164,8 +164,8 @@ class Beat:
     @property
     def root_times(self) -> list[float]:
         """When each root fires (ms); inf where it is inactive."""
-        for k in sorted(self.inactive)[:2]:
-            if self.his is not None and self.trees[k].side in SIDES:
+        for k in range(len(SIDES)):  # the trees that a bundle joins come first
+            if self.his is not None and k in self.inactive:
                 raise InputError(
                     f"inactive root '{self.trees[k].side}': it hangs on the His bundle; block that "
                     "branch (left or right = 0), or let the bundle not fire (time = inf)"
@@ -181,7 +181,7 @@ class Scenario:
     ----------
     primitives : tuple of Primitive
         What it does: `Stimulus`, `SlowConduction`, `InactiveRoot`, `JunctionDelays`, `His`, or your
-        own.
+        own. They are kept, and done, in the order of the tables of scenario files.
     trees : tuple of (PurkinjeTree, float)
         Trees in addition to the heart's own, and when their roots fire (ms).
     source : str, optional
@@ -198,7 +198,9 @@ class Scenario:
 
     def __post_init__(self) -> None:
         check_items(self.primitives, Primitive, "primitives", "fascicle.Stimulus, fascicle.His, …")
-        object.__setattr__(self, "primitives", tuple(self.primitives))
+        order = list(PRIMITIVES)
+        in_order = sorted(self.primitives, key=lambda primitive: order.index(primitive.table))
+        object.__setattr__(self, "primitives", tuple(in_order))
         kinds = [type(primitive) for primitive in self.primitives]
         for kind in kinds:
             if kind.once and kinds.count(kind) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -150,15 +151,15 @@ def read_scenario(path: Path | str) -> tuple[Scenario, tuple[Region, ...]]:
 
 def _read(kind: type[Kind], values: Mapping[str, Any]) -> Iterator[Kind]:
     """The tables of one kind."""
-    given = values.get(kind.table, [])
-    if kind.once:
-        if given != []:
-            yield kind.of(given)
+    if kind.table not in values:
         return
-    if not isinstance(given, list):
-        raise InputError(f"'{kind.table}' must be in double brackets: [[{kind.table}]]")
-    for number, table in enumerate(given, 1):
-        yield kind.of(table, number)
+    given = values[kind.table]
+    if kind.once:
+        yield kind.of(given)
+    elif isinstance(given, list):
+        yield from (kind.of(table, number) for number, table in enumerate(given, 1))
+    else:
+        raise InputError(f"'{kind.table}' must be in double brackets: {kind.header()}")
 
 
 def scenario_text(scenario: Scenario) -> str:
@@ -173,10 +174,12 @@ def scenario_text(scenario: Scenario) -> str:
         raise InputError(f"{scenario.source}: has trees of its own, which cannot be kept with it")
     lines = []
     for primitive in scenario.primitives:
-        lines.append(f"[{primitive.table}]" if primitive.once else f"[[{primitive.table}]]")
+        lines.append(primitive.header())
         for key in primitive.key_names():
             value = getattr(primitive, key)
             if value is not None:
-                written = list(value) if isinstance(value, tuple) else value
-                lines.append(f"{key} = {written!r}")
+                written = repr(list(value) if isinstance(value, tuple) else value)
+                # what Python escapes, TOML reads as JSON has it
+                text = json.dumps(value, ensure_ascii=False) if "\\" in written else written
+                lines.append(f"{key} = {text}")
     return "\n".join(lines) + "\n"
