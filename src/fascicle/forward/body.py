@@ -1,4 +1,4 @@
-"""The ECG as a function of the body: what depends on heart and conduction alone, and its cache."""
+"""The ECG as a function of the torso: what depends on heart and conduction alone; its cache."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from fascicle.torso.variation.response import BodyResponse
 from fascicle.torso.variation.training import build_response
 
 STAGE, ONCE = "body", "once per heart"
-SEED = 0  # of the bodies that are solved: the same in every run
+SEED = 0  # of the torsos that are solved: the same in every run
 
 
 @dataclass(frozen=True)
 class BodyModel:
-    """Lead fields as a function of the body, and what each of their modes adds to the ECG.
+    """Lead fields as a function of the torso, and what each of their modes adds to the ECG.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class BodyModel:
         Parameters
         ----------
         values : mapping of name to float
-            Quantities of the body; those that are missing are neutral.
+            Quantities of the torso; those that are missing are neutral.
 
         Notes
         -----
@@ -67,15 +67,15 @@ class BodyModel:
     def electrocardiograph(
         self, own: Electrocardiograph, coefficients: Floats
     ) -> Electrocardiograph:
-        """The ECG integral in another body.
+        """The ECG integral in another torso.
 
-        What the modes leave of the lead fields in the heart's own body is kept, as large against
-        the rest as it is there: in a body that hardly differs nothing is lost.
+        What the modes leave of the lead fields in the heart's own torso is kept, as large against
+        the rest as it is there: in a torso that hardly differs nothing is lost.
 
         Parameters
         ----------
         own : Electrocardiograph
-            Of the heart's own body.
+            Of the heart's own torso.
         coefficients : (8, k) array
             See `lead_coefficients`.
         """
@@ -106,7 +106,7 @@ def body_model(heart: Heart, conduction: Conduction, response: BodyResponse) -> 
 def prepare_response(
     heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
 ) -> BodyResponse:
-    """The response of a heart's lead fields to the body, or what was kept of it before.
+    """The response of a heart's lead fields to the torso, or what was kept of it before.
 
     Parameters
     ----------

@@ -168,12 +168,12 @@ class ForwardModel:
         return self._grow(rules, tuple(sorted(anatomy.items())))
 
     def body(self, wanted: Sequence[str]) -> BodyModel:
-        """Lead fields as a function of the body, built when first used: minutes, once per heart.
+        """Lead fields as a function of the torso, built when first used: minutes, once per heart.
 
         Parameters
         ----------
         wanted : sequence of str
-            Quantities of the body that ask for it.
+            Quantities of the torso that ask for it.
 
         Raises
         ------
@@ -287,7 +287,7 @@ class ForwardModel:
         )
 
     def _leads(self, times: Floats, tissue: Tissue, values: Mapping[str, float]) -> Floats:
-        """The twelve leads (mV), in the body that the values say."""
+        """The twelve leads (mV), in the torso that the values say."""
         body = body_values(values)
         if not body:
             return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
@@ -299,14 +299,14 @@ class ForwardModel:
     def in_bodies(
         self, activation: Floats, bodies: Sequence[Mapping[str, float]]
     ) -> list[Floats | InvalidBody]:
-        """The ECG of one activation in several bodies.
+        """The ECG of one activation in several torsos.
 
         Parameters
         ----------
         activation : (n,) array
             Activation time of each vertex (ms).
         bodies : sequence of mappings of name to float
-            Quantities of the body, gain and regions.
+            Quantities of the torso, gain and regions.
 
         Returns
         -------
