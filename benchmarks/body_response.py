@@ -34,9 +34,8 @@ from fascicle.recording.window import qrs_window
 from fascicle.reporting.style import Colour, new_figure, save, styled
 from fascicle.torso.lead_fields import assemble_stiffness
 from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import BodyState, Conductor, InvalidBody, build_conductor
-from fascicle.torso.variation.response import electrode_places
-from fascicle.torso.variation.training import currents, solve_body
+from fascicle.torso.variation.conductor import Conductor, InvalidTorso, TorsoState, build_conductor
+from fascicle.torso.variation.training import electrode_places, solve_torso
 
 Values = Mapping[str, float]
 Array = NDArray[np.float64]
@@ -58,7 +57,7 @@ def random_values(
                 values[name] = float(high**part)
             else:
                 values[name] = float((low + high) / 2 + part * (high - low) / 2)
-        if conductor.is_possible(BodyState.of(values)):
+        if conductor.is_possible(TorsoState.of(values)):
             found.append(values)
     return found, len(found) / drawn
 
@@ -76,12 +75,9 @@ def on_grid(values: dict[str, float]) -> dict[str, float]:
 
 def direct(conductor: Conductor, values: Values) -> Array:
     """Lead fields (9, n) in the heart over the myocardium's factor, by finite elements."""
-    places = electrode_places(
-        conductor.torso.vertices, conductor.skin, conductor.heart.electrodes, conductor.axes
-    )
-    state = BodyState.of(values)
-    loads = currents(places, state, len(conductor.torso.vertices))
-    return solve_body(conductor, state, loads, 1e-7, 500)[: len(conductor.heart.vertices)].T
+    state = TorsoState.of(values)
+    found = solve_torso(conductor, electrode_places(conductor), state, 1e-7, 500)
+    return found[: len(conductor.heart.vertices)].T
 
 
 def accuracy(
@@ -120,7 +116,7 @@ def accuracy(
     rows = []
     for values in map(on_grid, bodies):
         reference = direct(conductor, values)
-        found = response(BodyState.of(values)) @ response.modes
+        found = response(TorsoState.of(values)) @ response.modes
         best = np.linalg.solve(gram, weighted @ reference.T).T @ response.modes
         size = norm(reference)
         e = ecg(reference)
@@ -150,8 +146,8 @@ def cost(model: fascicle.ForwardModel, network: Values, bodies: list[dict[str, f
     times = []
     for values in 3 * bodies:
         begin = time.perf_counter()
-        coefficients = body.response(BodyState.of(values))
-        if isinstance(coefficients, InvalidBody):
+        coefficients = body.response(TorsoState.of(values))
+        if isinstance(coefficients, InvalidTorso):
             continue
         found = time.perf_counter()
         coefficients @ body.response.modes
@@ -251,7 +247,7 @@ def main() -> None:
     begin = time.perf_counter()
     response = model.body(BODY).response
     print(f"{heart.name}: response in {time.perf_counter() - begin:.0f} s (little if it was kept), "
-          f"{len(response.modes)} modes, {len(response.bodies)} bodies")  # fmt: skip
+          f"{len(response.modes)} modes, {len(response.solved)} torsos")  # fmt: skip
     torso = torso_of(heart)
     conductor = build_conductor(heart, torso, model.conduction)
     bodies, possible = random_values(conductor, arguments.bodies, arguments.scale)

@@ -85,7 +85,7 @@ from fascicle.study.space import study_space
 from fascicle.study.statements import fit_acceptable
 from fascicle.study.target_comparison import Network, TargetComparison, evaluate
 from fascicle.study.target_comparison import networks as simulated
-from fascicle.torso.variation.conductor import InvalidBody
+from fascicle.torso.variation.conductor import InvalidTorso
 
 LEVELS = (0.5, 0.8, 0.9)
 BEATS, NOISE = 10, 0.03  # mV
@@ -165,7 +165,7 @@ def another_body(
     while True:
         body = body_values(space.from_unit(rng.random(len(space))))
         (leads,) = model.in_bodies(times, [body])
-        if not isinstance(leads, InvalidBody):
+        if not isinstance(leads, InvalidTorso):
             return replace(simulation, leads=leads, onset=first_sample(times))
 
 

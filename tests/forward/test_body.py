@@ -16,8 +16,8 @@ from fascicle.core.parameters import EXAMPLE_PARAMETERS
 from fascicle.core.quantities import BODY, QUANTITIES
 from fascicle.torso.lead_fields import is_up_to_date, lead_fields
 from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import InvalidBody
-from fascicle.torso.variation.training import Effort, build_response
+from fascicle.torso.variation.conductor import InvalidTorso
+from fascicle.torso.variation.training import build_response
 
 TISSUES = ("lung", "blood", "myocardium", "body")
 
@@ -29,7 +29,7 @@ def with_body(**values):
 @pytest.fixture(scope="module")
 def model(default_heart):
     """Of the default heart, with few bodies solved."""
-    quick = partial(build_response, effort=Effort(mode_bodies=4, modes=20, outer_bodies=14))
+    quick = partial(build_response, mode_torsos=4, modes=20, outer_torsos=14)
     # kept nowhere: other tests would take the crude response for the heart's
     model = fascicle.ForwardModel(replace(default_heart, folder=None))
     with pytest.MonkeyPatch.context() as patch:
@@ -101,7 +101,7 @@ class TestModel:
         }
         corner |= {"heart_rotation_up": 0.349, "heart_rotation_left": -0.349}
         found = model.simulate(with_body(**corner))
-        assert isinstance(found, InvalidBody)
+        assert isinstance(found, InvalidTorso)
         assert "skin" in found.reason
 
     def test_files(self, model, tmp_path):

@@ -13,34 +13,29 @@ from fascicle.heart.heart import TorsoTissue
 from fascicle.mesh.measures import signed_volumes
 from fascicle.torso.lead_fields import assemble_stiffness, solve_neumann
 from fascicle.torso.variation.conductor import (
-    BodyState,
-    InvalidBody,
-    body_axes,
+    InvalidTorso,
+    TorsoState,
     build_conductor,
     build_morph,
     pulled_back,
+    torso_axes,
 )
-from fascicle.torso.variation.exterior import Exterior, near_field
-from fascicle.torso.variation.response import (
-    LEFT,
-    UP,
-    BodyResponse,
-    at_electrodes,
-    electrode_places,
-)
+from fascicle.torso.variation.response import LEFT, UP, TorsoResponse, at_electrodes, near_field
 from fascicle.torso.variation.training import (
-    Effort,
     build_response,
     currents,
+    electrode_places,
+    exterior,
     hull_modes,
     inner_energies,
-    random_bodies,
-    solve_body,
+    plain_hull,
+    random_torsos,
+    solve_torso,
 )
 
 RADIUS = 100.0  # mm
 TISSUES = [TorsoTissue.BLOOD, None, TorsoTissue.LUNG, TorsoTissue.BODY]
-state = BodyState.of
+state = TorsoState.of
 NEUTRAL = state({})
 
 
@@ -65,21 +60,18 @@ def conductor():
 
 @pytest.fixture(scope="module")
 def places(conductor):
-    return electrode_places(
-        conductor.torso.vertices, conductor.skin, conductor.heart.electrodes, conductor.axes
-    )
+    return electrode_places(conductor)
 
 
 @pytest.fixture(scope="module")
 def response(conductor):
-    effort = Effort(mode_bodies=16, modes=40, outer_bodies=80)
-    return build_response(conductor, np.random.default_rng(1), effort=effort)
+    rng = np.random.default_rng(1)
+    return build_response(conductor, rng, mode_torsos=16, modes=40, outer_torsos=80)
 
 
 def solve(conductor, places, body):
     """Potentials (n, 9) of all electrodes by finite elements."""
-    loads = currents(places, body, len(conductor.torso.vertices))
-    return solve_body(conductor, body, loads, tolerance=1e-8, most=500)
+    return solve_torso(conductor, places, body, tolerance=1e-8, most=500)
 
 
 def direct(conductor, places, body):
@@ -99,7 +91,7 @@ class TestAxesAndMotion:
     def test_axes_do_not_depend_on_where_the_leg_electrode_is(self):
         electrodes = np.zeros((9, 3))
         electrodes[:3] = (-150, -80, 130), (150, -80, 130), (110, -80, -300)
-        np.testing.assert_allclose(body_axes(electrodes), np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(torso_axes(electrodes), np.eye(3), atol=1e-12)
 
     def test_left_is_left(self, conductor):
         """The heart 10 mm to the left: seen from it, the skin lies 10 mm further right."""
@@ -167,8 +159,8 @@ class TestMovedConductor:
         fields = solve(conductor, places, body)
         # nine fields less their mean: eight modes
         modes = hull_modes(conductor, fields - fields.mean(axis=1, keepdims=True), 8)
-        exterior = Exterior(conductor, modes[conductor.hull_surface], places, tolerance=1e-8)
-        energy, driven = exterior(body)
+        surface = modes[conductor.hull_surface]
+        energy, driven = exterior(conductor, surface, places, tolerance=1e-8)(body)
         inner = np.tensordot(np.append(1.0, body.ratios), inner_energies(conductor, modes), axes=1)
         at = at_electrodes(driven, body.chest / body.geometry[6])
         found = np.linalg.solve(inner + body.ratios[0] * energy, (at - at.mean(axis=0)).T)
@@ -190,16 +182,18 @@ def test_near_field_is_that_of_an_insulated_plane(conductor):
     """Far from the hull its projection is an almost constant gradient, 2/(4πσr²)."""
     body = conductor.around[conductor.torso.tissues == TorsoTissue.BODY][0, 0, 0]
     # the potentials x, y and z
-    near = near_field(conductor, conductor.torso.vertices[conductor.hull_surface])
+    surface = conductor.torso.vertices[conductor.hull_surface]
+    hull, projection, filled = plain_hull(conductor, surface)
     distance = 1e3
-    found = near(np.array([[distance, 0.0, 0.0]]), np.zeros((3, 3))) @ np.linalg.inv(near.filled)
+    electrode = np.array([[distance, 0.0, 0.0]])
+    found = near_field(electrode, hull, projection, filled) @ np.linalg.inv(filled)
     expected = 10.0 / (2 * np.pi * body) / distance**2  # kΩ/mm, distances in cm
     np.testing.assert_allclose(found[0], [expected, 0.0, 0.0], atol=0.02 * expected)
 
 
 def test_places_along_a_sphere(conductor, places):
     """Distances along the skin are arcs."""
-    points = np.einsum("ec,eci->ei", places.weights, conductor.torso.vertices[places.triangles])
+    points = places.points(conductor.torso.vertices)
     grid = points[3:].reshape(6, len(LEFT), len(UP), 3)
     middle = len(LEFT) // 2
     elevation = np.degrees(
@@ -217,10 +211,10 @@ class TestResponse:
         found = response(NEUTRAL) @ response.modes
         assert relative(conductor, found, direct(conductor, places, NEUTRAL)) < 0.06
 
-    def test_random_bodies(self, conductor, places, response):
+    def test_random_torsos(self, conductor, places, response):
         """A third of the bodies of a heart's own response; a tenth of what changes is left."""
         errors, changes = [], []
-        for body in random_bodies(conductor, 6, np.random.default_rng(9)):
+        for body in random_torsos(conductor, 6, np.random.default_rng(9)):
             expected = direct(conductor, places, body)
             errors.append(relative(conductor, response(body) @ response.modes, expected))
             changes.append(relative(conductor, direct(conductor, places, NEUTRAL), expected))
@@ -228,11 +222,11 @@ class TestResponse:
         assert np.median(changes) > 3 * np.median(errors)
 
     def test_a_heart_that_would_touch_the_skin(self, response):
-        body = BodyState(np.array([60.0, 0, 0, 0, 0, 0, 1.0]), np.ones(3), np.zeros((6, 2)))
-        assert isinstance(response(body), InvalidBody)
+        body = TorsoState(np.array([60.0, 0, 0, 0, 0, 0, 1.0]), np.ones(3), np.zeros((6, 2)))
+        assert isinstance(response(body), InvalidTorso)
 
     def test_arrays_say_it_all(self, response):
         body = state({"v2_left": 13.0, "heart_up": 4.0})
         assert np.abs(response(body).sum(axis=0)).max() < 1e-9
-        again = BodyResponse(**response.arrays())
+        again = TorsoResponse(**response.arrays())
         np.testing.assert_array_equal(again(body), response(body))

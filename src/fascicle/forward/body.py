@@ -22,8 +22,8 @@ from fascicle.heart.heart import Heart
 from fascicle.kernels.jit import CHANNELS
 from fascicle.mesh.measures import barycentric_gradients
 from fascicle.torso.mesh import torso_of
-from fascicle.torso.variation.conductor import InvalidBody, build_conductor
-from fascicle.torso.variation.response import BodyResponse
+from fascicle.torso.variation.conductor import InvalidTorso, build_conductor
+from fascicle.torso.variation.response import TorsoResponse
 from fascicle.torso.variation.training import build_response
 
 STAGE, ONCE = "body", "once per heart"
@@ -36,16 +36,16 @@ class BodyModel:
 
     Attributes
     ----------
-    response : BodyResponse
+    response : TorsoResponse
         Coefficients of the modes.
     weights : (m, 3, k) array
         Weights of the ECG integral (`Electrocardiograph`) for each mode.
     """
 
-    response: BodyResponse
+    response: TorsoResponse
     weights: NDArray[np.float32]
 
-    def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidBody:
+    def lead_coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
         """Coefficients (8, k) of the modes for the independent leads.
 
         Parameters
@@ -59,7 +59,7 @@ class BodyModel:
         that it counts through its ratio to the other tissues only.
         """
         found = self.response.coefficients(values)
-        if isinstance(found, InvalidBody):
+        if isinstance(found, InvalidTorso):
             return found
         return np.asarray(lead_matrix()[INDEPENDENT_ROWS] @ found)
 
@@ -80,7 +80,7 @@ class BodyModel:
             See `lead_coefficients`.
         """
         neutral = self.lead_coefficients({})
-        if isinstance(neutral, InvalidBody):
+        if isinstance(neutral, InvalidTorso):
             raise InputError("the heart touches the skin of its own torso; build the heart again")
         size = np.linalg.norm(coefficients, axis=1) / np.linalg.norm(neutral, axis=1)
         change = (coefficients - size[:, None] * neutral).astype(np.float32)
@@ -90,7 +90,7 @@ class BodyModel:
         return replace(own, weights=weights)
 
 
-def body_model(heart: Heart, conduction: Conduction, response: BodyResponse) -> BodyModel:
+def body_model(heart: Heart, conduction: Conduction, response: TorsoResponse) -> BodyModel:
     """The weights of a response's modes in the ECG."""
     barycentric = barycentric_gradients(heart.vertices, heart.tetrahedra)
     intracellular = conduction.intracellular(heart.fibres)
@@ -105,7 +105,7 @@ def body_model(heart: Heart, conduction: Conduction, response: BodyResponse) -> 
 
 def prepare_response(
     heart: Heart, conduction: Conduction, wanted: Sequence[str], progress: Progress | None = None
-) -> BodyResponse:
+) -> TorsoResponse:
     """The response of a heart's lead fields to the torso, or what was kept of it before.
 
     Parameters
@@ -134,13 +134,13 @@ def prepare_response(
     arrays = cache.read(key)
     if arrays is not None:
         with suppress(TypeError):  # of another layout
-            return BodyResponse(**arrays)
+            return TorsoResponse(**arrays)
     response = _build(heart, conduction, progress)
     cache.keep(key, response.arrays())
     return response
 
 
-def _build(heart: Heart, conduction: Conduction, progress: Progress | None) -> BodyResponse:
+def _build(heart: Heart, conduction: Conduction, progress: Progress | None) -> TorsoResponse:
     torso = torso_of(heart, stage_progress(progress, "torso", ONCE))
     conductor = build_conductor(heart, torso, conduction)
     return build_response(

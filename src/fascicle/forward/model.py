@@ -41,8 +41,8 @@ from fascicle.heart.heart import Heart
 from fascicle.heart.sites import Sites
 from fascicle.purkinje.growth import GrowthRules, grow_from_parameters
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
-from fascicle.torso.variation.conductor import InvalidBody
-from fascicle.torso.variation.response import BodyResponse
+from fascicle.torso.variation.conductor import InvalidTorso
+from fascicle.torso.variation.response import TorsoResponse
 
 REMEMBERED = 8  # grown networks that are kept, in case only speeds and times change next
 TISSUES = 2  # tissues that are kept; each takes the memory of a heart
@@ -187,13 +187,13 @@ class ForwardModel:
             assert self._body is not None
             return self._body
 
-    def use_body(self, response: BodyResponse) -> None:
+    def use_body(self, response: TorsoResponse) -> None:
         """Take a response that is at hand, of this heart and conduction, instead of building it."""
         self._body = body_model(self.heart, self.conduction, response)
 
     def simulate(
         self, parameters: Mapping[str, float], scenario: Scenario | None = None
-    ) -> Simulation | InvalidTree | InvalidBody:
+    ) -> Simulation | InvalidTree | InvalidTorso:
         """Grow the trees, activate the heart, compute the ECG.
 
         Parameters
@@ -207,8 +207,8 @@ class ForwardModel:
 
         Returns
         -------
-        Simulation, InvalidTree or InvalidBody
-            `InvalidTree` where a bundle or fascicle would leave its endocardium, `InvalidBody`
+        Simulation, InvalidTree or InvalidTorso
+            `InvalidTree` where a bundle or fascicle would leave its endocardium, `InvalidTorso`
             where the heart would touch the skin.
 
         Raises
@@ -220,7 +220,7 @@ class ForwardModel:
         values = complete(parameters)
         check_kind(scenario, (Scenario, NoneType), "scenario", SCENARIO)
         body = body_values(values)
-        if body and isinstance(found := self.body([*body]).lead_coefficients(body), InvalidBody):
+        if body and isinstance(found := self.body([*body]).lead_coefficients(body), InvalidTorso):
             return found
         trees = self.grow(values)
         if isinstance(trees, InvalidTree):
@@ -292,13 +292,13 @@ class ForwardModel:
         if not body:
             return np.asarray(values.get("gain", 1.0) * tissue.electrocardiograph.leads(times))
         found = self._in_body(times, values)
-        if isinstance(found, InvalidBody):
+        if isinstance(found, InvalidTorso):
             raise InputError(f"{', '.join(body)}: {found.reason}; give smaller changes")
         return found
 
     def in_bodies(
         self, activation: Floats, bodies: Sequence[Mapping[str, float]]
-    ) -> list[Floats | InvalidBody]:
+    ) -> list[Floats | InvalidTorso]:
         """The ECG of one activation in several torsos.
 
         Parameters
@@ -310,15 +310,15 @@ class ForwardModel:
 
         Returns
         -------
-        list of (12, n_time) arrays or InvalidBody
+        list of (12, n_time) arrays or InvalidTorso
             Leads (mV), in their order.
         """
         return [self._in_body(activation, checked(body)) for body in bodies]
 
-    def _in_body(self, activation: Floats, values: Mapping[str, float]) -> Floats | InvalidBody:
+    def _in_body(self, activation: Floats, values: Mapping[str, float]) -> Floats | InvalidTorso:
         model = self.body([*values])
         coefficients = model.lead_coefficients(values)
-        if isinstance(coefficients, InvalidBody):
+        if isinstance(coefficients, InvalidTorso):
             return coefficients
         found = model.electrocardiograph(self.prepared.electrocardiograph, coefficients)
         scale = self.conduction.with_values(values).scale(self.heart)
@@ -330,12 +330,12 @@ class ForwardModel:
         parameters: Iterable[Mapping[str, float]],
         executor: Executor,
         scenario: Scenario | None = None,
-    ) -> list[Simulation | InvalidTree | InvalidBody]: ...
+    ) -> list[Simulation | InvalidTree | InvalidTorso]: ...
 
     @overload
     def simulate_many(
         self, parameters: Iterable[Mapping[str, float]], *, backend: Backend
-    ) -> list[SimulatedBeat | InvalidTree | InvalidBody]: ...
+    ) -> list[SimulatedBeat | InvalidTree | InvalidTorso]: ...
 
     def simulate_many(
         self,
@@ -344,7 +344,7 @@ class ForwardModel:
         scenario: Scenario | None = None,
         *,
         backend: Backend | None = None,
-    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidBody]:
+    ) -> Sequence[SimulatedBeat | InvalidTree | InvalidTorso]:
         """Simulate many networks at a time.
 
         Parameters
@@ -365,7 +365,7 @@ class ForwardModel:
 
         Returns
         -------
-        list of Simulation, SimulatedBeat, InvalidTree or InvalidBody
+        list of Simulation, SimulatedBeat, InvalidTree or InvalidTorso
             In the order of the parameters.
 
         Raises
@@ -407,7 +407,7 @@ class ForwardModel:
 
 def _received(
     arrays: Mapping[str, Any],
-    response: BodyResponse | None,
+    response: TorsoResponse | None,
     conduction: Conduction,
     rules: GrowthRules,
     action_potential: ActionPotential,
@@ -422,7 +422,7 @@ def _received(
 
 def _simulate_elsewhere(
     file: SharedFile, parameters: dict[str, float], scenario: Scenario | None
-) -> Simulation | InvalidTree | InvalidBody:
+) -> Simulation | InvalidTree | InvalidTorso:
     model: ForwardModel = read_shared(file)
     return model.simulate(parameters, scenario)
 

@@ -28,7 +28,7 @@ from fascicle.mesh.formats.mesh_file import TETRAHEDRON
 from fascicle.mesh.formats.vtk import write_grid
 from fascicle.purkinje.tree import InvalidTree, PurkinjeTree
 from fascicle.purkinje.tree_files import read_tree, write_tree
-from fascicle.torso.variation.conductor import InvalidBody
+from fascicle.torso.variation.conductor import InvalidTorso
 
 PICTURES = [  # of what the folder holds; whoever writes it may draw them
     f"{what}.{kind}" for what in ("ecg", "activation") for kind in ("png", "svg", "pdf")
@@ -82,7 +82,7 @@ def simulate_inputs(
             outcome = model.simulate(parameters, scenario)
         if isinstance(outcome, InvalidTree):
             raise InputError(f"{source}: {outcome.reason}; shorten it")
-        if isinstance(outcome, InvalidBody):
+        if isinstance(outcome, InvalidTorso):
             raise InputError(f"{source}: {outcome.reason}; move it less")
         return outcome, {"parameters": parameters}
     if params is not None:

@@ -26,7 +26,7 @@ from fascicle.reporting.surfaces import (
     scale_bar,
     upright_frame,
 )
-from fascicle.torso.variation.conductor import body_axes
+from fascicle.torso.variation.conductor import torso_axes
 
 # Name and colour of each label
 LABELS = {
@@ -139,7 +139,7 @@ def check_figure(heart: Heart, check: HeartCheck) -> Figure:
 
 def body_views(electrodes: Floats) -> tuple[View, View]:
     """Cameras in front of a person and on the left, from the electrodes (9, 3) alone (mm)."""
-    left, back, up = body_axes(electrodes)
+    left, back, up = torso_axes(electrodes)
     centre = (electrodes.min(axis=0) + electrodes.max(axis=0)) / 2
     return (
         View("torso, from the front", np.array([left, up, back]), centre),

@@ -14,7 +14,7 @@ from fascicle.forward.simulation import Signals, Simulation
 from fascicle.purkinje.tree import InvalidTree
 from fascicle.study.pool import Pool, Threads
 from fascicle.study.prior_simulations import PriorSimulations, signals_of
-from fascicle.torso.variation.conductor import InvalidBody
+from fascicle.torso.variation.conductor import InvalidTorso
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PointSimulator:
 
     def simulate(
         self, points: Iterable[Floats], scenario: Scenario | None = None
-    ) -> Iterator[Simulation | InvalidTree | InvalidBody]:
+    ) -> Iterator[Simulation | InvalidTree | InvalidTorso]:
         """Simulate points, in order."""
         items = [(self.parameters(point), scenario) for point in points]
         return self.pool.map(_simulate, items, self.model)
@@ -66,5 +66,5 @@ class PointSimulator:
 
 def _simulate(
     item: tuple[Mapping[str, float], Scenario | None], model: ForwardModel
-) -> Simulation | InvalidTree | InvalidBody:
+) -> Simulation | InvalidTree | InvalidTorso:
     return model.simulate(*item)

@@ -13,6 +13,7 @@ Res. 51, 1982, 330-346).
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -30,6 +31,8 @@ from fascicle.heart.conduction import Conduction
 from fascicle.heart.heart import Heart, LeadFields, Torso, TorsoTissue, digest_of
 from fascicle.mesh.topology import boundary_triangles
 from fascicle.torso.electrode_sites import check_on_skin
+
+Preconditioner = Callable[[Floats], Floats]
 
 MM_PER_CM = 10.0
 
@@ -50,6 +53,10 @@ class Contacts:
     triangles: Integers
     weights: Floats
     moved: Floats
+
+    def points(self, values: Floats) -> Floats:
+        """Values (e, k) where they touch, of those at the vertices (n, k), such as positions."""
+        return np.asarray((self.weights[:, :, None] * values[self.triangles]).sum(axis=1))
 
     def currents(self, vertices: int) -> Floats:
         """Unit current into each electrode, out through all alike: (e, vertices), in µA."""
@@ -263,6 +270,67 @@ def multigrid_levels(stiffness: csr_matrix):  # type: ignore[no-untyped-def]
         # bounds the spectrum by row sums; the default estimates it from numpy's global random state
         smooth=("jacobi", {"weighting": "local"}),
     )
+
+
+def block_cg(
+    stiffness: csr_matrix,
+    precondition: Preconditioner,
+    currents: Floats,
+    tolerance: float,
+    most: int,
+) -> Floats:
+    """Conjugate gradients, preconditioned, for several right-hand sides (n, c) in step.
+
+    Products with all columns at once cost a fraction of as many products with one. It ends when all
+    residuals are below the tolerance, relative to the right-hand side, or after so many iterations.
+    """
+    potential = np.zeros_like(currents)
+    residual = currents.copy()
+    wanted = tolerance * np.linalg.norm(currents, axis=0)
+    direction, previous = np.zeros_like(residual), np.ones(currents.shape[1])
+    for _ in range(most):
+        if (np.linalg.norm(residual, axis=0) <= wanted).all():
+            break
+        corrected = precondition(residual)
+        product = np.einsum("nc,nc->c", residual, corrected)
+        direction = corrected + direction * (product / previous)
+        along = stiffness @ direction
+        curvature = np.einsum("nc,nc->c", direction, along)
+        step = np.divide(product, curvature, out=np.zeros_like(product), where=curvature > 0)
+        potential += step * direction
+        residual -= step * along
+        previous = np.where(product > 0, product, 1.0)
+    return potential
+
+
+def multigrid(stiffness: csr_matrix) -> Preconditioner:
+    """One V-cycle of smoothed aggregation on columns (n, c), with two ℓ₁-Jacobi sweeps a side.
+
+    That smoother converges for every symmetric positive definite matrix (Baker, Falgout, Kolev and
+    Yang, SIAM J. Sci. Comput. 33, 2011, 2864-2887). In single precision, which is enough for a
+    preconditioner and takes half the memory's time.
+    """
+    hierarchy = multigrid_levels(stiffness)
+    levels = [
+        tuple(csr_matrix(matrix).astype(np.float32) for matrix in (a.A, a.P, a.R))
+        for a in hierarchy.levels[:-1]
+    ]
+    inverse = [1 / np.asarray(abs(matrix).sum(axis=1)) for matrix, _, _ in levels]
+    # some tens of unknowns
+    coarsest = np.linalg.inv(hierarchy.levels[-1].A.toarray()).astype(np.float32)
+
+    def cycle(depth: int, residual: Floats) -> Floats:
+        if depth == len(levels):
+            return np.asarray(coarsest @ residual)
+        matrix, prolong, restrict = levels[depth]
+        found = inverse[depth] * residual
+        found += inverse[depth] * (residual - matrix @ found)
+        found += prolong @ cycle(depth + 1, restrict @ (residual - matrix @ found))
+        for _ in range(2):
+            found += inverse[depth] * (residual - matrix @ found)
+        return np.asarray(found)
+
+    return lambda residual: cycle(0, residual.astype(np.float32))
 
 
 def outer_boundary(vertices: Floats, tetrahedra: Integers) -> Integers:

@@ -1,1 +1,1 @@
-"""The lead fields as a function of what is not known of the body."""
+"""The lead fields as a function of what is not known of the torso."""

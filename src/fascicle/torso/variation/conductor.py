@@ -31,14 +31,14 @@ LEAST_COMPRESSION = 0.1
 
 
 @dataclass(frozen=True)
-class InvalidBody:
-    """A body that cannot be, and why, in one line: an outcome of a search, not an error."""
+class InvalidTorso:
+    """A torso that cannot be, and why, in one line: an outcome of a search, not an error."""
 
     reason: str
 
 
 @dataclass(frozen=True)
-class BodyState:
+class TorsoState:
     """What differs from the heart folder's torso.
 
     Attributes
@@ -47,7 +47,7 @@ class BodyState:
         The heart's shift to the left, posteriorly and up (mm), its rotation vector along the same
         axes (rad), and the factor on the trunk.
     ratios : (3,) array
-        Factors on the conductivities of body, lung and blood over that on the myocardium's.
+        Factors on the conductivities of the `TorsoTissue`, over that on the myocardium's.
     chest : (6, 2) array
         By how much V1 to V6 are moved along the skin, to the left and up (mm).
     """
@@ -57,7 +57,7 @@ class BodyState:
     chest: Floats
 
     @classmethod
-    def of(cls, values: Mapping[str, float]) -> BodyState:
+    def of(cls, values: Mapping[str, float]) -> TorsoState:
         """From quantities of `fascicle.core.quantities`; those that are missing are neutral."""
         pose = [
             values.get(f"heart_{turn}{axis}", 0.0)
@@ -80,8 +80,8 @@ class BodyState:
         )
 
 
-def body_axes(electrodes: Floats) -> Floats:
-    """Directions of the body in the heart's coordinates, from the limb electrodes.
+def torso_axes(electrodes: Floats) -> Floats:
+    """Directions of the torso in the heart's coordinates, from the limb electrodes.
 
     RA and LA lie level, LL below them in the plane of the front: LL may lie to one side. Rows
     (3, 3): to the patient's left, to the back, up; orthonormal and right-handed.
@@ -106,20 +106,15 @@ class SkinMotion:
     size: float
 
     @classmethod
-    def of(cls, centroid: Floats, axes: Floats, geometry: Floats) -> SkinMotion:
-        """Of `BodyState.geometry` along the body's axes."""
-        rotation = Rotation.from_rotvec(geometry[3:6] @ axes).as_matrix()
-        return cls(centroid, rotation, geometry[:3] @ axes, float(geometry[6]))
+    def of(cls, centroid: Floats, axes: Floats, state: TorsoState) -> SkinMotion:
+        """That of a state, along the torso's axes."""
+        rotation = Rotation.from_rotvec(state.geometry[3:6] @ axes).as_matrix()
+        return cls(centroid, rotation, state.geometry[:3] @ axes, float(state.geometry[6]))
 
     def __call__(self, points: Floats) -> Floats:
         """Where points (..., 3) that move with the skin are then (mm)."""
         moved = self.size * (points - self.centroid) - self.shift
         return np.asarray(self.centroid + moved @ self.rotation)
-
-    @property
-    def strain(self) -> Floats:
-        """Its derivative by x, less the identity: (3, 3)."""
-        return np.asarray(self.size * self.rotation.T - np.eye(3))
 
 
 @dataclass(frozen=True)
@@ -136,10 +131,11 @@ class Morph:
     def jacobians(self, motion: SkinMotion) -> Floats:
         """J = I + (y(x) − x)⊗∇w + w(∇y − I) for the skin's motion y, shape (m, 3, 3)."""
         away = motion(self.centres) - self.centres
+        strain = motion.size * motion.rotation.T - np.eye(3)
         return np.asarray(
             np.eye(3)
             + away[:, :, None] * self.slope[:, None, :]
-            + self.share[:, None, None] * motion.strain
+            + self.share[:, None, None] * strain
         )
 
     def determinants(self, motion: SkinMotion) -> Floats:
@@ -147,7 +143,7 @@ class Morph:
         columns = np.moveaxis(self.jacobians(motion), 2, 0)
         return np.asarray(np.einsum("mi,mi->m", columns[0], np.cross(columns[1], columns[2])))
 
-    def of(self, chosen: Integers | Booleans | slice) -> Morph:
+    def at(self, chosen: Integers | Booleans | slice) -> Morph:
         """The same for some of the points."""
         return Morph(self.centres[chosen], self.share[chosen], self.slope[chosen])
 
@@ -197,22 +193,26 @@ class Conductor:
         The myocardium and what is around it.
     conductivity : (m, 3, 3) array
         σ of the heart's tetrahedra, then of the torso's, as known (mS/cm).
-    skin : (t, 3) array
-        Triangles of the skin.
-    morph : Morph
-        The map at the centres of the torso's tetrahedra.
     """
 
     heart: Heart
     torso: Torso
     conductivity: Floats
-    skin: Integers
-    morph: Morph
 
     @cached_property
     def tetrahedra(self) -> Integers:
         """The heart's, then the torso's (m, 4)."""
         return np.concatenate([self.heart.tetrahedra, self.torso.tetrahedra])
+
+    @cached_property
+    def skin(self) -> Integers:
+        """Triangles of the skin (t, 3)."""
+        return outer_boundary(self.torso.vertices, self.tetrahedra)
+
+    @cached_property
+    def morph(self) -> Morph:
+        """The map at the centres of the torso's tetrahedra."""
+        return build_morph(self.heart, self.torso, self.skin)
 
     @property
     def of_heart(self) -> Floats:
@@ -242,40 +242,37 @@ class Conductor:
     @cached_property
     def axes(self) -> Floats:
         """Rows: to the left, back and up (3, 3)."""
-        return body_axes(self.heart.electrodes)
+        return torso_axes(self.heart.electrodes)
 
     @cached_property
     def centroid(self) -> Floats:
         """Of the myocardium (3,), mm."""
         return solid_centroid(self.heart.vertices, self.heart.tetrahedra)
 
-    def motion(self, state: BodyState) -> SkinMotion:
+    def motion(self, state: TorsoState) -> SkinMotion:
         """The skin's motion around the heart."""
-        return SkinMotion.of(self.centroid, self.axes, state.geometry)
+        return SkinMotion.of(self.centroid, self.axes, state)
 
-    def is_possible(self, state: BodyState) -> bool:
+    def is_possible(self, state: TorsoState) -> bool:
         """Whether the heart keeps clear of the skin."""
         return float(self.morph.determinants(self.motion(state)).min()) > LEAST_COMPRESSION
 
-    def stiffness(self, state: BodyState) -> csr_matrix:
+    def stiffness(self, state: TorsoState) -> csr_matrix:
         """Conductances (n, n) over the factor on the myocardium's conductivity (1/kΩ)."""
         sigma = np.concatenate([self.of_heart, self.moved(state)])
         return assemble_stiffness(self.torso.vertices, self.tetrahedra, sigma)
 
-    def moved(self, state: BodyState, chosen: Booleans | slice = slice(None)) -> Floats:
-        """σT of the torso's tetrahedra, or of those chosen (c, 3, 3), as the body moves (mS/cm)."""
+    def moved(self, state: TorsoState, chosen: Booleans | slice = slice(None)) -> Floats:
+        """σT of the torso's tetrahedra, or of those chosen (c, 3, 3), as it moves (mS/cm)."""
         sigma = self.around[chosen] * self.factors(state)[chosen, None, None]
-        jacobians = self.morph.of(chosen).jacobians(self.motion(state))
+        jacobians = self.morph.at(chosen).jacobians(self.motion(state))
         return np.asarray(sigma @ pulled_back(jacobians))
 
-    def factors(self, state: BodyState) -> Floats:
+    def factors(self, state: TorsoState) -> Floats:
         """Factor on the conductivity of each of the torso's tetrahedra (m,)."""
         return np.asarray(state.ratios[self.torso.tissues - min(TorsoTissue)])
 
 
 def build_conductor(heart: Heart, torso: Torso, conduction: Conduction) -> Conductor:
     """The conductor of a heart in its torso, tissues conducting as `conduction` has it."""
-    sigma = total_conductivity(heart, torso, conduction)
-    tetrahedra = np.concatenate([heart.tetrahedra, torso.tetrahedra])
-    skin = outer_boundary(torso.vertices, tetrahedra)
-    return Conductor(heart, torso, sigma, skin, build_morph(heart, torso, skin))
+    return Conductor(heart, torso, total_conductivity(heart, torso, conduction))

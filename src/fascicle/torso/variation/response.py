@@ -1,13 +1,14 @@
-"""The lead fields of a heart as a function of the body: a reduced basis within, a surface without.
+"""The lead fields of a heart as a function of the torso: a reduced basis in a hull.
 
-Whatever moves of the body moves outside the convex hull of heart and blood. Within, lead fields are
-combinations of modes Φ of those of some bodies, and their energy K depends on the tissues' factors
-linearly. The outside adds the energy A of the modes' potentials around the hull, and drives the
-current f of an electrode into it (`fascicle.torso.variation.exterior`), so that the coefficients of
-an electrode's lead field are (K + A)⁻¹f, Galerkin's best in the energy of the whole body.
+Whatever moves of the torso moves outside the convex hull of heart and blood. Within, lead fields
+are combinations of modes Φ of those of some torsos, and their energy K depends on the tissues'
+factors linearly. The outside adds the energy A of the modes' potentials around the hull, and drives
+the current f of an electrode into it (`fascicle.torso.variation.training`), so that the
+coefficients of an electrode's lead field are (K + A)⁻¹f, Galerkin's best in the energy of the
+whole.
 
 A and f are smooth functions of eight numbers: pose, size, and what the lungs conduct. They are
-interpolated between bodies by radial functions with a linear trend; of f, only what differs from
+interpolated between torsos by radial functions with a linear trend; of f, only what differs from
 an electrode near the hull in plain tissue without end, which is what varies steeply.
 """
 
@@ -21,21 +22,19 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
 
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.quantities import body_values
 from fascicle.core.threads import one_thread
-from fascicle.mesh.measures import triangle_normals, unit
 from fascicle.torso.electrode_sites import Electrode
-from fascicle.torso.lead_fields import Contacts, contacts_on
 from fascicle.torso.variation.conductor import (
     LEAST_COMPRESSION,
-    BodyState,
-    InvalidBody,
+    InvalidTorso,
     Morph,
     SkinMotion,
+    TorsoState,
 )
-from fascicle.torso.variation.exterior import NearField
 
 # Places (mm) of chest electrodes along the skin, whose triangles have edges of some 11 mm: beyond
 # the 25 mm of one electrode over a chest of 0.85, and upwards also the 40 mm of all together
@@ -48,44 +47,61 @@ REACH = np.array([20.0] * 3 + [np.radians(20.0)] * 3 + [0.15])
 LOG_FACTOR = np.log(2.0)
 
 
-def exterior_inputs(state: BodyState) -> Floats:
+def exterior_inputs(state: TorsoState) -> Floats:
     """The eight numbers that the outside depends on, about 1 at the ends of their ranges."""
-    body, lung, _ = state.ratios
+    plain, lung, _ = state.ratios
     geometry = (state.geometry - [0, 0, 0, 0, 0, 0, 1]) / REACH
-    return np.append(geometry, np.log(lung / body) / (2 * LOG_FACTOR))
+    return np.append(geometry, np.log(lung / plain) / (2 * LOG_FACTOR))
+
+
+def near_field(electrodes: Floats, hull: Floats, projection: Floats, energy: Floats) -> Floats:
+    """What electrodes (e, 3) (mm) in plain tissue without end drive into the hull's modes (e, k).
+
+    Parameters
+    ----------
+    electrodes, hull : (e, 3) and (s, 3) arrays
+        Places on the skin as they stand to the heart, and points of the hull's surface (mm).
+    projection : (s, k) array
+        Makes coefficients of the modes of 1/distance (1/mm) to the points: the potential of a unit
+        current into an insulated plane, 1/(2πσr), projected in the energy of a hull of plain
+        tissue.
+    energy : (k, k) array
+        Of the modes in that hull and outside together (1/kΩ).
+    """
+    return np.asarray((1.0 / cdist(electrodes, hull)) @ projection @ energy)
 
 
 @dataclass(frozen=True)
-class BodyResponse:
-    """Lead fields of a heart as a function of the body.
+class TorsoResponse:
+    """Lead fields of a heart as a function of the torso.
 
     Attributes
     ----------
     modes : (k, n) array
         Φ at the heart's vertices (kΩ½).
     inner : (4, k, k) array
-        Their energies in the hull's myocardium, body, lung and blood.
-    bodies : (b, 8) array
-        `exterior_inputs` of those solved.
+        Their energies in the hull's myocardium, then in each `TorsoTissue`.
+    solved : (b, 8) array
+        `exterior_inputs` of the torsos solved.
     outer : (b, k(k+1)/2) array
-        Upper triangles of A over the factor on the body's conductivity.
+        Upper triangles of A over the factor on the conductivity of plain tissue.
     places : (3 + 6·left·up, 3) array
         RA, LA and LL, then V1 to V6 at every place of a grid along the skin (mm).
     patterns : (3 + 6·left·up, q) array
         Orthonormal functions of the places.
     remainders : (b, q, k) array
-        Their coefficients in what f has beyond `NearField`.
+        Their coefficients in what f has beyond `near_field`.
     hull, projection, filled : (s, 3), (s, k) and (k, k) arrays
-        See `NearField`.
+        See `near_field`; and the energy of the modes in a hull of plain tissue.
     critical_centres, critical_share, critical_slope : arrays
         `Morph` of the tetrahedra that are compressed most when the heart nears the skin.
     centroid, axes : (3,) and (3, 3) arrays
-        Of the heart (mm) and the body.
+        Of the heart (mm) and the torso.
     """
 
     modes: Floats
     inner: Floats
-    bodies: Floats
+    solved: Floats
     outer: Floats
     places: Floats
     patterns: Floats
@@ -100,45 +116,45 @@ class BodyResponse:
     axes: Floats
 
     @one_thread
-    def __call__(self, state: BodyState) -> Floats | InvalidBody:
+    def __call__(self, state: TorsoState) -> Floats | InvalidTorso:
         """Coefficients (9, k) of the modes for every electrode.
 
         Over the factor on the myocardium's conductivity; the nine sum to zero.
         """
-        motion = SkinMotion.of(self.centroid, self.axes, state.geometry)
+        motion = SkinMotion.of(self.centroid, self.axes, state)
         critical = Morph(self.critical_centres, self.critical_share, self.critical_slope)
         if critical.determinants(motion).min() < LEAST_COMPRESSION:
-            return InvalidBody("the heart would touch the skin")
+            return InvalidTorso("the heart would touch the skin")
         weights = self._weights(exterior_inputs(state)[None])[0].astype(self.outer.dtype)
         outer = np.empty(self.filled.shape)
         upper = np.triu_indices(len(outer))
         outer[upper] = outer.T[upper] = weights @ self.outer
         # on a larger trunk the same distance is a smaller part of the skin
         moved = state.chest / state.geometry[6]
-        near = NearField(self.hull, self.projection, self.filled)
+        electrodes = motion(at_electrodes(self.places, moved))
+        driven = near_field(electrodes, self.hull, self.projection, outer + self.filled)
         remainders = np.tensordot(weights, self.remainders, axes=1)
-        driven = near(motion(at_electrodes(self.places, moved)), outer)
         driven = driven + at_electrodes(self.patterns, moved) @ remainders
         energy = np.tensordot(np.append(1.0, state.ratios), self.inner, axes=1)
         energy += state.ratios[0] * outer
         try:
             factor = scipy.linalg.cho_factor(energy)
-        except scipy.linalg.LinAlgError:  # between bodies solved, A need not be positive
-            return InvalidBody("the heart nearly touches the skin")
+        except scipy.linalg.LinAlgError:  # between torsos solved, A need not be positive
+            return InvalidTorso("the heart nearly touches the skin")
         return np.asarray(scipy.linalg.cho_solve(factor, (driven - driven.mean(axis=0)).T).T)
 
-    def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidBody:
-        """The same from quantities of the body; those of the last few bodies are remembered."""
+    def coefficients(self, values: Mapping[str, float]) -> Floats | InvalidTorso:
+        """The same from quantities of the torso; those of the last few torsos are remembered."""
         return self._remembered(tuple(sorted(body_values(values).items())))
 
     @cached_property
-    def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidBody]:
-        return lru_cache(8)(lambda values: self(BodyState.of(dict(values))))
+    def _remembered(self) -> Callable[[tuple[tuple[str, float], ...]], Floats | InvalidTorso]:
+        return lru_cache(8)(lambda values: self(TorsoState.of(dict(values))))
 
     @cached_property
     def _weights(self) -> RBFInterpolator:
-        """How much each of the bodies solved counts at a place (1, b)."""
-        return RBFInterpolator(self.bodies, np.eye(len(self.bodies)), kernel="cubic", degree=1)
+        """How much each of the torsos solved counts at a place (1, b)."""
+        return RBFInterpolator(self.solved, np.eye(len(self.solved)), kernel="cubic", degree=1)
 
     def arrays(self) -> dict[str, Any]:
         """Every array, by its name, for files."""
@@ -161,44 +177,3 @@ def _between(values: Floats, places: Floats) -> tuple[Integers, Floats]:
     position = np.clip((values - places[0]) / SPACING, 0, len(places) - 1)
     index = np.minimum(position.astype(np.int64), len(places) - 2)
     return index, position - index
-
-
-def electrode_places(
-    vertices: Floats, skin: Integers, electrodes: Floats, axes: Floats
-) -> Contacts:
-    """Contacts of the limb electrodes, then of V1 to V6 at every place of a grid along the skin.
-
-    From where an electrode is, it goes up or down along the skin (t, 3) first, then horizontally;
-    `axes` (3, 3) point to the left, back and up. There are 3 + 6 · len(LEFT) · len(UP) of them: by
-    electrode, then to the left, then up.
-    """
-    vertex_normals = np.zeros_like(vertices)  # weighted by areas
-    for corner in skin.T:
-        np.add.at(vertex_normals, corner, triangle_normals(vertices, skin))
-
-    def on_skin(points: Floats) -> tuple[Floats, Floats]:
-        """Nearest points of the skin, and its normals there."""
-        found = contacts_on(vertices, skin, points)
-        weights = found.weights[:, :, None]
-        place = (weights * vertices[found.triangles]).sum(axis=1)
-        return place, unit((weights * vertex_normals[found.triangles]).sum(axis=1))
-
-    def line(start: Floats, direction: Floats, places: Floats) -> Floats:
-        """Points (places, n, 3) at such distances (mm) along the skin from the start (n, 3)."""
-        origin = int(np.argmin(np.abs(places)))
-        reached = {origin: on_skin(start)[0]}
-        for sign, last in ((1, len(places)), (-1, -1)):
-            for k in range(origin + sign, last, sign):
-                point = reached[k - sign]
-                for _ in range(3):  # steps between two places; each is put back onto the skin
-                    place, normal = on_skin(point)
-                    along = sign * direction - (normal @ (sign * direction))[:, None] * normal
-                    point = on_skin(place + SPACING / 3 * unit(along))[0]
-                reached[k] = point
-        return np.array([reached[k] for k in range(len(places))])
-
-    limbs, chest = np.split(np.ascontiguousarray(electrodes, dtype=float), [Electrode.V1])
-    rows = line(chest, axes[2], UP)  # (up, 6, 3)
-    grid = line(rows.reshape(-1, 3), axes[0], LEFT).reshape(len(LEFT), len(UP), len(chest), 3)
-    places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3)])
-    return contacts_on(vertices, skin, places)

@@ -1,6 +1,10 @@
-"""Building the response of a heart's lead fields to the body: solves, modes, what is interpolated.
+"""Building the response of a heart's lead fields to the torso: solves, modes, interpolation.
 
-See `fascicle.torso.variation.response` for what comes out, and why.
+A potential B on the surface of the hull of heart and blood sets up a potential E(torso) outside,
+insulated at the skin. The energy of E is what the outside adds to the hull's, and E at an electrode
+is, by reciprocity, the current that a unit current into that electrode drives into the hull.
+Nothing else of the outside is felt within: static condensation (Huynh, Knezevic and Patera, ESAIM:
+Math. Model. Numer. Anal. 47, 2013, 213-251).
 """
 
 from __future__ import annotations
@@ -8,143 +12,229 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import scipy.linalg
+from scipy.sparse import csr_matrix
 
-from fascicle.core.arrays import Floats, Integers, Singles
+from fascicle.core.arrays import Booleans, Floats, Integers, Singles
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.core.threads import one_thread
 from fascicle.heart.heart import TorsoTissue
+from fascicle.mesh.measures import triangle_normals, unit
+from fascicle.mesh.topology import without_unused_vertices
 from fascicle.torso.electrode_sites import Electrode
-from fascicle.torso.lead_fields import Contacts, grounded
-from fascicle.torso.variation.conductor import BodyState, Conductor
-from fascicle.torso.variation.exterior import Exterior, Part, block_cg, multigrid, near_field
+from fascicle.torso.lead_fields import (
+    MM_PER_CM,
+    Contacts,
+    assemble_stiffness,
+    block_cg,
+    contacts_on,
+    grounded,
+    multigrid,
+)
+from fascicle.torso.variation.conductor import Conductor, TorsoState
 from fascicle.torso.variation.response import (
     LEFT,
     LOG_FACTOR,
     REACH,
+    SPACING,
     UP,
-    BodyResponse,
-    electrode_places,
+    TorsoResponse,
     exterior_inputs,
+    near_field,
 )
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How closely a response follows the body.
-
-    Bodies solved for all electrodes, modes kept of their fields, bodies between which the outside
-    is interpolated, and functions kept of the places on the skin.
-    """
-
-    mode_bodies: int = 30
-    modes: int = 64
-    outer_bodies: int = 240
-    patterns: int = 50
-
-
-def random_bodies(conductor: Conductor, count: int, rng: np.random.Generator) -> list[BodyState]:
-    """Possible bodies of a conductor spread over the whole range: a Latin hypercube."""
-    from scipy.stats import qmc  # takes long to load
-
-    bodies: list[BodyState] = []
-    while len(bodies) < count:
-        for point in 2 * qmc.LatinHypercube(24, rng=rng).random(count) - 1:
-            geometry = [0, 0, 0, 0, 0, 0, 1] + REACH * point[:7]
-            factors = np.exp(LOG_FACTOR * point[7:11])
-            # mm: each electrode alone, and all of the chest together upwards
-            chest = np.stack([25.0 * point[11:17], 25.0 * point[17:23]], axis=1)
-            chest[:, 1] += 40.0 * point[23]
-            state = BodyState(geometry, factors[:3] / factors[3], chest)
-            if conductor.is_possible(state):
-                bodies.append(state)
-    return bodies[:count]
 
 
 def build_response(
     conductor: Conductor,
     rng: np.random.Generator,
     progress: StageProgress = no_progress,
-    effort: Effort | None = None,
-) -> BodyResponse:
-    """Learn how the lead fields of a conductor depend on the body.
+    *,
+    mode_torsos: int = 30,
+    modes: int = 64,
+    outer_torsos: int = 240,
+    patterns: int = 50,
+) -> TorsoResponse:
+    """Learn how the lead fields of a conductor depend on the torso.
 
-    `progress` is called with how many of how many steps are done; the random bodies are the same
-    for a generator of the same seed.
+    Parameters
+    ----------
+    conductor : Conductor
+        Heart and torso.
+    rng : Generator
+        Draws the torsos.
+    progress : callable, optional
+        Called with how many of how many steps are done.
+    mode_torsos, modes, outer_torsos, patterns : int
+        Torsos solved for all electrodes, modes kept of their fields, torsos between which the
+        outside is interpolated, and functions kept of the places on the skin.
     """
-    effort = effort if effort is not None else Effort()
-    heart, torso = conductor.heart, conductor.torso
-    places = electrode_places(torso.vertices, conductor.skin, heart.electrodes, conductor.axes)
-    total = effort.mode_bodies + effort.outer_bodies
+    heart, total = conductor.heart, mode_torsos + outer_torsos
+    places = electrode_places(conductor)
+    points = places.points(conductor.torso.vertices)
+    fields = _in_parallel(
+        lambda state: solve_torso(conductor, places, state),
+        random_torsos(conductor, mode_torsos, rng),
+        lambda done: progress(done, total),
+    )
+    basis = hull_modes(conductor, np.concatenate(fields, axis=1), modes)
+    on_surface = basis[conductor.hull_surface]
+    solve_outside = exterior(conductor, on_surface, places)
+    hull, projection, filled = plain_hull(conductor, on_surface)
+    upper = np.triu_indices(len(filled))
 
-    def solve(body: BodyState) -> Floats:
-        return solve_body(conductor, body, currents(places, body, len(torso.vertices)))
-
-    bodies = random_bodies(conductor, effort.mode_bodies, rng)
-    fields = _in_parallel(solve, bodies, lambda done: progress(done, total))
-    modes = hull_modes(conductor, np.concatenate(fields, axis=1), effort.modes)
-    on_surface = modes[conductor.hull_surface]
-    exterior, near = Exterior(conductor, on_surface, places), near_field(conductor, on_surface)
-    points = np.einsum("ec,eci->ei", places.weights, torso.vertices[places.triangles])
-    upper = np.triu_indices(modes.shape[1])
-
-    def outside(body: BodyState) -> tuple[Singles, Singles]:
+    def outside(state: TorsoState) -> tuple[Singles, Singles]:
         """Upper triangle of A, and what f has beyond the near field at the places."""
-        energy, driven = exterior(body)
-        beyond = driven - near(conductor.motion(body)(points), energy)
+        energy, driven = solve_outside(state)
+        moved = conductor.motion(state)(points)
+        beyond = driven - near_field(moved, hull, projection, energy + filled)
         return energy[upper].astype(np.float32), beyond.astype(np.float32)
 
-    bodies = random_bodies(conductor, effort.outer_bodies, rng)
-    found = _in_parallel(outside, bodies, lambda done: progress(effort.mode_bodies + done, total))
-    outer, remainders = (np.array(of_bodies) for of_bodies in zip(*found, strict=True))
-    patterns = place_patterns(remainders, effort.patterns)
-    critical = conductor.morph.of(_critical(conductor, bodies))
-    return BodyResponse(
-        modes[: len(heart.vertices)].T.copy(), inner_energies(conductor, modes),
-        np.array([exterior_inputs(body) for body in bodies]), outer,
-        points, patterns, (patterns.T @ remainders).astype(np.float32),
-        near.points, near.projection, near.filled,
-        critical.centres, critical.share, critical.slope,
+    states = random_torsos(conductor, outer_torsos, rng)
+    found = _in_parallel(outside, states, lambda done: progress(mode_torsos + done, total))
+    outer, remainders = (np.array(of_states) for of_states in zip(*found, strict=True))
+    functions = _place_patterns(remainders, patterns)
+    # the eight tetrahedra that are compressed most in each torso
+    determinants = [conductor.morph.determinants(conductor.motion(state)) for state in states]
+    critical = conductor.morph.at(np.unique([np.argsort(each)[:8] for each in determinants]))
+    return TorsoResponse(
+        basis[: len(heart.vertices)].T.copy(), inner_energies(conductor, basis),
+        np.array([exterior_inputs(state) for state in states]), outer,
+        points, functions, (functions.T @ remainders).astype(np.float32),
+        hull, projection, filled, critical.centres, critical.share, critical.slope,
         conductor.centroid, conductor.axes,
     )  # fmt: skip
 
 
-@one_thread  # a body on each core: threads of threads wait for each other
+@one_thread  # a torso on each core: threads of threads wait for each other
 def _in_parallel(
-    work: Callable[[BodyState], T], bodies: Sequence[BodyState], progress: Callable[[int], None]
+    work: Callable[[TorsoState], T], states: Sequence[TorsoState], progress: Callable[[int], None]
 ) -> list[T]:
-    """What comes out for each body; `progress` is called with how many are done."""
+    """What comes out for each state; `progress` is called with how many are done."""
     found = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for result in pool.map(work, bodies):
+        for result in pool.map(work, states):
             found.append(result)
             progress(len(found))
     return found
 
 
-def currents(places: Contacts, body: BodyState, vertices: int) -> Floats:
-    """Unit current into each electrode at the place nearest to a body's, (n, 9)."""
+def random_torsos(conductor: Conductor, count: int, rng: np.random.Generator) -> list[TorsoState]:
+    """Possible states of a conductor spread over the whole range: a Latin hypercube."""
+    from scipy.stats import qmc  # takes long to load
+
+    states: list[TorsoState] = []
+    while len(states) < count:
+        for point in 2 * qmc.LatinHypercube(24, rng=rng).random(count) - 1:
+            geometry = [0, 0, 0, 0, 0, 0, 1] + REACH * point[:7]
+            factors = np.exp(LOG_FACTOR * point[7:11])
+            # mm: each electrode alone, and all of the chest together upwards
+            chest = np.stack([25.0 * point[11:17], 25.0 * point[17:23]], axis=1)
+            chest[:, 1] += 40.0 * point[23]
+            state = TorsoState(geometry, factors[:3] / factors[3], chest)
+            if conductor.is_possible(state):
+                states.append(state)
+    return states[:count]
+
+
+def electrode_places(conductor: Conductor) -> Contacts:
+    """Contacts of the limb electrodes, then of V1 to V6 at every place of a grid along the skin.
+
+    From where an electrode is, it goes up or down along the skin first, then horizontally. There
+    are 3 + 6 · len(LEFT) · len(UP) of them: by electrode, then to the left, then up.
+    """
+    vertices, skin = conductor.torso.vertices, conductor.skin
+    to_left, _, upwards = conductor.axes
+    vertex_normals = np.zeros_like(vertices)  # weighted by areas
+    for corner in skin.T:
+        np.add.at(vertex_normals, corner, triangle_normals(vertices, skin))
+
+    def line(start: Floats, direction: Floats, places: Floats) -> Floats:
+        """Points (places, n, 3) at such distances (mm) along the skin from the start (n, 3)."""
+        origin = int(np.argmin(np.abs(places)))
+        reached = {origin: contacts_on(vertices, skin, start).points(vertices)}
+        for sign, last in ((1, len(places)), (-1, -1)):
+            for k in range(origin + sign, last, sign):
+                point = reached[k - sign]
+                for _ in range(3):  # steps between two places; each is put back onto the skin
+                    found = contacts_on(vertices, skin, point)
+                    normal = unit(found.points(vertex_normals))
+                    along = sign * direction - (normal @ (sign * direction))[:, None] * normal
+                    step = found.points(vertices) + SPACING / 3 * unit(along)
+                    point = contacts_on(vertices, skin, step).points(vertices)
+                reached[k] = point
+        return np.array([reached[k] for k in range(len(places))])
+
+    limbs, chest = np.split(conductor.heart.electrodes, [Electrode.V1])
+    rows = line(chest, upwards, UP)  # (up, 6, 3)
+    grid = line(rows.reshape(-1, 3), to_left, LEFT).reshape(len(LEFT), len(UP), len(chest), 3)
+    places = np.concatenate([limbs, grid.transpose(2, 0, 1, 3).reshape(-1, 3)])
+    return contacts_on(vertices, skin, places)
+
+
+def currents(places: Contacts, state: TorsoState, vertices: int) -> Floats:
+    """Unit current into each electrode at the place nearest to a state's, (n, 9)."""
     chosen = list(range(Electrode.V1))
-    for k, (left, up) in enumerate(body.chest / body.geometry[6]):
+    for k, (left, up) in enumerate(state.chest / state.geometry[6]):
         i, j = np.argmin(np.abs(LEFT - left)), np.argmin(np.abs(UP - up))
         chosen.append(Electrode.V1 + int((k * len(LEFT) + i) * len(UP) + j))
     contacts = Contacts(places.triangles[chosen], places.weights[chosen], places.moved[chosen])
     return np.ascontiguousarray(contacts.currents(vertices).T)
 
 
-def solve_body(
-    conductor: Conductor, body: BodyState, loads: Floats, tolerance: float = 3e-3, most: int = 40
+def solve_torso(
+    conductor: Conductor,
+    places: Contacts,
+    state: TorsoState,
+    tolerance: float = 3e-3,
+    most: int = 40,
 ) -> Floats:
-    """Potentials (n, c) of currents (n, c) in one body, as closely as modes need them."""
-    stiffness = grounded(conductor.stiffness(body))
+    """Potentials (n, 9) of the electrodes in one torso, as closely as modes need them."""
+    loads = currents(places, state, len(conductor.torso.vertices))
+    stiffness = grounded(conductor.stiffness(state))
     found = block_cg(stiffness, multigrid(stiffness), loads, tolerance, most)
     return np.asarray(found - found.mean(axis=0))
+
+
+class Part(NamedTuple):
+    """Some tetrahedra of a conductor, with vertices numbered among themselves.
+
+    Numbers (n,) of the vertices used in the whole mesh, their points (n, 3) (mm), the corners (m,
+    4) of the tetrahedra, and which vertices lie on the hull's surface (n,).
+    """
+
+    used: Integers
+    points: Floats
+    corners: Integers
+    on_surface: Booleans
+
+    @classmethod
+    def of(cls, conductor: Conductor, tetrahedra: Integers) -> Part:
+        """Of tetrahedra numbered in the whole mesh."""
+        used = np.unique(tetrahedra)
+        points, corners = without_unused_vertices(conductor.torso.vertices, tetrahedra)
+        return cls(used, points, corners, np.isin(used, conductor.hull_surface))
+
+    def stiffness(self, conductivity: Floats) -> csr_matrix:
+        """Conductances (n, n) (1/kΩ) for σ (m, 3, 3)."""
+        return assemble_stiffness(self.points, self.corners, conductivity)
+
+    def extended(
+        self, conductivity: Floats, values: Floats, tolerance: float, most: int
+    ) -> tuple[csr_matrix, Floats]:
+        """The stiffness, and the harmonic extension (n, k) of values (s, k) on the surface."""
+        stiffness, free = self.stiffness(conductivity), ~self.on_surface
+        inner = stiffness[free]
+        load = -(inner[:, self.on_surface] @ values)
+        matrix = inner[:, free].tocsr()
+        found = np.empty((len(self.points), values.shape[1]))
+        found[self.on_surface] = values
+        found[free] = block_cg(matrix, multigrid(matrix), load, tolerance, most)
+        return stiffness, found
 
 
 def hull_modes(conductor: Conductor, fields: Floats, count: int) -> Floats:
@@ -165,7 +255,7 @@ def hull_modes(conductor: Conductor, fields: Floats, count: int) -> Floats:
 
 
 def inner_energies(conductor: Conductor, modes: Floats) -> Floats:
-    """Energies (4, k, k) of modes in the hull's myocardium, body, lung and blood."""
+    """Energies (4, k, k) of modes in the hull's myocardium, then in each `TorsoTissue`."""
     parts = [(conductor.heart.tetrahedra, conductor.of_heart)]
     for tissue in TorsoTissue:
         chosen = conductor.inside & (conductor.torso.tissues == tissue)
@@ -179,7 +269,47 @@ def inner_energies(conductor: Conductor, modes: Floats) -> Floats:
     return found
 
 
-def place_patterns(remainders: Singles, count: int) -> Floats:
+def exterior(
+    conductor: Conductor, values: Floats, contacts: Contacts, tolerance: float = 3e-4
+) -> Callable[[TorsoState], tuple[Floats, Floats]]:
+    """What the outside of the hull is to potentials B (s, k) on its surface, for each state.
+
+    The energy of E (k, k), and E at the contacts (p, k), over the conductivity of plain tissue; the
+    factor on the lungs' counts through its ratio to that. `tolerance` is relative.
+    """
+    part = Part.of(conductor, conductor.torso.tetrahedra[~conductor.inside])
+    columns = np.searchsorted(part.used, contacts.triangles)
+    rows = np.repeat(np.arange(len(columns)), 3)
+    at_contacts = csr_matrix(
+        (contacts.weights.ravel(), (rows, columns.ravel())), shape=(len(columns), len(part.used))
+    )
+
+    def solve(state: TorsoState) -> tuple[Floats, Floats]:
+        sigma = conductor.moved(state, ~conductor.inside) / state.ratios[0]
+        stiffness, found = part.extended(sigma, values, tolerance, 60)
+        return found.T @ (stiffness @ found), at_contacts @ found
+
+    return solve
+
+
+def plain_hull(conductor: Conductor, values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Points (s, 3) (mm) and `near_field`'s projection (s, k) for B (s, k) on the hull's surface.
+
+    And the energy (k, k) of B in a hull of plain tissue (1/kΩ).
+    """
+    part = Part.of(conductor, conductor.in_hull)
+    isotropic = conductor.around[conductor.torso.tissues == TorsoTissue.BODY][0]
+    sigma = np.broadcast_to(isotropic, (len(part.corners), 3, 3))
+    stiffness, found = part.extended(sigma, values, 1e-6, 500)
+    flux = stiffness[part.on_surface] @ found
+    filled = values.T @ flux
+    filled = (filled + filled.T) / 2
+    amplitude = MM_PER_CM / (2 * np.pi * isotropic[0, 0])
+    projection = amplitude * np.linalg.solve(filled, flux.T).T
+    return part.points[part.on_surface], projection, filled
+
+
+def _place_patterns(remainders: Singles, count: int) -> Floats:
     """Functions (p, q) of places that hold most of fields (b, p, k): principal components.
 
     Each limb electrode has one of its own: there are many more places of the chest's.
@@ -188,9 +318,3 @@ def place_patterns(remainders: Singles, count: int) -> Floats:
     _, vectors = np.linalg.eigh(chest @ chest.T)
     limbs = np.eye(Electrode.V1)
     return np.asarray(scipy.linalg.block_diag(limbs, vectors[:, ::-1][:, :count]))
-
-
-def _critical(conductor: Conductor, bodies: Sequence[BodyState]) -> Integers:
-    """The eight tetrahedra that are compressed most in each body."""
-    determinants = [conductor.morph.determinants(conductor.motion(body)) for body in bodies]
-    return np.unique([np.argsort(of_body)[:8] for of_body in determinants])
