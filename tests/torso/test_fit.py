@@ -13,10 +13,11 @@ from fascicle.core.leads import ELECTRODES
 from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.labelled_surface import labelled_mesh
 from fascicle.mesh.formats.read import read_mesh
-from fascicle.torso.electrode_sites import check_not_exchanged, distances_to_skin
-from fascicle.torso.heart_pose import body_frame, default_position
+from fascicle.torso.electrode_sites import check_not_exchanged
+from fascicle.torso.heart_pose import default_position, torso_frame
 from fascicle.torso.idealised import fit_trunk, fitted_torso, leaving
-from fascicle.torso.trunk import BodySize, outside_trunk
+from fascicle.torso.lead_fields import contacts_on
+from fascicle.torso.trunk import TrunkSize, outside_trunk
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
 
@@ -26,46 +27,51 @@ def mesh(default_heart):
     return labelled_mesh(default_heart)
 
 
-def sites(mesh, body):
+def sites(mesh, person):
     """The standard sites on the trunk of a person around a heart, in its coordinates."""
-    return body_frame(mesh, body).to_heart(leaving(outside_trunk(body), body))
+    return torso_frame(mesh, person).to_heart(leaving(outside_trunk(person), person))
 
 
 def fit(mesh, electrodes, **known):
     heart = mesh.vertices[np.unique(mesh.triangles)]
-    frame = body_frame(mesh, BodySize())
-    centre = frame.to_heart(default_position(BodySize()))
+    frame = torso_frame(mesh, TrunkSize())
+    centre = frame.to_heart(default_position(TrunkSize()))
     return fit_trunk("e.csv", electrodes, heart, centre, frame.rotation, known)
 
 
 @pytest.mark.parametrize(
     "person",
-    [BodySize(), BodySize(1.90, 75), BodySize(1.58, 90), BodySize(1.7, chest=105, shoulders=1.1)],
+    [
+        TrunkSize(),
+        TrunkSize(1.90, 75),
+        TrunkSize(1.58, 90),
+        TrunkSize(1.7, chest=105, shoulders=1.1),
+    ],
 )
 def test_a_person_is_found_again(mesh, person):
     """From electrodes at their sites; unusual measures are drawn to the usual ones a little."""
     found = fit(mesh, sites(mesh, person))
     assert found.moved.max() < 4
-    assert found.body.girth == pytest.approx(person.girth, rel=0.05)
-    assert found.body.height == pytest.approx(person.height, rel=0.05)
-    assert found.body.shoulders == pytest.approx(person.shoulders, rel=0.06)
+    assert found.size.girth == pytest.approx(person.girth, rel=0.05)
+    assert found.size.height == pytest.approx(person.height, rel=0.05)
+    assert found.size.shoulders == pytest.approx(person.shoulders, rel=0.06)
     assert np.abs(found.electrodes - found.sites).max() < 20
 
 
 def test_measures_of_the_person_are_kept(mesh):
-    electrodes = sites(mesh, BodySize(1.80, 80))
-    body = fit(mesh, electrodes, height=1.65, weight=70).body
-    assert (body.height, body.weight, body.chest) == (1.65, 70, None)
-    assert fit(mesh, electrodes, chest=90).body.girth == 90
+    electrodes = sites(mesh, TrunkSize(1.80, 80))
+    person = fit(mesh, electrodes, height=1.65, weight=70).size
+    assert (person.height, person.weight, person.chest) == (1.65, 70, None)
+    assert fit(mesh, electrodes, chest=90).size.girth == 90
 
 
 def test_the_deformation_puts_the_skin_at_the_electrodes_and_folds_nothing(mesh):
-    electrodes = sites(mesh, BodySize())
+    electrodes = sites(mesh, TrunkSize())
     electrodes[4] += [8, -14, 0]
     electrodes[7] += [15, 0, 10]
     fitted = fit(mesh, electrodes)
     assert fitted.moved.max() > 3
-    outside = outside_trunk(fitted.body)
+    outside = outside_trunk(fitted.size)
     np.testing.assert_allclose(outside(fitted.undeformed(fitted.electrodes)), 0, atol=1e-6)
     far = np.array([[0.0, 120, -380], [0, 120, 100]])
     assert np.linalg.norm(fitted.undeformed(far) - far, axis=1).max() < 0.5 * fitted.moved.max()
@@ -76,7 +82,7 @@ def test_the_deformation_puts_the_skin_at_the_electrodes_and_folds_nothing(mesh)
 
 
 def test_torso_turns_with_heart_and_electrodes(mesh):
-    electrodes = sites(mesh, BodySize(1.8, 80))
+    electrodes = sites(mesh, TrunkSize(1.8, 80))
     one, fitted = fitted_torso(mesh, electrodes, "e.csv", {})
     moved = replace(mesh, vertices=mesh.vertices @ TURN.T + [30, -50, 900])
     other, _ = fitted_torso(moved, electrodes @ TURN.T + [30, -50, 900], "e.csv", {})
@@ -84,24 +90,24 @@ def test_torso_turns_with_heart_and_electrodes(mesh):
         (one, fitted.frame.rotation), (other, TURN @ fitted.frame.rotation))]  # fmt: skip
     np.testing.assert_allclose(extent[0], extent[1], atol=1)
     for torso in (one, other):
-        assert distances_to_skin(torso.electrodes, torso.skin).max() < 1
+        assert contacts_on(*torso.skin, torso.electrodes).moved.max() < 1
     assert one.skin.litres == pytest.approx(other.skin.litres, rel=1e-3)
 
 
 def test_an_electrode_on_the_wrist_is_named(mesh):
-    electrodes = sites(mesh, BodySize())
-    electrodes[0] = body_frame(mesh, BodySize()).to_heart(np.array([-600.0, 0.0, -150.0]))
+    electrodes = sites(mesh, TrunkSize())
+    electrodes[0] = torso_frame(mesh, TrunkSize()).to_heart(np.array([-600.0, 0.0, -150.0]))
     with pytest.raises(InputError, match=r"e\.csv: electrode RA is \d{3} mm from the skin"):
         fit(mesh, electrodes)
 
 
 def test_electrodes_of_another_frame(mesh):
-    elsewhere = body_frame(mesh, BodySize()).rotation @ [0, 0, 190.0]
+    elsewhere = torso_frame(mesh, TrunkSize()).rotation @ [0, 0, 190.0]
     with pytest.raises(InputError, match=r"the heart lies \d+ mm too far to the feet"):
-        fit(mesh, sites(mesh, BodySize()) + elsewhere)
+        fit(mesh, sites(mesh, TrunkSize()) + elsewhere)
     # a heart in LPS, electrodes in RAS
-    frame = body_frame(mesh, BodySize())
-    turned = frame.to_body(sites(mesh, BodySize())) * [-1, -1, 1]
+    frame = torso_frame(mesh, TrunkSize())
+    turned = frame.to_torso(sites(mesh, TrunkSize())) * [-1, -1, 1]
     with pytest.raises(InputError, match="the apex then points to the right and the back"):
         fitted_torso(mesh, frame.to_heart(turned), "e.csv", {})
 
@@ -117,7 +123,7 @@ def test_electrodes_of_another_frame(mesh):
     ],
 )
 def test_exchanged_electrodes(default_heart, mesh, order, message):
-    electrodes = sites(mesh, BodySize())
+    electrodes = sites(mesh, TrunkSize())
     check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes))
     with pytest.raises(InputError, match=message):
         check_not_exchanged("e.csv", replace(default_heart, electrodes=electrodes[order]))
@@ -130,8 +136,8 @@ def test_a_living_subject(data_folder):
     heart = read_mesh(folder / "mesh.vtu", "mesh").points
     fitted = fit_trunk("e.csv", electrodes, heart, heart.mean(axis=0), np.eye(3), {})
     assert fitted.moved.max() < 7
-    assert 85 < fitted.body.girth < 110
-    in_body_frame = fitted.frame.to_body(heart)
-    assert outside_trunk(fitted.body)(fitted.undeformed(in_body_frame)).max() < -30
+    assert 85 < fitted.size.girth < 110
+    placed = fitted.frame.to_torso(heart)
+    assert outside_trunk(fitted.size)(fitted.undeformed(placed)).max() < -30
     front = [ELECTRODES.index(name) for name in ("V1", "V2", "V3", "V4")]
     assert (fitted.electrodes[front, 1] < fitted.electrodes[8, 1]).all()

@@ -12,17 +12,17 @@ from fascicle.mesh.measures import solid_centroid
 from fascicle.torso.heart_pose import (
     AZIMUTH,
     ELEVATION,
-    body_frame,
     default_position,
     endocardial_surfaces,
     heart_axes,
     opening,
     standard_axes,
+    torso_frame,
 )
 from fascicle.torso.surfaces import Surface
-from fascicle.torso.trunk import BodySize
+from fascicle.torso.trunk import TrunkSize
 
-POSITION = default_position(BodySize())
+POSITION = default_position(TrunkSize())
 
 
 def turned(rotation=None):
@@ -59,13 +59,13 @@ def test_axes_turn_with_the_heart():
 
 def test_standard_pose_has_the_standard_angles():
     mesh, axes, origin = turned(Rotation.from_rotvec([2.0, 0.4, -0.5]).as_matrix())
-    frame = body_frame(mesh, BodySize())
-    x, y, z = -(frame.to_body(origin + axes[:, 2]) - frame.to_body(origin))  # to the apex
+    frame = torso_frame(mesh, TrunkSize())
+    x, y, z = -(frame.to_torso(origin + axes[:, 2]) - frame.to_torso(origin))  # to the apex
     assert np.arctan2(x, -y) == pytest.approx(AZIMUTH)
     assert np.arcsin(-z) == pytest.approx(ELEVATION)
     centroid = solid_centroid(mesh.vertices, mesh.tetrahedra)
-    np.testing.assert_allclose(frame.to_body(centroid), POSITION, atol=1e-10)
-    again = frame.to_heart(frame.to_body(mesh.vertices))
+    np.testing.assert_allclose(frame.to_torso(centroid), POSITION, atol=1e-10)
+    again = frame.to_heart(frame.to_torso(mesh.vertices))
     np.testing.assert_allclose(again, mesh.vertices, atol=1e-10)
 
 
@@ -74,7 +74,7 @@ def test_poses_of_images_only_move(pose, to_image):
     """DICOM counts to the left and back, NIfTI to the right and front, both to the head."""
     to_image = np.diag(to_image)
     mesh, axes, _ = turned(to_image @ standard_axes() @ turned()[1].T)
-    frame = body_frame(mesh, BodySize(), pose)
+    frame = torso_frame(mesh, TrunkSize(), pose)
     # to the left, back and up in the image
     steps = frame.to_heart(POSITION + np.eye(3)) - frame.to_heart(POSITION)
     np.testing.assert_allclose(steps, to_image, atol=1e-10)
@@ -85,6 +85,6 @@ def test_poses_of_images_only_move(pose, to_image):
 def test_refuses_axes_that_cannot_be():
     mesh, _, _ = turned(standard_axes() @ turned()[1].T)
     with pytest.raises(InputError, match="the apex then points to the right and the back"):
-        body_frame(mesh, BodySize(), "ras")  # it is LPS
+        torso_frame(mesh, TrunkSize(), "ras")  # it is LPS
     with pytest.raises(InputError, match="'xyz' is unknown; use one of standard, ras, lps"):
-        body_frame(mesh, BodySize(), "xyz")
+        torso_frame(mesh, TrunkSize(), "xyz")

@@ -9,16 +9,12 @@ from fascicle.core.errors import InputError
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
-from fascicle.torso.electrode_sites import (
-    check_not_mirrored,
-    check_on_skin,
-    distances_to_skin,
-    electrode_warnings,
-)
-from fascicle.torso.heart_pose import body_frame, endocardial_surfaces, opening
+from fascicle.torso.electrode_sites import check_not_mirrored, check_on_skin, electrode_warnings
+from fascicle.torso.heart_pose import endocardial_surfaces, opening, torso_frame
 from fascicle.torso.idealised import idealised_torso
+from fascicle.torso.lead_fields import contacts_on
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, check_within, crossing, signed_distance
-from fascicle.torso.trunk import BodySize, exclusion_hull, lungs_of, trunk
+from fascicle.torso.trunk import TrunkSize, exclusion_hull, lungs_of, trunk
 
 MIRRORS = [np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) for axis in range(3)]
 
@@ -29,7 +25,7 @@ def mesh(default_heart: Heart) -> LabelledMesh:
 
 
 @pytest.fixture(scope="module")
-def body(mesh: LabelledMesh) -> TorsoSurfaces:
+def torso(mesh: LabelledMesh) -> TorsoSurfaces:
     return idealised_torso(mesh)
 
 
@@ -44,8 +40,8 @@ def at_level(surface: Surface, z: float) -> np.ndarray:
     return points[np.argsort(np.arctan2(points[:, 1], points[:, 0]))]
 
 
-@pytest.mark.parametrize("build", [BodySize(), BodySize(1.85, 95), BodySize(1.60, 50, 80)])
-def test_girth_is_that_asked_for(build: BodySize) -> None:
+@pytest.mark.parametrize("build", [TrunkSize(), TrunkSize(1.85, 95), TrunkSize(1.60, 50, 80)])
+def test_girth_is_that_asked_for(build: TrunkSize) -> None:
     outline = at_level(trunk(build), 0.0)
     girth = np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).sum()
     assert girth / 10 == pytest.approx(build.girth, rel=0.015)
@@ -54,37 +50,37 @@ def test_girth_is_that_asked_for(build: BodySize) -> None:
 
 def test_girth_follows_height_and_weight() -> None:
     """Means of Heinz et al. 2003: men 101.0 cm, women 86.1 cm."""
-    assert BodySize(1.777, 78.1).girth == pytest.approx(101.0, rel=0.05)
-    assert BodySize(1.649, 60.6).girth == pytest.approx(86.1, rel=0.05)
+    assert TrunkSize(1.777, 78.1).girth == pytest.approx(101.0, rel=0.05)
+    assert TrunkSize(1.649, 60.6).girth == pytest.approx(86.1, rel=0.05)
 
 
-def test_measures_of_the_standard_adult(body: TorsoSurfaces) -> None:
+def test_measures_of_the_standard_adult(torso: TorsoSurfaces) -> None:
     # trunk: half of 66.5 kg at 1.03 kg/l (Dempster 1955), which the gas in the lungs adds to
-    assert body.skin.litres == pytest.approx(0.497 * 66.5 / 1.03 + 2.9, rel=0.1)
-    left, right = (lung.litres for lung in body.lungs)
+    assert torso.skin.litres == pytest.approx(0.497 * 66.5 / 1.03 + 2.9, rel=0.1)
+    left, right = (lung.litres for lung in torso.lungs)
     # 2.9 l of gas, 1.1 l of tissue and blood
     assert left + right == pytest.approx(4.0, rel=0.1)
     assert left < right
 
 
-def test_surfaces_fit_into_one_another(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
-    check_within(mesh, body.skin, body.lungs)
+def test_surfaces_fit_into_one_another(mesh: LabelledMesh, torso: TorsoSurfaces) -> None:
+    check_within(mesh, torso.skin, torso.lungs)
     heart = mesh.vertices[np.unique(mesh.triangles)]
     # Rahko 2008: 32.1 ± 7.9 mm
-    assert -signed_distance(heart, body.skin).max() == pytest.approx(32, abs=4)
-    for lung in body.lungs:
+    assert -signed_distance(heart, torso.skin).max() == pytest.approx(32, abs=4)
+    for lung in torso.lungs:
         assert signed_distance(heart, lung).min() > 3
-        assert -signed_distance(lung.vertices, body.skin).max() > 15
-    assert crossing(*body.lungs) is None
+        assert -signed_distance(lung.vertices, torso.skin).max() > 15
+    assert crossing(*torso.lungs) is None
 
 
 def test_electrodes_are_on_the_skin_where_they_belong(
-    mesh: LabelledMesh, body: TorsoSurfaces
+    mesh: LabelledMesh, torso: TorsoSurfaces
 ) -> None:
-    assert body.electrodes is not None
-    assert np.abs(signed_distance(body.electrodes, body.skin)).max() < 1e-3
+    assert torso.electrodes is not None
+    assert np.abs(signed_distance(torso.electrodes, torso.skin)).max() < 1e-3
     place = dict(
-        zip(ELECTRODES, body_frame(mesh, BodySize()).to_body(body.electrodes), strict=True)
+        zip(ELECTRODES, torso_frame(mesh, TrunkSize()).to_torso(torso.electrodes), strict=True)
     )
     np.testing.assert_allclose(place["V1"] * [-1, 1, 1], place["V2"], atol=1)
     np.testing.assert_allclose(place["RA"] * [-1, 1, 1], place["LA"], atol=2)
@@ -96,28 +92,28 @@ def test_electrodes_are_on_the_skin_where_they_belong(
     assert place["RA"][2] > 100
 
 
-def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
-    assert body.electrodes is not None
-    v1, to_the_front = ELECTRODES.index("V1"), -body_frame(mesh, BodySize()).rotation[:, 1]
-    moved = body.electrodes.copy()
+def test_electrodes_off_the_skin_are_refused(mesh: LabelledMesh, torso: TorsoSurfaces) -> None:
+    assert torso.electrodes is not None
+    v1, to_the_front = ELECTRODES.index("V1"), -torso_frame(mesh, TrunkSize()).rotation[:, 1]
+    moved = torso.electrodes.copy()
     moved[v1] += 25 * to_the_front
     expected = np.where(np.arange(9) == v1, 25, 0)  # the chest is nearly flat there
-    assert distances_to_skin(moved, body.skin) == pytest.approx(expected, abs=1)
-    check_on_skin("e.csv", distances_to_skin(moved, body.skin))
+    assert contacts_on(*torso.skin, moved).moved == pytest.approx(expected, abs=1)
+    check_on_skin("e.csv", contacts_on(*torso.skin, moved).moved)
     moved[v1] += 25 * to_the_front
     message = r"^e\.csv: electrode V1 is (49|50) mm from the skin, more than 30; .*--torso FILE"
     with pytest.raises(InputError, match=message):
-        check_on_skin("e.csv", distances_to_skin(moved, body.skin))
+        check_on_skin("e.csv", contacts_on(*torso.skin, moved).moved)
 
 
-def test_heart_does_not_move_but_the_torso(mesh: LabelledMesh, body: TorsoSurfaces) -> None:
+def test_heart_does_not_move_but_the_torso(mesh: LabelledMesh, torso: TorsoSurfaces) -> None:
     turn = np.linalg.qr(np.array([[1.0, 2, 0], [0, 1, 3], [1, 0, 1]]))[0]
     turn *= np.linalg.det(turn)
     moved = replace(mesh, vertices=mesh.vertices @ turn.T + [30, -50, 900])
     other = idealised_torso(moved)
-    assert body.electrodes is not None
+    assert torso.electrodes is not None
     assert other.electrodes is not None
-    expected = body.electrodes @ turn.T + [30, -50, 900]
+    expected = torso.electrodes @ turn.T + [30, -50, 900]
     np.testing.assert_allclose(other.electrodes, expected, atol=1e-6)
 
 
@@ -133,7 +129,7 @@ def test_heart_does_not_move_but_the_torso(mesh: LabelledMesh, body: TorsoSurfac
 )
 def test_refuses_what_is_no_adult(values, message) -> None:
     with pytest.raises(InputError, match=message):
-        BodySize(*values)
+        TrunkSize(*values)
 
 
 def test_refuses_a_heart_that_does_not_fit(mesh: LabelledMesh) -> None:
@@ -143,22 +139,22 @@ def test_refuses_a_heart_that_does_not_fit(mesh: LabelledMesh) -> None:
 
 
 def test_refuses_a_heart_without_room_for_a_lung(mesh: LabelledMesh) -> None:
-    frame = body_frame(mesh, BodySize())
-    heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
-    base = frame.to_body(np.stack([opening(side) for side in endocardial_surfaces(mesh)]))
+    frame = torso_frame(mesh, TrunkSize())
+    heart = frame.to_torso(mesh.vertices[np.unique(mesh.triangles)])
+    base = frame.to_torso(np.stack([opening(side) for side in endocardial_surfaces(mesh)]))
     with pytest.raises(InputError, match="leaves no room for the left lung"):
         # litres, between the left and the right
-        lungs_of("heart", BodySize(), exclusion_hull(heart, base), smallest=1.95)
+        lungs_of("heart", TrunkSize(), exclusion_hull(heart, base), smallest=1.95)
 
 
-@pytest.mark.parametrize("build", [BodySize(1.50, 45), BodySize(1.60, 120)])
-def test_lungs_of_other_adults(mesh: LabelledMesh, build: BodySize) -> None:
+@pytest.mark.parametrize("build", [TrunkSize(1.50, 45), TrunkSize(1.60, 120)])
+def test_lungs_of_other_adults(mesh: LabelledMesh, build: TrunkSize) -> None:
     other = idealised_torso(mesh, build)
     for lung in other.lungs:
         assert signed_distance(lung.vertices, other.skin).max() < -10
         assert signed_distance(mesh.vertices[np.unique(mesh.triangles)], lung).min() > 3
     # with the cube of the measures, and those are height times girth twice
-    size = build.height * build.girth**2 / (BodySize().height * BodySize().girth ** 2)
+    size = build.height * build.girth**2 / (TrunkSize().height * TrunkSize().girth ** 2)
     litres = sum(lung.litres for lung in other.lungs)
     assert litres == pytest.approx(3.9 * size, rel=0.15)
 

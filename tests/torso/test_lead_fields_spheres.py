@@ -56,8 +56,7 @@ def referenced(values):
 
 def touching(vertices, tetrahedra, electrodes):
     """The points at which the current enters."""
-    contacts = place_electrodes(vertices, tetrahedra, electrodes)
-    return np.einsum("ek,eki->ei", contacts.weights, vertices[contacts.triangles])
+    return place_electrodes(vertices, tetrahedra, electrodes).points(vertices)
 
 
 def slopes_by_differences(field, points, step=1e-3):

@@ -18,18 +18,13 @@ from fascicle.heart.electrodes import read_electrodes
 from fascicle.heart.heart import Heart
 from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_electrodes
-from fascicle.torso.electrode_sites import (
-    check_not_exchanged,
-    check_not_mirrored,
-    check_on_skin,
-    distances_to_skin,
-)
+from fascicle.torso.electrode_sites import check_not_exchanged, check_not_mirrored, check_on_skin
 from fascicle.torso.heart_pose import Pose, apex_direction
 from fascicle.torso.idealised import FittedTrunk, fitted_torso, idealised_torso
-from fascicle.torso.lead_fields import resolve_lead_fields
+from fascicle.torso.lead_fields import contacts_on, resolve_lead_fields
 from fascicle.torso.mesh import mesh_torso
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, read_torso_surfaces
-from fascicle.torso.trunk import SHAPE, BodySize
+from fascicle.torso.trunk import SHAPE, TrunkSize
 
 
 @dataclass(frozen=True)
@@ -46,7 +41,7 @@ class TorsoOptions:
         Height (m), weight (kg) and chest girth (cm), as far as they are known, to scale the
         idealised torso.
     pose : {"standard", "ras", "lps"}
-        See `fascicle.torso.heart_pose.body_frame`.
+        See `fascicle.torso.heart_pose.torso_frame`.
     electrodes : Path, optional
         Positions that the idealised torso is fitted to; by default those of its standard places.
     """
@@ -77,7 +72,7 @@ class TorsoOptions:
         for path in (*skin, *self.lungs):
             if not path.is_file():
                 raise InputError(f"{path}: no such file (torso); check the path")
-        BodySize(**self.measures)
+        TrunkSize(**self.measures)
         _ = self.positions
 
     @cached_property
@@ -98,7 +93,7 @@ def in_torso(
     surfaces: TorsoSurfaces | None = None
     positions = options.positions
     if positions is None:
-        surfaces = idealised_torso(mesh, BodySize(**options.measures), options.pose)
+        surfaces = idealised_torso(mesh, TrunkSize(**options.measures), options.pose)
         positions = surfaces.electrodes
         assert positions is not None
     heart = replace(heart, electrodes=positions)
@@ -112,7 +107,7 @@ def in_torso(
         surfaces = read_torso_surfaces(Path(options.torso), options.lungs, mesh)
     if surfaces is None:
         return heart, notes
-    check_on_skin(source, distances_to_skin(heart.electrodes, surfaces.skin))
+    check_on_skin(source, contacts_on(*surfaces.skin, heart.electrodes).moved)
     torso = mesh_torso(mesh, surfaces.skin, surfaces.lungs, stage_progress(progress, "torso"))
     heart = replace(heart, torso=torso)
     fields = resolve_lead_fields(heart, Conduction(), stage_progress(progress, "lead fields"))
@@ -121,14 +116,14 @@ def in_torso(
 
 def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
     """What the trunk took to hold the electrodes on its skin, in all and for each."""
-    body = fitted.body
+    size = fitted.size
     lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
     azimuth, descent = apex_direction(fitted.frame.rotation, lv, rv)
-    shape = ", ".join(f"{name} {getattr(body, name):.2f}" for name in SHAPE)
+    shape = ", ".join(f"{name} {getattr(size, name):.2f}" for name in SHAPE)
     axes = "from the electrodes" if pose == "standard" else f"{pose.upper()}, tilted to fit them"
     off = fitted.electrodes - fitted.sites
     return [
-        f"torso: fitted to the electrodes; height {body.height:.2f} m, chest {body.girth:.0f} cm; "
+        f"torso: fitted to the electrodes; height {size.height:.2f} m, chest {size.girth:.0f} cm; "
         f"times the standard adult's: {shape}",
         f"pose: {axes}; the apex points {azimuth:.0f} degrees to the left and {descent:.0f} down",
         "electrodes: how far the skin was moved to each, and how far each is from its standard "

@@ -5,18 +5,17 @@ that goes linearly with depth. Three harmonic potentials that add up to 1, each 
 (LV endocardium, RV endocardium, epicardium) and 0 on the other two, give depth and the direction
 across the wall; a fourth one gives the direction from apex to base.
 
-Where this departs from the paper, it is for the flaws known of it:
+Departures from the paper, for the flaws known of it:
 
 - The direction across the wall is kept and the one towards the base made orthogonal to it, not the
-  reverse, so that no fibre leaves the wall (as Piersanti et al. 2021 do).
-- Each surface has the rule's frame of its own, and in every wall the frames of its two surfaces
-  give the same fibre: turning a frame inside out (across and around change sign) and its angle
-  with it leaves the fibre's line unchanged. The septum is such a wall: from the LV's angle on its
-  left it passes to the RV's, seen from the RV, on its right, without a step.
-- Where three walls meet the frames disagree, and what is blended is not the frames, by quaternions
-  whose nearest equivalent jumps across whole surfaces, but the lines, as tensors f⊗f. The
-  principal direction of a blend of tensors can jump along curves only. One such curve along each
-  junction of the ventricles, and one at each apex, no field that meets the angles can be without.
+  reverse, so that no fibre leaves the wall (as in Piersanti et al. 2021).
+- Each surface has its own frame. Turning a frame inside out, and its angle with it, leaves the
+  fibre's line unchanged, so the two frames of a wall agree: through the septum the angle passes
+  from the LV's to the RV's, seen from the RV, without a step.
+- Where three walls meet the frames disagree. The lines are blended, as tensors f⊗f: their principal
+  direction can jump along curves only, whereas the nearest of equivalent quaternions jumps across
+  whole surfaces. Every field with these angles has such a curve along each junction of the
+  ventricles, and one at each apex.
 
 Sources
 -------
@@ -122,7 +121,12 @@ def rule_based_fibres(
 
     with the published α and β on the surfaces if no angles are given. The right ventricle may be
     missing. Where openings of the great arteries are labelled, fibres turn towards them on the
-    endocardium and around them outside. An error if the surface lacks a label that the rule needs.
+    endocardium and around them outside.
+
+    Raises
+    ------
+    InputError
+        If the surface lacks a label that the rule needs.
     """
     angles = angles if angles is not None else FibreAngles()
     for what, labels in (
@@ -174,12 +178,11 @@ def wall_potentials(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, 
 def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Floats]:
     """Direction to the base (m, 3), and how far into an outflow tract each tetrahedron lies (m,).
 
-    The direction to the base is the gradient of the potential that is 1 on all that is basal, the
-    arterial openings among it, and 0 at the two ends of the LV's apex (`lv_apex`). The part h of
-    that potential that is due to the arterial openings alone gives the outflow tracts: they are
-    where h exceeds one half, so where their opening rather than the rest of the base is at hand,
-    and the measure (2h − 1)² rises to 1 at the opening; it is 0 everywhere where none is labelled.
-    Doste et al. 2019 use such a potential between the two openings of each ventricle.
+    The direction is the gradient of the potential that is 1 on all that is basal, the arterial
+    openings among it, and 0 at the two ends of the LV's apex (`lv_apex`). Outflow tracts are where
+    the part h of it that is due to the arterial openings exceeds one half; the measure (2h − 1)²
+    rises to 1 at the opening. Doste et al. 2019 use such a potential between the two openings of
+    each ventricle.
     """
     apex = lv_apex(mesh)
     basal = np.setdiff1d(space.on(mesh.having(*BASAL)), apex)
@@ -199,9 +202,9 @@ def apex_to_base(space: QuadraticSpace, mesh: LabelledMesh) -> tuple[Floats, Flo
 def lv_apex(mesh: LabelledMesh) -> Integers:
     """The vertices at the apex of the LV: the endocardial and the epicardial one, shape (2,).
 
-    Those that lie furthest from the endocardium's opening along the long axis, which runs from
-    its middle to the endocardial vertex that is furthest from it. Of the epicardium, only what
-    is nearer to the LV than to the RV: the RV's apex may reach as low.
+    Those furthest from the endocardium's opening along the long axis, from its middle to the
+    endocardial vertex furthest from it. Of the epicardium only what is nearer to the LV than to
+    the RV counts: the RV's apex may reach as low.
     """
     endocardium = np.unique(mesh.having(Label.LV_ENDOCARDIUM))
     opening = mesh.vertices[np.intersect1d(endocardium, mesh.having(*BASAL))].mean(axis=0)

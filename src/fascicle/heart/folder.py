@@ -216,11 +216,12 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
     mesh = read_mesh(path, "torso")
     tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     tissues = mesh.cell_data[TETRAHEDRON].get("tissue", np.empty(0))
+    known = " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
     count = len(heart_vertices)
     inverted = signed_volumes(mesh.points, tetrahedra) <= 0
     for bad, fault in (
         (tissues.shape != (len(tetrahedra),), "no cell array 'tissue' with a label each"),
-        (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {_tissues()}"),
+        (not np.isin(tissues, list(TorsoTissue)).all(), f"a tissue that is not {known}"),
         (
             not np.array_equal(mesh.points[:count], heart_vertices),
             f"its first {count} points are not the heart's",
@@ -234,10 +235,6 @@ def read_torso(path: Path, heart_vertices: Floats) -> Torso:
         if bad:
             raise InputError(f"{path}: {fault}; build the heart's torso again")
     return Torso(mesh.points, tetrahedra, tissues.astype(np.int64))
-
-
-def _tissues() -> str:
-    return " or ".join(f"{tissue.value} ({tissue.name.lower()})" for tissue in TorsoTissue)
 
 
 def check_heart_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:

@@ -16,7 +16,7 @@ from fascicle.heart.heart import Heart
 from fascicle.mesh.measures import unit
 from fascicle.torso.heart_pose import surface_middle
 from fascicle.torso.surfaces import Surface
-from fascicle.torso.trunk import BodySize
+from fascicle.torso.trunk import TrunkSize
 
 FARTHEST = 30.0  # mm from the skin: beyond, electrodes and torso do not belong together
 
@@ -35,8 +35,8 @@ class Electrode(IntEnum):
     V6 = 8
 
 
-def standard_electrodes(body: BodySize, skin: Surface) -> Floats:
-    """Put the nine electrodes (9, 3) onto the skin of an idealised torso, in the body frame (mm).
+def standard_electrodes(size: TrunkSize, skin: Surface) -> Floats:
+    """Put the nine electrodes (9, 3) onto the skin of an idealised torso, in the torso frame (mm).
 
     V1 and V2 lie in the fourth intercostal space at the borders of the sternum, V4 in the fifth at
     the midclavicular line, V3 between V2 and V4, V5 and V6 at V4's level on the anterior and the
@@ -44,21 +44,21 @@ def standard_electrodes(body: BodySize, skin: Surface) -> Floats:
     the trunk, where the limbs join it: Mason and Likar 1966, Am Heart J 71:196-205.
     """
     electrodes = []
-    for start, direction in zip(*site_rays(body), strict=True):
+    for start, direction in zip(*site_rays(size), strict=True):
         hits = igl.ray_mesh_intersect(start, direction, *skin)
         electrodes.append(start + max(distance for _, distance, *_ in hits) * direction)
     return np.array(electrodes)
 
 
-def site_rays(body: BodySize) -> tuple[Floats, Floats]:
+def site_rays(size: TrunkSize) -> tuple[Floats, Floats]:
     """Where electrodes belong: on the skin that rays from within the trunk leave through.
 
-    Starts (9, 3) and directions (9, 3) in the body frame (mm).
+    Starts (9, 3) and directions (9, 3) in the torso frame (mm).
     """
-    width, height = body.half_width, 1000 * body.height  # mm
+    width, height = size.half_width, 1000 * size.height  # mm
     sternal = 0.15  # of the half-width: the sternum is some 5 cm wide at the fourth space
     clavicular = 0.55  # halfway between the middle of the neck and the tip of the shoulder
-    shoulder, hip = 0.88 * body.shoulders * width, 0.65 * body.hips * width
+    shoulder, hip = 0.88 * size.shoulders * width, 0.65 * size.hips * width
     fifth = -0.021 * height  # the fifth intercostal space below the fourth
     axillary = np.radians(64)  # of the anterior axillary line from straight ahead; V6's is at 90
     front = (0.0, -1.0)
@@ -76,14 +76,6 @@ def site_rays(body: BodySize) -> tuple[Floats, Floats]:
     ]
     starts = np.array([(x, 0.0, z) for (x, z), _ in rays])
     return starts, np.array([(x, y, 0.0) for _, (x, y) in rays])
-
-
-def distances_to_skin(electrodes: Floats, skin: Surface) -> Floats:
-    """How far electrodes (n, 3) are from a skin; (n,), mm."""
-    squared, _, _ = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(electrodes, dtype=float), *skin
-    )
-    return np.asarray(np.sqrt(squared))
 
 
 def check_on_skin(name: str, distances: Floats) -> None:

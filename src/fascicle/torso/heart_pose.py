@@ -1,6 +1,6 @@
-"""Where a heart lies in the body: its anatomical axes, and the body's axes around it.
+"""Where a heart lies in the torso: its anatomical axes, and the torso's axes around it.
 
-Body frame (mm): x to the patient's left, y to the back, z to the head; the origin lies on the axis
+Torso frame (mm): x to the patient's left, y to the back, z to the head; the origin lies on the axis
 of the trunk, at the level of the fourth intercostal space at the sternum. It is DICOM's LPS frame
 but for the origin.
 """
@@ -19,36 +19,36 @@ from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.mesh.measures import solid_centroid, triangle_areas, unit
 from fascicle.mesh.topology import boundary_loops
 from fascicle.torso.surfaces import Surface
-from fascicle.torso.trunk import BodySize
+from fascicle.torso.trunk import TrunkSize
 
 Pose = Literal["standard", "ras", "lps"]
 
 # The long axis points to the left, to the front and down, at about 45 degrees to the three planes
-# of the body (common anatomical knowledge; these figures are those of the packaged heart). The LV
+# of the torso (common anatomical knowledge; these figures are those of the packaged heart). The LV
 # and the RV lie side by side: the axis from one to the other is horizontal.
 AZIMUTH = np.radians(48)  # of the long axis: from straight ahead towards the patient's left
 ELEVATION = np.radians(38)  # of the long axis: below the horizontal plane
 
 
 @dataclass(frozen=True)
-class BodyFrame:
-    """The rigid motion between the heart's coordinates and the body frame.
+class TorsoFrame:
+    """The rigid motion between the heart's coordinates and the torso frame.
 
     Attributes
     ----------
     rotation, origin : (3, 3) and (3,) arrays
-        Columns: the body's axes in the heart's coordinates; and the body frame's origin there (mm).
+        Columns: the torso's axes in the heart's coordinates; and the frame's origin there (mm).
     """
 
     rotation: Floats
     origin: Floats
 
-    def to_body(self, points: Floats) -> Floats:
-        """Body coordinates of points (..., 3) given in the heart's."""
+    def to_torso(self, points: Floats) -> Floats:
+        """Torso coordinates of points (..., 3) given in the heart's."""
         return np.asarray((points - self.origin) @ self.rotation)
 
     def to_heart(self, points: Floats) -> Floats:
-        """Heart coordinates of points (..., 3) given in the body's."""
+        """Heart coordinates of points (..., 3) given in the torso's."""
         return np.asarray(points @ self.rotation.T + self.origin)
 
 
@@ -92,30 +92,30 @@ def surface_middle(surface: Surface) -> Floats:
 
 
 def standard_axes() -> Floats:
-    """The axes of `heart_axes` in the body frame, for a heart in the standard pose; (3, 3)."""
+    """The axes of `heart_axes` in the torso frame, for a heart in the standard pose; (3, 3)."""
     ce, se, ca, sa = np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH), np.sin(AZIMUTH)
     apex_to_base = np.array([-ce * sa, ce * ca, se])
     lv_to_rv = np.array([-ca, -sa, 0.0])
     return np.stack([lv_to_rv, np.cross(apex_to_base, lv_to_rv), apex_to_base], axis=1)
 
 
-def default_position(body: BodySize) -> Floats:
-    """Default position of the myocardium's centroid in the body frame (mm); (3,).
+def default_position(size: TrunkSize) -> Floats:
+    """Default position of the myocardium's centroid in the torso frame (mm); (3,).
 
     The valves' surface projections put the middle of the LV base half an intercostal space above
     the fourth, and the apex into the fifth, at the midclavicular line; skin to heart: Rahko 2008,
     J Am Soc Echocardiogr 21:761-764 (parasternal 32 mm, apical 31 mm).
     """
-    return np.array([33.0, -0.335 * body.half_depth, -5.0])
+    return np.array([33.0, -0.335 * size.half_depth, -5.0])
 
 
-def body_frame(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") -> BodyFrame:
-    """Lay the axes of an idealised body around a heart (mm), which itself stays where it is.
+def torso_frame(mesh: LabelledMesh, size: TrunkSize, pose: Pose = "standard") -> TorsoFrame:
+    """Lay the axes of an idealised torso around a heart (mm), which itself stays where it is.
 
     In the "standard" pose they follow from the heart's axes, which are given the standard angles.
     In "ras" and "lps" they are those of the image that the heart comes from: NIfTI's RAS+ counts to
-    the right, to the front and up, DICOM's LPS+ to the left, to the back and up; an error if the
-    apex then points where none does.
+    the right, front and up, DICOM's LPS+ to the left, back and up; an error if `check_apex` refuses
+    them.
     """
     if pose == "standard":
         rotation = heart_axes(*endocardial_surfaces(mesh)) @ standard_axes().T
@@ -125,14 +125,14 @@ def body_frame(mesh: LabelledMesh, body: BodySize, pose: Pose = "standard") -> B
     else:
         raise InputError(f"pose: '{pose}' is unknown; use one of standard, ras, lps")
     centroid = solid_centroid(mesh.vertices, mesh.tetrahedra)
-    return BodyFrame(rotation, centroid - rotation @ default_position(body))
+    return TorsoFrame(rotation, centroid - rotation @ default_position(size))
 
 
 def axes_of_electrodes(electrodes: Floats, sites: Floats) -> Floats:
-    """Body axes as electrodes tell them: those that put the standard sites nearest to them.
+    """Torso axes as electrodes tell them: those that put the standard sites nearest to them.
 
     The columns (3, 3) in the heart's coordinates, for electrodes (9, 3) there and sites (9, 3) in
-    the body frame: the rotation of least squares (Kabsch 1976, Acta Cryst A32:922-923).
+    the torso frame: the rotation of least squares (Kabsch 1976, Acta Cryst A32:922-923).
     """
     rotation, _ = Rotation.align_vectors(
         electrodes - electrodes.mean(axis=0), sites - sites.mean(0)
@@ -147,7 +147,7 @@ def apex_direction(rotation: Floats, lv: Surface, rv: Surface) -> tuple[float, f
 
 
 def check_apex(source: str, rotation: Floats, lv: Surface, rv: Surface) -> None:
-    """Refuse body axes in which the apex points to two of right, back and head.
+    """Refuse torso axes in which the apex points to two of right, back and head.
 
     Hearts differ, so one of them may be: a vertical heart points hardly to the left, a horizontal
     one hardly down.

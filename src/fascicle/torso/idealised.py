@@ -1,10 +1,9 @@
 """An adult torso around a given heart: of standard shape, or fitted to electrodes on its skin.
 
-Where electrodes are given, first the measures of the trunk, and where it lies around heart and
-electrodes, have their most probable values: electrodes lie on the skin and near their standard
-sites, the heart has its default position, measures are those of adults. What is left between skin
-and electrodes a smooth deformation takes up, the smallest that does, of skin, ribs and lungs
-together.
+Where electrodes are given, first the measures of the trunk and its pose around heart and electrodes
+have their most probable values: electrodes lie on the skin and near their standard sites, the heart
+has its default position, measures are those of adults. The smallest smooth deformation of skin,
+ribs and lungs together takes up what is left between skin and electrodes.
 
 Sources
 -------
@@ -34,21 +33,21 @@ from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.mesh.measures import solid_centroid
 from fascicle.torso.electrode_sites import Electrode, site_rays, standard_electrodes
 from fascicle.torso.heart_pose import (
-    BodyFrame,
     Pose,
+    TorsoFrame,
     axes_of_electrodes,
-    body_frame,
     check_apex,
     default_position,
     endocardial_surfaces,
     opening,
+    torso_frame,
 )
 from fascicle.torso.surfaces import Surface, TorsoSurfaces, check_within, signed_distance
 from fascicle.torso.trunk import (
     WIDEST,
-    BodySize,
     Deformation,
     Outside,
+    TrunkSize,
     convex_hull,
     exclusion_hull,
     identity,
@@ -70,23 +69,23 @@ MEASURES = {"height": 0.09, "girth": 0.15, "depth": 0.1, "shoulders": 0.1, "hips
 
 
 def idealised_torso(
-    mesh: LabelledMesh, body: BodySize | None = None, pose: Pose = "standard"
+    mesh: LabelledMesh, size: TrunkSize | None = None, pose: Pose = "standard"
 ) -> TorsoSurfaces:
     """Put an idealised adult torso around a heart (mm), which stays where it is.
 
-    The body is a standard adult's if it is not given; the pose is that of
-    `fascicle.torso.heart_pose.body_frame`.
+    The trunk is a standard adult's if it is not given; the pose is that of
+    `fascicle.torso.heart_pose.torso_frame`.
 
     Raises
     ------
     InputError
         If the heart does not fit into that torso, leaves no room for the lungs, or is not closed.
     """
-    body = body if body is not None else BodySize()
-    frame = body_frame(mesh, body, pose)
-    skin = trunk(body)
-    electrodes = frame.to_heart(standard_electrodes(body, skin))
-    return _with_lungs(mesh, body, frame, skin, electrodes)
+    size = size if size is not None else TrunkSize()
+    frame = torso_frame(mesh, size, pose)
+    skin = trunk(size)
+    electrodes = frame.to_heart(standard_electrodes(size, skin))
+    return _with_lungs(mesh, size, frame, skin, electrodes)
 
 
 def fitted_torso(
@@ -107,24 +106,24 @@ def fitted_torso(
     name : str
         What to call them in an error.
     known : mapping of name to float
-        Measures of the person, arguments of `BodySize`, which are kept.
+        Measures of the person, arguments of `TrunkSize`, which are kept.
     pose : {"standard", "ras", "lps"}
-        Whether the body's axes follow from the electrodes, or are those of the image that the heart
-        comes from; both are tilted a little where that fits better.
+        Whether the torso's axes follow from the electrodes, or are those of the image that the
+        heart comes from; both are tilted a little where that fits better.
     """
-    standard = BodySize()
+    standard = TrunkSize()
     if pose == "standard":
         rotation = axes_of_electrodes(electrodes, standard_electrodes(standard, trunk(standard)))
         check_apex(f"{name}: by the electrodes' places", rotation, *endocardial_surfaces(mesh))
     else:
-        rotation = body_frame(mesh, standard, pose).rotation
+        rotation = torso_frame(mesh, standard, pose).rotation
     heart = mesh.vertices[np.unique(mesh.triangles)]
     fitted = fit_trunk(
         name, electrodes, heart, solid_centroid(mesh.vertices, mesh.tetrahedra), rotation, known
     )
-    placed = fitted.frame.to_body(heart)
+    placed = fitted.frame.to_torso(heart)
     hull = convex_hull(placed)
-    undeformed_trunk = outside_trunk(fitted.body)
+    undeformed_trunk = outside_trunk(fitted.size)
     reach = 4 * SKIN_MARGIN  # elsewhere the heart makes no difference
     low, high = placed.min(axis=0) - reach, placed.max(axis=0) + reach
 
@@ -135,20 +134,20 @@ def fitted_torso(
         of_trunk[near] = -smooth_max(-of_trunk[near], -of_heart, SKIN_MARGIN)
         return of_trunk
 
-    skin = skin_of(outside, trunk_box(fitted.body, FARTHEST))
-    return _with_lungs(mesh, fitted.body, fitted.frame, skin, electrodes, fitted.undeformed), fitted
+    skin = skin_of(outside, trunk_box(fitted.size, FARTHEST))
+    return _with_lungs(mesh, fitted.size, fitted.frame, skin, electrodes, fitted.undeformed), fitted
 
 
 def _with_lungs(
     mesh: LabelledMesh,
-    body: BodySize,
-    frame: BodyFrame,
+    size: TrunkSize,
+    frame: TorsoFrame,
     skin: Surface,
     electrodes: Floats,
     undeformed: Deformation = identity,
 ) -> TorsoSurfaces:
-    """Add lungs to a skin in the body frame; electrodes are in the heart's coordinates."""
-    heart = frame.to_body(mesh.vertices[np.unique(mesh.triangles)])
+    """Add lungs to a skin in the torso frame; electrodes are in the heart's coordinates."""
+    heart = frame.to_torso(mesh.vertices[np.unique(mesh.triangles)])
     beyond = signed_distance(heart, skin) + SKIN_MARGIN
     if beyond.max() > 0:
         x, y, z = heart[np.argmax(beyond)]
@@ -158,8 +157,8 @@ def _with_lungs(
             f"{'above' if z > 0 else 'below'} V1); check pose and units, or give a larger height, "
             "weight or chest girth"
         )
-    base = frame.to_body(np.stack([opening(side) for side in endocardial_surfaces(mesh)]))
-    lungs = lungs_of(mesh.name, body, exclusion_hull(heart, base), undeformed)
+    base = frame.to_torso(np.stack([opening(side) for side in endocardial_surfaces(mesh)]))
+    lungs = lungs_of(mesh.name, size, exclusion_hull(heart, base), undeformed)
     surfaces = TorsoSurfaces(
         Surface(frame.to_heart(skin.vertices), skin.triangles),
         tuple(Surface(frame.to_heart(lung.vertices), lung.triangles) for lung in lungs),
@@ -175,15 +174,15 @@ class FittedTrunk:
 
     Attributes
     ----------
-    body, frame : BodySize, BodyFrame
+    size, frame : TrunkSize, TorsoFrame
         Its measures, and where it lies around the heart.
     electrodes, sites, on_skin : (9, 3) arrays
         Electrodes as given, standard sites on the trunk before it was deformed, and points of that
-        skin that the deformation puts at the electrodes; in the body frame (mm).
+        skin that the deformation puts at the electrodes; in the torso frame (mm).
     """
 
-    body: BodySize
-    frame: BodyFrame
+    size: TrunkSize
+    frame: TorsoFrame
     electrodes: Floats
     sites: Floats
     on_skin: Floats
@@ -205,7 +204,7 @@ class FittedTrunk:
         )
 
     def undeformed(self, points: Floats) -> Floats:
-        """Where points (n, 3) of the body frame lie in the trunk before it was deformed (mm)."""
+        """Where points (n, 3) of the torso frame lie in the trunk before it was deformed (mm)."""
         return np.asarray(points + self._displacement(points))
 
 
@@ -217,51 +216,43 @@ def fit_trunk(
     rotation: Floats,
     known: Mapping[str, float],
 ) -> FittedTrunk:
-    """Find the most probable trunk for electrodes (9, 3) and points (n, 3) of the heart's surface.
+    """Find the most probable trunk for electrodes (9, 3), called `name`.
 
     Nonlinear least squares for tilt (3,), position (3,) and measures, all in standard deviations.
-
-    Parameters
-    ----------
-    name : str
-        What to call the electrodes in an error.
-    electrodes, heart, centroid : (9, 3), (n, 3) and (3,) arrays
-        With the myocardium's centroid, in the heart's coordinates (mm).
-    rotation : (3, 3) array
-        Its columns are the body's axes there; they are tilted a little.
-    known : mapping of name to float
-        Measures of the person, arguments of `BodySize`, which are kept.
+    Points (n, 3) of the heart's surface and the myocardium's centroid (3,) are in the heart's
+    coordinates (mm), as the torso's axes, the columns of `rotation`, which are tilted a little; see
+    `fitted_torso` for the measures `known`.
     """
     hull = heart[ConvexHull(heart).vertices]
     given = set(known) | ({"girth"} if {"chest", "weight"} & set(known) else set())
     unknown = [measure for measure in MEASURES if measure not in given]
 
-    def trunk_of(x: Floats) -> tuple[BodySize, BodyFrame]:
+    def trunk_of(x: Floats) -> tuple[TrunkSize, TorsoFrame]:
         """Measures, and where that trunk lies: tilted about its axes, then the heart moved."""
         factors = {
             measure: float(np.exp(MEASURES[measure] * step))
             for measure, step in zip(unknown, x[6:], strict=True)
         }
         girth = factors.pop("girth", None)
-        values = {"height": BodySize.height, **known}
+        values = {"height": TrunkSize.height, **known}
         values |= {measure: values.get(measure, 1.0) * f for measure, f in factors.items()}
         if girth is not None:
-            values["chest"] = girth * BodySize().girth
-        body = BodySize(**values)
+            values["chest"] = girth * TrunkSize().girth
+        size = TrunkSize(**values)
         tilted = rotation @ Rotation.from_rotvec(TILT * x[:3]).as_matrix()
-        position = default_position(body) + POSITION * x[3:6]
-        return body, BodyFrame(tilted, centroid - tilted @ position)
+        position = default_position(size) + POSITION * x[3:6]
+        return size, TorsoFrame(tilted, centroid - tilted @ position)
 
     def residuals(x: Floats) -> Floats:
         """Electrodes off the skin and off their sites; heart near the skin; measures and pose."""
-        body, frame = trunk_of(x)
-        outside, placed = outside_trunk(body), frame.to_body(electrodes)
+        size, frame = trunk_of(x)
+        outside, placed = outside_trunk(size), frame.to_torso(electrodes)
         # across the skin, 5 mm, which the deformation may take up; along it, 25 mm on the chest,
         # and 50 where limbs join the trunk, as those electrodes are anywhere down to the wrist
-        off_site = placed - leaving(outside, body)
+        off_site = placed - leaving(outside, size)
         off_site[: Electrode.V1] /= 50.0
         off_site[Electrode.V1 :] /= 25.0
-        gap = -outside(frame.to_body(hull)).max()
+        gap = -outside(frame.to_torso(hull)).max()
         near = min(gap - 32.0, 0.0) / 8.0  # mm, of skin to heart; only less is penalised
         return np.concatenate([outside(placed) / 5.0, off_site.ravel(), [near], x])
 
@@ -279,9 +270,9 @@ def fit_trunk(
             f"{name}: the heart lies {abs(shift[axis]):.0f} mm too far to the {way} for these "
             "electrodes, so they are not in the heart's frame; give both in one frame, in mm"
         )
-    body, frame = trunk_of(found.x)
-    placed, outside = frame.to_body(electrodes), outside_trunk(body)
-    fitted = FittedTrunk(body, frame, placed, leaving(outside, body), _nearest(outside, placed))
+    size, frame = trunk_of(found.x)
+    placed, outside = frame.to_torso(electrodes), outside_trunk(size)
+    fitted = FittedTrunk(size, frame, placed, leaving(outside, size), _nearest(outside, placed))
     worst = int(np.argmax(fitted.moved))
     if fitted.moved[worst] > FARTHEST:
         raise InputError(
@@ -292,11 +283,11 @@ def fit_trunk(
     return fitted
 
 
-def leaving(outside: Outside, body: BodySize) -> Floats:
+def leaving(outside: Outside, size: TrunkSize) -> Floats:
     """Standard sites (9, 3) on a trunk's level set (mm), by bisection along their rays."""
-    starts, directions = site_rays(body)
+    starts, directions = site_rays(size)
     low = np.zeros(len(starts))
-    high = np.full(len(starts), 2 * WIDEST * body.half_width)
+    high = np.full(len(starts), 2 * WIDEST * size.half_width)
     for _ in range(30):
         middle = (low + high) / 2
         inside = outside(starts + middle[:, None] * directions) < 0

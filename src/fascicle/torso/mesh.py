@@ -51,18 +51,15 @@ def mesh_torso(
 ) -> Torso:
     """Fill the space between myocardium, lungs and skin; the vertices begin with the heart's.
 
-    No triangle of any of these surfaces is changed, so the result continues the heart's own mesh.
-    Tetrahedra are blood if their centre is enclosed by an endocardium and a lid over each of its
-    openings: if the surface's winding number there is above one half (Jacobson, Kavan and Sorkine-
-    Hornung 2013, ACM Trans Graph 32:33). The lid itself is no surface of the mesh: where blood ends
-    is known no better than to the size of the tetrahedra there, and the edge of a real heart's
-    opening is too rough to hold a lid that nowhere cuts the tissue.
-
-    Surfaces are those that `fascicle.torso.surfaces.check_within` accepts; `progress` is called
-    with how many of how many steps are done.
+    No triangle of these surfaces, which `fascicle.torso.surfaces.check_within` accepts, is changed,
+    so the result continues the heart's own mesh. Tetrahedra are blood if an endocardium and a lid
+    over each of its openings enclose their centre: a winding number above one half (Jacobson, Kavan
+    and Sorkine-Hornung 2013, ACM Trans Graph 32:33). The lid is not a surface of the mesh: the edge
+    of a real heart's opening is too rough to hold one that nowhere cuts the tissue. `progress` is
+    called with how many of how many steps are done.
     """
     progress(0, 2)
-    body, first_lung = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
+    around, first_lung = 1, 2  # Netgen's numbers of what it fills; the other lungs' follow
     heart, triangles = without_unused_vertices(mesh.vertices, mesh.triangles)
     remedy = (
         "a surface crosses itself or another or is too rough; remesh the heart, the torso or the "
@@ -71,9 +68,9 @@ def mesh_torso(
     # optimised once, no dihedral angle is below 5 degrees around a good heart mesh
     vertices, tetrahedra, domains = tetrahedralise(
         [
-            Interface(heart, triangles, NOTHING, body),
-            Interface(*skin, body, NOTHING),
-            *(Interface(*lung, number, body) for number, lung in enumerate(lungs, first_lung)),
+            Interface(heart, triangles, NOTHING, around),
+            Interface(*skin, around, NOTHING),
+            *(Interface(*lung, number, around) for number, lung in enumerate(lungs, first_lung)),
         ],
         f"{mesh.name}: the torso around it",
         remedy,
@@ -85,13 +82,13 @@ def mesh_torso(
     if flat:
         raise InputError(f"{mesh.name}: {flat} tetrahedra around it are flat; {remedy}")
     progress(1, 2)
-    tissues = np.where(domains == body, int(TorsoTissue.BODY), int(TorsoTissue.LUNG))
+    tissues = np.where(domains == around, int(TorsoTissue.BODY), int(TorsoTissue.LUNG))
     centres = vertices[tetrahedra].mean(axis=1)
     for label in (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM):
         cavity = closed_cavity(mesh, label)
         low, high = cavity.vertices.min(axis=0), cavity.vertices.max(axis=0)
         in_box = ((centres >= low) & (centres <= high)).all(axis=1)
-        near = np.flatnonzero((domains == body) & in_box)
+        near = np.flatnonzero((domains == around) & in_box)
         winding = igl.fast_winding_number(*cavity, np.ascontiguousarray(centres[near]))
         tissues[near[winding > 0.5]] = TorsoTissue.BLOOD
     used = np.unique(mesh.triangles)

@@ -1,7 +1,7 @@
-"""An adult's trunk and lungs, as level sets of smooth functions in the body frame.
+"""An adult's trunk and lungs, as level sets of smooth functions in the torso frame.
 
-Lengths along the body are fractions of its height; those across follow the girth of the chest. The
-body frame is that of `fascicle.torso.heart_pose`.
+Lengths along the torso are fractions of its height; those across follow the girth of the chest. The
+torso frame is that of `fascicle.torso.heart_pose`.
 
 Sources
 -------
@@ -75,13 +75,13 @@ CAGE = np.array(
 
 
 @dataclass(frozen=True)
-class BodySize:
+class TrunkSize:
     """What an adult trunk is scaled by; an error if a value is not one of an adult.
 
     Attributes
     ----------
     height, weight : float
-        Standing height (m) and body weight (kg).
+        Standing height (m) and weight (kg).
     chest : float, optional
         Girth of the chest at the level of the nipples (cm); from height and weight if not given.
     depth, shoulders, hips : float
@@ -134,7 +134,7 @@ class BodySize:
         return self.flatness * self.half_width
 
     def level(self, fraction: float) -> float:
-        """Height z in the body frame (mm) of a fraction of the standing height; V1's is 0."""
+        """Height z in the torso frame (mm) of a fraction of the standing height; V1's is 0."""
         return 1000 * self.height * (fraction - 0.735)
 
 
@@ -143,9 +143,9 @@ def identity(points: Floats) -> Floats:
     return points
 
 
-def trunk(body: BodySize) -> Surface:
-    """Skin of the trunk in the body frame (mm)."""
-    return skin_of(outside_trunk(body), trunk_box(body))
+def trunk(size: TrunkSize) -> Surface:
+    """Skin of the trunk in the torso frame (mm)."""
+    return skin_of(outside_trunk(size), trunk_box(size))
 
 
 def skin_of(outside: Outside, box: Floats) -> Surface:
@@ -153,25 +153,25 @@ def skin_of(outside: Outside, box: Floats) -> Surface:
     return remeshed(level_set(outside, box, 12.0), SKIN_EDGE)
 
 
-def trunk_box(body: BodySize, margin: float = 0.0) -> Floats:
-    """Two opposite corners (2, 3) of a box around the trunk, in the body frame (mm)."""
-    across = WIDEST * max(1.0, body.shoulders, body.hips, body.depth) * body.half_width
-    lower, upper = _ends(body)
+def trunk_box(size: TrunkSize, margin: float = 0.0) -> Floats:
+    """Two opposite corners (2, 3) of a box around the trunk, in the torso frame (mm)."""
+    across = WIDEST * max(1.0, size.shoulders, size.hips, size.depth) * size.half_width
+    lower, upper = _ends(size)
     corners = np.array([[-across, -across, lower], [across, across, upper]])
     return np.asarray(corners + np.array([[-margin], [margin]]))
 
 
-def _ends(body: BodySize) -> tuple[float, float]:
+def _ends(size: TrunkSize) -> tuple[float, float]:
     """Where the trunk is cut off below and above (mm)."""
-    return body.level(0.495), body.level(0.850)
+    return size.level(0.495), size.level(0.850)
 
 
-def outside_trunk(body: BodySize) -> Outside:
-    """About how far points of the body frame are from the skin (mm), negative inside."""
-    lower, upper = _ends(body)
+def outside_trunk(size: TrunkSize) -> Outside:
+    """About how far points of the torso frame are from the skin (mm), negative inside."""
+    lower, upper = _ends(size)
     sections = SECTIONS[:, :3].copy()
-    sections[:, 1] *= body.shoulders ** SECTIONS[:, 3] * body.hips ** SECTIONS[:, 4]
-    beyond = beyond_sections(body, sections)
+    sections[:, 1] *= size.shoulders ** SECTIONS[:, 3] * size.hips ** SECTIONS[:, 4]
+    beyond = beyond_sections(size, sections)
 
     def outside(points: Floats) -> Floats:
         ends = np.maximum(lower - points[:, 2], points[:, 2] - upper)
@@ -180,10 +180,10 @@ def outside_trunk(body: BodySize) -> Outside:
     return outside
 
 
-def beyond_sections(body: BodySize, sections: Floats) -> Outside:
+def beyond_sections(size: TrunkSize, sections: Floats) -> Outside:
     """About the distance (mm) of points to a stack of superellipses, as those of `CAGE` (k, 3)."""
-    level = np.array([body.level(fraction) for fraction in sections[:, 0]])
-    halves = PchipInterpolator(level, sections[:, 1:] * (body.half_width, body.half_depth))
+    level = np.array([size.level(fraction) for fraction in sections[:, 0]])
+    halves = PchipInterpolator(level, sections[:, 1:] * (size.half_width, size.half_depth))
 
     def outside(points: Floats) -> Floats:
         half = halves(np.clip(points[:, 2], level[0], level[-1]))
@@ -238,12 +238,12 @@ def exclusion_hull(heart: Floats, base: Floats) -> Surface:
 
 def lungs_of(
     name: str,
-    body: BodySize,
+    size: TrunkSize,
     excluded: Surface,
     undeformed: Deformation = identity,
     smallest: float = 0.3,
 ) -> tuple[Surface, Surface]:
-    """Left and right lung in the body frame (mm).
+    """Left and right lung in the torso frame (mm).
 
     They keep clear of the surface `excluded` (`exclusion_hull`); `undeformed` says where points lie
     in the undeformed trunk. An error, which calls the heart `name`, if one of
@@ -252,7 +252,7 @@ def lungs_of(
     lungs = []
     for side, dome_level in (("left", 0.710), ("right", 0.717)):  # of the diaphragm's top
         sign = 1 if side == "left" else -1
-        lung = _lung(body, excluded, sign, dome_level, undeformed)
+        lung = _lung(size, excluded, sign, dome_level, undeformed)
         if lung is None or lung.litres < smallest:
             raise InputError(
                 f"{name}: leaves no room for the {side} lung in the idealised torso; check pose "
@@ -263,12 +263,12 @@ def lungs_of(
 
 
 def _lung(
-    body: BodySize, excluded: Surface, sign: int, dome_level: float, undeformed: Deformation
+    size: TrunkSize, excluded: Surface, sign: int, dome_level: float, undeformed: Deformation
 ) -> Surface | None:
     """One lung: within the ribs, lateral to the mediastinum and the heart, above the diaphragm."""
-    half_width, half_depth = body.half_width, body.half_depth
-    height, top, blend, spacing = 1000 * body.height, body.level(0.822), 20.0, 8.0  # mm
-    outside_ribs = beyond_sections(body, CAGE)
+    half_width, half_depth = size.half_width, size.half_depth
+    height, top, blend, spacing = 1000 * size.height, size.level(0.822), 20.0, 8.0  # mm
+    outside_ribs = beyond_sections(size, CAGE)
 
     def outside(points: Floats) -> Floats:
         in_trunk = undeformed(points)
@@ -277,7 +277,7 @@ def _lung(
         middle = half_width * (0.13 + (0.26 - 0.13) / (1 + np.exp(-6.0 * (y - 0.1))))
         # the dome's top is 0.4 half-widths from the midplane; it falls towards ribs and back
         radius = np.hypot((x / half_width - 0.4) / 0.6, y / 0.9)
-        dome = body.level(dome_level) - height * (0.055 * radius**2 + 0.012 * y)
+        dome = size.level(dome_level) - height * (0.055 * radius**2 + 0.012 * y)
         beyond = outside_ribs(in_trunk)
         for other in (middle - x, dome - z, z - top):
             beyond = smooth_max(beyond, other, blend)
@@ -287,6 +287,6 @@ def _lung(
         return beyond
 
     reach = np.array([half_width, half_depth])
-    box = np.stack([np.append(-reach, body.level(CAGE[0, 0])), np.append(reach, top)])
+    box = np.stack([np.append(-reach, size.level(CAGE[0, 0])), np.append(reach, top)])
     surface = level_set(outside, box, spacing)
     return remeshed(surface, LUNG_EDGE) if len(surface.triangles) else None
