@@ -87,10 +87,10 @@ def assemble_heart(
 
 
 def _endocardium(side: str, surface: MeshFile) -> Integers:
-    """Triangles of an endocardium, facing its cavity.
+    """Triangles of an endocardium, facing its cavity, with point indices as in the file.
 
-    Point indices stay as in the file, since seeds refer to them; points that no triangle uses
-    would make the chart singular and are refused.
+    Seeds refer to these. Points that no triangle uses, which would make the chart singular, are
+    refused.
     """
     name = f"{surface.path} ({side.upper()} endocardium)"
     triangles = surface.require(TRIANGLE, "triangles")
@@ -138,10 +138,7 @@ def _match_by_position(name: str, given: Floats, wanted: Floats, what: str) -> I
 
 
 def average_to_tetrahedra(fibres: Floats, tetrahedra: Integers) -> Floats:
-    """Mean axis of each tetrahedron's four vertex fibres, shape (m, 3).
-
-    Fibres have no sign, so the mean is the principal axis of Σ f⊗f.
-    """
+    """Mean axis of each tetrahedron's four vertex fibres, which have no sign; shape (m, 3)."""
     return principal_axes(unit(fibres[tetrahedra]))
 
 

@@ -208,10 +208,7 @@ class Conduction:
 
 
 def layer_share(heart: Heart, thickness: float) -> Floats:
-    """Share of each tetrahedron that lies nearer than `thickness` (mm) to an endocardium, (m,).
-
-    The distance is interpolated linearly in each; the share depends continuously on the thickness.
-    """
+    """Share of each tetrahedron nearer than `thickness` (mm) to an endocardium, (m,)."""
     distance = np.full(len(heart.vertices), np.inf)
     for e in heart.endocardia:
         squares = igl.point_mesh_squared_distance(heart.vertices, e.vertices, e.triangles)[0]

@@ -117,19 +117,10 @@ def whole_numbers(source: str, values: NDArray[Any]) -> Integers:
 
 
 def labels_of(source: str, numbers: Integers, names: Names, groups: Mapping[int, str]) -> Integers:
-    """Label (k,) that each number (k,) means: the caller's, that of its group's name, or its own.
+    """Label (k,) that each number (k,) in a file means: the caller's, its group's name's, its own.
 
-    Parameters
-    ----------
-    source : str
-        File and array, for an error.
-    numbers : (k,) array
-        What stands in the file.
-    names : mapping of str to Label
-        The caller's own names and numbers; they come first, and a label that they name is meant
-        by no other number.
-    groups : mapping of int to str
-        Names of physical groups by their number.
+    `source` is file and array, for an error. The caller's own `names` and numbers come first, and
+    no other number means a label that they name. `groups` are names of physical groups by number.
     """
     free = [label for label in Label if label not in names.values()]  # that mean themselves
 

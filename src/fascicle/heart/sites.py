@@ -1,10 +1,10 @@
 """Where in the ventricles: walls, the 17 segments of the left ventricle, and sites by name.
 
 The segments are those of the American Heart Association (M. D. Cerqueira et al., Circulation 105,
-2002): thirds of the long axis from the mitral opening to the end of the cavity, of which the basal
-and the middle one have six sectors of 60° and the apical one four of 90°; what lies beyond the
-cavity is the apex. Sectors are counted from the middle of the septum, where the standard counts
-from the attachments of the right ventricle: two of 60° are septal, whatever the septum spans.
+2002): thirds of the long axis from the mitral opening to the end of the cavity, the basal and the
+middle one in six sectors of 60°, the apical one in four of 90°; the apex lies beyond the cavity.
+Sectors are counted from the middle of the septum (in the standard, from the attachments of the
+right ventricle): two of 60° are septal, whatever the septum spans.
 """
 
 from __future__ import annotations
@@ -106,12 +106,7 @@ def _segment(height: Floats, angle: Floats) -> Integers:
 
 
 class Sites:
-    """The named sites of a heart.
-
-    Parameters
-    ----------
-    heart : Heart
-    """
+    """The named sites of a heart."""
 
     def __init__(self, heart: Heart) -> None:
         self.heart = heart

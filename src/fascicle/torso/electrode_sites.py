@@ -94,9 +94,8 @@ def check_not_mirrored(name: str, heart: Heart) -> None:
     """Refuse a heart, called `name`, whose RV lies left of or behind the LV for its electrodes.
 
     In a healthy chest the RV lies to the right and in front of the LV, each by two thirds of their
-    distance; the limits leave room for any rotation of the heart about its long axis that is seen.
-    Where limb and chest electrodes contradict each other on what is left, it is they that are
-    wrong; `electrode_warnings` says so, and nothing is refused.
+    distance; the limits leave room for any rotation about the long axis that is seen. Where limb
+    and chest electrodes contradict each other on what is left, `electrode_warnings` says so.
     """
     limbs, chest = _leftwards(heart.electrodes)
     if limbs @ chest <= 0:

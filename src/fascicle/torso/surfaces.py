@@ -91,8 +91,7 @@ def read_torso_surfaces(
     """Read the user's own torso: closed skin around the heart, and lungs, in its coordinates (mm).
 
     Surfaces are welded (STL repeats every point), turned outwards, and remeshed if they are far
-    finer than a torso needs. Of a mesh of tetrahedra only the outer surface is used: labels of its
-    organs are not, give the lungs as files of their own.
+    finer than a torso needs. Of tetrahedra only the outer surface is used; lungs are other files.
 
     Raises
     ------
@@ -136,9 +135,8 @@ def check_within(
 ) -> None:
     """Refuse surfaces of heart, skin and lungs between which no tetrahedra fit.
 
-    One that is not in mm, open, crosses itself or has triangles turned the wrong way, reaches out
-    of the torso, or overlaps another. `names` are those of skin and lungs, where they are from
-    files.
+    One is not in mm, open, wound the wrong way, crosses itself, reaches out of the torso or
+    overlaps another. `names` are those of skin and lungs from files.
     """
     names = names or ["torso", *(f"lung {number}" for number in range(1, len(lungs) + 1))]
     for name, surface in zip(names, (skin, *lungs), strict=True):
