@@ -133,9 +133,8 @@ def _identities(rows: list[int]) -> tuple[list[str], Floats]:
     zeros = np.array(list(CLASSIC.values()))
     whole = ~np.delete(zeros, rows, axis=1).any(axis=1)
     if whole.sum() == len(rows) - 2:
-        return [name for name, there in zip(CLASSIC, whole, strict=True) if there], zeros[whole][
-            :, rows
-        ]
+        there = np.flatnonzero(whole)
+        return [[*CLASSIC][k] for k in there], zeros[there][:, rows]
     names = [LIMB_LEADS[row] for row in rows]
     from_two = limb_leads_from(names)
     assert from_two is not None  # there are at least three
