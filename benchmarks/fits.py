@@ -35,8 +35,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import fascicle
-from fascicle.build.anatomy import Source
 from fascicle.build.build_heart import build_heart
+from fascicle.build.read_anatomy import Source
 from fascicle.build.torso import TorsoOptions
 from fascicle.cli.demo import demo_recording
 from fascicle.cli.output import TerminalProgress

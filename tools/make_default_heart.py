@@ -32,8 +32,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fascicle.build.anatomy import Anatomy
 from fascicle.build.build_heart import heart_of
+from fascicle.build.labelled_files import Anatomy
 from fascicle.build.segmentation import Segmentation, SegmentationLabels
 from fascicle.build.segmentation_surface import surface_from_segmentation
 from fascicle.build.torso import TorsoOptions, in_torso

@@ -9,8 +9,7 @@ import pyvista as pv
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
 
-from fascicle.build.anatomy import Anatomy
-from fascicle.build.labelled_files import labelled_surface, labelled_tetrahedra
+from fascicle.build.labelled_files import Anatomy, labelled_surface, labelled_tetrahedra
 from fascicle.heart.labelled_surface import Label, LabelledSurface
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.measures import closed_volume

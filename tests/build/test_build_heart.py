@@ -12,10 +12,10 @@ from anatomies import LV, NETWORK, RV
 from scipy.spatial import cKDTree
 
 import fascicle
-from fascicle.build.anatomy import Source
 from fascicle.build.build_heart import build_heart
 from fascicle.build.check import cavity_volume
 from fascicle.build.endocardia import endocardia
+from fascicle.build.read_anatomy import Source
 from fascicle.build.torso import TorsoOptions
 from fascicle.core.errors import InputError
 from fascicle.heart.conduction import Conduction

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from anatomies import BASE, EPI, LV, RV
 
-from fascicle.build.anatomy import Anatomy
 from fascicle.build.build_heart import heart_of
+from fascicle.build.labelled_files import Anatomy
 from fascicle.heart.labelled_surface import LabelledMesh, labelled_mesh
 from fascicle.mesh.topology import boundary_loops
 

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fascicle.build.anatomy import Anatomy, Source
-from fascicle.build.read_anatomy import read_anatomy
+from fascicle.build.labelled_files import Anatomy
+from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.volume_meshing import mean_axes, remeshed_anatomy, repaired_edges
 from fascicle.heart.labelled_surface import Label, LabelledMesh
 from fascicle.heart.validate import check_tetrahedra
-from fascicle.mesh.measures import closed_volume, signed_volumes
-from fascicle.mesh.quality import quality
+from fascicle.mesh.measures import closed_volume, quality, signed_volumes
 from fascicle.mesh.topology import boundary_triangles, places_in, unique_edges
 from tests.anatomies import circular_fibres, halves, tissue
 

@@ -4,12 +4,16 @@ import igl
 import numpy as np
 import pytest
 
-from fascicle.build.anatomy import Source
-from fascicle.build.read_anatomy import read_anatomy
+from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.surface_meshing import subdivided
 from fascicle.heart.labelled_surface import NEEDED, LabelledSurface
-from fascicle.mesh.measures import mean_edge_length, signed_volumes, triangle_areas
-from fascicle.mesh.quality import quality, self_intersections
+from fascicle.mesh.measures import (
+    mean_edge_length,
+    quality,
+    self_intersections,
+    signed_volumes,
+    triangle_areas,
+)
 from tests.anatomies import write_surface
 from tests.build.shapes import biventricular_surface, volume_of
 

@@ -10,11 +10,13 @@ from fascicle.mesh.measures import (
     barycentric_gradients,
     closed_volume,
     enclosed_volume,
+    intersections,
     mean_edge_length,
+    quality,
+    self_intersections,
     signed_volumes,
     triangle_areas,
 )
-from fascicle.mesh.quality import intersections, quality, self_intersections
 from fascicle.mesh.topology import TETRAHEDRON_FACES, directed_edges, unique_edges
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # of a cube

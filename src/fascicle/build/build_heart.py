@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fascicle.build.anatomy import Anatomy, Source
 from fascicle.build.endocardia import endocardia
-from fascicle.build.read_anatomy import read_anatomy
+from fascicle.build.labelled_files import Anatomy
+from fascicle.build.read_anatomy import Source, read_anatomy
 from fascicle.build.torso import TorsoOptions, in_torso
 from fascicle.core.leads import ELECTRODES
 from fascicle.core.progress import Progress, stage_progress

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from fascicle.build.surface_checks import Walls, wall_thickness
+from fascicle.build.surface_checks import Walls, median_thickness, wall_thickness
 from fascicle.core.arrays import Floats
 from fascicle.core.leads import ELECTRODES
 from fascicle.heart.conduction import Conduction
 from fascicle.heart.endocardium import Endocardium, long_axis
 from fascicle.heart.heart import Heart, TorsoTissue
 from fascicle.heart.labelled_surface import Label, LabelledMesh, labelled_mesh
-from fascicle.mesh.measures import enclosed_volume, signed_volumes, unit
-from fascicle.mesh.quality import Quality, quality
+from fascicle.mesh.measures import Quality, enclosed_volume, quality, signed_volumes, unit
 from fascicle.purkinje.chart import Chart
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
@@ -73,9 +72,9 @@ def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
         ("mesh", str(shape)),
     ]
     for name, wall in zip(WALLS, walls, strict=True):
-        if wall.thickness.size:
-            low, high = np.percentile(wall.thickness, [5, 95])
-            rows.append((name, f"{wall.median:.1f} mm thick ({low:.1f} to {high:.1f})"))
+        if wall.size:
+            low, high = np.percentile(wall, [5, 95])
+            rows.append((name, f"{np.median(wall):.1f} mm thick ({low:.1f} to {high:.1f})"))
     rows += _endocardium_rows(heart, charts)
     for name, angles in helix.items():
         if angles.depth.size:
@@ -180,13 +179,14 @@ def _size_warnings(
 ) -> list[str]:
     warnings = []
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
+    lv_wall, rv_wall = median_thickness(walls.lv), median_thickness(walls.rv)
     # outside these, somebody should look; human adults, healthy or not
     for what, value, (low, high), units, remedy in (
         ("LV cavity", lv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("RV cavity", rv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("myocardium", heart.volumes.sum() / 1e3, (60.0, 450.0), "ml", "check units and surfaces"),
-        ("LV free wall", walls.lv.median, (4.0, 25.0), "mm", "check the labels of the surfaces"),
-        ("RV free wall", walls.rv.median, (1.5, 12.0), "mm", "check the labels of the surfaces"),
+        ("LV free wall", lv_wall, (4.0, 25.0), "mm", "check the labels of the surfaces"),
+        ("RV free wall", rv_wall, (1.5, 12.0), "mm", "check the labels of the surfaces"),
     ):
         if np.isfinite(value) and not low <= value <= high:
             warnings.append(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fascicle.build.anatomy import Anatomy
 from fascicle.build.endocardia import labels_from_points
 from fascicle.build.surface_repair import MERGED
 from fascicle.core.arrays import Booleans, Floats, Integers
@@ -40,6 +40,19 @@ from fascicle.mesh.topology import (
     places_in,
     without_unused_vertices,
 )
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """A labelled mesh, and what else its files hold."""
+
+    mesh: LabelledMesh  # all labels are 0 until they are known
+    fibres: Floats | None = None  # unit directions (m, 3), if the source has any
+    sheets: Floats | None = None
+    notes: tuple[str, ...] = ()  # decisions taken on the way, for the user
+    guessed: bool = False  # labels were derived from the shape; the user should check them
+    own_mesh: bool = False  # the tetrahedra are those of the source
+    values: Mapping[str, float] = field(default_factory=dict)  # patient's values of quantities
 
 
 class LabelArray(NamedTuple):

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from fascicle.build.anatomy import Anatomy, Source
 from fascicle.build.borders import cut_along_borders
 from fascicle.build.classify import classify_surface
 from fascicle.build.join import join_surfaces
-from fascicle.build.labelled_files import has_labels, labelled_surface, labelled_tetrahedra
+from fascicle.build.labelled_files import Anatomy, has_labels, labelled_surface, labelled_tetrahedra
 from fascicle.build.segmentation import SegmentationLabels, regions_at
 from fascicle.build.segmentation_files import read_segmentation
 from fascicle.build.segmentation_surface import surface_from_segmentation
@@ -31,6 +31,56 @@ from fascicle.heart.label_names import labels_by_number
 from fascicle.heart.labelled_surface import LabelledSurface
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE, MeshFile
 from fascicle.mesh.formats.read import MESH_FORMATS, read_mesh
+
+
+@dataclass(frozen=True)
+class Source:
+    """The files that a heart is built from.
+
+    Attributes
+    ----------
+    file : Path or None
+        A closed surface, a segmentation or a tetrahedral mesh; None if there are parts.
+    parts : mapping of str to Path
+        Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
+    labels, label_array, labels_file : optional
+        Which number in the file stands for what, the array of labels, or a file of them.
+    remesh : bool, optional
+        Whether to mesh the inside of a tetrahedral mesh again.
+    """
+
+    file: Path | None
+    parts: Mapping[str, Path] = field(default_factory=dict)
+    labels: Mapping[str, int] | None = None
+    label_array: str | None = None
+    labels_file: Path | None = None
+    remesh: bool | None = None
+
+    def __post_init__(self) -> None:
+        if (self.file is None) == (not self.parts):
+            raise InputError(
+                "give either one file (surface, segmentation or mesh) or separate surfaces "
+                "(--lv-endocardium, --rv-endocardium, --epicardium)"
+            )
+        missing = [part for part in ("lv", "rv", "epicardium") if part not in self.parts]
+        if self.parts and missing:
+            raise InputError(
+                f"separate surfaces: {', '.join(missing)} missing; give all of "
+                "--lv-endocardium, --rv-endocardium and --epicardium"
+            )
+
+    def check_unused(self, what: str, *names: str) -> None:
+        """Refuse options, by the names of attributes, that would do nothing for an anatomy."""
+        for name in names:
+            if getattr(self, name) is not None:
+                option = "--" + name.replace("_", "-")
+                raise InputError(f"{option} says nothing about {what}; leave it out")
+
+    @property
+    def name(self) -> str:
+        """What to call it: the file without its endings."""
+        path = self.file if self.file is not None else self.parts["epicardium"].resolve().parent
+        return path.name.split(".")[0] or "heart"
 
 
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:

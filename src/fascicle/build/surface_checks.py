@@ -56,23 +56,17 @@ def oriented_piece(name: str, vertices: Floats, triangles: Integers) -> Integers
     return np.ascontiguousarray(oriented, dtype=np.int64)
 
 
-class WallThickness(NamedTuple):
-    """Thickness (mm) of a wall at vertices (k,) of its endocardium."""
-
-    thickness: Floats
-
-    @property
-    def median(self) -> float:
-        """The thickness that a half of the wall exceeds (mm); NaN where there is no wall."""
-        return float(np.median(self.thickness)) if self.thickness.size else float("nan")
-
-
 class Walls(NamedTuple):
-    """The free wall of the left ventricle, the septum, and the free wall of the right one."""
+    """Thickness (mm) of each wall at the vertices (k,) of its endocardium."""
 
-    lv: WallThickness
-    septum: WallThickness
-    rv: WallThickness
+    lv: Floats  # free wall
+    septum: Floats
+    rv: Floats  # free wall
+
+
+def median_thickness(wall: Floats) -> float:
+    """Median of a wall's thickness (mm); NaN where there is no wall."""
+    return float(np.median(wall)) if wall.size else float("nan")
 
 
 def wall_thickness(tissue: LabelledSurface | LabelledMesh) -> Walls:
@@ -93,8 +87,7 @@ def wall_thickness(tissue: LabelledSurface | LabelledMesh) -> Walls:
     outwards, across = distances(left, epicardium), distances(left, right)
     rv_outwards = distances(right, epicardium)
     is_septum, is_free = across < outwards, rv_outwards <= distances(right, left)
-    free_walls = WallThickness(outwards[~is_septum]), WallThickness(rv_outwards[is_free])
-    return Walls(free_walls[0], WallThickness(across[is_septum]), free_walls[1])
+    return Walls(outwards[~is_septum], across[is_septum], rv_outwards[is_free])
 
 
 def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
@@ -106,7 +99,7 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
     """
     names = ("left ventricle's free wall", "septum", "right ventricle's free wall")
     thickness, thinnest = min(
-        (wall.median, what) for what, wall in zip(names, walls, strict=True) if wall.thickness.size
+        (median_thickness(wall), what) for what, wall in zip(names, walls, strict=True) if wall.size
     )
     largest = thickness / (2 * np.sqrt(0.5))
     if edge_length > largest:
@@ -139,12 +132,13 @@ def check_sides(tissue: LabelledSurface | LabelledMesh) -> None:
         for label in (Label.EPICARDIUM, Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM)
     )
     walls = wall_thickness(tissue)
+    thick, thin = median_thickness(walls.lv), median_thickness(walls.rv)
     left, right = (_features(endocardium, epicardium)[0] for endocardium in (lv, rv))
-    if walls.lv.median < walls.rv.median and left < right:
+    if thick < thin and left < right:
         raise InputError(
             f"{tissue.name}: LV and RV endocardium seem to be swapped: the cavity labelled LV "
-            f"fills {left:.0%} of its convex hull behind a wall of {walls.lv.median:.1f} mm, the "
-            f"one labelled RV {right:.0%} behind {walls.rv.median:.1f} mm; exchange the two"
+            f"fills {left:.0%} of its convex hull behind a wall of {thick:.1f} mm, the "
+            f"one labelled RV {right:.0%} behind {thin:.1f} mm; exchange the two"
         )
 
 

@@ -12,9 +12,14 @@ from fascicle.build.surface_repair import closed_surface, compacted, oriented_ou
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import LabelledSurface
-from fascicle.mesh.measures import closed_volume, edge_lengths, mean_edge_length, triangle_areas
+from fascicle.mesh.measures import (
+    closed_volume,
+    edge_lengths,
+    mean_edge_length,
+    self_intersections,
+    triangle_areas,
+)
 from fascicle.mesh.meshing import remeshed_triangles
-from fascicle.mesh.quality import self_intersections
 
 
 def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSurface:

@@ -13,9 +13,8 @@ from fascicle.core.arrays import Integers
 from fascicle.core.errors import InputError
 from fascicle.heart.labelled_surface import Label, LabelledSurface, missing_parts
 from fascicle.heart.validate import check_units
-from fascicle.mesh.measures import closed_volume, loop_length, turned_outwards
+from fascicle.mesh.measures import closed_volume, loop_length, self_intersections, turned_outwards
 from fascicle.mesh.meshing import marching_cubes
-from fascicle.mesh.quality import self_intersections
 from fascicle.mesh.topology import (
     boundary_loops,
     directed_edges,

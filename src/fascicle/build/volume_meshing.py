@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fascicle.build.anatomy import Anatomy
 from fascicle.build.endocardia import cleaned_labels
+from fascicle.build.labelled_files import Anatomy
 from fascicle.build.surface_checks import check_edge_length, place, wall_thickness
 from fascicle.build.surface_meshing import remeshed_surface
 from fascicle.core.arrays import Floats, Integers
@@ -16,9 +16,8 @@ from fascicle.core.errors import InputError
 from fascicle.core.memory import available_memory
 from fascicle.core.progress import StageProgress, no_progress
 from fascicle.heart.labelled_surface import LabelledMesh, LabelledSurface
-from fascicle.mesh.measures import closed_volume, principal_axes, signed_volumes
+from fascicle.mesh.measures import closed_volume, principal_axes, quality, signed_volumes
 from fascicle.mesh.meshing import NOTHING, Interface, remeshed_tetrahedra, tetrahedralise
-from fascicle.mesh.quality import quality
 from fascicle.mesh.topology import boundary_triangles, components_of, places_in, unique_edges
 
 

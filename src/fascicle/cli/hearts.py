@@ -141,8 +141,8 @@ def heart_build(
     fascicle heart build --lv-endocardium lv.stl --rv-endocardium rv.stl --epicardium epi.stl
     ```
     """
-    from fascicle.build.anatomy import Source
     from fascicle.build.build_heart import build_heart
+    from fascicle.build.read_anatomy import Source
     from fascicle.build.torso import TorsoOptions
     from fascicle.heart.folder import LABELS_PICTURE, check_heart_folder
     from fascicle.reporting.heart import labels_figure

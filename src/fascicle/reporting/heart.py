@@ -242,15 +242,14 @@ def _quartiles(angle: Floats) -> Floats:
 
 def _plot_thickness(axes: Axes, check: HeartCheck) -> None:
     """Share of each wall over its thickness."""
-    walls = dict(zip(WALLS, (check.walls.lv, check.walls.septum, check.walls.rv), strict=True))
-    walls = {name: wall for name, wall in walls.items() if wall.thickness.size}
-    most = max((np.percentile(w.thickness, 99) for w in walls.values()), default=1.0)
+    walls = {name: wall for name, wall in zip(WALLS, check.walls, strict=True) if wall.size}
+    most = max((np.percentile(wall, 99) for wall in walls.values()), default=1.0)
     bins = np.linspace(0, float(most) * 1.1, 30).tolist()
     for name, wall in walls.items():
-        share = np.full(wall.thickness.size, 100 / wall.thickness.size)
+        share = np.full(wall.size, 100 / wall.size)
         axes.hist(
-            wall.thickness, bins, weights=share, histtype="step", color=WALL_COLOURS[name],
-            label=f"{name}: {wall.median:.1f} mm",
+            wall, bins, weights=share, histtype="step", color=WALL_COLOURS[name],
+            label=f"{name}: {np.median(wall):.1f} mm",
         )  # fmt: skip
     axes.set(title="wall thickness", xlabel="wall thickness (mm)", ylabel="endocardial points (%)")
     if walls:

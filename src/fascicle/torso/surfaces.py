@@ -16,9 +16,8 @@ from fascicle.heart.labelled_surface import LabelledMesh
 from fascicle.heart.validate import check_units
 from fascicle.mesh.formats.mesh_file import TETRAHEDRON, TRIANGLE
 from fascicle.mesh.formats.read import read_mesh
-from fascicle.mesh.measures import closed_volume, turned_outwards
+from fascicle.mesh.measures import closed_volume, intersections, self_intersections, turned_outwards
 from fascicle.mesh.meshing import remeshed_triangles
-from fascicle.mesh.quality import intersections, self_intersections
 from fascicle.mesh.topology import (
     boundary_triangles,
     directed_edges,
