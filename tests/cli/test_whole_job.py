@@ -7,7 +7,6 @@ import re
 import shutil
 import sqlite3
 from dataclasses import replace
-from functools import partial
 
 import arviz as az
 import numpy as np
@@ -137,14 +136,13 @@ def test_another_target_or_heart_says_what_differs(study, target, default_heart)
         fascicle.fit(faster, target, study.folder, **BUDGET)
 
 
-def test_other_rules_of_growth_are_refused(study, target, monkeypatch):
-    longer = partial(GrowthRules, branch_length=10.0)
-    monkeypatch.setattr("fascicle.study.space.GrowthRules", longer)
+def test_other_rules_of_growth_are_refused(study, target):
+    longer = GrowthRules(branch_length=10.0)
     wanted = r"holds another study \(growth branch_length: there 8, now 10\)"
     with pytest.raises(fascicle.InputError, match=wanted):
-        fascicle.fit("default", target, study.folder, **BUDGET)
+        fascicle.fit("default", target, study.folder, rules=longer, **BUDGET)
     with pytest.raises(fascicle.InputError, match=wanted):
-        load_study(study.folder)
+        load_study(study.folder, rules=longer)
 
 
 def test_another_forward_model_is_refused(study, target, monkeypatch):
