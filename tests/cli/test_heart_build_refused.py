@@ -251,7 +251,7 @@ class TestTorso:
 
     @pytest.mark.parametrize("around", [(), AROUND])
     def test_lungs_without_a_torso_of_their_own(self, build_refused, mesh, around):
-        words = ["--lung goes with a torso of your own"]
+        words = ["--lung goes with a custom torso"]
         build_refused(mesh, "--lung", "lung.stl", around=around, words=words)
 
     def test_a_torso_elsewhere(self, build_refused, mesh):

@@ -23,7 +23,7 @@ Seeds = Mapping[str, tuple[ChosenSeed, ChosenSeed]]
 
 
 class BuiltHeart(NamedTuple):
-    """A heart, what it was made of, and what was decided on the way, for people."""
+    """A heart, the anatomy that it was built from, and notes for the user."""
 
     heart: Heart
     anatomy: Anatomy
@@ -49,13 +49,13 @@ def build_heart(
     edge_length : float
         Mean edge of the tetrahedra (mm).
     angles : FibreAngles, optional
-        Of the rule-based fibres; fibres that the source has are kept.
+        Angles of the rule-based fibres; fibres of the source take precedence.
     torso : TorsoOptions, optional
         Torso and electrodes.
     seeds : mapping of side to (root, direction), optional
-        Where bundles start and head for; found from the anatomy where not given.
+        Where each bundle starts and where it heads; by default determined from the anatomy.
     name : str
-        What to call the heart.
+        Name of the heart.
     progress : Progress, optional
         Progress callback.
 
@@ -68,9 +68,9 @@ def build_heart(
     check_tetrahedra(anatomy.mesh.name, anatomy.mesh.vertices, anatomy.mesh.tetrahedra)
     heart = heart_of(anatomy, angles, seeds, name, progress)
     heart, notes = in_torso(heart, anatomy.mesh, torso or TorsoOptions(), progress)
-    kept = []  # what the source had already, so that options about it do nothing
+    kept = []  # properties of the source that override options
     if anatomy.own_mesh:
-        kept.append("mesh: as in the file; the edge length is its own")
+        kept.append("mesh: as in the file, whose edge length was kept")
     if anatomy.fibres is not None:
         kept.append("fibres: those of the file; no rule was applied")
     return BuiltHeart(heart, anatomy, (*anatomy.notes, *kept, *notes))

@@ -1,4 +1,4 @@
-"""What a heart holds, in figures that a person can judge, with warnings."""
+"""Measurements of a heart, with warnings where they are implausible."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from fascicle.purkinje.chart import Chart
 from fascicle.torso.electrode_sites import electrode_warnings
 from fascicle.torso.lead_fields import is_up_to_date
 
-DISTORTED = 12.0  # stretch of a chart in one direction over the other
-LAYERS = 5  # in which the helix angle is given, from endocardium to epicardium
+DISTORTED = 12.0  # ratio of a chart's stretch in two directions, from which it warns
+LAYERS = 5  # from endocardium to epicardium, in which helix angles are reported
 WALLS = ("LV free wall", "septum", "RV free wall")
 
 
@@ -49,17 +49,17 @@ class HelixAngles:
 
 @dataclass(frozen=True)
 class HeartCheck:
-    """Figures about a heart, whose boundary is labelled in its mesh."""
+    """Measurements of a heart; the boundary of the mesh is labelled."""
 
     mesh: LabelledMesh
-    rows: tuple[tuple[str, str], ...]  # what, and its value with the unit
+    rows: tuple[tuple[str, str], ...]  # quantity, and its value with the unit
     warnings: tuple[str, ...]  # one line each, with what to do
     walls: Walls
     helix: Mapping[str, HelixAngles]  # by wall
 
 
 def check_heart(heart: Heart, charts: Mapping[str, Chart]) -> HeartCheck:
-    """Measure a valid heart with its charts (by side), and say what looks wrong."""
+    """Measure a valid heart with its charts (by side), and warn where something looks wrong."""
     mesh = labelled_mesh(heart)
     walls = wall_thickness(mesh)
     shape = quality(heart.vertices, heart.tetrahedra)
@@ -99,11 +99,11 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
     """Angles of the fibres through the three walls, by distances alone.
 
     A tetrahedron belongs to the wall between the two nearest of LV endocardium, RV endocardium and
-    epicardium. Its depth is its share of the way between them; out of the wall is from the nearest
-    point of the one to that of the other, and along it towards the base. No Laplace problem is
-    solved, so this is also a second opinion on rule-based fibres.
+    epicardium. Its depth is its fractional distance between them; the transmural direction is from
+    the nearest point of the inner to that of the outer surface. As no Laplace problem is solved,
+    the angles are an independent check of rule-based fibres.
     """
-    some = slice(None, None, 1 + len(heart.tetrahedra) // 20_000)  # enough to be measured
+    some = slice(None, None, 1 + len(heart.tetrahedra) // 20_000)  # a sample suffices
     centres, fibres = heart.vertices[heart.tetrahedra[some]].mean(axis=1), heart.fibres[some]
     surfaces = (Label.LV_ENDOCARDIUM, Label.EPICARDIUM, Label.RV_ENDOCARDIUM)
     distances, nearest = np.full((3, len(centres)), np.inf), np.zeros((3, len(centres), 3))
@@ -119,8 +119,8 @@ def helix_angles(mesh: LabelledMesh, heart: Heart) -> dict[str, HelixAngles]:
         outward = nearest[outer] - nearest[inner]
         across = distances[inner] + distances[outer]
         between = (furthest != inner) & (furthest != outer) & outward.any(axis=1)
-        between &= np.isfinite(across)  # a label that is nowhere is infinitely far
-        here = np.flatnonzero(between)  # where the surfaces meet, there is no way out of the wall
+        between &= np.isfinite(across)  # a missing surface is infinitely far
+        here = np.flatnonzero(between)  # where surfaces meet, no direction is transmural
         depth = distances[inner, here] / across[here]
         found[name] = HelixAngles(depth, _helix(fibres[here], outward[here], base - apex))
     return found
@@ -150,8 +150,8 @@ def _endocardium_rows(heart: Heart, charts: Mapping[str, Chart]) -> list[tuple[s
             ),
             (
                 f"{side} map",
-                f"the endocardium laid flat for the tree, stretched up to {worst:.1f} times more "
-                f"one way than the other (fine up to {DISTORTED:g})",
+                "the endocardium laid flat for the Purkinje network, stretched up to "
+                f"{worst:.1f} times more one way than the other (fine up to {DISTORTED:g})",
             ),
         ]
     return rows
@@ -180,7 +180,7 @@ def _size_warnings(
     warnings = []
     lv, rv = (cavity_volume(endocardium) for endocardium in heart.endocardia)
     lv_wall, rv_wall = median_thickness(walls.lv), median_thickness(walls.rv)
-    # outside these, somebody should look; human adults, healthy or not
+    # ranges of human adults, healthy or not
     for what, value, (low, high), units, remedy in (
         ("LV cavity", lv, (40.0, 400.0), "ml", "check units and endocardium"),
         ("RV cavity", rv, (40.0, 400.0), "ml", "check units and endocardium"),

@@ -1,4 +1,4 @@
-"""A closed surface of the ventricles without labels: endocardia, epicardium and base are found."""
+"""Labels of a closed ventricular surface (endocardia, epicardium, base) from its shape."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def classify_surface(
 
     Endocardium is where rays that leave the surface mostly meet it again (ambient occlusion); there
     must be two such pieces, of which the left one is rounder, closer to convex and behind the
-    thicker wall. The base is where the surface faces the way up out of the wall along the openings,
-    whether it is flat or a rounded rim. A random walker draws the borders along the
-    creases; teeth are smoothed away, and the base is nowhere narrower than some 2 mm.
+    thicker wall. The base is where the surface along the openings faces upwards out of the wall,
+    whether it is flat or a rounded rim. A random walker draws the borders along the creases; the
+    borders are then smoothed, and the base is nowhere narrower than about 2 mm.
 
     Parameters
     ----------
     vertices, triangles : (n, 3) and (m, 3) arrays
         Positions (mm), in any frame, and vertex indices, in any orientation.
     name : str
-        What to call the surface in messages.
+        Name of the surface in messages.
     progress : StageProgress
         Called with the triangles done and in all, while rays are traced.
 
@@ -77,7 +77,7 @@ def _cavities(graph: DualGraph, exposed: Floats, name: str) -> Integers:
     """Number of the cavity that each triangle lies deep in, -1 elsewhere; there must be two."""
     piece = graph.components(exposed < IN_CAVITY)
     area = np.bincount(piece[piece >= 0], graph.areas[piece >= 0], minlength=1)
-    found = int((area > 0.02 * graph.areas.sum()).sum())  # smaller dents are no cavities
+    found = int((area > 0.02 * graph.areas.sum()).sum())  # smaller ones are dents
     if found != 2:
         sizes = [f"{_millilitres(graph, piece == k):.3g}" for k in range(found)]
         what = f"{found or 'no'} {'cavity' if found < 2 else 'cavities'}"
@@ -98,7 +98,7 @@ def _divided(graph: DualGraph, exposed: Floats, cavity: Integers) -> Integers:
     seeds = np.where(cavity >= 0, cavity, np.where(exposed > OUTSIDE, Region.OUTER, -1))
     upwards = _cosine_to_base(graph, graph.random_walker(seeds, 3))
     outside = exposed > IN_CAVITY
-    # the inner edge of a rounded rim faces neither up nor out: it is left to the random walker
+    # the inner edge of a rounded rim faces neither up nor out; the random walker labels it
     outer = graph.components((exposed > OUTSIDE) & (upwards < 0.7)) == 0  # from 46 degrees
     seeds = np.where(cavity >= 0, cavity, -1)
     seeds[outer] = Region.OUTER
@@ -165,7 +165,7 @@ def _separated(graph: DualGraph, regions: Integers) -> Integers:
 
 
 def _in_one_piece(graph: DualGraph, regions: Integers) -> Integers:
-    """Keep the largest piece of each region; the rest goes to what it is surrounded by."""
+    """Keep the largest piece of each region; the rest goes to the regions around it."""
     kept = np.full(len(regions), -1)
     for region in Region:
         kept[graph.components(regions == region) == 0] = region

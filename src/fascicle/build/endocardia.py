@@ -1,4 +1,4 @@
-"""Labels whose borders are clean loops, and the endocardia: disks in register with the mesh."""
+"""Cleaned labels, whose borders are simple loops, and the endocardia as disks of the mesh."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def endocardia(mesh: LabelledMesh) -> tuple[EndocardialSurface, EndocardialSurfa
     """Take the left and the right endocardium, each a disk, from a mesh's boundary.
 
     Small components, spurs and non-manifold vertices of the labels are cleaned first. Where an
-    endocardium has several openings, as the mitral and the aortic one with tissue between them, all
+    endocardium has several openings, such as mitral and aortic with tissue between them, all
     but the longest are closed by triangles between their vertices.
     """
     labels = cleaned_labels(mesh.vertices, mesh.triangles, mesh.labels)
@@ -85,11 +85,10 @@ def _cap(vertices: Floats, loop: Integers, name: str) -> Integers:
 def labels_from_points(vertices: Floats, triangles: Integers, at_points: Integers) -> Integers:
     """Labels (m,) of the triangles of a closed surface (mm) from those of their corners (n,).
 
-    Whether points on the edge of the base are labelled as base differs between programs, so two
-    rules are tried: basal is a triangle with any basal corner, or one with three. Both lead the
-    border along points, where a majority of corners would lead it to and fro. The rule that keeps
-    endocardium and epicardium apart is taken; between equals, the one whose borders of the base lie
-    on the sharper edges.
+    Programs differ in whether points on the edge of the base are labelled as base, so two rules are
+    tried: a triangle is basal if any corner is, or if all three are. Both draw the border along
+    points, where a majority vote would zigzag. The rule that separates endocardium from epicardium
+    is taken; if both do, the one whose borders of the base lie on sharper edges.
     """
     corners = at_points[triangles]
     kinds = np.array(sorted(Label), dtype=np.int64)

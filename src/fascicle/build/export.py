@@ -33,8 +33,8 @@ ONE_REGION = 1  # the tag of every element of a heart without regions
 def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTree] = ()) -> None:
     """Write a heart for other software, whole or not at all.
 
-    openCARP and Gmsh have the whole boundary, labelled by
-    `fascicle.heart.labelled_surface.labelled_mesh`, so that 'heart build' reads it.
+    openCARP and Gmsh files hold the whole boundary, labelled by
+    `fascicle.heart.labelled_surface.labelled_mesh`, and 'heart build' reads them.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
     kind : str
         ``"opencarp"``, ``"vtu"`` or ``"gmsh"``.
     trees : sequence of PurkinjeTree
-        Trees to write with the heart; openCARP only.
+        Purkinje networks to write with the heart; openCARP only.
     """
     suffixes = {"opencarp": "", "vtu": ".vtu", "gmsh": ".msh"}
     if kind not in suffixes:
@@ -63,8 +63,8 @@ def export_heart(heart: Heart, out: Path, kind: str, trees: Sequence[PurkinjeTre
         raise InputError(f"{out}: is a folder; give the path of a file (--out)")
     if trees:
         raise InputError(
-            f"{out}: trees are exported for openCARP only; for other software use the VTU files of "
-            "'fascicle simulate'"
+            f"{out}: Purkinje networks are exported for openCARP only; for other software use the "
+            "VTU files of 'fascicle simulate'"
         )
     (write_mesh if kind == "vtu" else write_gmsh)(heart, out)
 
@@ -107,12 +107,12 @@ def write_opencarp(
 ) -> None:
     """Write a heart for openCARP.
 
-    There are ``<stem>.pts``, ``<stem>.elem`` (tags are the regions; 1 without any), ``<stem>.lon``
+    The files are ``<stem>.pts``, ``<stem>.elem`` (its tags are the regions, or 1), ``<stem>.lon``
     (fibres, and sheets if the heart has them) and ``electrodes.csv`` (mm). The boundary is
     in ``<stem>_lv_endo``, ``_rv_endo``, ``_epi`` and ``_base``, each as ``.surf`` and ``.vtx``. An
     endocardium whose vertices are not the mesh's is also in ``<stem>_lv_endocardium.pts`` and
-    ``.elem``, without the triangles that span a valve opening.
-    Trees are written as ``lv_tree`` and ``rv_tree``; see `fascicle.purkinje.tree_files`.
+    ``.elem``, without the triangles that span a valve opening. Purkinje networks are ``lv_tree``
+    and ``rv_tree``; see `fascicle.purkinje.tree_files`.
     """
     regions = heart.regions
     tags = regions if regions is not None else np.full(len(heart.tetrahedra), ONE_REGION)

@@ -41,8 +41,8 @@ class OpenSurface(NamedTuple):
 class Outline(NamedTuple):
     """The boundary loops that a base is spanned between, one after the other.
 
-    Their vertices (k, 3) in mm, their edges (k, 2), the names of the parts, and whose of these
-    each point is (k,).
+    Their vertices (k, 3) in mm, their edges (k, 2), the names of the parts, and the index of the
+    part that each vertex belongs to (k,).
     """
 
     points: Floats
@@ -51,8 +51,8 @@ class Outline(NamedTuple):
     owner: Integers
 
 
-# A base that ends on an outline: its vertices within (n, 3) in mm, and its triangles (m, 3) as
-# indices of the outline's points and, after them, of these
+# A base bounded by an outline: its inner vertices (n, 3) in mm, and its triangles (m, 3) as indices
+# into the outline's points followed by the inner vertices
 Base = tuple[Floats, Integers]
 
 
@@ -77,7 +77,7 @@ def join_surfaces(
     base : pair of (n, 3) and (m, 3) arrays, optional
         The surface between the loops.
     name : str
-        What to call the whole in messages.
+        Name of the surface in messages.
     progress : StageProgress
         Called with the steps done and in all.
     """

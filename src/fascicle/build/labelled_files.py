@@ -56,12 +56,12 @@ class Anatomy:
 
 
 class LabelArray(NamedTuple):
-    """An array of labels in a file: where, its values (k,), and what they belong to."""
+    """An array of labels: its place for messages, values (k,), and whether one a triangle."""
 
     source: str
     values: Floats | Integers
     of_triangles: bool
-    groups: Mapping[int, str] | None  # names of Gmsh's physical groups, if these are any
+    groups: Mapping[int, str] | None  # names of the numbers, if they are Gmsh's physical groups
 
 
 def find_label_array(mesh: MeshFile, array: str | None) -> LabelArray | None:
@@ -109,7 +109,7 @@ def labelled_surface(
     array : str, optional
         Name of the array of labels, one a triangle or one a point, if it is none of `LABEL_NAMES`.
     names : mapping of str to int, optional
-        Which number stands for which label, as ``{"lv": 3}``; the others have `Label`'s number.
+        Number of each label, as ``{"lv": 3}``; the others have `Label`'s number.
     labels_file : Path, optional
         A text file with one whole number a triangle or point, instead of an array.
     """
@@ -185,7 +185,7 @@ def labelled_tetrahedra(
     Returns
     -------
     Anatomy
-        Vertices that no tetrahedron has are left out; labels are 0 if the file has none.
+        Unused vertices are left out; labels are 0 if the file has none.
     """
     file_tetrahedra = mesh.require(TETRAHEDRON, "tetrahedra")
     name = str(mesh.path)
@@ -313,7 +313,7 @@ def _from_surface_files(
 
 
 def _elected(votes: Booleans, boundary: Integers) -> Integers:
-    """Label that most corners of each triangle have, of the votes (points, labels), shape (b,)."""
+    """Label (b,) of most corners of each triangle, by the votes (points, labels) of points."""
     endocardia_first = (Label.LV_ENDOCARDIUM, Label.RV_ENDOCARDIUM, Label.EPICARDIUM)
     valves = sorted(set(Label) - set(NEEDED))
     order = np.array([*endocardia_first, *valves, Label.BASE], dtype=np.int64)

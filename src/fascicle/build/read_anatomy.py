@@ -1,4 +1,4 @@
-"""Reading the files of an anatomy, of several kinds, as one labelled mesh."""
+"""The files that a heart is built from, read as one labelled mesh."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Source:
     parts : mapping of str to Path
         Surfaces of ``lv``, ``rv``, ``epicardium`` and perhaps ``base``.
     labels, label_array, labels_file : optional
-        Which number in the file stands for what, the array of labels, or a file of them.
+        Number of each label in the file, name of the label array, text file of labels.
     remesh : bool, optional
-        Whether to mesh the inside of a tetrahedral mesh again.
+        Whether to remesh the inside of a tetrahedral mesh.
     """
 
     file: Path | None
@@ -70,21 +70,21 @@ class Source:
             )
 
     def check_unused(self, what: str, *names: str) -> None:
-        """Refuse options, by the names of attributes, that would do nothing for an anatomy."""
+        """Refuse options, named by attribute, that do not apply to this kind of anatomy."""
         for name in names:
             if getattr(self, name) is not None:
                 option = "--" + name.replace("_", "-")
-                raise InputError(f"{option} says nothing about {what}; leave it out")
+                raise InputError(f"{option} does not apply to {what}; leave it out")
 
     @property
     def name(self) -> str:
-        """What to call it: the file without its endings."""
+        """Name of the file without its suffixes."""
         path = self.file if self.file is not None else self.parts["epicardium"].resolve().parent
         return path.name.split(".")[0] or "heart"
 
 
 def read_anatomy(source: Source, edge_length: float, progress: Progress | None = None) -> Anatomy:
-    """Read the files and mesh what is not a mesh yet, with this edge length (mm)."""
+    """Read the files; surfaces and segmentations are meshed with this edge length (mm)."""
     if source.file is None:
         source.check_unused("separate surfaces", "labels", "label_array", "labels_file", "remesh")
         meshes = {part: read_mesh(path, part) for part, path in source.parts.items()}
@@ -151,8 +151,8 @@ def _from_segmentation(
     if source.labels is None:
         there = ", ".join(map(str, np.unique(segmentation.labels)))
         raise InputError(
-            f"{segmentation.name}: which of its labels ({there}) is what differs from one program "
-            "to another; say so, as --labels lv=1,rv=2,myocardium=3,scar=4"
+            f"{segmentation.name}: the meaning of its labels ({there}) depends on the program that "
+            "wrote them; give it, as --labels lv=1,rv=2,myocardium=3,scar=4"
         )
     known = [part.name for part in fields(SegmentationLabels)]
     unknown = [name for name in source.labels if name not in known]
@@ -162,7 +162,7 @@ def _from_segmentation(
     if segmentation.space:
         notes.append(
             f"coordinates: {segmentation.space}, as in the file; --pose "
-            f"{segmentation.space.lower()} lays the torso along them"
+            f"{segmentation.space.lower()} aligns the torso with them"
         )
     surface = surface_from_segmentation(
         segmentation, labels, stage_progress(progress, "surface"), notes

@@ -19,8 +19,8 @@ from fascicle.heart.validate import check_units
 class Segmentation:
     """A label map (i, j, k), where 0 is background, and where it lies.
 
-    The affine (4, 4) leads from indices of voxel centres to mm, in the coordinates of the file,
-    whose name stands in messages; the space is empty if these are not the patient's axes.
+    The affine (4, 4) maps indices of voxel centres to mm in the file's coordinates. The space is
+    empty if these are not the patient's axes. The name is used in messages.
     """
 
     labels: NDArray[np.integer[Any]]
@@ -58,12 +58,12 @@ class Segmentation:
 
 @dataclass(frozen=True)
 class SegmentationLabels:
-    """Which number stands for what in a label map.
+    """Numbers of the parts in a label map.
 
-    A part that was segmented under several numbers (the walls of the two ventricles, for one) is
-    given as a tuple of them. Other conventions: ACDC has 3 for LV blood, 1 for RV blood and 2 for
-    LV myocardium; UK Biobank (Bai et al., J Cardiovasc Magn Reson 20:65, 2018) 1, 3 and 2; MM-WHS
-    (Zhuang and Shen, Med Image Anal 31:77–87, 2016) 500, 600 and 205. None of them has an RV wall.
+    A part with several numbers (such as separate walls of the ventricles) has a tuple of them.
+    Other conventions: ACDC has 3 for LV blood, 1 for RV blood and 2 for LV myocardium; UK Biobank
+    (Bai et al., J Cardiovasc Magn Reson 20:65, 2018) 1, 3 and 2; MM-WHS (Zhuang and Shen, Med Image
+    Anal 31:77–87, 2016) 500, 600 and 205. None of them has an RV wall.
     """
 
     lv: int | tuple[int, ...] = 1  # blood
@@ -114,10 +114,10 @@ class Masks:
 
 
 def regions_at(segmentation: Segmentation, labels: SegmentationLabels, points: Floats) -> Integers:
-    """Whether points (n, 3) in mm lie in scar (1) or not (0): that of the nearest voxel of tissue.
+    """Whether points (n, 3) in mm lie in scar (1) or not (0), by the nearest voxel of tissue.
 
-    At a surface the voxel around a point of the tissue may well be blood or background; more than a
-    voxel's diagonal from all tissue there is no scar.
+    The voxel around a point of the tissue's surface may be blood or background. Points farther than
+    a voxel's diagonal from all tissue are not scar.
     """
     parts = _parts(segmentation, labels)
     voxels = np.argwhere(parts["myocardium"] | parts.get("scar", False))

@@ -59,7 +59,7 @@ def surface_from_segmentation(
     is negative, and its surface is found by marching cubes (Lorensen and Cline, SIGGRAPH Comput
     Graph 21:163–169, 1987). Triangles end on the plane, so the borders of the base are sharp.
     Where less than 80 % of the RV's blood has tissue around it, as in maps of the LV myocardium
-    alone, a wall of 3 mm is put around it. The notes get a line for everything found or changed.
+    alone, a wall of 3 mm is added. Each decision adds a line to the notes.
 
     Returns
     -------
@@ -128,13 +128,13 @@ def _with_rv_wall(
 
 def _walled(lv: Floats, rv: Floats, gaps: Floats) -> _Levels:
     """Close holes in the septum and in the outer walls."""
-    thinnest = 1.5 * EDGE  # that cubes of this edge can tell from a hole
+    thinnest = 1.5 * EDGE  # thinner walls look like holes to cubes of this edge
     rv = np.maximum(rv, thinnest - lv)
     return _Levels(np.minimum(gaps, np.minimum(lv, rv) - thinnest), lv, rv, gaps)
 
 
 def _base_layer(levels: _Levels, name: str) -> int:
-    """How many layers are below the highest section that cuts both cavities open, and whole."""
+    """Number of layers up to the highest section that opens both cavities within whole walls."""
     areas = [(part < 0).sum(axis=(0, 1)) for part in (levels.lv, levels.rv)]
     occupied = np.flatnonzero(areas[0] + areas[1])
     top = levels.outer.shape[2] - 1

@@ -94,8 +94,8 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
     """Refuse an edge length (mm) for which the walls are too thin.
 
     The median thickness of each wall must have room for two layers of tetrahedra even where they
-    lie as flat as they can (an edge length over √2 each). As medians count, a few thin places do
-    not matter, such as those at the apex and next to the base.
+    lie as flat as they can (an edge length over √2 each). A few thin places, such as those at the
+    apex and next to the base, do not matter.
     """
     names = ("left ventricle's free wall", "septum", "right ventricle's free wall")
     thickness, thinnest = min(
@@ -111,11 +111,11 @@ def check_edge_length(walls: Walls, edge_length: float, name: str) -> None:
 
 
 def leftness(one: Surface, other: Surface, epicardium: Surface) -> float:
-    """How much more the first of two endocardia looks like the left one than the second does.
+    """Evidence that the first of two endocardia, rather than the second, is the left one.
 
     The left cavity is nearly convex and round, and its wall is thick; the right one is a crescent
-    about the septum with a thin free wall. The logarithms of the three ratios, each of which
-    speaks for the left where it is larger, are added: positive where the first is the left one.
+    about the septum with a thin free wall. The sum of the logarithms of the ratios of these three
+    features, first over second: positive where the first is the left one.
     """
     first, second = (_features(endocardium, epicardium) for endocardium in (one, other))
     return float(np.log(first / second).sum())

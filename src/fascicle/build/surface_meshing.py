@@ -27,9 +27,9 @@ def remeshed_surface(surface: LabelledSurface, edge_length: float) -> LabelledSu
 
     A first pass removes the noise of a surface from marching cubes. It keeps sharp edges, without
     which the narrow end of the right cavity would be folded; the second keeps the borders between
-    labels alone (angle=0), as edges would keep badly shaped triangles. Mmg's mean length is not the
-    size that it is given, so the size is corrected by what came out. Mmg stays far nearer to the
-    surface than it may: on a heart the volume changes by 0.02 %, the walls by 0.06 mm at 2 mm.
+    labels alone (angle=0), as edges would keep badly shaped triangles. Mmg's mean length differs
+    from the size that it is given, so the size is corrected iteratively. Mmg stays far nearer to
+    the surface than it may: on a heart the volume changes by 0.02 %, walls by 0.06 mm at 2 mm.
     """
     smooth = _remeshed(
         without_short_edges(surface, 0.3 * edge_length),
@@ -120,11 +120,11 @@ def subdivided(surface: LabelledSurface, edge_length: float) -> tuple[LabelledSu
     """Make a coarse surface smooth and finer: Loop subdivision, corrected for its shrinking.
 
     Loop's surface (1987, thesis, University of Utah) does not pass through the vertices that it
-    comes from: thin walls would shrink. So each vertex is first moved by as much as it would be
-    missed by (one step of progressive interpolation, Cheng et al. 2009, J Comput Sci Technol
-    24:39-46; more make a flat base undulate), or by half of it where walls would cut one another.
-    Then the finer surface is moved along its normals by the hundredths of a mm that give the volume
-    back. The mean edge is then at most two edge lengths. A note for people says what was done.
+    comes from: thin walls would shrink. So each vertex is first moved by its distance from that
+    surface (one step of progressive interpolation, Cheng et al. 2009, J Comput Sci Technol
+    24:39-46; more make a flat base undulate), or by half of it where walls would intersect. Then
+    the finer surface is moved along its normals, by hundredths of a mm, to restore the volume. The
+    mean edge is then at most two edge lengths. The second result is a note for the user.
     """
     given = closed_surface(surface)
     before = mean_edge_length(given.vertices, given.triangles)

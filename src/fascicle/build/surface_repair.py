@@ -1,4 +1,4 @@
-"""Closed labelled surfaces: what is wrong with one is repaired, or refused with its place."""
+"""Closed labelled surfaces: defects are repaired, or refused with their position."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ LARGEST_HOLE = 20.0  # mm, length of its boundary; 6 mm across, so no valve or v
 
 
 def prepared_surface(surface: LabelledSurface) -> LabelledSurface:
-    """Make a labelled surface closed, one piece that does not cut itself and faces outwards.
+    """Make a labelled surface closed, in one piece, without self-intersections, facing outwards.
 
     Repeated vertices and triangles, triangles without an area, holes with a boundary of at most
-    20 mm, triangles facing the wrong way and small components of labels are repaired. Where parts
-    cut through one another, it is replaced by the surface of what lies within. The rest is refused.
+    20 mm, triangles facing the wrong way and small components of labels are repaired. A surface
+    that intersects itself is replaced by that of its interior. Other defects are refused.
     """
     missing = missing_parts(surface.labels)
     if missing:
@@ -110,13 +110,13 @@ def oriented_outwards(surface: LabelledSurface) -> LabelledSurface:
     if bad.size:
         raise InputError(
             f"{surface.name}: at {bad.size} vertices the surface touches itself (the first at "
-            f"{place(surface.vertices[bad[0]])}); draw the parts apart there"
+            f"{place(surface.vertices[bad[0]])}); separate the parts there"
         )
     return replace(surface, triangles=turned_outwards(surface.vertices, triangles))
 
 
 def _without_cuts(surface: LabelledSurface, cuts: Integers) -> LabelledSurface:
-    """The surface of what lies within one that cuts itself, with the nearest labels.
+    """The surface of the interior of one that intersects itself, with the nearest labels.
 
     Marching cubes on the signed distance, whose sign is that of the winding number (Barill et al.
     2018, ACM Trans Graph 37(4):43), at nodes 1/150 of the diagonal apart.

@@ -36,7 +36,7 @@ class TorsoOptions:
     torso : str
         ``"idealised"``, ``"none"`` (unbounded conductor), or the file of a closed skin surface.
     lungs : tuple of Path
-        Closed surfaces, with a skin of the user's own.
+        Closed surfaces of the lungs, with a custom skin.
     measures : mapping of name to float
         Height (m), weight (kg) and chest girth (cm), as far as they are known, to scale the
         idealised torso.
@@ -67,8 +67,8 @@ class TorsoOptions:
                 )
         skin = () if self.torso in ("idealised", "none") else (Path(self.torso),)
         if self.lungs and not skin:
-            raise InputError(f"--lung goes with a torso of your own, not with '{self.torso}'")
-        # what would otherwise be found out after minutes is refused at once
+            raise InputError(f"--lung goes with a custom torso, not with '{self.torso}'")
+        # refused now rather than after minutes of work
         for path in (*skin, *self.lungs):
             if not path.is_file():
                 raise InputError(f"{path}: no such file (torso); check the path")
@@ -84,9 +84,9 @@ class TorsoOptions:
 def in_torso(
     heart: Heart, mesh: LabelledMesh, options: TorsoOptions, progress: Progress | None = None
 ) -> tuple[Heart, tuple[str, ...]]:
-    """Put torso, electrodes and lead fields around a heart, whose own electrodes do not count.
+    """Place a heart in a torso with electrodes and lead fields; electrodes it has are replaced.
 
-    The mesh is its tetrahedra with their boundary labelled. Notes say how the torso was fitted.
+    The mesh is the heart's, with a labelled boundary. Notes describe how the torso was fitted.
     """
     source = str(options.electrodes) if options.electrodes is not None else mesh.name
     notes: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ def in_torso(
 
 
 def _notes_on_fit(heart: Heart, fitted: FittedTrunk, pose: Pose) -> list[str]:
-    """What the trunk took to hold the electrodes on its skin, in all and for each."""
+    """Notes on how the trunk was fitted to the electrodes, as a whole and for each."""
     size = fitted.size
     lv, rv = (Surface(e.vertices, e.triangles) for e in heart.endocardia)
     azimuth, descent = apex_direction(fitted.frame.rotation, lv, rv)

@@ -79,7 +79,7 @@ def _remeshed_inside(
     boundary, _ = boundary_triangles(refined)
     at = places_in(boundary, triangles)
     if at.min() < 0:
-        raise RuntimeError("the boundary is not the surface that was to be kept")
+        raise RuntimeError("the boundary is not the surface that was to stay")
     return LabelledMesh(positions, refined, boundary, labels[at], name=surface.name)
 
 
@@ -95,7 +95,7 @@ def remeshed_anatomy(anatomy: Anatomy) -> Anatomy:
     before, after = (quality(each.vertices, each.tetrahedra).angles.min() for each in (mesh, new))
     centres = [each.vertices[each.tetrahedra].mean(axis=1) for each in (mesh, new)]
     distance, near = cKDTree(centres[0]).query(centres[1], k=4)
-    weights = 1 / (distance + 1e-9)  # a tetrahedron that is still there counts alone
+    weights = 1 / (distance + 1e-9)  # an unchanged tetrahedron outweighs all others
     note = (
         f"mesh: its inside was meshed again and its surface kept: {len(mesh.tetrahedra)} "
         f"tetrahedra before, {len(new.tetrahedra)} after; smallest dihedral angle {before:.1f} "
@@ -123,14 +123,13 @@ def mean_axes(directions: Floats, weights: Floats) -> Floats:
 
 
 def repaired_edges(anatomy: Anatomy) -> Anatomy:
-    """Separate tetrahedra that have nothing but an edge in common, where few edges are so.
+    """Separate tetrahedra that share only an edge, if there are few such edges.
 
-    In such an edge four or more triangles of the boundary meet, and the boundary is not a surface.
-    Each group of tetrahedra around the edge, linked by faces, gets a middle of the edge of its own,
-    drawn a little into the group, and its tetrahedra are halved there: no tissue is removed, and
-    the groups stay joined at the edge's ends. Fibres, sheets, regions and labels are those of the
-    halved tetrahedra and triangles. The anatomy is returned as it is if there is nothing to repair,
-    or more than one edge in a thousand.
+    Four or more triangles of the boundary meet in such an edge, so the boundary is not a surface.
+    Each group of face-connected tetrahedra around the edge gets a separate midpoint of it, moved a
+    little into the group, and its tetrahedra are halved there. No tissue is removed, and the groups
+    stay joined at the edge's ends. Fibres, sheets, regions and labels are inherited. The anatomy is
+    returned as it is if nothing is to be repaired, or more than one edge in a thousand.
     """
     mesh = anatomy.mesh
     edges, count = unique_edges(mesh.triangles)
@@ -161,7 +160,7 @@ def repaired_edges(anatomy: Anatomy) -> Anatomy:
     note = (
         f"mesh: {len(bad)} of {len(edges)} edges of its boundary had more than two triangles (the "
         f"first at {place(mesh.vertices[bad[0]].mean(axis=0))}): the tetrahedra that met in them "
-        f"alone were drawn apart ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none "
+        f"alone were separated ({len(tetrahedra) - len(mesh.tetrahedra)} tetrahedra halved, none "
         "removed)"
     )
     return replace(

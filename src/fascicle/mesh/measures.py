@@ -68,7 +68,7 @@ def solid_centroid(vertices: Floats, tetrahedra: Integers) -> Floats:
 
 
 def principal_axes(vectors: Floats) -> Floats:
-    """Unit axes (m, 3) nearest to vectors (m, k, 3) whose signs do not count, but lengths do.
+    """Unit axes (m, 3) nearest to vectors (m, k, 3), weighted by length, regardless of sign.
 
     The principal axis of Σ v⊗v; its own sign is arbitrary.
     """
@@ -88,7 +88,7 @@ def enclosed_volume(vertices: Floats, triangles: Integers) -> float:
     Negative where the normals point into the cavity, as an `Endocardium`'s do.
     """
     loop = vertices[boundary_loops(triangles)[0]]
-    # about the loop's middle the fan's triangles contribute nothing
+    # seen from the loop's middle, the fan contributes nothing
     return closed_volume(vertices - loop.mean(axis=0), triangles)
 
 
@@ -167,9 +167,9 @@ def quality(vertices: Floats, tetrahedra: Integers) -> Quality:
 
 
 def self_intersections(vertices: Floats, triangles: Integers) -> Integers:
-    """Pairs (k, 2) of triangles that cut through or lie on one another, by exact predicates.
+    """Pairs (k, 2) of triangles that intersect or overlap, by exact predicates.
 
-    Touching in a common vertex or edge is no cut.
+    Sharing a vertex or an edge does not count.
     """
     _, pairs, _ = igl.predicates.find_self_intersections(
         np.ascontiguousarray(vertices, dtype=float), np.ascontiguousarray(triangles, np.int64)

@@ -21,7 +21,7 @@ from fascicle.core.errors import InputError
 from fascicle.mesh.measures import closed_volume, signed_volumes, turned_outwards
 from fascicle.mesh.topology import unique_edges
 
-NOTHING = 0  # Netgen's number for what stays empty
+NOTHING = 0  # Netgen's number for a domain without elements
 
 
 class Interface(NamedTuple):
@@ -37,7 +37,7 @@ class Interface(NamedTuple):
 
     @property
     def enclosed(self) -> float:
-        """What it adds to the volume of all domains (mm³)."""
+        """Its contribution to the volume of all domains (mm³)."""
         volume = closed_volume(self.vertices, self.triangles)
         return volume * (int(self.inner != NOTHING) - int(self.outer != NOTHING))
 
@@ -179,9 +179,9 @@ def remeshed_tetrahedra(
 def constrained_delaunay(places: Floats, loops: Sequence[Integers]) -> tuple[Integers, Integers]:
     """Triangulate what lies between closed lines in a plane, whose sides are kept, by VTK.
 
-    Given are points (n, 2) and, for each line, the outermost first, those along it (k,). The second
-    result (s,) are the first points of sides that are not an edge of the triangles' boundary: if
-    there are any, lines cross or touch, and the triangles (m, 3) are of no use.
+    `places` are points (n, 2); each loop (k,) holds the points along one line, the outermost first.
+    The second result (s,) are the first points of sides that are not an edge of the triangles'
+    boundary: if there are any, lines cross or touch, and the triangles (m, 3) are invalid.
     """
     import pyvista as pv
 

@@ -67,7 +67,7 @@ def without_unused_vertices(vertices: Floats, cells: Integers) -> tuple[Floats, 
 
 
 def components_of(pairs: Integers, count: int) -> Integers:
-    """Component that each of `count` things is in, numbered from 0; pairs (k, 2) are linked."""
+    """Component (count,) of each of `count` nodes, from 0, linked by pairs (k, 2)."""
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
@@ -84,7 +84,7 @@ def merged_vertices(vertices: Floats, tolerance: float) -> Integers:
 
 
 def whole_triangles(triangles: Integers) -> Booleans:
-    """Which triangles (m, 3) have three different corners and are not there before, shape (m,)."""
+    """Which triangles (m, 3) have three different corners and repeat no earlier one, shape (m,)."""
     corners = np.sort(triangles, axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
     whole = np.zeros(len(triangles), dtype=bool)

@@ -10,7 +10,7 @@ import numpy as np
 from fascicle.core.arrays import Floats, Integers
 from fascicle.core.errors import InputError
 
-OPENCARP_FORMATS = (".pts", ".elem")  # either stands for both, and for the `.lon`
+OPENCARP_FORMATS = (".pts", ".elem")  # either names both files, and the `.lon`
 LINE, TRIANGLE, TETRAHEDRON = 3, 5, 10  # VTK's numbers for the cells that are used here
 GROUP = "gmsh:physical"  # meshio's name for the number of a cell's physical group
 
@@ -24,8 +24,8 @@ def damaged(path: Path, found: object) -> InputError:
 class MeshFile:
     """Points and cells of a file, whatever its format.
 
-    Points (n, 3) are as they stand in the file. Cells are point indices (m, k) of each kind by
-    VTK's number; arrays have one row a point, or a cell of a kind.
+    Points (n, 3) are in the file's unit. Cells are point indices (m, k) of each kind by VTK's
+    number; arrays have one row a point, or a cell of a kind.
     """
 
     path: Path
@@ -34,7 +34,7 @@ class MeshFile:
     point_data: dict[str, Floats] = field(default_factory=dict)
     cell_data: dict[int, dict[str, Floats]] = field(default_factory=dict)
     others: dict[str, int] = field(default_factory=dict)  # how many cells of other kinds there are
-    has_polylines: bool = False  # a line has become several, which share its cell data
+    has_polylines: bool = False  # a line was split into segments, which share its cell data
     # dimension and number of Gmsh's physical groups; cells have the number in the array `GROUP`
     groups: dict[str, tuple[int, int]] = field(default_factory=dict)
 

@@ -42,7 +42,7 @@ def read_meshio(path: Path) -> MeshFile:
     except (
         meshio.ReadError, ValueError, LookupError, ArithmeticError, AssertionError, OSError,
         EOFError, TypeError, AttributeError, RuntimeError, MemoryError, struct.error,
-        NameError,  # of what its Gmsh reader has not met in the file
+        NameError,  # raised by its Gmsh reader where a section is missing
     ) as error:  # fmt: skip
         raise damaged(path, one_line(error)) from None
     if "not closed" in printed.getvalue():  # of a section of a Gmsh file
@@ -94,7 +94,7 @@ def read_gmsh22(path: Path, content: bytes) -> MeshFile:
     """Read a Gmsh file of format 2, text or binary.
 
     Physical groups are in the cell array `GROUP` and in ``groups``. Element data are cell arrays
-    of the kinds that have any, not a number where an element has none.
+    of the kinds that have any, NaN where an element has none.
     """
     try:
         return _parsed(path, content)
@@ -158,7 +158,7 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 def _lines(body: bytes, count: int) -> tuple[list[str], bytes]:
-    """So many lines, and what follows them."""
+    """The first `count` lines, and the rest."""
     *lines, rest = body.split(b"\n", max(count, 0))
     if len(lines) != count:
         raise ValueError("ends within a section")
@@ -171,7 +171,7 @@ def _counted(body: bytes) -> tuple[int, bytes]:
 
 
 def _table(rows: int, body: bytes, columns: int, is_binary: bool) -> Floats:
-    """Rows of one whole number and so many others (rows, 1 + columns)."""
+    """Rows of one whole number and `columns` other numbers (rows, 1 + columns)."""
     if not is_binary:
         return np.array(body.decode("ascii").split(), dtype=float).reshape(rows, 1 + columns)
     row = np.dtype([("id", "<i4"), ("values", "<f8", (columns,))])
@@ -232,7 +232,7 @@ def _read_data(body: bytes, is_binary: bool) -> tuple[str, Floats]:
 
 
 def _places(wanted: Integers, numbers: Integers) -> Integers:
-    """Where each number stands among others; -1 where it does not."""
+    """Position of each number among others; -1 if it is absent."""
     order = np.argsort(numbers, kind="stable")
     at = np.searchsorted(numbers[order], wanted)
     place = order[np.minimum(at, len(order) - 1)]

@@ -45,8 +45,8 @@ def read_opencarp_mesh(path: Path | str, purpose: str = "mesh") -> MeshFile:
     """Read `.pts` and `.elem`, and `.lon` where there is one, given any of them or their stem.
 
     Coordinates are in µm and become mm; those that span less than 3000 are taken to be in mm
-    already: as µm it would be 3 mm, less than any ventricle or tree; as mm more than any torso.
-    Cell arrays are ``region`` (the tags), ``fibre`` and ``sheet`` where there are.
+    already: 3 mm is less than any ventricle or Purkinje network, 3000 mm more than any torso.
+    Cell arrays are ``region`` (the tags), ``fibre`` and ``sheet``, as far as the files have them.
     """
     file = opencarp_file(path, ".pts")
     points = _table(file, _counted_lines(file, purpose), (3,))
@@ -100,7 +100,7 @@ def _read_directions(path: Path, count: int) -> dict[str, Floats]:
 
 
 def read_surf(path: Path, points: int) -> Integers:
-    """Read the triangles (k, 3) of a `.surf` file, for a mesh of so many points."""
+    """Read the triangles (k, 3) of a `.surf` file, for a mesh with this number of points."""
     lines = _counted_lines(path, "surface")
     bad = next((row for row, line in enumerate(lines) if line.split()[:1] != ["Tr"]), None)
     if bad is not None:
@@ -180,7 +180,7 @@ def _table(path: Path, lines: list[str], columns: tuple[int, ...]) -> Floats:
 def _indices(
     path: Path, lines: list[str], corners: int, points: int | None, tagged: bool = True
 ) -> Integers:
-    """Indices of points, so many a line, and a tag where there is one."""
+    """Point indices, `corners` a line, and a tag where there is one."""
     table = _table(path, lines, (corners, corners + 1) if tagged else (corners,))
     # beyond 2^53 not every whole number is a float, and no index is so large
     bad = np.argwhere((table != np.round(table)) | (np.abs(table) > 2.0**53))

@@ -137,7 +137,7 @@ def _vtk_complaints() -> Iterator[list[str]]:
         vtkOutputWindow.SetInstance(before)
         vtkLogger.SetStderrVerbosity(verbosity)
         printed = window.GetOutput()
-        if isinstance(printed, bytes):  # it quotes a file that is no text
+        if isinstance(printed, bytes):  # it quotes a binary file
             printed = printed.decode(errors="replace")
         # "ERROR: In vtkX.cxx, line 7", then "vtkX (0x55aa): what happened"
         for text in re.split(r"^\w+: In .*, line \d+$", printed, flags=re.MULTILINE):
