@@ -37,30 +37,14 @@ class Drift:
 
 @dataclass(frozen=True)
 class Beat:
-    """One heart beat of a recording.
+    """One heart beat of a recording."""
 
-    Attributes
-    ----------
-    number : int
-        From 1, in the order of time; what the user calls it.
-    time : float
-        Of its R peak (s from the start of the recording).
-    label : str
-        Its class: A is the one with the most beats, then B and so on.
-    interval : float
-        Time since the beat before (ms); NaN for the first.
-    unused : Unused, optional
-        Why it is not one of the target's beats; None where it is.
-    drift : Drift, optional
-        Of its baseline, where that is why.
-    """
-
-    number: int
-    time: float
-    label: str
-    interval: float
-    unused: Unused | None = None
-    drift: Drift | None = None
+    number: int  # from 1, in the order of time
+    time: float  # of its R peak (s from the start of the recording)
+    label: str  # its class: A is the one with the most beats, then B and so on
+    interval: float  # time since the beat before (ms); NaN for the first
+    unused: Unused | None = None  # why it is not one of the target's beats
+    drift: Drift | None = None  # of its baseline, where that is why
 
     @property
     def used(self) -> bool:

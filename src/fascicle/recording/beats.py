@@ -23,11 +23,8 @@ from fascicle.recording.morphology import LARGEST_SHIFT, cut, detrended
 from fascicle.recording.target_options import TargetOptions
 from fascicle.recording.window import qrs_window, spatial_velocity
 
-# Samples in which the isoelectric level of a beat is read: one period of 50 Hz, so that power-line
-# interference averages out.
+# Samples in which the isoelectric level of a beat is read: one period of 50 Hz
 KNOT = 20
-
-
 FEW_ALIKE = 0.7  # share of the beats that should be alike
 
 
@@ -64,10 +61,9 @@ def extent(group: LeadGroup) -> tuple[int, int]:
 
 
 def cut_beats(group: LeadGroup, members: Integers, onset: float | None = None) -> AlignedBeats:
-    """Cut out those beats of a group that are members, and subtract their isoelectric lines.
+    """Cut out the beats `members` (n_beats,) of a group, and subtract their isoelectric lines.
 
-    The `members` (n_beats,) are increasing, each with its whole window; `onset` is that of the QRS
-    (ms from R) where the user has given it.
+    `onset` is that of the QRS (ms from R) where the user has given it.
     """
     before, after = extent(group)
     peaks = group.peaks[members]
@@ -98,10 +94,8 @@ def _detrended_beats(
 ) -> Floats:
     """Beats (n_beats, 12, n), mV, with a straight line removed from each lead.
 
-    The line of a beat runs through the isoelectric level before its QRS, from the sample `knots`
-    on, and that before the QRS of its nearest neighbour; both points are of one kind, and neither
-    T nor U waves enter. Where no neighbour is near, as for a single beat, the level alone is
-    removed.
+    It runs through the isoelectric level before the QRS, from the sample `knots` on, and that of
+    the nearest neighbour; where none is near, as for a single beat, the level alone is removed.
     """
     level = np.stack([signal[:, max(k, 0) : k + KNOT].mean(axis=1) for k in knots])
     slope = np.stack([_slope(level, knots, beat) for beat in range(len(knots))])
@@ -135,9 +129,8 @@ def drifting_beats(
     """Find beats of one shape whose baseline drifts: right after the QRS they are off the others.
 
     By more than 0.1 mV in a lead, and by more than eight robust standard deviations of the beats in
-    that lead, or in the median lead where that is larger; of fewer than five beats none can be told
-    from the others. Of two neighbours the one that is further off goes first, since the other's
-    line may run through it. Parameters as of `cut_beats`.
+    that lead, or in the median lead where that is larger. Of two neighbours the one that is further
+    off goes first, since the other's line may run through it. Parameters as of `cut_beats`.
     """
     found: dict[int, Drift] = {}
     while len(members) >= 5:
@@ -163,14 +156,13 @@ def drifting_beats(
 def combine(groups: Sequence[AlignedBeats]) -> AlignedBeats:
     """Put beats of lead groups together, the first of each with the first of the others.
 
-    Beats of different groups are aligned by the leads that they share, or else by the root mean
-    square of their mean beats: in synthetic recordings cut up in this way, half of the groups were
-    right to within 2 ms, one in ten was off by more than 12 ms, and the worst by 50 ms. There are
-    as many beats as the group with the fewest has.
+    They are aligned by the leads that the groups share, or else by the root mean square of their
+    mean beats: of synthetic recordings cut up in this way, half were right to within 2 ms, and one
+    in ten was off by more than 12 ms.
     """
-    if len(groups) == 1:
-        return groups[0]
     first = groups[0]
+    if len(groups) == 1:
+        return first
     there = [np.isfinite(group.beats[0]).all(axis=1) for group in groups]
     shared = [there[0] & other for other in there]
     shifts = [0]
@@ -209,10 +201,7 @@ def _shift(x: Floats, y: Floats, x_peak: int, y_peak: int) -> int:
 def select_beats(
     groups: Sequence[LeadGroup], options: TargetOptions, source: str
 ) -> tuple[list[tuple[Beat, ...]], str]:
-    """Number the beats of all groups and decide which are used; class of the target's beats.
-
-    The groups are in the order of time, each with a beat or more; messages begin with the `source`.
-    """
+    """Number the beats of all groups and decide which are used; class of the target's beats."""
     firsts = [1, *(1 + n for n in accumulate(len(group.peaks) for group in groups))]
     _check_numbers(source, firsts[-1] - 1, options)
     label = _target_class(groups, options)

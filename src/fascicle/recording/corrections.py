@@ -17,13 +17,10 @@ from fascicle.recording.recording import Recording, derive_limb_leads
 def share_gain(recording: Recording, digits_per_millivolt: float = 1000.0) -> Recording:
     """Give all leads one gain (digits per mV), where the file states one per lead.
 
-    The default, 1 uV a digit, is the commonest gain of digital recorders.
-
     Raises
     ------
     InputError
-        When the file does not state the gain of every lead, all have one, or this one is
-        impossible.
+        When the file does not state the gain of every lead, or all have one already.
     """
     within("gain of the file", digits_per_millivolt, "the gain that leads share")
     gains, kept = recording.digits_per_millivolt, recording.measured_leads
@@ -60,8 +57,7 @@ def invert(recording: Recording, lead: str) -> Recording:
 def swap(recording: Recording, first: str, second: str) -> Recording:
     """Undo the reversal of two limb electrodes (RA, LA, LL), or of two leads, by their names.
 
-    Chest leads are measured against the mean of the limb electrodes, which no reversal among these
-    alters; with two chest electrodes reversed their leads are, too.
+    Chest leads are measured against the mean of the limb electrodes, which no reversal alters.
 
     Raises
     ------

@@ -36,13 +36,11 @@ def r_peaks(signal: Floats, sampling_rate: float) -> Integers:
     As Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985) do for one lead: a band-pass, the
     slope, its mean over about a QRS, and a threshold a fifth of the way from the level between
     the beats to that of the beats; T waves above it are told by their steepness and what follows.
-    Three things differ, because all leads and all beats are there from the beginning. The slopes of
-    the leads, each in units of its usual QRS and limited, are averaged, weighted by how well they
-    agree with the other leads, without the quarter of the leads that moves most at that instant: a
+    Here the slopes of the leads, each in units of its usual QRS and limited, are averaged, weighted
+    by how well they agree with the others, without the quarter that moves most at that instant: a
     bad electrode neither makes beats nor hides them. The highest slope within the refractory period
-    decides, not the first. And both levels are medians over the whole recording. Each beat then
-    moves to the top of the smoothed root mean square of the leads that agree, which is the same
-    point of every beat of one shape to within a few ms.
+    decides, and both levels are medians over the whole recording. Each beat then moves to the top
+    of the smoothed root mean square of the leads that agree.
 
     Of a signal (12, n), mV, without pacing spikes, at a rate of at least 250 Hz: the sample of each
     R peak to within 2 ms, (n_beats,), increasing. Rows with NaN are left out.
@@ -129,9 +127,8 @@ def _high(merged: Floats, found: Integers, usual: float) -> Integers:
 def _t_waves(beats: Integers, leads: Floats, rate: float) -> Integers:
     """Those of the found beats (n_beats,), samples, that are the T wave of the beat before.
 
-    A T wave comes soon after a beat, is less steep, slow for its height, and followed by no wave.
-    The first two are of Pan and Tompkins (IEEE Trans. Biomed. Eng. 32:230, 1985); the others keep
-    early ectopic beats, which have a QRS and a T wave of their own.
+    A T wave comes soon after a beat and is less steep (Pan and Tompkins); that it is slow for its
+    height and followed by no wave keeps early ectopic beats, which have a T wave of their own.
     """
     slope = gaussian_filter1d(leads, 0.005 * rate, axis=-1, order=1)
     slope = np.sqrt(np.mean(slope**2, axis=0))

@@ -39,24 +39,19 @@ KNEE = 0.7  # share of that frequency at which the line is pinned
 def passed_filters(
     recording: Recording, r_peaks: Integers, options: TargetOptions
 ) -> tuple[Filter, ...]:
-    """The recorder's filters and those of this program, in the order in which they were passed.
-
-    Of a recording as it was recorded, whose R peaks are at the samples `r_peaks` (n_beats,).
-    """
+    """The recorder's filters and those of this program, in the order in which they were passed."""
     named, stated = recording.filters.lowpass, options.recorder_lowpass
     if named is not None and stated not in (None, named):
         raise InputError(
             f"{recording.source}: the recorder's low-pass is {named:g} Hz in the file, not "
             f"{stated:g} Hz; leave --recorder-lowpass out, or correct the file"
         )
-    lowpass: Filter | None
-    if named is not None:
-        lowpass = Filter(FilterKind.LOW_PASS, named, FilterOrigin.FILE, RECORDER_ORDER)
-    elif stated is not None:
-        lowpass = Filter(FilterKind.LOW_PASS, stated, FilterOrigin.STATED, RECORDER_ORDER)
+    if (known := named if named is not None else stated) is not None:
+        origin = FilterOrigin.STATED if named is None else FilterOrigin.FILE
+        filters = [Filter(FilterKind.LOW_PASS, known, origin, RECORDER_ORDER)]
     else:
-        lowpass = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
-    filters = [] if lowpass is None else [lowpass]
+        found = estimated_lowpass(recording.signal, recording.sampling_rate, r_peaks)
+        filters = [] if found is None else [found]
     if recording.filters.notch is not None:
         notch = recording.filters.notch
         filters.append(Filter(FilterKind.NOTCH, notch, FilterOrigin.FILE, NOTCH_QUALITY))
@@ -64,11 +59,10 @@ def passed_filters(
 
 
 def estimated_lowpass(signal: Floats, sampling_rate: float, r_peaks: Integers) -> Filter | None:
-    """Find the low-pass that a recording has passed, if it shows one beyond doubt.
+    """Find the low-pass that a recording has passed, None unless it shows one beyond doubt.
 
     Of a signal (n_leads, n), mV, at a rate (Hz), with beats at the samples `r_peaks` (n_beats,). It
-    is the Butterworth low-pass whose cut-off (-3 dB) and order describe the fall best; its order
-    need not be whole. None where there is no low-pass, a gentle one, or doubt.
+    is the Butterworth low-pass that describes the fall best; its order need not be whole.
     """
     found = _beat_spectrum(signal, sampling_rate, r_peaks)
     if found is None:
@@ -152,10 +146,9 @@ def _steepest_fall(frequency: Floats, level: Floats) -> float:
 
 
 def _fit(frequency: Floats, level: Floats, centre: float) -> tuple[float, float, float] | None:
-    """Fit a low-pass to the levels (k,), dB, about a frequency (Hz).
+    """Fit a low-pass to levels (k,), dB: misfit over that without one, cut-off (Hz) and order.
 
-    Returns its misfit over that without a low-pass, cut-off (Hz) and order; None where a smooth
-    wave looks like it, too.
+    None where a smooth wave looks like it, too.
     """
     lowest, highest = float(level.min()), float(level.max())
     knee = float(np.interp(KNEE * centre, frequency, level))
@@ -198,19 +191,13 @@ def _fit(frequency: Floats, level: Floats, centre: float) -> tuple[float, float,
 
 
 def _own_and_floor(p: Floats, frequency: Floats, centre: float) -> tuple[Floats, Floats]:
-    """Straight lines (dB): a QRS's own spectrum, and what lies above every filter.
-
-    Each has a level (dB) and a fall (dB per centre); of an averaged beat even the floor falls.
-    """
+    """Straight lines (dB): a QRS's own spectrum, and what lies above every filter."""
     relative = frequency / centre - KNEE
     return p[0] - p[1] * relative, p[2] - p[3] * relative
 
 
 def _with_lowpass(p: Floats, frequency: Floats, centre: float) -> Floats:
-    """Levels (dB): a line and noise, both behind the low-pass, above the floor.
-
-    After the lines' the parameters are the logarithms of cut-off and order, and the noise (dB).
-    """
+    """Levels (dB): a line and noise, p[6], both behind the low-pass, above the floor."""
     own, floor = _own_and_floor(p, frequency, centre)
     taken = attenuation(frequency / np.exp(p[4]), float(np.exp(p[5])))
     return _power_sum(_power_sum(own, p[6]) - taken, floor)

@@ -102,9 +102,8 @@ class LeadGroup:
 def lead_groups(recording: Recording, spikes: Integers, options: TargetOptions) -> list[LeadGroup]:
     """Split a recording into leads recorded at the same time, and find and sort their beats.
 
-    The groups are in the order of time; any may have no beat. A lead that runs through several
-    stretches, such as a rhythm strip, is in each group. The recording is without the pacing
-    `spikes` (k, 2), first sample of each and the one after its last.
+    In the order of time. A lead that runs through several stretches, such as a rhythm strip, is in
+    each. The pacing `spikes` (k, 2), first sample and the one after the last, are taken out.
     """
     return [_group(recording, spikes, *stretch, options) for stretch in stretches(recording)]
 
@@ -163,12 +162,8 @@ def _independent(signal: Floats) -> Integers:
 
 
 def _find_peaks(signal: Floats) -> Integers:
-    """R peaks of a signal (12, n) every `SAMPLING_STEP`.
-
-    Less than 1.5 s is one beat, as recorders print it; of a QRS that is within 40 ms of an end of
-    the recording, half is missing.
-    """
-    if signal.shape[1] < 1.5 * TARGET_RATE:
+    """R peaks of a signal (12, n), without those within 40 ms of its ends."""
+    if signal.shape[1] < 1.5 * TARGET_RATE:  # one beat, as recorders print it
         return np.array([int(np.argmax(magnitude(detrended(signal))))])
     peaks, margin = r_peaks(signal, TARGET_RATE), 40.0 / SAMPLING_STEP
     return np.asarray(peaks[(peaks >= margin) & (peaks < signal.shape[1] - margin)])

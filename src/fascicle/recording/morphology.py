@@ -28,27 +28,12 @@ def detrended(beats: Floats) -> Floats:
 
 
 def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[Integers, Integers]:
-    """Sort beats into classes of one shape and align each with its class.
+    """Sort beats of a signal (n_leads, n) into classes of one shape; align each with its class.
 
     The beat that most others resemble founds the first class; every beat that differs from their
-    median by less than a fifth of its energy, beyond what noise explains, belongs to it. The
-    rest is sorted in the same way, until no two are alike.
-
-    Parameters
-    ----------
-    signal : (n_leads, n) array
-        Recorded leads (mV) every `fascicle.recording.filters.SAMPLING_STEP`.
-    peaks : (n_beats,) array
-        R peaks, at least one.
-    noise : float
-        Its energy alone, see `noise_energy`.
-
-    Returns
-    -------
-    classes : (n_beats,) array
-        Number of the class of each beat, from 0, in the order in which they were founded.
-    aligned : (n_beats,) array
-        The peaks, moved to where each beat correlates best with its class, all leads together.
+    median by less than a fifth of its energy, beyond that of `noise`, belongs to it. The rest is
+    sorted in the same way, until no two are alike. Returns the number of each beat's class
+    (n_beats,), from 0, and its R peak, moved to where it correlates best with the class.
     """
     wide = cut(signal, peaks, HALF_WIDTH + LARGEST_SHIFT, HALF_WIDTH + LARGEST_SHIFT)
     classes = np.full(len(peaks), -1, dtype=np.int64)
@@ -65,10 +50,7 @@ def cluster_morphology(signal: Floats, peaks: Integers, noise: float) -> tuple[I
 
 
 def noise_energy(signal: Floats) -> float:
-    """Energy (mV² samples) that noise alone has in a window as long as those compared.
-
-    It is that of the quietest tenth of all stretches.
-    """
+    """Energy (mV² samples) of a window as long as those compared, of the quietest tenth."""
     length = 2 * HALF_WIDTH + 1
     starts = np.arange(0, signal.shape[1] - length + 1, HALF_WIDTH // 2)
     if not len(starts):
@@ -118,10 +100,7 @@ def _difference(beats: Floats, template: Floats, expected: float, noise: float) 
 
 
 def _best_shifts(wide: Floats, template: Floats) -> Integers:
-    """Samples, up to `LARGEST_SHIFT`, by which R lies later than assumed in each beat (n_beats,).
-
-    There the wide beats correlate best with the detrended template, all leads together.
-    """
+    """Samples, up to `LARGEST_SHIFT`, by which each beat correlates best with the template."""
     shifts = []
     for start in range(0, len(wide), 64):  # beats at a time, which bounds the memory
         tries = np.lib.stride_tricks.sliding_window_view(

@@ -260,9 +260,8 @@ def _target(
         earliest_onset=float(aligned.time[aligned.not_before]) if aligned.not_before else None,
     )
     warnings = _warnings(recording, target, beats, label, options, findings)
-    if not warnings:
-        return target
-    return replace(target, provenance=target.provenance | {"warnings": "\n".join(warnings)})
+    notes = {"warnings": "\n".join(warnings)} if warnings else {}
+    return replace(target, provenance=target.provenance | notes)
 
 
 def _window(

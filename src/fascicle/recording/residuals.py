@@ -41,11 +41,10 @@ class ResidualCovariance:
 def residual_covariance(target: Target) -> ResidualCovariance:
     """Estimate the covariance of a target's beats about their mean, within the QRS.
 
-    Some ten beats do not determine the covariances of thousands of samples. The correlation is
-    therefore taken as separable, one between leads times one in time, each averaged over the other,
-    and both are shrunk towards none by the weight of Ledoit and Wolf (2004, J. Multivar. Anal.
-    88:365), with whole beats as samples, since those within a beat are not independent. Of a single
-    beat, samples and leads are taken to vary by its stated noise independently.
+    The correlation is taken as separable, one between leads times one in time, each averaged over
+    the other and shrunk towards none by the weight of Ledoit and Wolf (2004, J. Multivar. Anal.
+    88:365), with whole beats as samples. Of a single beat, samples and leads vary by its stated
+    noise independently.
     """
     window, used = target.qrs_samples, target.used
     sd = target.standard_deviation[:, window]
@@ -78,16 +77,9 @@ def _correlation(scores: Floats) -> tuple[Floats, float]:
 
 
 def repeated(target: Target, rng: np.random.Generator, count: int = 10) -> Target:
-    """Target with as many beats as if its single one, of stated noise, had been recorded often.
+    """Target with `count` beats as if its single one, of stated noise, had been recorded often.
 
-    Parameters
-    ----------
-    target : Target
-        One beat and its stated noise.
-    rng : numpy.random.Generator
-        Source of the noise.
-    count : int
-        Number of beats, by default that of a 10 s recording; their mean is the recorded beat.
+    Their mean is the recorded beat.
     """
     assert target.noise is not None
     noise = smooth_noise(rng, (count, *target.beats.shape[1:]), target.noise)

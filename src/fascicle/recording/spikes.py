@@ -15,12 +15,11 @@ def find_spikes(signal: Floats, sampling_rate: float) -> Integers:
     r"""Pacing spikes of a recording.
 
     The prominence of a sample in one lead is how far it lies above (or below) both the samples 5 ms
-    before and after it, whichever is nearer; steps of an electrode have none. A spike is a sample
-    that is prominent in several leads at once, more than anything around it, between stretches that
-    do not move: a narrow R wave is prominent too, but it goes on falling on both sides, a spike
-    ends. Where noise hides some of the spikes, the others show what to look for. That pulses can be
-    found in software, by their steepness and short duration in several leads, is shown by
-    Helfenbein et al. (J. Electrocardiol. 35 Suppl:95, 2002); the rule used here is simpler.
+    before and after it; steps of an electrode have none. A spike is a sample that is prominent in
+    several leads at once, more than anything around it, between stretches that do not move: a
+    narrow R wave goes on falling on both sides. Where noise hides some of the spikes, the others
+    show what to look for. A simpler rule than that of Helfenbein et al. (J. Electrocardiol. 35
+    Suppl:95, 2002).
 
     Of a signal (12, n), mV, at a rate of at least 250 Hz, NaN where a lead was not recorded: first
     sample of each spike and the one after its last, (k, 2), increasing.

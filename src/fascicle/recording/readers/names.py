@@ -41,10 +41,9 @@ _LEAD = re.compile(f"{_BEFORE}(?:{_NAMES}){_BEHIND}")
 def lead_name(text: str) -> str | None:
     """Return the name in `fascicle.core.leads.LEADS` of a text without unit, None for others.
 
-    Understands ``aVR``, ``AVR``, ``a VR``, ``Lead I``, ``I lead``, ``DII``, ``L1``, ``v1``,
-    ``V01``, ``C1``, ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Lead I (Einthoven)`` and
-    Roman numerals of their own code points. Not leads of the twelve: an inverted ``-aVR``, the
-    unaugmented ``VR``, ``MLII`` of ambulatory recorders, ``V7``, ``V4R``, Frank's X, Y and Z, and a
+    Understands ``aVR``, ``AVR``, ``Lead I``, ``DII``, ``L1``, ``V01``, ``C1``,
+    ``MDC_ECG_LEAD_V1``, ``ECG-I``, ``Lead I (Einthoven)`` and the like. Not leads of the twelve: an
+    inverted ``-aVR``, the unaugmented ``VR``, ``MLII``, ``V7``, ``V4R``, Frank's X, Y and Z, and a
     ``II rhythm``, which repeats a lead.
     """
     if len(text) > 64:  # characters, as in DICOM; bounds what matching takes

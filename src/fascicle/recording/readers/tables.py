@@ -260,10 +260,7 @@ def _agreed_rate(path: Path, rates: dict[str, float | None]) -> float | None:
 def _rate_of(
     path: Path, column: _Column, times: Floats, known: float | None, lead: str = ""
 ) -> float:
-    """Rate (Hz) of even times by least squares; they may be rounded, by less than half a step.
-
-    It is the one that is known where the column has no unit.
-    """
+    """Rate (Hz) of even times by least squares; the known one where the column has no unit."""
     where = f"of lead '{lead}'" if lead else f"in the column '{column.name}'"
     step, steps = _step(times), np.diff(times)
     if column.per_second is None and known is None:
@@ -305,10 +302,7 @@ def _read_long(
     unit: str | None,
     said: dict[str, float | None],
 ) -> RawRecording:
-    """Read one row per lead and time; each lead has even times, at the rate of the others.
-
-    Leads come on common times, each moved by half a sample at most; NaN where it was not recorded.
-    """
+    """Read one row per lead and time, onto common times; NaN where a lead was not recorded."""
     times, values = time.numbers(path), value.numbers(path)
     kept = ~np.isnan(values) & place.cells.notna().to_numpy()
     times, values, leads = times[kept], values[kept], place.cells[kept].astype(str)
