@@ -164,6 +164,7 @@ class TestRefusals:
         for path, words in (
             (other, "cannot read '.json' as scenario; use one of .toml"),
             (tmp_path / "none.toml", "no such file (scenario)"),
+            (tmp_path / "none.json", "no such file (scenario)"),
         ):
             command = ["simulate", small_heart, "--scenario", path, "--out", outside / "sim"]
             refused(command, f"{path}: {words}")

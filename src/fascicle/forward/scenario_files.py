@@ -67,23 +67,23 @@ def name_in_library(scenario: Scenario) -> str | None:
 
 
 def find_scenario(name: str) -> Path:
-    """The file of a scenario of the `library`, or of one's own.
+    """The file of a scenario: of the `library` by its name, else the path that was given.
 
     Raises
     ------
     InputError
-        If it is neither.
+        If the name is neither in the library nor that of a file.
     """
-    known = library()
+    known, path = library(), Path(name)
     if name in known:
         return known[name]
-    if not Path(name).exists() and not name.endswith(".toml"):
+    if not path.exists() and path.name == name and not path.suffix:
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
         raise InputError(
             f"there is no scenario '{name}'; did you mean '{near}'? 'fascicle scenarios' lists "
             "them; a file of your own ends in .toml"
         )
-    return Path(name)
+    return path
 
 
 def read_scenarios(names: Sequence[str | Path] | str | Path) -> dict[str, Scenario]:
