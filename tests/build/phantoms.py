@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from shapes import ellipsoid
 
 from fascicle.build.segmentation import Segmentation, SegmentationLabels
 
@@ -28,18 +29,11 @@ OBLIQUE = np.linalg.qr(np.array([[0.9, 0.3, 0.2], [-0.3, 0.8, 0.4], [0.1, -0.5, 
 OBLIQUE = OBLIQUE * np.sign(np.diag(OBLIQUE))
 
 
-def quadric(points, radii, centre=(0.0, 0.0, 0.0)):
-    """Negative inside an ellipsoid, roughly the distance near it (mm)."""
-    scaled = (points - np.asarray(centre)) / radii
-    length = np.linalg.norm(scaled, axis=-1)
-    return (length - 1) * length / np.maximum(np.linalg.norm(scaled / radii, axis=-1), 1e-9)
-
-
 def labels_at(points, base=BASE):
     """Exact label of points in the heart's frame."""
-    lv, lv_wall = quadric(points, LV_INNER) < 0, quadric(points, LV_OUTER) < 0
-    rv = (quadric(points, RV_INNER, RV_CENTRE) < 0) & ~lv_wall
-    wall = (quadric(points, RV_OUTER, RV_CENTRE) < 0) | lv_wall
+    lv, lv_wall = ellipsoid(points, LV_INNER) < 0, ellipsoid(points, LV_OUTER) < 0
+    rv = (ellipsoid(points, RV_INNER, RV_CENTRE) < 0) & ~lv_wall
+    wall = (ellipsoid(points, RV_OUTER, RV_CENTRE) < 0) | lv_wall
     scar = np.linalg.norm(points - SCAR_CENTRE, axis=-1) < SCAR_RADIUS
     labels = np.where(wall, 3, 0)
     labels[wall & scar] = 4
@@ -51,12 +45,12 @@ def labels_at(points, base=BASE):
 
 def exact_distance(points, kind):
     """Distance of points (heart's frame) to the exact surface of a kind ("lv", "epi"), in mm."""
-    lv_outer = quadric(points, LV_OUTER)
+    lv_outer = ellipsoid(points, LV_OUTER)
     if kind == "lv":
-        return quadric(points, LV_INNER)
+        return ellipsoid(points, LV_INNER)
     if kind == "rv":
-        return np.maximum(quadric(points, RV_INNER, RV_CENTRE), -lv_outer)
-    return np.minimum(lv_outer, quadric(points, RV_OUTER, RV_CENTRE))
+        return np.maximum(ellipsoid(points, RV_INNER, RV_CENTRE), -lv_outer)
+    return np.minimum(lv_outer, ellipsoid(points, RV_OUTER, RV_CENTRE))
 
 
 @cache

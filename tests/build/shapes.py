@@ -24,12 +24,15 @@ LV_WALL, RV_WALL = 10.0, 5.0  # mm
 FLAT = 1e-3  # mm that the base is off its plane
 
 
+def ellipsoid(points, half_axes, centre=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """Distance to an ellipsoid (mm), to first order; negative inside."""
+    scaled = (points - np.asarray(centre)) / half_axes
+    near = np.linalg.norm(scaled, axis=-1)
+    return near * (near - 1) / np.maximum(np.linalg.norm(scaled / half_axes, axis=-1), 1e-9)
+
+
 def _signed(points: np.ndarray, axes: tuple[float, float], aside: float) -> np.ndarray:
-    """Nearly the distance to an ellipsoid (mm), negative inside."""
-    half = np.array([axes[0], axes[0], axes[1]])
-    shifted = points - [aside, 0, 0]
-    near = np.linalg.norm(shifted / half, axis=-1)
-    return near * (near - 1) / np.maximum(np.linalg.norm(shifted / half**2, axis=-1), 1e-9)
+    return ellipsoid(points, np.array([axes[0], axes[0], axes[1]]), [aside, 0, 0])
 
 
 def _parts(points: np.ndarray) -> dict[Label, np.ndarray]:

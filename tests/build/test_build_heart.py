@@ -44,8 +44,8 @@ def in_torso(idealised):
 
 
 @pytest.fixture(scope="module")
-def own_body(tmp_path_factory):
-    """Folder of the same heart in a small body of its own, with one lung."""
+def custom_torso(tmp_path_factory):
+    """Folder of the same heart in a small custom torso with one lung."""
     folder = tmp_path_factory.mktemp("own")
     skin, lung = anatomies.body(), anatomies.body((28.0, 40.0, 55.0), (-70.0, 0.0, -30.0))
     torso = TorsoOptions(
@@ -74,18 +74,18 @@ def solved(monkeypatch):
     """Electrodes of every heart that lead fields are solved for."""
     from fascicle.torso.lead_fields import lead_fields
 
-    asked = []
+    electrodes = []
 
     def solve(heart, *arguments):
-        asked.append(heart.electrodes)
+        electrodes.append(heart.electrodes)
         return lead_fields(heart, *arguments)
 
     monkeypatch.setattr("fascicle.torso.lead_fields.lead_fields", solve)
-    return asked
+    return electrodes
 
 
 def trunk(heart):
-    """Axes of the patient as the heart tells them: leftwards and headwards, roughly."""
+    """Approximate axes of the patient, leftwards and headwards, from the heart."""
     from_rv = heart.lv.vertices.mean(axis=0) - heart.rv.vertices.mean(axis=0)
     return from_rv / np.linalg.norm(from_rv), np.array([0.0, 0.0, 1.0])  # the base is above
 
@@ -97,7 +97,7 @@ class TestIdealisedTorso:
             in_torso.torso.vertices[: len(in_torso.vertices)], in_torso.vertices
         )
 
-    def test_body_and_heart_fill_the_trunk_without_overlap(self, in_torso):
+    def test_torso_and_heart_fill_the_trunk_without_overlap(self, in_torso):
         torso = in_torso.torso
         volumes = signed_volumes(torso.vertices, torso.tetrahedra)
         assert volumes.min() > 0
@@ -133,11 +133,11 @@ class TestIdealisedTorso:
 
 
 class TestOwnTorso:
-    def test_moved_electrode_is_solved_for_anew_and_changes_the_ecg(
-        self, own_body, tmp_path, solved
+    def test_lead_fields_of_a_moved_electrode_are_solved_again(
+        self, custom_torso, tmp_path, solved
     ):
         folder = tmp_path / "heart"
-        shutil.copytree(own_body, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
+        shutil.copytree(custom_torso, folder, ignore=shutil.ignore_patterns(".fascicle-cache"))
         before = fascicle.ForwardModel(load_heart(folder)).simulate(NETWORK).ecg
         assert solved == []
         electrodes = read_electrodes(folder / "electrodes.csv")
@@ -152,8 +152,8 @@ class TestOwnTorso:
         fascicle.ForwardModel(load_heart(folder))
         assert len(solved) == 1  # it was kept
 
-    def test_lungs_and_other_conductivities_count(self, own_body, solved):
-        heart = load_heart(own_body)
+    def test_lungs_and_other_conductivities_count(self, custom_torso, solved):
+        heart = load_heart(custom_torso)
         assert set(np.unique(heart.torso.tissues)) == set(TorsoTissue)
         as_body = Conduction(lung=Conduction().body)
         with_lung = fascicle.ForwardModel(heart).simulate(NETWORK)
@@ -163,10 +163,10 @@ class TestOwnTorso:
         assert 0.02 < change < 1
 
     def test_lead_fields_without_their_torso_fit_their_electrodes_only(
-        self, own_body, tmp_path, never_solved
+        self, custom_torso, tmp_path, never_solved
     ):
         folder = tmp_path / "heart"
-        write_heart(replace(load_heart(own_body), torso=None), folder)
+        write_heart(replace(load_heart(custom_torso), torso=None), folder)
         assert not (folder / "torso.vtu").exists()
         fascicle.ForwardModel(load_heart(folder))
         electrodes = read_electrodes(folder / "electrodes.csv")

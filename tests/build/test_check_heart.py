@@ -51,7 +51,7 @@ RATIO = (HALF_AXES[EPI][0] - CENTRE_X[EPI]) / HALF_AXES[LV][0]
 
 
 @pytest.mark.parametrize("asked", [(30.0, -30.0), (60.0, -60.0), (45.0, 10.0)])
-def test_helix_of_the_free_wall_is_what_was_asked_for(asked):
+def test_helix_of_the_free_wall_is_as_specified(asked):
     found = check(heart_with(lv=asked)).helix["LV free wall"].in_layers()
     np.testing.assert_allclose(found, through(asked, RATIO), atol=4)
 
@@ -103,7 +103,7 @@ def test_figures_are_those_of_the_ellipsoids():
 
 
 def warning(heart, start):
-    """The one warning that begins so; there is no other."""
+    """The only warning, which begins with `start`."""
     warnings = check(heart).warnings
     assert len(warnings) == 1, warnings
     assert warnings[0].startswith(start), warnings
@@ -111,7 +111,7 @@ def warning(heart, start):
     return warnings[0]
 
 
-def test_fibres_that_turn_the_other_way_are_told():
+def test_fibres_of_the_wrong_helix_sense_give_a_warning():
     found = warning(heart_with(lv=(-60.0, 60.0)), "fibres: the helix angle of the LV free wall")
     assert "mirrored" in found
 
@@ -127,11 +127,11 @@ def swapped(one, other):
     ("one", "other", "start"),
     [("RA", "LA", "electrodes RA and LA"), ("V3", "V4", "electrodes V3 and V4")],
 )
-def test_exchanged_electrodes_are_told(one, other, start):
+def test_exchanged_electrodes_give_a_warning(one, other, start):
     warning(swapped(one, other), start)
 
 
-def test_an_electrode_almost_on_the_heart_is_told():
+def test_an_electrode_almost_on_the_heart_gives_a_warning():
     places = ELECTRODE_PLACES.copy()
     heart = heart_with()
     nearest = heart.vertices[np.argmin(np.linalg.norm(heart.vertices - places[4], axis=1))]
@@ -139,7 +139,7 @@ def test_an_electrode_almost_on_the_heart_is_told():
     warning(replace(heart, electrodes=places), "electrode V2 is 4 mm from the heart")
 
 
-def test_a_small_heart_is_told_with_its_figures():
+def test_a_small_heart_gives_warnings_with_its_volumes():
     heart = heart_with()
     small = replace(
         heart,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from shapes import read_labelled_surface
+from shapes import ellipsoid, read_labelled_surface
 
 from fascicle.build.borders import cut_along_borders, cut_at_zero
 from fascicle.build.classify import classify_surface
@@ -20,14 +20,6 @@ MOST = 1.15  # the true edges of a crescent have corners
 WIDTH = 2.0  # mm, standard deviation of the Gaussian that a loop is compared with
 
 
-def ellipsoid(points, centre, axes):
-    """Distance to an ellipsoid (mm), to first order; negative inside."""
-    scaled = (points - centre) / axes
-    k0 = np.linalg.norm(scaled, axis=-1)
-    k1 = np.linalg.norm(scaled / axes, axis=-1)
-    return k0 * (k0 - 1) / np.maximum(k1, 1e-9)
-
-
 def smooth_max(values, radius):
     """Largest of values; edges between them are rounded where the radius (mm) is not 0."""
     result = values[0]
@@ -39,10 +31,10 @@ def smooth_max(values, radius):
 
 def distances(points, tilt):
     """Signed distances to epicardium, cavities and base; all negative in the tissue."""
-    outer = ellipsoid(points, [0, 0, 0], [36, 36, 80])
-    right = ellipsoid(points, [-32, 0, 0], [42, 36, 68])
-    lv = ellipsoid(points, [0, 0, 0], [25, 25, 68])
-    rv = np.maximum(ellipsoid(points, [-32, 0, 0], [38, 32, 63]), -outer)
+    outer = ellipsoid(points, [36, 36, 80])
+    right = ellipsoid(points, [42, 36, 68], [-32, 0, 0])
+    lv = ellipsoid(points, [25, 25, 68])
+    rv = np.maximum(ellipsoid(points, [38, 32, 63], [-32, 0, 0]), -outer)
     base = points @ [np.sin(tilt), 0, np.cos(tilt)]
     return {EPI: np.minimum(outer, right), LV: -lv, RV: -rv, BASE: base}
 
@@ -178,7 +170,7 @@ def refused(values, message, spacing=3.5):
 def test_one_cavity_is_refused_with_its_volume():
     def left_alone(points):
         parts = distances(points, 0.0)
-        return np.max([ellipsoid(points, [0, 0, 0], [36, 36, 80]), parts[LV], parts[BASE]], axis=0)
+        return np.max([ellipsoid(points, [36, 36, 80]), parts[LV], parts[BASE]], axis=0)
 
     # half an ellipsoid: 2/3 π 25² · 68 mm³ = 89 ml
     refused(left_alone, r"1 cavity found \(8[4-9](\.\d)? ml\)")
@@ -186,9 +178,9 @@ def test_one_cavity_is_refused_with_its_volume():
 
 def test_cavities_closed_at_the_base_are_refused():
     def shut(points):
-        lv = -ellipsoid(points, [5, 0, -20], [20, 20, 30])
-        rv = -ellipsoid(points, [-45, 0, -20], [15, 20, 30])
-        return np.max([ellipsoid(points, [-18, 0, -20], [58, 40, 45]), lv, rv], axis=0)
+        lv = -ellipsoid(points, [20, 20, 30], [5, 0, -20])
+        rv = -ellipsoid(points, [15, 20, 30], [-45, 0, -20])
+        return np.max([ellipsoid(points, [58, 40, 45], [-18, 0, -20]), lv, rv], axis=0)
 
     refused(shut, r"falls into 3 pieces .*; keep one \(cavities must be open at the base\)")
 

@@ -1,4 +1,4 @@
-"""What is wrong with a surface is repaired, or refused with its place."""
+"""Defects of a surface are repaired, or refused with their position."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def twice():
         (twice, "falls into 2 pieces"),
     ],
 )
-def test_what_is_no_heart_is_refused(made, words):
+def test_surfaces_that_are_not_hearts_are_refused(made, words):
     with pytest.raises(InputError, match=words):
         prepared_surface(made())
 

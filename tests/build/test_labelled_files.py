@@ -2,43 +2,23 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
-import pyvista as pv
-from shapes import biventricular_surface, read_labelled_surface
+from anatomies import ventricles, write_surface
+from shapes import read_labelled_surface
 
 from fascicle.build.labelled_files import has_labels
-from fascicle.build.surface_repair import prepared_surface
 from fascicle.core.errors import InputError
-from fascicle.heart.labelled_surface import Label, LabelledSurface
+from fascicle.heart.labelled_surface import Label
 from fascicle.mesh.formats.read import read_mesh
 from fascicle.mesh.topology import boundary_loops, unique_edges
 
 
-@cache
-def ventricles() -> LabelledSurface:
-    return prepared_surface(biventricular_surface(5.0))
-
-
-def polydata(surface: LabelledSurface) -> pv.PolyData:
-    return pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
-
-
-def written(path: Path, **arrays: np.ndarray) -> Path:
-    data = polydata(ventricles())
-    for name, values in arrays.items():
-        where = data.cell_data if len(values) == data.n_cells else data.point_data
-        where[name] = values
-    data.save(path)
-    return path
-
-
 def test_labels_of_triangles(tmp_path):
-    path = written(tmp_path / "heart.vtp", Label=ventricles().labels)
+    path = write_surface(tmp_path / "heart.vtp", Label=ventricles().labels)
     surface = read_labelled_surface(path)
     assert (surface.labels == ventricles().labels).all()
     assert surface.name == str(path)
@@ -46,14 +26,14 @@ def test_labels_of_triangles(tmp_path):
 
 def test_whole_numbers_are_labels_by_name_only(tmp_path):
     labels = ventricles().labels
-    path = written(tmp_path / "heart.vtk", patch=labels, RegionId=np.zeros(len(labels), int))
+    path = write_surface(tmp_path / "heart.vtk", patch=labels, RegionId=np.zeros(len(labels), int))
     assert not has_labels(read_mesh(path))
     with pytest.raises(InputError, match=r"\(arrays: RegionId, patch\); name .*--label-array"):
         read_labelled_surface(path)
     assert (read_labelled_surface(path, array="patch").labels == labels).all()
     for name in ("class", "label", "surface"):
         arrays = {name: labels, "other": np.arange(len(labels))}
-        path = written(tmp_path / f"{name}.vtk", **arrays)
+        path = write_surface(tmp_path / f"{name}.vtk", **arrays)
         assert has_labels(read_mesh(path))
         assert (read_labelled_surface(path).labels == labels).all()
 
@@ -78,7 +58,7 @@ def test_names_of_physical_groups(tmp_path):
 
 def test_own_numbers_are_translated(tmp_path):
     own = np.array([0, 10, 20, 30, 40])[ventricles().labels]
-    path = written(tmp_path / "heart.vtp", label=own)
+    path = write_surface(tmp_path / "heart.vtp", label=own)
     numbers = {"base": 10, "epicardium": 20, "lv": 30, "rv": 40}
     assert (read_labelled_surface(path, names=numbers).labels == ventricles().labels).all()
     with pytest.raises(InputError, match=rf"40 \({(own == 40).sum()} times\); known are"):
@@ -96,13 +76,12 @@ def test_own_numbers_are_translated(tmp_path):
 def test_numbers_may_exchange_the_default_ones(tmp_path):
     labels = ventricles().labels
     exchanged = np.where(labels == 3, 4, np.where(labels == 4, 3, labels))
-    path = written(tmp_path / "heart.vtp", label=exchanged)
+    path = write_surface(tmp_path / "heart.vtp", label=exchanged)
     assert (read_labelled_surface(path, names={"lv": 4, "rv": 3}).labels == labels).all()
 
 
 def test_stl_with_a_file_of_labels(tmp_path):
-    path = tmp_path / "heart.stl"
-    polydata(ventricles()).save(path)
+    path = write_surface(tmp_path / "heart.stl")
     labels = tmp_path / "labels.csv"
     labels.write_text("\n".join(map(str, ventricles().labels)))
     assert not has_labels(read_mesh(path))
@@ -115,7 +94,7 @@ def test_stl_with_a_file_of_labels(tmp_path):
 
 
 def test_a_file_of_labels_must_fit(tmp_path):
-    path = written(tmp_path / "heart.vtp")
+    path = write_surface(tmp_path / "heart.vtp")
     labels = tmp_path / "labels.txt"
     labels.write_text("1 2 3")
     count = len(ventricles().triangles)

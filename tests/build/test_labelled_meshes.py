@@ -1,4 +1,4 @@
-"""Tetrahedra with labels of their surface, from every format; what is wrong is said in one line."""
+"""Tetrahedra with labels of their surface, from every format; errors in one line."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def check_directions(read, block):
 
 
 @pytest.mark.parametrize("name", ["a.vtu", "a.vtk"])
-def test_triangles_beside_the_tetrahedra(tmp_path, block, name):
+def test_triangles_with_the_tetrahedra(tmp_path, block, name):
     read = read_labelled_mesh(block.vtu(tmp_path / name))
     check(read, block)
     check_directions(read, block)
@@ -196,7 +196,7 @@ def test_groups_of_other_names(tmp_path, block):
 
 
 def test_gmsh_data_of_some_elements(tmp_path, block):
-    """Fibres of the tetrahedra alone, as Gmsh writes them, beside triangles, numbers with gaps."""
+    """Fibres of the tetrahedra alone, as Gmsh writes them, with triangles."""
     path = block.msh(tmp_path / "a.msh", binary=False)
     first = 1  # meshio numbers the tetrahedra first
     rows = [
@@ -218,13 +218,13 @@ def test_gmsh_data_of_some_elements(tmp_path, block):
         dict(zip(NAMES, ("block.base", "block.epi", "block.lvendo", "rv_endo"), strict=True)),
     ],
 )
-def test_surf_files_beside_opencarp(tmp_path, block, names):
+def test_surf_files_next_to_opencarp(tmp_path, block, names):
     read = read_labelled_mesh(block.carp(tmp_path, names))
     check(read, block)
     check_directions(read, block)
 
 
-def test_vtx_files_beside_opencarp(tmp_path, block):
+def test_vtx_files_next_to_opencarp(tmp_path, block):
     path = block.carp(tmp_path, {k: f"block.{name}.surf" for k, name in NAMES.items()}, ".vtx")
     (tmp_path / "lv_endo_stimulus.vtx").write_text("1\nextra\n3\n")
     read = read_labelled_mesh(path)
@@ -278,7 +278,7 @@ def swap(block):
         (lambda b: setattr(b, "labels", b.labels + 40), "unknown labels: 41 .*known are 1 base"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path, block, change, words):
+def test_wrong_meshes_are_refused(tmp_path, block, change, words):
     change(block)
     with pytest.raises(InputError, match=words):
         read_labelled_mesh(block.vtu(tmp_path / "a.vtu"))

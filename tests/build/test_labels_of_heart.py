@@ -1,4 +1,4 @@
-"""Labels of a boundary told from the endocardia alone, against those that are known."""
+"""Labels of a boundary derived from the endocardia alone, against the known ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mesh of the user's own: repaired where it touches itself, or meshed again inside."""
+"""A custom mesh: repaired where it touches itself, or remeshed inside."""
 
 from dataclasses import replace
 
@@ -123,7 +123,7 @@ def test_few_edges_are_repaired_and_nothing_is_lost():
     volumes = [
         signed_volumes(anatomy.mesh.vertices, anatomy.mesh.tetrahedra) for anatomy in (given, found)
     ]
-    # only the gaps beside an edge become larger
+    # only the gaps next to an edge grow
     assert volumes[1].sum() == pytest.approx(volumes[0].sum(), rel=2e-3)
     assert volumes[1].sum() < volumes[0].sum()
     assert closed_volume(found.mesh.vertices, found.mesh.triangles) == pytest.approx(

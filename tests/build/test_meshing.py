@@ -54,7 +54,7 @@ def test_tetrahedra_fill_the_exact_volume(mesh, surface):
     assert volumes.sum() == pytest.approx(exact_volume(), rel=0.02)
 
 
-def test_edges_have_the_length_that_was_asked_for(mesh):
+def test_edges_have_the_requested_length(mesh):
     found = quality(mesh.vertices, mesh.tetrahedra)
     assert found.edges.mean() == pytest.approx(EDGE, rel=0.05)
     assert found.angles.min() > 8
@@ -73,8 +73,8 @@ def test_the_labelled_triangles_are_the_boundary_and_face_outwards(mesh):
 def test_labels_stay_where_they_were(mesh, surface):
     for label in (Label.BASE, Label.EPICARDIUM, *ENDOCARDIA):
         before, after = (
-            np.linalg.norm(triangle_normals(body.vertices, body.having(label)), axis=1).sum()
-            for body in (surface, mesh)
+            np.linalg.norm(triangle_normals(tissue.vertices, tissue.having(label)), axis=1).sum()
+            for tissue in (surface, mesh)
         )
         assert after == pytest.approx(before, rel=0.03)
         assert len(boundary_loops(mesh.having(label))) == (3 if label == Label.BASE else 1)

@@ -54,7 +54,7 @@ def refused(path):
 
 
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.nhdr"])
-def test_labels_and_positions_come_back_as_they_stand(tmp_path, labels, name):
+def test_labels_and_positions_are_read_unchanged(tmp_path, labels, name):
     nifti = ".nii" in name
     write = write_nifti if nifti else write_nrrd
     found = read_segmentation(write(tmp_path / name, labels))

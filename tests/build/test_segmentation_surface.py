@@ -19,9 +19,9 @@ from phantoms import (
     exact_distance,
     exact_volumes,
     labels_at,
-    quadric,
     segmentation_volumes,
 )
+from shapes import ellipsoid
 
 from fascicle.build.segmentation import Segmentation, SegmentationLabels, regions_at
 from fascicle.build.segmentation_surface import RV_WALL, surface_from_segmentation
@@ -122,7 +122,7 @@ def test_without_rv_wall_one_is_added():
 
     def lv_muscle_alone(points):
         labels = labels_at(points)
-        labels[(labels >= 3) & (quadric(points, LV_OUTER) > 0)] = 0
+        labels[(labels >= 3) & (ellipsoid(points, LV_OUTER) > 0)] = 0
         return labels
 
     phantom = ellipsoid_segmentation((1.25, 1.25, 8.0), labels=lv_muscle_alone)

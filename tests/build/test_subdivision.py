@@ -73,7 +73,7 @@ def test_each_part_keeps_its_label_and_nearly_its_area(coarse):
 
 
 @pytest.mark.parametrize("labelled", [True, False])
-def test_it_becomes_a_mesh_and_it_is_said(tmp_path, coarse, labelled):
+def test_it_becomes_a_mesh_with_a_note(tmp_path, coarse, labelled):
     arrays = {"class": coarse.labels} if labelled else {}
     path = write_surface(tmp_path / "h.vtp", coarse.vertices, coarse.triangles, **arrays)
     anatomy = read_anatomy(Source(path), EDGE)

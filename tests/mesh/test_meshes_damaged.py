@@ -78,7 +78,7 @@ def test_whole_files_are_read_quietly(files, tmp_path, capfd, name):
 
 
 def refused(path, content, capfd):
-    """Refuse it in one line without a sound; None if it was read."""
+    """None if the file is refused, in one line and without other output; else its mesh."""
     path.write_bytes(content)
     capfd.readouterr()
     try:
