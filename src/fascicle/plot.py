@@ -4,7 +4,7 @@ The figure is pyplot's current one, so that a notebook shows it, and after
 ``import matplotlib.pyplot as plt`` a script shows it by ``plt.show()`` and saves it by
 ``fascicle.plot.ecg("STUDY"); plt.savefig("ecg.png")``. ``plt.close()`` frees its memory.
 
-A study is given as it is or as its folder; `predicted` is what `fascicle.predict` returned.
+A study is passed as an object or as its folder; `predicted` is the result of `fascicle.predict`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from fascicle.heart.heart import Heart
 from fascicle.prediction.predicted import Predicted
 from fascicle.recording.target import Target
 from fascicle.recording.target_files import as_target
+from fascicle.reporting.ecg import target_figure
 from fascicle.reporting.parameters import pair_figure, prior_figure
 from fascicle.reporting.scenarios import (
     index_figure,
@@ -33,7 +34,6 @@ from fascicle.reporting.scenarios import (
     spread_figure,
 )
 from fascicle.reporting.study import loss_figure, recorded_ecg_figure
-from fascicle.reporting.target import target_figure
 from fascicle.study.fit import HEART, GivenStudy, as_study
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.study import CONFIGURATION

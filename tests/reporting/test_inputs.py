@@ -17,7 +17,7 @@ from fascicle.forward.scenario_files import read_scenarios
 from fascicle.prediction.scenarios import with_intrinsic_beat
 from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target_files import read_target
-from fascicle.reporting.page.inputs import (
+from fascicle.reporting.page.content import (
     commands,
     held,
     learnt,
@@ -172,6 +172,15 @@ def test_the_fit_s_command_gives_the_same_study(
     settings = checked_settings(asked["settings"])
     chosen = settings.model_dump()
     assert chosen == config.model_dump(include=chosen.keys())
+
+
+@pytest.mark.parametrize("changed", [{"growth_term": "steered"}, {"growth": {"branch_angle": 0.3}}])
+def test_commands_say_that_growth_rules_came_from_python(made, changed):
+    fitted = made({})
+    assert commands(fitted, {}, "intrinsic")[0].startswith("cat")
+    fitted.study.config = fitted.study.config.model_copy(update=changed)
+    said = commands(fitted, {}, "intrinsic")[0]
+    assert said.startswith("# The networks grew by rules given in Python (rules=, growth term")
 
 
 def test_the_report_s_command_makes_the_page_again(tmp_path):

@@ -16,7 +16,7 @@ from fascicle.forward.scenario import Scenario
 from fascicle.prediction.index_names import INDICES
 from fascicle.prediction.predicted import Predicted, PredictedBeat
 from fascicle.reporting.names import MEASURES
-from fascicle.reporting.page.answers import correlations, meaning, prediction
+from fascicle.reporting.page.content import correlations, meaning, prediction
 from fascicle.reporting.page.page import _safe, _template
 from fascicle.reporting.page.scene import NONE, scene
 from fascicle.reporting.scenarios import scenario_activation_figure, scenario_ecg_figure
@@ -75,21 +75,21 @@ class TestAnswers:
     def test_of_others_says_why_not(self):
         fitted = study(share=0.6, disagreeing={"V2": 0.001})
         (_, sentence) = meaning(fitted)
-        assert "explains 64% of the variance of the QRS (median), where 88% is" in sentence
-        assert "the least. V2 cannot be theirs." in sentence
+        assert "explains 64% of the variance of the QRS (median), and 88% is required. " in sentence
+        assert "Outside their predicted range: V2." in sentence
         fitted = study(converged=False)
-        assert "no number below can be relied on" in meaning(fitted)[0]
+        assert "do not rely on any number below" in meaning(fitted)[0]
         assert "a population and not a posterior" in meaning(study(paper=True, converged=False))[0]
 
     @pytest.mark.parametrize(
         ("found", "against", "said"),
         [
-            (FASTER, "intrinsic", "shortened by 28 ms (90 % CrI 21 to 34) against the intrinsic "
-             "beat; P(shorter) = 1.00."),
+            (FASTER, "intrinsic", "shortened by 28 ms (90 % CrI 21 to 34) compared with the "
+             "intrinsic beat; P(shorter) = 1.00."),
             (MIXED, "intrinsic", "P(shorter) = 0.50."),
-            (SLOWER, "intrinsic", "prolonged by 28 ms (90 % CrI 21 to 34) against the intrinsic "
-             "beat; P(shorter) = 0.00."),
-            (FASTER, "block", "shortened by 28 ms (90 % CrI 21 to 34) against block; "
+            (SLOWER, "intrinsic", "prolonged by 28 ms (90 % CrI 21 to 34) compared with the "
+             "intrinsic beat; P(shorter) = 0.00."),
+            (FASTER, "block", "shortened by 28 ms (90 % CrI 21 to 34) compared with block; "
              "P(shorter) = 1.00."),
         ],
     )  # fmt: skip

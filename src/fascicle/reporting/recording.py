@@ -18,8 +18,8 @@ from fascicle.core.leads import LEADS
 from fascicle.recording.analysis import Analysis, BeatClass
 from fascicle.recording.filters import SAMPLING_STEP
 from fascicle.reporting import style
+from fascicle.reporting.ecg import draw_target
 from fascicle.reporting.style import Colour
-from fascicle.reporting.target import draw_target
 
 SAMPLES = 1000.0 / SAMPLING_STEP  # a second
 # Of the classes that the target is not made of; what is left shares the grey

@@ -15,13 +15,12 @@ from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import check_population
 from fascicle.recording.target import Target
 from fascicle.reporting.activation import SINCE_FIRST, SPREAD, ActivationRow, activation_figure
-from fascicle.reporting.ecg import EcgGroup, ecg_figure
+from fascicle.reporting.ecg import EcgGroup, ecg_figure, target_figure
 from fascicle.reporting.heart import check_figure
 from fascicle.reporting.names import MEASURES
 from fascicle.reporting.parameters import convergence_figure, pair_figure, prior_figure
 from fascicle.reporting.scenarios import index_figure
 from fascicle.reporting.style import Colour, mark, save
-from fascicle.reporting.target import target_figure
 from fascicle.study.activation_maps import activation_maps
 from fascicle.study.agreement import Agreement, agreement
 from fascicle.study.fitted import FittedStudy
@@ -29,7 +28,7 @@ from fascicle.study.target_comparison import Network
 
 
 class Drawing(NamedTuple):
-    """A figure, what it shows in words, and the numbers in it, if there are."""
+    """A figure, its caption, and for an ECG how well recording and networks agree."""
 
     figure: Figure
     text: str
@@ -41,10 +40,10 @@ def drawings(
     networks: Sequence[Network],
     predicted: Mapping[str, Predicted] = MappingProxyType({}),
 ) -> dict[str, Drawing]:
-    """Draw a study: its recordings, networks and predictions, and the heart they rest on.
+    """Draw a study: its recordings, networks, predictions and heart.
 
-    What shows networks which may not be relied on says so. The networks are the simulated
-    population; the intrinsic beat is the first of the predictions.
+    Figures of networks carry the study's caution. `networks` is the simulated population; the
+    intrinsic beat is the first of the predictions.
     """
     check_population(fitted)
     model, space, population = fitted.simulator.model, fitted.simulator.space, fitted.population
@@ -52,48 +51,48 @@ def drawings(
     best = ActivationRow.of("best network", fitted.best_network.simulation).since_first()
     activations = np.array([network.simulation.activation for network in networks])
     spread = ActivationRow("all networks", activation_maps(activations)["activation_sd"])
-    found = _of_recordings(fitted, networks)
-    found["activation"] = Drawing(
+    drawn = _of_recordings(fitted, networks)
+    drawn["activation"] = Drawing(
         activation_figure(heart, [best], SINCE_FIRST),
-        "Activation by the network with the least mismatch.",
+        "Activation of the best network, which has the lowest mismatch.",
     )
-    found["activation-spread"] = Drawing(
+    drawn["activation-spread"] = Drawing(
         activation_figure(heart, [spread], SPREAD),
         f"Standard deviation of the activation over {len(networks)} networks.",
     )
     if predicted:
-        text = "Medians, and what half (thick) and 90 % (thin) of the networks span."
-        found["indices"] = Drawing(index_figure(predicted), text)
-    found["priors"] = Drawing(
+        text = "Medians, with the range of half (thick) and of 90 % (thin) of the networks."
+        drawn["indices"] = Drawing(index_figure(predicted), text)
+    drawn["priors"] = Drawing(
         prior_figure(space, population.values),
-        "Prior densities (grey lines) and the networks (orange).",
+        "Prior densities (grey lines) and histograms of the networks (orange).",
     )
     title = fitted.statements.networks_called
-    found["pairs"] = Drawing(
+    drawn["pairs"] = Drawing(
         pair_figure(space, population.values, population.best, title=title),
-        "Pairs of parameters on the whole ranges of their priors.",
+        "Pairs of parameters over their whole prior ranges.",
     )
-    for drawing in found.values():
+    for drawing in drawn.values():
         mark(drawing.figure, fitted.statements.caution_text)
     for number, recording in enumerate(fitted.recordings):
-        found[f"recording{_suffix(number)}"] = Drawing(
+        drawn[f"recording{_suffix(number)}"] = Drawing(
             target_figure(recording.target),
-            f"Recording{_numbered(fitted, number)}: its beats, and the QRS window of the fit.",
+            f"Recording{_numbered(fitted, number)}: its beats and the QRS window of the fit.",
         )
-    found["convergence"] = Drawing(
+    drawn["convergence"] = Drawing(
         loss_figure(fitted),
-        "Mismatch of every evaluation, in the order they were made. Along the broken line lie "
-        "networks whose ECG is no closer to the recording than a flat line.",
+        "Mismatch of every evaluation, in order. A network on the broken line matches the "
+        "recording no better than a flat line.",
     )
-    found["heart"] = Drawing(
+    drawn["heart"] = Drawing(
         check_figure(heart, check_heart(heart, model.prepared.charts)),
-        "The heart: walls, fibres, where the bundles start, and the torso with its electrodes.",
+        "The heart: walls, fibres, roots of the bundles, and the torso with its electrodes.",
     )
-    return found
+    return drawn
 
 
 def write_figures(drawn: Mapping[str, Drawing], folder: Path, kinds: Sequence[str]) -> list[Path]:
-    """Write figures into a folder, as each of the kinds of files; returns what was written."""
+    """Write figures into a folder, in each of the file formats; returns the files."""
     return [
         save(drawing.figure, folder / f"{name}.{kind}")
         for name, drawing in drawn.items()
@@ -128,21 +127,21 @@ def _numbered(fitted: FittedStudy, number: int) -> str:
 
 def _of_recordings(fitted: FittedStudy, networks: Sequence[Network]) -> dict[str, Drawing]:
     """Recorded and predicted QRS of every recording."""
-    found: dict[str, Drawing] = {}
+    drawn: dict[str, Drawing] = {}
     for number, recording in enumerate(fitted.recordings):
         its = fitted.networks(recording=number) if number else networks
         agreed = agreement(recording.target, its)
-        found[f"ecg{_suffix(number)}"] = Drawing(
+        drawn[f"ecg{_suffix(number)}"] = Drawing(
             _ecg(recording.target, its, agreed),
-            f"Recorded beats{_numbered(fitted, number)} and what the networks predict: means, and "
-            "what 90 % of beats and of networks span. Time counts from the R peak.",
+            f"Recording{_numbered(fitted, number)}: QRS of its beats and of the networks. Lines "
+            "are means, bands hold 90 % of the beats or networks. Time is counted from the R peak.",
             agreed,
         )
-    return found
+    return drawn
 
 
 def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figure:
-    """Bands hold 90 % of each: ranges of unequal numbers cannot be compared."""
+    """Bands hold 90 % of each, because whole ranges grow with the number of ECGs."""
     window = target.qrs_samples
     time = target.time[window]
     predicted = np.stack([network.predicted for network in networks])[:, :, window]
@@ -156,16 +155,16 @@ def _ecg(target: Target, networks: Sequence[Network], found: Agreement) -> Figur
 
 
 def _caption(found: Agreement) -> str:
-    """What the mean of the networks explains, and durations and axis, recorded and predicted."""
-    said = [
+    """Variance explained by the networks' mean; durations and axis, recorded and predicted."""
+    parts = [
         f"mean explains {found.explained_over_all:.0%} of the variance, "
         f"r {found.correlation_over_all:.2f}"
     ]
     for key, measure in MEASURES.items():
         if key in found.recorded:
             low, middle, high = found.percentiles(key)
-            said.append(
+            parts.append(
                 f"{measure.name} {found.recorded[key]:.0f} {measure.unit}, "
                 f"predicted {middle:.0f} ({low:.0f} to {high:.0f})"
             )
-    return "; ".join(said)
+    return "; ".join(parts)

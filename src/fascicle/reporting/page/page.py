@@ -30,8 +30,17 @@ from fascicle.prediction.scenarios import (
     with_intrinsic_beat,
 )
 from fascicle.reporting.names import MEASURES, index_label, parameter_name
-from fascicle.reporting.page.answers import correlations, meaning, prediction
-from fascicle.reporting.page.inputs import commands, digests, held, learnt, recordings, settings
+from fascicle.reporting.page.content import (
+    commands,
+    correlations,
+    digests,
+    held,
+    learnt,
+    meaning,
+    prediction,
+    recordings,
+    settings,
+)
 from fascicle.reporting.page.scene import scene
 from fascicle.reporting.prediction import latest_segments
 from fascicle.reporting.scenarios import SHOWN

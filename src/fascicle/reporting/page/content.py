@@ -1,4 +1,4 @@
-"""What a study was given, and the commands that make it and its report again."""
+"""The words of the report: what the fit shows, what it was made of, and how to repeat it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from fascicle.core.parameters import Parameter
 from fascicle.core.quantities import SIDES, SPEED, fascicles, quantity
 from fascicle.forward.scenario_files import name_in_library
+from fascicle.prediction.comparison import compare, missing_blocks
 from fascicle.prediction.predicted import Predicted
 from fascicle.prediction.scenarios import INTRINSIC
+from fascicle.purkinje.growth import GrowthRules
 from fascicle.recording.target import Target
-from fascicle.reporting.names import parameter_name
+from fascicle.reporting.names import index_name, parameter_name
 from fascicle.study.fit import HEART
 from fascicle.study.fitted import FittedStudy
 from fascicle.study.recordings import recording_paths
 from fascicle.study.settings import OF_THE_PAPER, OF_THE_POSTERIOR
+from fascicle.study.statements import LEAST_EXPLAINED, Caution, explained_share, fit_acceptable
 from fascicle.study.study import StudyConfig
 
 CONDUCTIVITIES = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains them
@@ -26,11 +31,11 @@ CONDUCTIVITIES = {  # mS/cm; `fascicle.heart.conduction.Conduction` explains the
     "extracellular_l": "extracellular conductivity along the fibre",
     "extracellular_t": "extracellular conductivity across the fibre",
     "torso": "conductivity of the unbounded conductor",
-    "body": "conductivity of the torso but for lungs and blood",
+    "body": "conductivity of the torso without lungs and blood",
     "lung": "conductivity of the lungs",
     "blood": "conductivity of the blood",
 }
-# Options of ``fascicle target``, by what the provenance calls the choice
+# Options of ``fascicle target``, by the name of the choice in the provenance
 CHOICES = {
     "choice_sampling_rate_hz": "--sampling-rate",
     "choice_unit": "--unit",
@@ -45,7 +50,81 @@ CHOICES = {
     "choice_notch_hz": "--notch",
     "choice_recorder_lowpass_hz": "--recorder-lowpass",
 }
-Row = tuple[str, str, str]  # what it is called, its name in files and options, value
+Row = tuple[str, str, str]  # name for readers, name in files and options, value
+
+
+def meaning(fitted: FittedStudy) -> list[str]:
+    """Explain the verdict in whole sentences."""
+    count, checks = len(fitted.population), fitted.checks
+    if fitted.of_the_paper:
+        return [
+            f"{count} networks were accepted by the paper's rule. They are a population and not a "
+            "posterior: their spread does not measure uncertainty."
+        ]
+    if not fitted.statements.converged:
+        return [
+            "The two runs are incomplete or disagree: do not rely on any number below. "
+            "A warning says how to continue."
+        ]
+    agree = (
+        f"Two independent runs agree. The {count} networks below are equally probable; their "
+        "spread is the uncertainty that remains given the ECG."
+    )
+    if checks is None:
+        return [agree]
+    each = f"{explained_share(checks):.0%}"
+    if fit_acceptable(checks):
+        return [
+            agree,
+            f"A network explains {each} of the variance of the QRS (median). The independent "
+            "leads, the window QRS duration and the axis are within the range that the networks "
+            "predict.",
+        ]
+    outside = ""
+    if checks.disagreeing:
+        outside = f" Outside their predicted range: {', '.join(checks.disagreeing)}."
+    return [
+        agree,
+        f"They do not explain the ECG: a network explains {each} of the variance of the QRS "
+        f"(median), and {LEAST_EXPLAINED:.0%} is required.{outside} The heart, the torso or the "
+        "model does not match the patient: the intervals below come from a model that does not "
+        "fit.",
+    ]
+
+
+def correlations(fitted: FittedStudy) -> list[str]:
+    """Which parameters are strongly correlated in the posterior."""
+    return [
+        f"{parameter_name(pair.first)} and {parameter_name(pair.second)} are strongly correlated "
+        f"in the posterior (rank correlation {pair.rank_correlation:.2f})."
+        for pair in fitted.statements.correlated
+    ]
+
+
+def prediction(
+    name: str, predicted: Mapping[str, Predicted], against: str, caution: Caution | None
+) -> str:
+    """QRS durations and total activation time of a scenario, and how it compares with another."""
+    paced, other = predicted[name], predicted[against]
+    durations = []
+    for index in ("global_qrs_duration", "qrs_duration", "total_activation_time"):
+        low, middle, high = np.nanpercentile(paced.indices[index], [5, 50, 95])
+        durations.append(f"{index_name(index)} {middle:.0f} ms ({low:.0f} to {high:.0f})")
+    sentence = ", ".join(durations)
+    if caution is not None:
+        sentence = f"{caution.brief}: {sentence}"
+    if name in (against, INTRINSIC):
+        return f"{sentence}."
+    if missing := missing_blocks(name, predicted, against):
+        sentence = f"{sentence}. Caution: {missing}"
+    beat = "the intrinsic beat" if against == INTRINSIC else against
+    index = "total_activation_time"
+    reduction = compare(paced, other, index)
+    change = f"shortened by {reduction}"
+    if reduction.median < 0:
+        change = f"prolonged by {compare(other, paced, index)}"
+    shorter = f"P(shorter) = {reduction.probability():.2f}"
+    return f"{sentence}. Activation {change} compared with {beat}; {shorter}."
 
 
 def learnt(config: StudyConfig) -> list[Row]:
@@ -54,7 +133,7 @@ def learnt(config: StudyConfig) -> list[Row]:
 
 
 def held(fitted: FittedStudy) -> list[Row]:
-    """Quantities that are held at a value, and act: neither learnt, nor of a torso not there."""
+    """Quantities with a fixed value that affects the result."""
     config, model = fitted.study.config, fitted.simulator.model
     regions = {
         f"region_{region.label}_conductivity": region.conductivity
@@ -73,26 +152,25 @@ def held(fitted: FittedStudy) -> list[Row]:
 
 
 def settings(config: StudyConfig) -> dict[str, Any]:
-    """Settings of the method that was used."""
+    """Settings that the method of the fit uses."""
     of_the_method = OF_THE_PAPER if config.method == "paper" else OF_THE_POSTERIOR
     names = ("method", *of_the_method, "fewest_junctions", "seed")
     return {name: getattr(config, name) for name in names}
 
 
 def recordings(fitted: FittedStudy) -> list[tuple[str, str]]:
-    """Where each recording comes from, and all that its target says of itself."""
-    found = []
+    """File of each recording, and the provenance of its target."""
+    rows = []
     for number, recording in enumerate(fitted.recordings, 1):
         notes = dict(recording.target.provenance)
         of = f" {number}" if len(fitted.recordings) > 1 else ""
-        found.append((f"recording{of}", notes.pop("source", "in memory")))
-        said = "; ".join(f"{name}: {value}" for name, value in notes.items())
-        found.append((f"target{of}", said))
-    return [(name, value) for name, value in found if value]
+        rows.append((f"recording{of}", notes.pop("source", "in memory")))
+        rows.append((f"target{of}", "; ".join(f"{key}: {value}" for key, value in notes.items())))
+    return [(name, value) for name, value in rows if value]
 
 
 def digests(config: StudyConfig) -> list[tuple[str, str]]:
-    """Hashes by which heart and targets are known again."""
+    """Hashes that identify the heart and the targets."""
     targets = (config.target, *config.other_targets)
     return [("heart (SHA-256)", config.heart), ("target (SHA-256)", ", ".join(targets))]
 
@@ -115,24 +193,29 @@ def _held(name: str, value: float) -> Row:
 
 
 def commands(fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str) -> list[str]:
-    """What to type, a line each, for a shell; the settings go into a file first."""
-    lines: list[str] = []
-    given: list[str] = []
+    """Lines for a shell that repeat the fit and the report; the settings go into a file first."""
+    config, lines, targets = fitted.study.config, [], []
+    default, term = GrowthRules(), config.growth_term
+    if (config.growth, term) != (default.numbers, default.term.function.__name__):
+        lines.append(
+            f"# The networks grew by rules given in Python (rules=, growth term '{term}'): "
+            "the commands below do not pass them on; call fascicle.fit instead."
+        )
     for number, recording in enumerate(fitted.recordings, 1):
-        kept, scenario = recording_paths(fitted.folder, number)
+        stored, scenario = recording_paths(fitted.folder, number)
         made = f"target-{number}.nc"
         words = target_words(recording.target, made)
         lines += [shlex.join(words)] if words else []
-        target = made if words else str(kept)
-        given.append(f"{target}:{scenario}" if scenario.exists() else target)
-    lines += ["cat > settings.toml <<'END'", *settings_file(fitted.study.config), "END"]
-    fit = ["fascicle", "fit", str(fitted.folder / HEART), *given, "--out", str(fitted.folder)]
+        target = made if words else str(stored)
+        targets.append(f"{target}:{scenario}" if scenario.exists() else target)
+    lines += ["cat > settings.toml <<'END'", *settings_file(config), "END"]
+    fit = ["fascicle", "fit", str(fitted.folder / HEART), *targets, "--out", str(fitted.folder)]
     report = report_words(fitted, predicted, against)
     return [*lines, shlex.join([*fit, "--settings", "settings.toml"]), shlex.join(report)]
 
 
 def target_words(target: Target, out: str) -> list[str]:
-    """Words of the command that makes a target of its recording; none, if no file is its source."""
+    """Command that makes a target from its recording, as words; none without a source file."""
     notes = target.provenance
     if "source_sha256" not in notes:
         return []
@@ -140,7 +223,7 @@ def target_words(target: Target, out: str) -> list[str]:
     if "shared_gain" in notes:
         words += ["--shared-gain", "--digits-per-mv", notes["shared_gain"].split()[0]]
     for name, option in CHOICES.items():
-        if name in notes:  # exchanges are an option each, others a list
+        if name in notes:  # one option per swapped pair, one list for any other choice
             values = notes[name].split(", ")
             for value in values if name == "swapped" else [",".join(values)]:
                 words += [option, value]
@@ -151,14 +234,14 @@ def target_words(target: Target, out: str) -> list[str]:
 
 
 def settings_file(config: StudyConfig) -> list[str]:
-    """Lines of a settings file: the method's settings, all that is learnt, and what is fixed."""
+    """Lines of a settings file: settings of the method, fixed values and priors."""
     names = {*config.parameter_space.names, *config.fixed}
     fixed = {f"{side}_fascicles": fascicles(side, names) for side in SIDES} | config.fixed
     priors = []
     for each in config.space:
         numbers = {key: getattr(each, key) for key in ("lower", "upper", "median", "sd")}
-        said = [f"{key} = {value!r}" for key, value in numbers.items() if value is not None]
-        priors.append(f'{each.name} = {{ prior = "{each.prior}", {", ".join(said)} }}')
+        keys = [f"{key} = {value!r}" for key, value in numbers.items() if value is not None]
+        priors.append(f'{each.name} = {{ prior = "{each.prior}", {", ".join(keys)} }}')
     return [
         *(f"{name} = {_toml(value)}" for name, value in settings(config).items()),
         "[parameters]",
@@ -174,10 +257,10 @@ def _toml(value: Any) -> str:
 def report_words(
     fitted: FittedStudy, predicted: Mapping[str, Predicted], against: str
 ) -> list[str]:
-    """Words of the command that makes the page, with files of scenarios where they were."""
+    """Command that makes the page, as words, with the scenarios' files."""
     words = ["fascicle", "report", str(fitted.folder)]
-    for name, found in predicted.items():
+    for name, each in predicted.items():
         if name != INTRINSIC:
-            source = None if name_in_library(found.scenario) else found.scenario.source
+            source = None if name_in_library(each.scenario) else each.scenario.source
             words += ["--scenario", source or name]
     return words if against == INTRINSIC else [*words, "--against", against]
